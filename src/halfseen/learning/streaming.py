@@ -9,9 +9,9 @@ same bytes; so it does not matter which worker sums a shard, nor how often one i
 
 import ctypes
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, partial, reduce
 from itertools import chain
 from tempfile import TemporaryFile
 from typing import NamedTuple
@@ -95,9 +95,9 @@ def _in_passes(stream: LogStream, model: QModel, has_choice: bool, workers: Work
         work = partial(_Work, stream.as_folder, num_paths, kept)
         sample = _read(stream, shards, sampled(num_paths, model.random_state), pool)
         model = model.with_task(stream, sample)
-        look = _joined(list(pool.in_order(partial(_look_at, work(model)), shards)))
-        ends = look.clocks or [StageClocks.of_ends(stream.end_s, stream.is_finished)]
-        model = model.with_clocks(ends[0], look.support)
+        support, clocks = _joined(pool.in_order(partial(_look_at, work(model)), shards))
+        clocks = clocks or [StageClocks.of_ends(stream.end_s, stream.is_finished)]
+        model = model.with_clocks(clocks[0], support)
         paths = model.lay_out(sample)
         give_back()
         model = model.with_sample(paths).with_durations(paths)
@@ -105,7 +105,7 @@ def _in_passes(stream: LogStream, model: QModel, has_choice: bool, workers: Work
         give_back()
         rewarded = chain.from_iterable(work(model).rewarded(shard) for shard in shards)
         model = replace(model, task=model.task.fitted_to_rewards(rewarded))
-        return _backward_in_passes(work(model), shards, pool, look.num_actions, chosen)
+        return _backward_in_passes(work(model), shards, pool, paths.is_possible.shape[-1], chosen)
 
 
 def _backward_in_passes(
@@ -224,32 +224,25 @@ class _Work:
         return self.model.lay_out(logs)
 
 
-class _Look(NamedTuple):
-    """What a first look at a shard finds."""
-
-    support: Support
-    num_actions: int
-    clocks: list[StageClocks]
-    """What Ĝ is fitted to, beyond the ends of the paths, if it is."""
+_Look = tuple[Support, list[StageClocks]]
+"""What was seen completed; and what Ĝ is fitted to, beyond the ends of the paths, if it is."""
 
 
 def _look_at(work: _Work, shard: Shard) -> _Look:
     """Read, check and lay out a shard for the first time."""
-    looks = []
+    model, looks = work.model, []
     for paths in work.paths_of(shard):
-        clocks = work.model.targets.looks_at(paths.clocks)
-        seen = work.model.support_in(paths)
-        looks.append(_Look(seen, paths.is_possible.shape[-1], [] if clocks is None else [clocks]))
+        clocks = model.targets.looks_at(paths.clocks)
+        looks.append((model.support_in(paths), [] if clocks is None else [clocks]))
     # This process may wait for long now, for others that read.
     give_back()
     return _joined(looks)
 
 
-def _joined(looks: Sequence[_Look]) -> _Look:
-    support, clocks = looks[0].support, list(chain.from_iterable(look.clocks for look in looks))
-    for look in looks[1:]:
-        support = support.plus(look.support)
-    return _Look(support, looks[0].num_actions, [stacked(clocks)] if clocks else [])
+def _joined(looks: Iterable[_Look]) -> _Look:
+    seen, clocks = zip(*looks, strict=True)
+    every = list(chain.from_iterable(clocks))
+    return reduce(Support.plus, seen), [stacked(every)] if every else []
 
 
 def _sums_of(
