@@ -238,7 +238,7 @@ def _surveyed(parts: "Iterable[Logs]", known: Categories) -> dict[str, _Seen]:
 def _look(logs: "Logs", column: str) -> _Seen:
     from pandas.api.types import infer_dtype
 
-    values = logs.stages[column]
+    values: Any = logs.stages[column]
     kind = infer_dtype(values, skipna=True)
     if kind not in _TEXT:
         return f"holds {kind}, neither numbers nor text; give one of these, or leave it out"
@@ -246,7 +246,7 @@ def _look(logs: "Logs", column: str) -> _Seen:
     if is_null.any():
         where = _place(logs.stages, int(np.argmax(is_null)))
         return f"is null at {where}; fill it in, with a word such as 'unknown' where nothing is known, or leave it out"
-    pairs = logs.stages[["path", column]].astype({column: object}).drop_duplicates()
+    pairs: Any = logs.stages[["path", column]].astype({column: object}).drop_duplicates()
     return Counter(pairs[column].map(str))
 
 

@@ -23,11 +23,13 @@ Where targets are *imputed*, the stage in which a path was right-censored has on
 """
 
 from collections.abc import Callable, Sequence
+from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
+from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
 from halfseen.learning.ridge import Errors, Ridge, ridge_of, solve, standard_errors, with_prior
 from halfseen.learning.rows import Transitions
@@ -208,7 +210,7 @@ class _Steps:
         self._moments |= dict(zip(new, found.moments, strict=True))
         if step.slices not in self._equations:
             each = [self._moments[which] for which in step.slices]
-            moments = Moments(*(sum(leaves[1:], leaves[0]) for leaves in zip(*each, strict=True)))
+            moments = reduce(partial(mapped, np.add), each)
             self._equations[step.slices] = self._factorised(moments, found.columns)
         return self._solved(self._equations[step.slices], found, step.centre)
 

@@ -46,12 +46,12 @@ class Ridge(NamedTuple):
     """N, and e."""
     shrink: Float[np.ndarray, "L V1 K F"]
     """1/N and 1/(e + nλ) by each λ; 0 along what was never seen."""
-    held_out: Float[np.ndarray, "V K F F"]
+    held_out: Float[np.ndarray, "V0 K F F"]
     """Bᵀ (Σ w x xᵀ) B of the rows of each fold, B being without it; none without folds."""
 
 
 def ridge_of(
-    gram: Float[np.ndarray, "V K F F"], regs: Float[np.ndarray, " L"], num_paths: float, is_scaled: bool = True
+    gram: Float[np.ndarray, "V K F F"], regs: Float[np.ndarray, " L"], num_paths: int, is_scaled: bool = True
 ) -> Ridge:
     """Factorise the normal equations.
 

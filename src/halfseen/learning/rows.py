@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import library_of
+from halfseen.arrays import library_of, mapped
 from halfseen.censoring import StageClocks
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
@@ -70,9 +70,8 @@ class PathArrays(NamedTuple):
 
     def take(self, rows: Int[np.ndarray, " k"] | slice) -> "PathArrays":
         """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
-        leaves: list[Any] = [None if leaf is None else leaf[rows] for leaf in self.encoded]
-        encoded = Encoded(*leaves)
-        return PathArrays(self.clocks.take(rows), encoded, *(leaf[rows] for leaf in self[2:]))
+        rest: Any = mapped(lambda leaf: leaf[rows], tuple(self[1:]))
+        return PathArrays(self.clocks.take(rows), *rest)
 
 
 def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -> PathArrays:

@@ -204,9 +204,10 @@ class LoggedPaths:
 
         It is seen until the next one is asked for: the features of all lie in the same memory.
         """
-        common = Encoded(*(None if leaf is None else leaf[:num_paths] for leaf in self.encoded))
-        if tried is None:
+        common = mapped(lambda leaf: leaf[:num_paths], self.encoded)
+        if not isinstance(self.grasp, str):
             return self.grasp, common
+        assert tried is not None
         num_attempts = int(tried["path"].searchsorted(num_paths))
         grasp = choose_by(tried.iloc[:num_attempts], self.source.world.horizon).grasp
         if grasp is None:
