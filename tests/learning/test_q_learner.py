@@ -46,13 +46,6 @@ def test_the_trial_has_ties_and_cuts_in_both_stages(logs):
     assert logs.stages["action"].isna().any()
 
 
-def test_weights_change_the_answer(logs):
-    weighted, unweighted = learner().fit(logs), learner(censoring="none").fit(logs)
-    assert set(np.unique(unweighted.weights_)) == {0.0, 1.0}
-    difference = weighted.q_values(states_of(2), 2) - unweighted.q_values(states_of(2), 2)
-    assert np.abs(difference).max() > 0.01
-
-
 def test_a_model_given_is_used_and_not_changed(logs):
     unfitted, fitted = KaplanMeier(), KaplanMeier().fit([1.0, 9.5], [False, True])
     assert learner(censoring=unfitted).fit(logs).weights_ == pytest.approx(learner().fit(logs).weights_)

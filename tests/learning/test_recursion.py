@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from naive_q_learning import naive_backward, naive_q
+from naive_q_learning import naive_backward
 from random_logs import Blocks, random_log
 
 from halfseen.errors import ArgumentError
@@ -42,10 +42,12 @@ def test_q_is_that_of_the_block_of_each_action(blocks, num_features):
         assert q[at] == pytest.approx(own[0] + features[at] @ own[1:], abs=1e-5)
 
 
+@pytest.mark.parametrize("is_cut", [True, False], ids=["weighted", "ordinary Q-learning"])
 @pytest.mark.parametrize("reg", [0.0, 0.1])
 @pytest.mark.parametrize(("stages", "task"), MODES)
-def test_equation_three_by_loops(stages, task, reg):
-    log = log_for(task)
+def test_equation_three_by_loops(stages, task, reg, is_cut):
+    log = log_for(task, is_cut=is_cut)
+    assert is_cut or set(np.unique(log.weight)) == {0.0, 1.0}
     expected = naive_backward(log, BLOCKS, 3, reg, stages, task.end_action)
     fitted = fit(log, task, stages, reg)
     assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
@@ -61,27 +63,6 @@ def test_cross_validation_by_loops(stages, task):
     fitted = fit(log, task, stages, regs, num_folds=4)
     assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
     assert len(np.unique(fitted.reg)) > 1
-
-
-def test_without_cuts_it_is_ordinary_q_learning():
-    log = random_log(3, num_paths=60, blocks=(0, 1), num_features=2, is_cut=False)
-    assert (log.weight[log.weight > 0] == 1.0).all()
-    fitted = fit(log, Blocks((0, 1)), "separate", 0.0).coefficients
-    after = None
-    for t in (2, 1, 0):
-        seen = log.weight[:, t] > 0
-        beta = np.zeros((2, 3))
-        for action in (0, 1):
-            rows = np.flatnonzero(seen & (log.action[:, t] == action))
-            target = log.reward[rows, t].copy()
-            for k, i in enumerate(rows):
-                if not log.is_last[i, t]:
-                    q = naive_q(after, log.features[i, t + 1], (0, 1))
-                    target[k] += q[log.is_possible[i, t + 1]].max()
-            design = np.column_stack([np.ones(len(rows)), log.features[rows, t, action]])
-            beta[action] = np.linalg.lstsq(design, target, rcond=None)[0]
-        assert fitted[t] == pytest.approx(beta, abs=1e-10)
-        after = beta
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)
