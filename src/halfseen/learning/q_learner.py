@@ -242,13 +242,13 @@ class CensoredQLearner(Estimator):
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
         is_of_policy = bool(getattr(task, "is_of_policy", False))
+        by_itself = BuckleyJames() if logs is None or is_fixed or logs.has_all_actions else Weighted()
+        plain = SMOOTH if task.is_shared else LinearQ()
         model = QModel(
             horizon=self.horizon,
             task=task,
-            targets=targets_of(self.censoring) if is_fixed else BuckleyJames(),
-            space=(SMOOTH if task.is_shared else LinearQ())
-            if _is_auto(self.q_function)
-            else q_space_of(self.q_function),
+            targets=targets_of(self.censoring) if is_fixed else by_itself,
+            space=plain if _is_auto(self.q_function) else q_space_of(self.q_function),
             reg=reg_of(self.reg),
             stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
             pessimism=0.0 if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
@@ -259,11 +259,8 @@ class CensoredQLearner(Estimator):
                 f"pessimism is {self.pessimism}, but Q is that of a given policy, where no largest is sought; leave it "
                 "out, or learn Q of the best one (base=None)"
             )
-        if _is_auto(self.pessimism) and not (is_fixed or is_of_policy):
-            model = replace(model, pessimism=PESSIMISM / self.horizon**0.5)
-        if not is_fixed and logs is not None and not logs.has_all_actions:
-            model = replace(model, targets=Weighted())
-        return model
+        is_careful = _is_auto(self.pessimism) and not (is_fixed or is_of_policy)
+        return replace(model, pessimism=PESSIMISM / self.horizon**0.5) if is_careful else model
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""
