@@ -7,8 +7,7 @@ import pandas as pd
 from sklearn.linear_model import LogisticRegression
 
 from halfseen.learning import CensoredQLearner, FlatPolicy
-from halfseen.learning.behaviour import conditional_logit, fit_choice
-from halfseen.learning.choice import choice_probabilities, leaning
+from halfseen.learning.behaviour import choice_probabilities, conditional_logit, fit_choice, leaning
 from halfseen.logs import Logs
 
 COVARIATES = ["x1", "x2"]

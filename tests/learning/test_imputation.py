@@ -13,13 +13,6 @@ NUM_PATIENTS, NUM_LOGS = 600, 24
 ASKED = pd.DataFrame({"x": [-1.0, 0.0, 1.0]})
 
 
-@pytest.fixture(scope="module")
-def logs():
-    trial = two_stage_trial()
-    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
-    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
-
-
 def one_stage(seed, gain=1.2):
     """The longer it takes the more it brings, and x hastens both the end and the cut."""
     rng = np.random.default_rng(seed)
@@ -112,24 +105,24 @@ def imputed_for(paths, cut_model):
 
 @pytest.mark.parametrize("truncate_at", [None, 1.5])
 @pytest.mark.parametrize("by", ["path", "stage", "pooled"])
-def test_what_a_constant_is_worth_adds_up_to_it(logs, by, truncate_at, monkeypatch):
+def test_what_a_constant_is_worth_adds_up_to_it(known, by, truncate_at, monkeypatch):
     """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties, truncated weights and all."""
     module = "halfseen.learning.imputation.duration_terms"
     monkeypatch.setattr(module, lambda duration_s, knots: np.ones((*np.shape(duration_s), len(knots))))
     learner = CensoredQLearner.of_paper(
         2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by, truncate_at=truncate_at), reg=0.0
     )
-    learner.fit(logs)
-    paths = learner.model_.lay_out(logs)
+    learner.fit(known)
+    paths = learner.model_.lay_out(known)
     imputed = imputed_for(paths, learner.cut_model_)
     begun = paths.is_begun
     np.testing.assert_allclose(imputed.share[begun] + imputed.expected[begun][:, 0], 1.0, atol=1e-9)
     assert (imputed.share[~paths.is_completed] == 0.0).all()
 
 
-def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(logs):
-    learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(logs)
-    paths = learner.model_.lay_out(logs)
+def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(known):
+    learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(known)
+    paths = learner.model_.lay_out(known)
     imputed = imputed_for(paths, learner.cut_model_)
     weights, begun = learner.cut_model_.weights(paths.clocks), learner.cut_model_.begun_weights(paths.clocks)
     seen = paths.is_completed
@@ -171,16 +164,18 @@ def test_what_durations_are_to_be_expected_by_a_loop():
     assert durations.expected(np.zeros((1, 1)), np.array([[9.0]]), terms)[0, 0, 0] == pytest.approx(5.0)
 
 
-def test_what_cannot_be_imputed_is_refused(logs):
-    unknown = Logs(logs.stages.assign(action=logs.stages["action"].where(logs.stages["elapsed_s"].notna())), logs.paths)
+def test_what_cannot_be_imputed_is_refused(known):
+    unknown = Logs(
+        known.stages.assign(action=known.stages["action"].where(known.stages["elapsed_s"].notna())), known.paths
+    )
     for censoring in (DoublyRobust(), "buckley-james"):
         with pytest.raises(ArgumentError, match=r"path \d+, stage \d: its action is null, and .* learning needs"):
             CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=censoring).fit(unknown)
     with pytest.raises(ArgumentError, match="outcome_covariates names 'age'"):
-        CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=DoublyRobust(outcome_covariates=["age"])).fit(logs)
+        CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=DoublyRobust(outcome_covariates=["age"])).fit(known)
 
 
-def test_a_model_of_ones_own_is_doubly_robust_too(logs):
+def test_a_model_of_ones_own_is_doubly_robust_too(known):
     censoring = DoublyRobust(Cox(ridge=1.0), by="pooled")
-    fitted = CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=censoring, stages="pooled", reg=0.1).fit(logs)
+    fitted = CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=censoring, stages="pooled", reg=0.1).fit(known)
     assert np.isfinite(fitted.q_functions_.coefficients).all()

@@ -3,7 +3,6 @@ import pandas as pd
 import pytest
 from sklearn.kernel_ridge import KernelRidge
 
-from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner, KernelQ
 from halfseen.learning.q_space import fit_kernel_map
 from halfseen.logs import Logs
@@ -87,10 +86,3 @@ def test_a_table_has_a_kernel_q_too():
     logged = TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=1)
     earned = [one.stages.groupby("path")["reward"].sum().mean() for one in (played, logged)]
     assert earned[0] > earned[1] + 2.0
-
-
-def test_widths_and_landmarks_that_cannot_be_are_refused():
-    with pytest.raises(ArgumentError, match="gamma is -1; it is a finite number > 0"):
-        KernelQ(gamma=-1)
-    with pytest.raises(ArgumentError, match="num_landmarks is 0"):
-        KernelQ(num_landmarks=0)

@@ -1,7 +1,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from trials import ACTIONS, FULL, indicators, two_stage_trial
+from trials import ACTIONS, FULL, indicators, two_stage_trial, with_known_actions
 
 from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
@@ -14,9 +14,7 @@ NUM_PATHS = 60
 
 @pytest.fixture(scope="module")
 def logs():
-    trial = two_stage_trial(num_paths=NUM_PATHS)
-    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
-    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
+    return with_known_actions(two_stage_trial(num_paths=NUM_PATHS))
 
 
 def repeated(logs, counts):

@@ -7,18 +7,18 @@ import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from threadpoolctl import threadpool_info, threadpool_limits
-from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, two_stage_trial
+from trials import ACTIONS, FULL, REDUCED, cell_means, indicators
 
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learning import CensoredQLearner, CrossValidation, DoublyRobust, KernelQ, NamedActions, Weighted, q_model
-from halfseen.learning.behaviour import behaviour_of
+from halfseen.learning.behaviour import fit_choice
 from halfseen.logs import Logs
 
 
 @pytest.fixture(scope="module")
-def logs():
-    return two_stage_trial()
+def logs(trial):
+    return trial
 
 
 def learner(**changed):
@@ -46,13 +46,6 @@ def test_the_trial_has_ties_and_cuts_in_both_stages(logs):
     assert logs.stages["action"].isna().any()
 
 
-def test_weights_change_the_answer(logs):
-    weighted, unweighted = learner().fit(logs), learner(censoring="none").fit(logs)
-    assert set(np.unique(unweighted.weights_)) == {0.0, 1.0}
-    difference = weighted.q_values(states_of(2), 2) - unweighted.q_values(states_of(2), 2)
-    assert np.abs(difference).max() > 0.01
-
-
 def test_a_model_given_is_used_and_not_changed(logs):
     unfitted, fitted = KaplanMeier(), KaplanMeier().fit([1.0, 9.5], [False, True])
     assert learner(censoring=unfitted).fit(logs).weights_ == pytest.approx(learner().fit(logs).weights_)
@@ -71,27 +64,11 @@ def test_cuts_may_depend_on_what_a_path_begins_with(logs, name):
     assert not np.allclose(fitted.weights_, learner(covariates=REDUCED).fit(logs).weights_)
 
 
-def test_cuts_that_may_depend_on_nothing_are_refused(logs):
-    with pytest.raises(ArgumentError, match="none of those of a path's first stage differs between paths"):
-        learner(covariates=["s2_1"], censoring="cox").fit(logs)
-    with pytest.raises(LogError, match="the stages have no column 'weather'"):
-        learner(censoring=Weighted("cox", covariates=["weather"])).fit(logs)
-
-
 def test_diagnostics_are_kept(logs):
     fitted = learner(censoring=Weighted(truncate_at=1.5)).fit(logs)
     assert fitted.diagnostics_.largest_weight <= 1.5 + 1e-12
     assert fitted.diagnostics_.share_truncated > 0
     assert fitted.weights_.shape == (400, 2)
-
-
-def test_all_cut_is_not_identified(logs):
-    cut = Logs(
-        logs.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None),
-        logs.paths.assign(ending="cut", cause=None),
-    )
-    with pytest.raises(PositivityError, match="all 400 paths were cut"):
-        learner().fit(cut)
 
 
 def test_a_weight_that_is_not_identified_names_path_and_stage():
@@ -116,7 +93,11 @@ def test_an_unknown_action_is_named(logs):
     [
         ({"covariates": ["weight_kg"]}, LogError, "covariate 'weight_kg' is missing; there are path, stage"),
         ({"covariates": ["action"]}, LogError, "covariate 'action' holds no numbers"),
-        ({"horizon": 1}, ArgumentError, "horizon is 1, but a path has 2 stages; raise horizon"),
+        (
+            {"covariates": ["s2_1"], "censoring": "cox"},
+            ArgumentError,
+            "none of those of a path's first stage differs between paths",
+        ),
         ({"horizon": 0}, ArgumentError, "horizon is 0; a path has a whole number of stages, at least 1"),
         ({"reg": -1.0}, ArgumentError, "reg is -1.0; it is a λ ≥ 0, or 'cv'"),
         ({"reg": float("nan")}, ArgumentError, "reg is nan"),
@@ -140,15 +121,20 @@ def test_what_cannot_be_is_refused_in_words(logs, changed, error, message):
     assert message in str(refusal.value)
 
 
-def test_specifications_refuse_what_they_cannot_mean_where_they_are_written():
-    with pytest.raises(ArgumentError, match="num_folds is 1; cross-validation needs at least 2"):
-        CrossValidation(1)
-    with pytest.raises(ArgumentError, match=r"truncate_at is 0\.5; weights are at least 1"):
-        Weighted(by="stage", truncate_at=0.5)
-    with pytest.raises(ArgumentError, match="covariates is 'clutter'; give a list of names"):
-        DoublyRobust("cox", covariates="clutter")
-    with pytest.raises(ArgumentError, match="covariates is 'x'; give a list of names"):
-        NamedActions(ACTIONS, "x")
+@pytest.mark.parametrize(
+    ("written", "message"),
+    [
+        (lambda: CrossValidation(1), "num_folds is 1; cross-validation needs at least 2"),
+        (lambda: Weighted(by="stage", truncate_at=0.5), r"truncate_at is 0\.5; weights are at least 1"),
+        (lambda: DoublyRobust("cox", covariates="clutter"), "covariates is 'clutter'; give a list of names"),
+        (lambda: NamedActions(ACTIONS, "x"), "covariates is 'x'; give a list of names"),
+        (lambda: KernelQ(gamma=-1), "gamma is -1; it is a finite number > 0"),
+        (lambda: KernelQ(num_landmarks=0), "num_landmarks is 0"),
+    ],
+)
+def test_specifications_refuse_what_they_cannot_mean_where_they_are_written(written, message):
+    with pytest.raises(ArgumentError, match=message):
+        written()
 
 
 def test_one_path_cannot_be_held_out():
@@ -259,9 +245,9 @@ def test_learning_runs_in_one_thread(logs, monkeypatch):
 
     def spied(*given):
         threads.extend(each["num_threads"] for each in threadpool_info() if each["user_api"] == "blas")
-        return behaviour_of(*given)
+        return fit_choice(*given)
 
-    monkeypatch.setattr(q_model, "behaviour_of", spied)
+    monkeypatch.setattr(q_model, "fit_choice", spied)
     with threadpool_limits(2):
         CensoredQLearner(2, ACTIONS, FULL).fit(logs)
     assert set(threads) == {1}

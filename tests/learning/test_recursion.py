@@ -1,6 +1,6 @@
 import numpy as np
 import pytest
-from naive_q_learning import naive_backward, naive_q
+from naive_q_learning import naive_backward
 from random_logs import Blocks, random_log
 
 from halfseen.errors import ArgumentError
@@ -42,10 +42,12 @@ def test_q_is_that_of_the_block_of_each_action(blocks, num_features):
         assert q[at] == pytest.approx(own[0] + features[at] @ own[1:], abs=1e-5)
 
 
+@pytest.mark.parametrize("is_cut", [True, False], ids=["weighted", "ordinary Q-learning"])
 @pytest.mark.parametrize("reg", [0.0, 0.1])
 @pytest.mark.parametrize(("stages", "task"), MODES)
-def test_equation_three_by_loops(stages, task, reg):
-    log = log_for(task)
+def test_equation_three_by_loops(stages, task, reg, is_cut):
+    log = log_for(task, is_cut=is_cut)
+    assert is_cut or set(np.unique(log.weight)) == {0.0, 1.0}
     expected = naive_backward(log, BLOCKS, 3, reg, stages, task.end_action)
     fitted = fit(log, task, stages, reg)
     assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
@@ -61,27 +63,6 @@ def test_cross_validation_by_loops(stages, task):
     fitted = fit(log, task, stages, regs, num_folds=4)
     assert fitted.coefficients == pytest.approx(expected, abs=1e-8)
     assert len(np.unique(fitted.reg)) > 1
-
-
-def test_without_cuts_it_is_ordinary_q_learning():
-    log = random_log(3, num_paths=60, blocks=(0, 1), num_features=2, is_cut=False)
-    assert (log.weight[log.weight > 0] == 1.0).all()
-    fitted = fit(log, Blocks((0, 1)), "separate", 0.0).coefficients
-    after = None
-    for t in (2, 1, 0):
-        seen = log.weight[:, t] > 0
-        beta = np.zeros((2, 3))
-        for action in (0, 1):
-            rows = np.flatnonzero(seen & (log.action[:, t] == action))
-            target = log.reward[rows, t].copy()
-            for k, i in enumerate(rows):
-                if not log.is_last[i, t]:
-                    q = naive_q(after, log.features[i, t + 1], (0, 1))
-                    target[k] += q[log.is_possible[i, t + 1]].max()
-            design = np.column_stack([np.ones(len(rows)), log.features[rows, t, action]])
-            beta[action] = np.linalg.lstsq(design, target, rcond=None)[0]
-        assert fitted[t] == pytest.approx(beta, abs=1e-10)
-        after = beta
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)
@@ -144,16 +125,18 @@ def test_a_path_in_no_fold_is_refused():
         fit_q(log_for(FLAT), Regression(np.array(BLOCKS), 3, np.ones(1), 2, "separate"))
 
 
-def test_the_weights_matter():
+@pytest.mark.parametrize(
+    "changed",
+    [
+        lambda log: log._replace(weight=(log.weight > 0).astype(float)),
+        lambda log: log._replace(is_possible=np.ones_like(log.is_possible)),
+    ],
+    ids=["weights", "what is possible"],
+)
+def test_it_matters(changed):
     log = log_for(FLAT)
-    flat = log._replace(weight=(log.weight > 0).astype(float))
-    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(flat, FLAT, "separate").coefficients).max() > 0.01
-
-
-def test_the_maximum_runs_over_possible_actions_only():
-    log = log_for(FLAT)
-    everything = log._replace(is_possible=np.ones_like(log.is_possible))
-    assert np.abs(fit(log, FLAT, "separate").coefficients - fit(everything, FLAT, "separate").coefficients).max() > 0.01
+    before, after = (fit(each, FLAT, "separate").coefficients for each in (log, changed(log)))
+    assert np.abs(before - after).max() > 0.01
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)

@@ -3,7 +3,7 @@ import pytest
 from naive_q_learning import naive_choice
 from sklearn.linear_model import Ridge
 
-from halfseen.learning.regression import factorise, solve, with_prior
+from halfseen.learning.ridge import ridge_of, solve, with_prior
 
 NUM_PATHS, NUM_FOLDS = 50, 5
 REGS = np.logspace(-3, 2, 11)
@@ -40,7 +40,7 @@ def target_of(rows):
 def fitted(rows, target, regs, num_folds=1):
     given = dict(rows) if num_folds > 1 else {**rows, "fold": np.zeros_like(rows["fold"])}
     gram, cross = sums(**given, target=target, num_folds=num_folds)
-    return solve(factorise(gram), cross, np.asarray(regs, dtype=float), NUM_PATHS)
+    return solve(ridge_of(gram, np.asarray(regs, dtype=float), NUM_PATHS), cross)
 
 
 @pytest.mark.parametrize("reg", [1e-3, 0.1, 10.0])
@@ -64,7 +64,7 @@ def test_a_prior_of_one_row_is_a_penalty_of_one(num_folds):
     x[:2, 1] = 1e-3
     y = 3.0 * x[:, 0] + 1e3 * x[:, 1] + 0.1 * rng.normal(size=200)
     gram, cross = sums(x, np.zeros(200, int), np.ones(200), np.arange(200) % num_folds, y, 1, num_folds)
-    found = solve(factorise(with_prior(gram, 1)), cross, np.zeros(1), 200).coefficients[0]
+    found = solve(ridge_of(with_prior(gram, 1), np.zeros(1), 200), cross)[0][0]
     given = np.column_stack([np.ones(200), x])
     expected = np.linalg.solve(given.T @ given + np.diag([0.0, 0.0, 1.0]), given.T @ y)
     np.testing.assert_allclose(found, expected, rtol=1e-9)

@@ -32,13 +32,9 @@ def test_stages_are_separate_where_they_differ(is_swapped, stages):
     assert learner.decide(states, 2).tolist() == (["A", "B"] if is_swapped else ["B", "A"])
 
 
-def test_what_is_said_is_not_chosen():
-    learner = CensoredQLearner(2, ["A", "B"], ["x"], stages="pooled").fit(trial(60, True))
-    assert (learner.model_.stages, learner.chosen_) == ("pooled", ())
-
-
-def test_a_log_too_small_to_tell_is_pooled():
-    learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(trial(10, True))
+@pytest.mark.parametrize(("num_paths", "said"), [(60, {"stages": "pooled"}), (10, {})], ids=["said", "too few paths"])
+def test_there_is_not_always_a_choice(num_paths, said):
+    learner = CensoredQLearner(2, ["A", "B"], ["x"], **said).fit(trial(num_paths, True))
     assert (learner.model_.stages, learner.chosen_) == ("pooled", ())
 
 

@@ -7,29 +7,17 @@ import cloudpickle
 import numpy as np
 import pandas as pd
 import pytest
-from trials import ACTIONS, FULL, two_stage_trial
+from trials import ACTIONS, FULL, all_cut
 
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, kept_parts
 from halfseen.learning.q_model import sampled
 from halfseen.learning.streaming import sample_of
-from halfseen.logs import Logs, LogStream, shards
+from halfseen.logs import LogStream, shards
 from halfseen.tables import BetaGrasp
 from halfseen.workers import Workers
 from halfseen.world import Scene, TableWorld, UniformPolicy
-
-
-@pytest.fixture(scope="module")
-def trial():
-    return two_stage_trial()
-
-
-@pytest.fixture(scope="module")
-def known(trial):
-    """The same with the actions of cut stages."""
-    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
-    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
 
 
 @pytest.fixture(scope="module")
@@ -130,16 +118,20 @@ def test_tables_too(tables, tmp_path, options, most, monkeypatch):
     assert_the_same(parts, whole, rtol=1e-7, atol=1e-7)
 
 
-def test_a_path_beyond_the_horizon_is_refused(trial, tmp_path):
-    with pytest.raises(ArgumentError, match="horizon is 1, but a path has 2 stages; raise horizon"):
-        CensoredQLearner.of_paper(1, ACTIONS, FULL).fit(streamed(trial, tmp_path / "logs", 100))
-
-
-def test_all_cut_is_not_identified(trial, tmp_path):
-    stages = trial.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None)
-    cut = Logs(stages, trial.paths.assign(ending="cut", cause=None))
-    with pytest.raises(PositivityError, match="all 400 paths were cut"):
-        CensoredQLearner.of_paper(2, ACTIONS, FULL).fit(streamed(cut, tmp_path / "logs", 100))
+@pytest.mark.parametrize(
+    ("horizon", "changed", "error", "message"),
+    [
+        (1, lambda trial: trial, ArgumentError, "horizon is 1, but a path has 2 stages; raise horizon"),
+        (2, all_cut, PositivityError, "all 400 paths were cut"),
+    ],
+)
+def test_a_log_that_cannot_be_learned_from_is_refused_in_memory_and_in_passes(
+    trial, tmp_path, horizon, changed, error, message
+):
+    logs = changed(trial)
+    for each in (logs, streamed(logs, tmp_path / "logs", 100)):
+        with pytest.raises(error, match=message):
+            CensoredQLearner.of_paper(horizon, ACTIONS, FULL).fit(each)
 
 
 DEFAULT = {"covariates": ["s1_1", "s2_1"]}

@@ -5,11 +5,11 @@ from dataclasses import fields
 import numpy as np
 import pandas as pd
 import pytest
-from trials import ACTIONS, two_stage_trial
+from trials import ACTIONS, two_stage_trial, with_known_actions
 
 from halfseen.censoring import CENSORING_NAMES, Cox
-from halfseen.errors import ArgumentError
-from halfseen.learning import BuckleyJames, DoublyRobust, KernelQ, NamedActions, Unweighted, Weighted
+from halfseen.errors import ArgumentError, LogError
+from halfseen.learning import BuckleyJames, CensoredQLearner, DoublyRobust, KernelQ, NamedActions, Unweighted, Weighted
 from halfseen.learning.q_model import QModel
 from halfseen.learning.targets import named_targets, targets_of
 from halfseen.logs import Logs
@@ -19,9 +19,7 @@ KINDS = [Weighted(), DoublyRobust(), BuckleyJames(), Unweighted()]
 
 @pytest.fixture(scope="module")
 def logs():
-    trial = two_stage_trial(num_paths=80)
-    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
-    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
+    return with_known_actions(two_stage_trial(num_paths=80))
 
 
 def weighed(logs, targets, **options):
@@ -29,35 +27,31 @@ def weighed(logs, targets, **options):
     return model, paths, *model.weights_and_imputation(paths)
 
 
-def test_weighted_stages_are_the_completed_ones_and_nothing_is_imputed(logs):
-    model, paths, weight, imputed = weighed(logs, Weighted(truncate_at=1.5))
-    np.testing.assert_array_equal(weight, model.cut_model.weights(paths.clocks))
-    assert weight.max() == pytest.approx(1.5)
-    assert imputed is None
-
-
-def test_doubly_robust_stages_weigh_what_the_stage_before_did(logs):
-    model, paths, weight, imputed = weighed(logs, DoublyRobust(outcome_covariates=["s2_1"]))
-    np.testing.assert_array_equal(weight, model.cut_model.begun_weights(paths.clocks))
-    assert imputed.is_used.tolist() == [0.0, 1.0]
-    assert imputed.share[paths.is_completed].max() > 1.0
-    inverse = np.minimum(np.where(paths.is_completed, imputed.share, 0.0), 3.0)
-    np.testing.assert_allclose(imputed.outcome_weight, inverse)
-
-
-def test_buckley_james_needs_no_model_of_the_cuts(logs):
-    model, paths, weight, imputed = weighed(logs, BuckleyJames())
-    assert model.cut_model is None
-    np.testing.assert_array_equal(weight, paths.is_begun)
-    np.testing.assert_array_equal(imputed.share, paths.is_completed)
-    assert imputed.is_used.tolist() == [1.0, 1.0]
-
-
-def test_unweighted_stages_count_alike(logs):
-    model, paths, weight, imputed = weighed(logs, Unweighted())
-    assert model.cut_model is None
-    np.testing.assert_array_equal(weight, paths.is_completed)
-    assert imputed is None
+@pytest.mark.parametrize(
+    ("targets", "weights"),
+    [
+        (Weighted(truncate_at=1.5), lambda model, paths: model.cut_model.weights(paths.clocks)),
+        (DoublyRobust(outcome_covariates=["s2_1"]), lambda model, paths: model.cut_model.begun_weights(paths.clocks)),
+        (BuckleyJames(), lambda model, paths: paths.is_begun),
+        (Unweighted(), lambda model, paths: paths.is_completed),
+    ],
+    ids=lambda each: getattr(type(each), "__name__", ""),
+)
+def test_what_stages_weigh_and_what_is_imputed(logs, targets, weights):
+    model, paths, weight, imputed = weighed(logs, targets)
+    np.testing.assert_array_equal(weight, weights(model, paths))
+    assert (imputed is None) == isinstance(targets, Weighted | Unweighted)
+    assert (model.cut_model is None) == isinstance(targets, BuckleyJames | Unweighted)
+    if isinstance(targets, Weighted):
+        assert weight.max() == pytest.approx(1.5)
+    if isinstance(targets, DoublyRobust):
+        assert imputed.is_used.tolist() == [0.0, 1.0]
+        assert imputed.share[paths.is_completed].max() > 1.0
+        inverse = np.minimum(np.where(paths.is_completed, imputed.share, 0.0), 3.0)
+        np.testing.assert_allclose(imputed.outcome_weight, inverse)
+    if isinstance(targets, BuckleyJames):
+        np.testing.assert_array_equal(imputed.share, paths.is_completed)
+        assert imputed.is_used.tolist() == [1.0, 1.0]
 
 
 def test_the_outcome_regression_chooses_among_the_covariates_of_a_linear_q_only(logs):
@@ -110,3 +104,43 @@ def test_doubly_robust_targets_need_a_model_of_the_cuts(name):
         named_targets(name, is_doubly_robust=True)
     with pytest.raises(ArgumentError, match=f"censoring is '{name}'; it is 'kaplan-meier'"):
         DoublyRobust(name)
+
+
+def learner(**options):
+    return CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, **options)
+
+
+def ages(logs):
+    """Path, stage, how long the stage was watched, and whether it was completed."""
+    rows = []
+    for path, stages in logs.stages.groupby("path"):
+        before, end_s = 0.0, logs.paths.set_index("path").loc[path, "end_s"]
+        for stage, elapsed_s in zip(stages["stage"], stages["elapsed_s"], strict=True):
+            is_completed = not np.isnan(elapsed_s)
+            # A stage that is cut as it begins is watched for no time at all.
+            age = max((elapsed_s if is_completed else end_s) - before, 1e-9)
+            rows.append((path, stage - 1, age, is_completed))
+            before = elapsed_s
+    return pd.DataFrame(rows, columns=["path", "stage", "age", "is_completed"])
+
+
+def test_actions_can_hasten_cuts(known):
+    fitted = learner(censoring=Weighted(Cox(ridge=0.1), by="pooled")).fit(known).cut_model_
+    model, columns = fitted.fitted[0]
+    assert [name for name, _ in zip(model.covariates_, columns, strict=True)] == ["s1_1", "s2_1", "action=A"]
+    rows = ages(known)
+    frame = known.stages[["s1_1", "s2_1"]].assign(a=(known.stages["action"] == "A").astype(float))
+    by_hand = Cox(ridge=0.1).fit(rows["age"], rows["is_completed"], frame.to_numpy())
+    np.testing.assert_allclose(model.coefficients_, by_hand.coefficients_, atol=1e-9)
+
+
+def test_what_cuts_cannot_depend_on_is_refused(trial, known):
+    with pytest.raises(ArgumentError, match=r"path \d+, stage \d: action=A is not known, and cuts are to depend on it"):
+        learner(censoring=Weighted("cox", by="stage")).fit(trial)
+    with pytest.raises(ArgumentError, match="none of those of all stages differs between paths"):
+        learner(censoring=Weighted("cox", by="pooled", covariates=[])).fit(known)
+    texts = Logs(known.stages.assign(colour="red"), known.paths)
+    with pytest.raises(ArgumentError, match="censoring covariate 'colour' is 'red' in every stage"):
+        learner(censoring=Weighted("cox", covariates=["colour"])).fit(texts)
+    with pytest.raises(LogError, match="the stages have no column 'weather'"):
+        learner(censoring=Weighted("cox", covariates=["weather"])).fit(known)

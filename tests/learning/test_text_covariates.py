@@ -6,8 +6,13 @@ import pytest
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted
-from halfseen.learning.categories import MOST_CATEGORIES, fit_covariates, learned_categories, unfit_covariates
-from halfseen.learning.covariates import Covariates
+from halfseen.learning.covariates import (
+    MOST_CATEGORIES,
+    Covariates,
+    fit_covariates,
+    learned_categories,
+    unfit_covariates,
+)
 from halfseen.logs import Logs, LogStream
 from text_logs import ACTIONS, BY_HAND, COLOURS, COVARIATES, by_hand, text_log, with_indicators
 

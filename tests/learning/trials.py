@@ -46,6 +46,18 @@ def two_stage_trial(seed=0, num_paths=400, last_cut=9, cut_from=1):
     return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
 
 
+def with_known_actions(trial):
+    """The same with the action of every stage, those that were cut included."""
+    by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
+    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
+
+
+def all_cut(trial):
+    """The same of which no path came to its own end."""
+    stages = trial.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None)
+    return Logs(stages, trial.paths.assign(ending="cut", cause=None))
+
+
 def naive_survival(ends, is_finished, u):
     """Π over s < u of 1 − cuts(s) / (at risk(s) − finished(s)): the formula of the text, as a loop."""
     survival = 1.0

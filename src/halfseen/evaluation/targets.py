@@ -9,7 +9,7 @@ import pandas as pd
 from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.categories import fit_covariates
+from halfseen.learning.covariates import fit_covariates
 from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import PathArrays

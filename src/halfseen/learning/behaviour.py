@@ -10,32 +10,43 @@ was. So the margin of an action is waived as far as the behaviour policy leans t
 leaves the behaviour policy must be better beyond doubt, as in safe policy improvement [LarocheTrichelairTachet2019]_.
 """
 
+from typing import Any
+
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.learning.choice import choice_probabilities
-from halfseen.learning.rows import PathArrays
+from halfseen.arrays import library_of
+from halfseen.learning.newton_each import Derivatives, minimise_each
 
 RIDGE = 1.0
 """Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""
 
-_MOST_STEPS, _LEAST_SHARE, _TOLERANCE, _FLAT = 100, 1e-6, 1e-12, 1e-10
-"""Newton's steps, the least share of one, the fall of the loss, as a share of it, that ends them, and the share of the
-curvature that is added where the loss may be flat."""
+_FLAT = 1e-10
+"""Share of the curvature that is added where the loss may be flat."""
 
 
-def behaviour_of(paths: PathArrays, blocks: Int[np.ndarray, " A"]) -> Float[np.ndarray, "K F"]:
-    """Fit the behaviour policy to all stages of a log whose action is known: coefficients, the offset first.
+def choice_probabilities(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
+    """How likely each action is; 0 where it is not possible."""
+    xp = library_of(utility)
+    among = xp.where(is_possible, utility, -xp.inf)
+    odds = xp.exp(among - among.max(axis=-1, keepdims=True))
+    return odds / odds.sum(axis=-1, keepdims=True)
 
-    Parameters
-    ----------
-    paths
-        The log.
-    blocks
-        Block of coefficients of each action.
+
+def leaning(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
+    """How far the choice is from chance towards each action: 0 at one time in k or less, 1 at always.
+
+    k counts the actions that there are to choose from.
     """
-    known = paths.is_begun & paths.has_action
-    return fit_choice(paths.features[known], paths.is_possible[known], paths.action[known], blocks)
+    xp = library_of(utility)
+    chance = 1.0 / xp.maximum(is_possible.sum(axis=-1, keepdims=True), 2)
+    return xp.clip((choice_probabilities(utility, is_possible) - chance) / (1.0 - chance), 0.0, 1.0)
+
+
+def seen_among(allowed: Bool[Any, "*S A"], seen: Bool[Any, "*T A"]) -> Bool[Any, "*S A"]:
+    """Keep the actions that were seen; all that are allowed where none was."""
+    both = allowed & seen
+    return both | (allowed & ~both.any(axis=-1, keepdims=True))
 
 
 def fit_choice(
@@ -92,49 +103,30 @@ def _fitted_logit(
     blocks: Int[np.ndarray, " A"],
     weight: Float[np.ndarray, " rows"],
 ) -> Float[np.ndarray, "K F"]:
-    """Coefficients of each block, the offset first, by Newton's steps, halved until the loss falls."""
+    """Coefficients of each block, the offset first."""
     members = [np.flatnonzero(blocks == k) for k in range(int(blocks.max()) + 1)]
     parts = [np.ascontiguousarray(design[:, some]) for some in members]
     row, num_features = np.arange(len(taken)), design.shape[-1]
     penalty = RIDGE * np.tile(np.arange(num_features) > 0, len(members))
 
-    def judged(beta: np.ndarray) -> tuple[float, np.ndarray]:
-        """Loss, and how likely each action is."""
-        utility = np.empty(is_possible.shape)
+    def derivatives(at: Float[np.ndarray, "1 P"]) -> Derivatives:
+        (beta,), utility = at, np.empty(is_possible.shape)
         for some, part, of_block in zip(members, parts, beta.reshape(len(members), -1), strict=True):
             utility[:, some] = part @ of_block
         utility = np.where(is_possible, utility, -np.inf)
-        log_probability = utility - _log_sum_exp(utility)
+        utility -= utility.max(axis=1, keepdims=True)
+        log_probability = utility - np.log(np.exp(utility).sum(axis=1, keepdims=True))
         loss = -(weight * log_probability[row, taken]).sum() + 0.5 * float(penalty @ beta**2)
-        return loss, np.exp(log_probability)
-
-    beta = np.zeros(len(members) * num_features)
-    loss, probability = judged(beta)
-    for _ in range(_MOST_STEPS):
-        miss = probability.copy()
+        miss = np.exp(log_probability)
+        probability = [miss[:, some] for some in members]
         miss[row, taken] -= 1.0
-        slope = penalty * beta + np.concatenate(
-            [np.einsum("ra,raf->f", weight[:, None] * miss[:, m], part) for m, part in zip(members, parts, strict=True)]
-        )
-        curvature = _curvature([probability[:, some] for some in members], parts, weight) + np.diag(penalty)
+        slope = [np.einsum("ra,raf->f", weight[:, None] * miss[:, m], x) for m, x in zip(members, parts, strict=True)]
+        curvature = _curvature(probability, parts, weight) + np.diag(penalty)
         # The loss may be flat along offsets: there the slope is 0, and so is the step.
-        step = np.linalg.solve(curvature + _FLAT * np.diag(np.maximum(np.diag(curvature), 1.0)), slope)
-        fall, share = float(slope @ step), 1.0
-        if fall <= _TOLERANCE * (1.0 + loss):
-            break
-        found = judged(beta - step)
-        while share > _LEAST_SHARE and not found[0] <= loss - 0.25 * share * fall:
-            share /= 2.0
-            found = judged(beta - share * step)
-        if not found[0] < loss:
-            break
-        beta, (loss, probability) = beta - share * step, found
-    return beta.reshape(len(members), -1)
+        curvature += _FLAT * np.diag(np.maximum(np.diag(curvature), 1.0))
+        return np.array([loss]), (penalty * beta + np.concatenate(slope))[None], curvature[None]
 
-
-def _log_sum_exp(utility: Float[np.ndarray, "rows A"]) -> Float[np.ndarray, "rows 1"]:
-    largest = utility.max(axis=1, keepdims=True)
-    return largest + np.log(np.exp(utility - largest).sum(axis=1, keepdims=True))
+    return minimise_each(derivatives, np.zeros((1, len(penalty)))).reshape(len(members), -1)
 
 
 def _curvature(

@@ -3,12 +3,15 @@
 The first category of a column, in sorted order, has no indicator: it is what the offset of Q stands for. So the
 indicators are never collinear with the offset, and eq. 3 without λ, or a proportional-hazards model of the cuts, can be
 fitted to them; every function class and every model looks at the same columns. True and false are the numbers 1 and 0.
+
+What can be looked at is numbers, and text of few categories that several paths share.
 """
 
 import sys
-from collections.abc import Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jaxtyping import Float
@@ -17,10 +20,21 @@ from halfseen.errors import LogError
 from halfseen.lazy import Frame
 from halfseen.suggestions import did_you_mean
 
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+
 Categories = Mapping[str, tuple[str, ...]]
 """Of each column of text, its categories in sorted order."""
 
+MOST_CATEGORIES = 20
+"""A column with more tells one stage from another rather than what they have in common; so many still fit a smooth Q,
+which looks at the product of each two indicators."""
+
 _MOST_NAMED = 12
+_TEXT = ("string", "categorical", "boolean", "empty")
+
+_Seen = Counter[str] | str
+"""In how many paths each category occurs, or why a column has none."""
 
 
 @dataclass(frozen=True)
@@ -80,14 +94,12 @@ class Covariates:
         numbers = _numbers(frame, numeric)
         if len(numeric) == len(self.columns):
             return numbers
-        features = np.empty((len(frame), self.num_features))
-        source = np.array(self.sources)
+        features, source = np.empty((len(frame), self.num_features)), np.array(self.sources)
         features[:, np.isin(source, numeric)] = numbers
         for name in self.columns:
             if name in self.categories:
-                features[:, source == name] = self._codes(frame, name)[:, None] == np.arange(
-                    1, len(self.categories[name])
-                )
+                indicated = np.arange(1, len(self.categories[name]))
+                features[:, source == name] = self._codes(frame, name)[:, None] == indicated
         return features
 
     def encode_known(self, rows: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, "m F"]:
@@ -120,8 +132,11 @@ class Covariates:
 
         from halfseen.logs.refusal import value_at
 
-        _refuse_null(frame, column)
         values: Any = frame[column]
+        is_null = values.isna().to_numpy()
+        if is_null.any():
+            where = _place(frame, int(np.argmax(is_null)))
+            raise LogError(f"{where}: covariate {column!r} is null; fill it in")
         known = self.categories[column]
         codes = pd.Index(known, dtype=object).get_indexer(values.astype(object).map(str))
         if (codes < 0).any():
@@ -154,13 +169,6 @@ def is_numeric(frame: Frame, column: str) -> bool:
     return is_numeric_dtype(frame[column].dtype)
 
 
-def _refuse_null(frame: Frame, column: str) -> None:
-    is_null = frame[column].isna().to_numpy()
-    if is_null.any():
-        where = _place(frame, int(np.argmax(is_null)))
-        raise LogError(f"{where}: covariate {column!r} is null; fill it in")
-
-
 def _place(frame: Frame, row: int) -> str:
     """Path and stage of a row, where the frame has them."""
     from halfseen.logs.refusal import place
@@ -172,3 +180,91 @@ def _place(frame: Frame, row: int) -> str:
 def _listed(known: Sequence[str]) -> str:
     more = f" and {len(known) - _MOST_NAMED} more" if len(known) > _MOST_NAMED else ""
     return ", ".join(map(repr, known[:_MOST_NAMED])) + more
+
+
+def learned_categories(parts: "Iterable[Logs]", wanted: Sequence[str], known: Categories) -> dict[str, tuple[str, ...]]:
+    """Find the categories of all columns of text that can be looked at.
+
+    Parameters
+    ----------
+    parts
+        A log, in parts of whole paths.
+    wanted
+        Columns that must be among them, if they hold text.
+    known
+        Categories that are given; they stay as they are.
+
+    Raises
+    ------
+    LogError
+        A wanted column cannot be looked at: it has nulls, one value, too many, or one of its own for every path.
+    """
+    found = _surveyed(parts, known)
+    for name in wanted:
+        trouble = _trouble(found[name]) if name in found else None
+        if trouble is not None:
+            raise LogError(f"covariate {name!r} {trouble}")
+    learned = {
+        name: tuple(sorted(seen)) for name, seen in found.items() if isinstance(seen, Counter) and not _trouble(seen)
+    }
+    return {**known, **learned}
+
+
+def unfit_covariates(parts: "Iterable[Logs]") -> dict[str, str]:
+    """Tell which covariates of the stages of a log, whole or in parts, cannot be looked at, and why."""
+    troubles = {name: _trouble(seen) for name, seen in _surveyed(parts, {}).items()}
+    return {name: trouble for name, trouble in troubles.items() if trouble is not None}
+
+
+def fit_covariates(logs: "Logs") -> list[str]:
+    """Name the covariates of the stages that can be looked at: numbers, and text of few categories."""
+    unfit = unfit_covariates([logs])
+    return [name for name in logs.stage_covariates if name not in unfit]
+
+
+def _surveyed(parts: "Iterable[Logs]", known: Categories) -> dict[str, _Seen]:
+    """Look at all columns that hold no numbers."""
+    found: dict[str, _Seen] = {}
+    for part in parts:
+        texts = [name for name in part.stage_covariates if name not in known and not is_numeric(part.stages, name)]
+        if not texts:
+            # What one part holds as numbers, all do.
+            break
+        for name in texts:
+            found[name] = _joined(found.get(name, Counter()), _look(part, name))
+    return found
+
+
+def _look(logs: "Logs", column: str) -> _Seen:
+    from pandas.api.types import infer_dtype
+
+    values: Any = logs.stages[column]
+    kind = infer_dtype(values, skipna=True)
+    if kind not in _TEXT:
+        return f"holds {kind}, neither numbers nor text; give one of these, or leave it out"
+    is_null = values.isna().to_numpy()
+    if is_null.any():
+        where = _place(logs.stages, int(np.argmax(is_null)))
+        return f"is null at {where}; fill it in, with a word such as 'unknown' where nothing is known, or leave it out"
+    pairs: Any = logs.stages[["path", column]].astype({column: object}).drop_duplicates()
+    return Counter(pairs[column].map(str))
+
+
+def _joined(before: _Seen, now: _Seen) -> _Seen:
+    if isinstance(before, str):
+        return before
+    both = now if isinstance(now, str) else before + now
+    if isinstance(both, Counter) and len(both) > MOST_CATEGORIES:
+        return f"has more than {MOST_CATEGORIES} categories; group them into fewer, or leave it out"
+    return both
+
+
+def _trouble(seen: _Seen) -> str | None:
+    """Why a column cannot be looked at."""
+    if isinstance(seen, str):
+        return seen
+    if len(seen) == 1:
+        return f"is {next(iter(seen))!r} in every stage, so it tells nothing apart; leave it out"
+    if max(seen.values()) == 1:
+        return "has no category that two paths share, so it names the path; leave it out"
+    return None

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
-from halfseen.learning.choice import leaning
+from halfseen.learning.behaviour import leaning
 from halfseen.learning.covariates import Categories, Covariates
 from halfseen.learning.q_space import KernelMap
 

@@ -24,7 +24,6 @@ that is a little wrong had better be wrong where stages are short: for doubly ro
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -229,23 +228,19 @@ def imputation(
         The action of a stage in which a path was cut was not logged.
     """
     _refuse_unknown_actions(paths, cut_model)
-    features, knots = duration_features(paths, is_used), durations.knots
+    features, knots, blocks = duration_features(paths, is_used), durations.knots, block_of_action[paths.action]
     watched_s, is_completed = paths.clocks.watched_s, paths.is_completed
     expected, share = np.zeros((*paths.action.shape, len(knots))), is_completed.astype(np.float64)
-    blocks = block_of_action[paths.action]
-    augmented = None if cut_model is None else _augmentation(paths, cut_model, durations.ages_s)
+    # Where a stage was cut m counts in full; without K̂ nowhere else.
+    rows, steps, ages = paths.is_begun & ~is_completed, np.ones((*share.shape, 1)), watched_s[..., None]
+    if cut_model is not None:
+        rows, (share, steps, ages) = paths.is_begun, _augmentation(paths, cut_model, durations.ages_s)
+    ages = np.broadcast_to(ages, steps.shape)
     for block, of_block in enumerate(durations.by_block):
-        rows = paths.is_begun & (blocks == block)
-        if not rows.any():
-            continue
-        terms = duration_terms(of_block.at_s, knots)
-        if augmented is None:
-            cut = rows & ~is_completed
-            expected[cut] = of_block.expected(features[cut], watched_s[cut][:, None], terms)[:, 0]
-        else:
-            share[rows], steps = augmented.share[rows], augmented.steps[rows]
-            ages = np.broadcast_to(augmented.age_s, steps.shape)
-            expected[rows] = np.einsum("kl,klg->kg", steps, of_block.expected(features[rows], ages, terms))
+        own = rows & (blocks == block)
+        if own.any():
+            of_age = of_block.expected(features[own], ages[own], duration_terms(of_block.at_s, knots))
+            expected[own] = np.einsum("kl,klg->kg", steps[own], of_age)
     return Imputation(
         share=share,
         terms=np.where(is_completed[..., None], duration_terms(watched_s, knots), 0.0),
@@ -255,17 +250,10 @@ def imputation(
     )
 
 
-class _Augmentation(NamedTuple):
-    share: Float[np.ndarray, "n T"]
-    """δ/K̂(D⁻) of each begun stage."""
-    steps: Float[np.ndarray, "n T L"]
-    """What m is multiplied by, for each step of the age."""
-    age_s: Float[np.ndarray, " L"]
-    """In the middle of each step."""
-
-
-def _augmentation(paths: PathArrays, cut_model: CutModel, ages: Float[np.ndarray, " L"]) -> _Augmentation:
-    """What depends on K̂ alone: the share of X, and the weights of the sums over m."""
+def _augmentation(
+    paths: PathArrays, cut_model: CutModel, ages: Float[np.ndarray, " L"]
+) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T L"], Float[np.ndarray, " L"]]:
+    """What depends on K̂ alone: the share δ/K̂(D⁻) of X, and what m is multiplied by amid each step of the age."""
     clocks, rows = paths.clocks, paths.is_begun
     ended_s, is_completed = clocks.watched_s, paths.is_completed
     ages = np.concatenate([[0.0], ages[:-1], [np.inf]])
@@ -275,9 +263,11 @@ def _augmentation(paths: PathArrays, cut_model: CutModel, ages: Float[np.ndarray
     at_risk_s = np.where(is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
     before_cut_s = np.maximum(ended_s - SMALLEST_AGE_S, 0.0)
     asked_s = np.concatenate([np.minimum(ages, at_risk_s[..., None]), before_cut_s[..., None]], axis=-1)
-    weights = cut_model.weights(clocks)
+    weights, within = cut_model.weights(clocks), cut_model.survival(clocks, asked_s, rows)
     begun = np.concatenate([np.ones((len(weights), 1)), weights[:, :-1]], axis=1)
-    within = _truncated(cut_model.survival(clocks, asked_s, rows), begun, cut_model.truncate_at)
+    if cut_model.truncate_at is not None:
+        # Ĝ is nowhere below the bound that weights are truncated at.
+        within = np.maximum(within, np.maximum(begun, 1.0)[..., None] / cut_model.truncate_at)
     share = np.where(is_completed, weights / np.where(rows, begun, 1.0), 0.0)
     most = np.where(is_completed, share, 1.0 / np.maximum(within[..., -1], SMALLEST_PROBABILITY))
     least = np.where(within[..., :-1] > 0, within[..., :-1], 1.0 / most[..., None])
@@ -287,17 +277,7 @@ def _augmentation(paths: PathArrays, cut_model: CutModel, ages: Float[np.ndarray
     cut_in = (np.searchsorted(ages, ended_s, side="right") - 1)[..., None]
     at_cut = np.take_along_axis(steps, cut_in, axis=-1) + np.where(is_completed, 0.0, inverse[..., -1])[..., None]
     np.put_along_axis(steps, cut_in, at_cut, axis=-1)
-    return _Augmentation(share, np.where(rows[..., None], steps, 0.0), middle)
-
-
-def _truncated(
-    within: Float[np.ndarray, "n T L"], begun: Float[np.ndarray, "n T"], truncate_at: float | int | None
-) -> Float[np.ndarray, "n T L"]:
-    """K̂, with Ĝ nowhere below the bound that weights are truncated at; `begun` is 1/Ĝ as each stage begins."""
-    if truncate_at is None:
-        return within
-    inverse = np.maximum(begun, 1.0)[..., None]
-    return np.maximum(within, inverse / truncate_at)
+    return share, np.where(rows[..., None], steps, 0.0), middle
 
 
 def _refuse_unknown_actions(paths: PathArrays, cut_model: CutModel | None) -> None:

@@ -14,17 +14,10 @@ from jaxtyping import Float, Int
 
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import StageMode
-from halfseen.learning.recursion import Regression, fit_each_stage, fit_q
-from halfseen.learning.rows import (
-    PathArrays,
-    QFunctions,
-    Transitions,
-    imputed_target,
-    of_successor,
-    q_values,
-    target_of,
-    values_of,
-)
+from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
+from halfseen.learning.rows import PathArrays, Transitions, q_values
+from halfseen.learning.sums import Regression
+from halfseen.learning.values import or_nothing
 from halfseen.workers.threads import one_thread
 
 
@@ -62,12 +55,43 @@ def judged(
     in_order = slice(None, None, -1 if stages == "pooled" else 1)
     each = zip(fits.coefficients[in_order], np.moveaxis(log.features, 1, 0), strict=True)
     q = np.stack([q_values(of_stage, features, block_of_action) for of_stage, features in each], axis=1)
-    value = values_of(q, log)
+    value = _values(q, log)
     taken = np.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
-    target = target_of(log._replace(reward=reward), of_successor(value))
+    target = _targets(log._replace(reward=reward), value)
     if fits.outcome is not None:
-        target = imputed_target(log, fits.outcome[in_order], target, block_of_action)
+        target = _imputed(log, fits.outcome[in_order], target, block_of_action)
     return Judged(value, taken, target)
+
+
+def _values(q: Float[np.ndarray, "n T A"], log: Transitions) -> Float[np.ndarray, "n T"]:
+    """V̂ of every state: max_a Q over the possible actions, or Σ_a π(a) Q of the policy that is given."""
+    if log.policy is not None:
+        return np.sum(np.where(log.policy > 0, log.policy * q, 0.0), axis=-1)
+    return or_nothing(np.max(np.where(log.is_possible, q, -np.inf), axis=-1))
+
+
+def _targets(log: Transitions, value: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
+    """X_t = R_t + V̂(S_{t+1}); after a path's own end, and after the last stage, V̂ is 0."""
+    successor = np.pad(value[:, 1:], ((0, 0), (0, 1)))
+    return log.reward + np.where(log.is_last, 0.0, successor)
+
+
+def _imputed(
+    log: Transitions,
+    outcome: Float[np.ndarray, "T K M"],
+    target: Float[np.ndarray, "n T"],
+    block_of_action: Int[np.ndarray, " A"],
+) -> Float[np.ndarray, "n T"]:
+    """Y_t of every begun stage (see `Imputation`): X is `target`, and `outcome` its regression in each stage."""
+    given = log.imputation
+    assert given is not None
+    num_terms = given.terms.shape[-1]
+    each = outcome[np.arange(log.action.shape[1]), block_of_action[log.action]]
+    own = log.action[..., None, None] if log.features.shape[2] > 1 else np.zeros_like(log.action)[..., None, None]
+    features = np.take_along_axis(log.features, own, axis=2)[:, :, 0]
+    at_state = each[..., 0] + np.sum(features * given.is_used * each[..., 1:-num_terms], axis=-1)
+    of_time = np.sum(given.expected * each[..., -num_terms:], axis=-1)
+    return given.share * target + (1.0 - given.share) * at_state + of_time
 
 
 NUM_FOLDS = 2
@@ -78,39 +102,10 @@ CLEARLY = 2.0
 """Standard errors by which separate stages must predict better."""
 
 
-class StageChoice(NamedTuple):
-    """How stages are treated, and why.
-
-    Parameters
-    ----------
-    stages
-        ``"pooled"`` or ``"separate"``.
-    gain
-        Mean squared error of pooled stages less that of separate ones, a trajectory.
-    standard_error
-        Of `gain`.
-    """
-
-    stages: StageMode
-    gain: float
-    standard_error: float
-
-    @property
-    def sentence(self) -> str:
-        """What was chosen and why."""
-        found = f"by {self.gain:.3g} ± {self.standard_error:.2g} squared error a trajectory"
-        if self.stages == "separate":
-            return f"stages are separate: held out, they predict better than pooled ones {found}"
-        return f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
-
-
-def can_choose(model: QModel, paths: PathArrays) -> bool:
-    """Tell whether there is a choice: several stages, none of them ended by an action, and paths to hold out."""
-    return model.horizon > 1 and model.task.end_action is None and paths.num_paths >= FEWEST_PATHS
-
-
 def with_stages(model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ...]]:
-    """Choose between pooled and separate stages, where that makes a difference; and all that was chosen by itself.
+    """Choose between pooled and separate stages; and say all that was chosen by itself, and why.
+
+    There is a choice where there are several stages, none of them ended by an action, and paths to hold out.
 
     Parameters
     ----------
@@ -119,33 +114,26 @@ def with_stages(model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ..
     paths
         The log, or the sample of it that decides.
     """
-    if not can_choose(model, paths):
+    if model.horizon == 1 or model.task.end_action is not None or paths.num_paths < FEWEST_PATHS:
         return model, model.chosen
-    choice = choose_stages(model, paths)
-    return replace(model, stages=choice.stages), (*model.chosen, choice.sentence)
+    gains = _held_out_gains(replace(model, stages="pooled", pessimism=0.0), paths)
+    gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
+    found = f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
+    if gain > CLEARLY * error:
+        told = f"stages are separate: held out, they predict better than pooled ones {found}"
+        return replace(model, stages="separate"), (*model.chosen, told)
+    told = f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
+    return replace(model, stages="pooled"), (*model.chosen, told)
 
 
-def choose_stages(model: QModel, paths: PathArrays) -> StageChoice:
-    """Choose between pooled and separate stages.
-
-    Parameters
-    ----------
-    model
-        How Q is fitted, with what comes before Q fitted to the log.
-    paths
-        The log.
-    """
-    pooled = replace(model, stages="pooled", pessimism=0.0)
+def _held_out_gains(pooled: QModel, paths: PathArrays) -> Float[np.ndarray, " n"]:
+    """Squared error of pooled less that of separate stages, of each trajectory, fitted without its fold."""
     log = pooled.transitions(paths)
     regression = pooled.regression(paths.num_paths, log.is_possible.shape[-1])
-    fold = np.random.default_rng([model.random_state, 2]).permutation(paths.num_paths) % NUM_FOLDS
-    gains = np.zeros(paths.num_paths)
+    fold = np.random.default_rng([pooled.random_state, 2]).permutation(paths.num_paths) % NUM_FOLDS
     with one_thread():
-        for k in range(NUM_FOLDS):
-            each = _gains(log, regression, (fold != k).astype(np.float64))
-            gains = np.where(fold == k, each, gains)
-    gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
-    return StageChoice("separate" if gain > CLEARLY * error else "pooled", gain, error)
+        each = [_gains(log, regression, (fold != k).astype(np.float64)) for k in range(NUM_FOLDS)]
+    return np.choose(fold, each)
 
 
 def _gains(log: Transitions, regression: Regression, counts: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
@@ -153,7 +141,7 @@ def _gains(log: Transitions, regression: Regression, counts: Float[np.ndarray, "
     some, blocks = log.counted(counts), regression.block_of_action
     pooled = judged(fit_q(some, regression), log, blocks, "pooled", log.reward)
     # Separate stages are fitted to the targets of pooled ones.
-    reward = target_of(some, of_successor(pooled.value))
+    reward = _targets(some, pooled.value)
     separate = judged(fit_each_stage(some._replace(reward=reward), regression), log, blocks, "separate", log.reward)
     errors = (pooled.taken - pooled.target) ** 2 - (separate.taken - pooled.target) ** 2
     seen = log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight

@@ -9,9 +9,8 @@ import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learning.categories import learned_categories, unfit_covariates
-from halfseen.learning.choice import seen_among
-from halfseen.learning.covariates import Categories, Covariates
+from halfseen.learning.behaviour import seen_among
+from halfseen.learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
 from halfseen.learning.flat_policy import FlatPolicy, NamedActionPolicy
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded, LearnedQ, RewardedStages

@@ -7,19 +7,18 @@ logs that it was not chosen on.
 """
 
 from collections.abc import Hashable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
-from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics, weight_diagnostics
+from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
-from halfseen.learning.judging import with_stages
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.q_model import QModel, is_count, unseen_in_words
+from halfseen.learning.q_model import QModel, is_count
 from halfseen.learning.q_space import (
     SMOOTH,
     CrossValidation,
@@ -32,8 +31,9 @@ from halfseen.learning.q_space import (
     reg_of,
     stage_mode_of,
 )
-from halfseen.learning.rows import QFunctions
-from halfseen.learning.streaming import fit_stream
+from halfseen.learning.recursion import QFunctions
+from halfseen.learning.streaming import learned_from
+from halfseen.learning.support import unseen_in_words
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
 from halfseen.learning.task import AUTO, Task, named_task
 from halfseen.logs import Logs, LogStream
@@ -42,23 +42,6 @@ from halfseen.workers.threads import in_one_thread
 
 PESSIMISM = 2.0
 """Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
-
-Source = Logs | LogStream | None
-
-
-def automatic_targets(logs: Source) -> Targets:
-    """Impute what cuts took away; weights where the action of a stage in which a path was cut is not known."""
-    return BuckleyJames() if logs is None or logs.has_all_actions else Weighted()
-
-
-def automatic_space(task: Task) -> QSpace:
-    """Smooth in plain covariates; linear in the features that a task makes for each action."""
-    return SMOOTH if task.is_shared else LinearQ()
-
-
-def automatic_pessimism(is_fixed: bool, horizon: int) -> float:
-    """2/√T for each of T stages, whose margins add up; 0, eq. 3 as it is, where targets are fixed."""
-    return 0.0 if is_fixed else PESSIMISM / horizon**0.5
 
 
 @dataclass(eq=False, repr=False)
@@ -234,24 +217,18 @@ class CensoredQLearner(Estimator):
         PositivityError
             All paths were cut, or a weight is not identified.
         """
-        model = self.compose(logs)
-        is_open = _is_auto(self.stages)
-        if isinstance(logs, LogStream):
-            found = fit_stream(model, logs, is_open, workers)
-            self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
-            self.weights_, self.diagnostics_ = found.weights, found.diagnostics
-        else:
-            model, paths = model.fitted(logs)
-            self.model_, self.chosen_ = with_stages(model, model.sample_of(paths)) if is_open else (model, model.chosen)
-            log = self.model_.transitions(paths)
-            self.weights_ = np.asarray(log.weight)
-            self.q_functions_ = self.model_.fit(log)
-            self.diagnostics_ = weight_diagnostics(self.weights_, self.cut_model_ and self.cut_model_.truncate_at)
+        found = learned_from(logs, self.compose(logs), _is_auto(self.stages), workers)
+        self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
+        self.weights_, self.diagnostics_ = found.weights, found.diagnostics
         self.policy_ = self.model_.policy(self.q_functions_)
         return self
 
-    def compose(self, logs: Source = None) -> QModel:
+    def compose(self, logs: Logs | LogStream | None = None) -> QModel:
         """Check the parameters and compose what they say; nothing is fitted.
+
+        Targets are imputed by themselves, but weighted where the action of a stage in which a path was cut is not
+        known; 𝒬 is smooth in plain covariates, and linear in the features that a task makes for each action; pessimism
+        is 2/√T for each of T stages, whose margins add up, and 0, eq. 3 as it is, where targets are fixed.
 
         Parameters
         ----------
@@ -264,22 +241,26 @@ class CensoredQLearner(Estimator):
             A parameter has a value that it cannot take.
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
-        by_itself = 0.0 if _is_of_policy(task) else automatic_pessimism(is_fixed, self.horizon)
-        if _is_of_policy(task) and not _is_auto(self.pessimism) and pessimism_of(self.pessimism) > 0:
+        is_of_policy = bool(getattr(task, "is_of_policy", False))
+        by_itself = BuckleyJames() if logs is None or is_fixed or logs.has_all_actions else Weighted()
+        plain = SMOOTH if task.is_shared else LinearQ()
+        model = QModel(
+            horizon=self.horizon,
+            task=task,
+            targets=targets_of(self.censoring) if is_fixed else by_itself,
+            space=plain if _is_auto(self.q_function) else q_space_of(self.q_function),
+            reg=reg_of(self.reg),
+            stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
+            pessimism=0.0 if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
+            random_state=self.random_state,
+        )
+        if is_of_policy and model.pessimism > 0:
             raise ArgumentError(
                 f"pessimism is {self.pessimism}, but Q is that of a given policy, where no largest is sought; leave it "
                 "out, or learn Q of the best one (base=None)"
             )
-        return QModel(
-            horizon=self.horizon,
-            task=task,
-            targets=targets_of(self.censoring) if is_fixed else automatic_targets(logs),
-            space=automatic_space(task) if _is_auto(self.q_function) else q_space_of(self.q_function),
-            reg=reg_of(self.reg),
-            stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
-            pessimism=by_itself if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
-            random_state=self.random_state,
-        )
+        is_careful = _is_auto(self.pessimism) and not (is_fixed or is_of_policy)
+        return replace(model, pessimism=PESSIMISM / self.horizon**0.5) if is_careful else model
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""
@@ -326,10 +307,6 @@ class CensoredQLearner(Estimator):
             raise ArgumentError(f"{type(self.actions).__name__}'s own policy decides: ask policy_; or name the actions")
         check_fitted(self, "policy_")
         return self.policy_
-
-
-def _is_of_policy(task: Task) -> bool:
-    return bool(getattr(task, "is_of_policy", False))
 
 
 def _is_auto(value: Any) -> bool:

@@ -1,10 +1,6 @@
-"""All that turns a log into the rows of eq. 3 and these into Q: composed once, used by whoever fits a Q.
+"""All that turns a log into the transitions of eq. 3 and these into Q: composed once, used by whoever fits a Q.
 
-The learner, the bootstrap, streams and off-policy evaluation all start from a `QModel`.
-
-*Support.* An action of a block without completed stages has no value, which is not the value 0. It is impossible for
-the maximum in eq. 3 and for the policy. Only where a state allows nothing that was seen do all actions stay that it
-allows.
+The learner, the bootstrap, the study and off-policy evaluation all start from a `QModel`.
 
 *Sample.* Eq. 3 itself runs on sums, to which every path adds. But landmarks of a kernel, durations of stages, the
 behaviour policy, the grasp model of a table and the choice of stages are fitted by methods that hold what they look at.
@@ -13,20 +9,22 @@ Of a log of many paths, so many of them tell these as well as all would, in memo
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec, CutModel
-from halfseen.errors import ArgumentError, PositivityError
-from halfseen.learning.behaviour import behaviour_of
-from halfseen.learning.choice import seen_among
+from halfseen.censoring.stage_clocks import StageClocks
+from halfseen.errors import ArgumentError
+from halfseen.learning.behaviour import fit_choice, seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_space import CrossValidation, KernelMap, LinearQ, QSpace, Reg, StageMode
-from halfseen.learning.recursion import Regression, fit_q
-from halfseen.learning.rows import Imputation, PathArrays, QFunctions, Transitions, path_arrays
+from halfseen.learning.recursion import QFunctions, fit_q
+from halfseen.learning.rows import Imputation, PathArrays, Transitions, path_arrays
+from halfseen.learning.sums import Regression
+from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few, support_of
 from halfseen.learning.targets import Targets, Weighted
 from halfseen.learning.task import LearnedQ, RewardedStages, Task
 from halfseen.logs import Logs
@@ -57,64 +55,6 @@ def sampled(num_paths: int, seed: int, most: int | None = None) -> Int[np.ndarra
     if num_paths <= size:
         return np.arange(num_paths)
     return np.sort(np.random.default_rng([seed, 4]).choice(num_paths, size, replace=False))
-
-
-class Support(NamedTuple):
-    """How often each block was begun and completed in each stage; support of parts of a log adds up."""
-
-    num_begun: Int[np.ndarray, "T K"]
-    num_completed: Int[np.ndarray, "T K"]
-    is_allowed: Bool[np.ndarray, "T K"]
-    """Blocks that some state of the stage allowed."""
-
-    def plus(self, other: "Support") -> "Support":
-        """Join what another part of the log has seen."""
-        begun, completed = self.num_begun + other.num_begun, self.num_completed + other.num_completed
-        return Support(begun, completed, self.is_allowed | other.is_allowed)
-
-    def is_seen(self, stages: StageMode) -> Bool[np.ndarray, "T K"]:
-        """Blocks that have a value: seen completed in the stage, or anywhere where stages are pooled."""
-        seen = self.num_completed > 0
-        return np.broadcast_to(seen.any(axis=0), seen.shape) if stages == "pooled" else seen
-
-
-def support_of(paths: PathArrays, blocks: Int[np.ndarray, " A"], num_blocks: int) -> Support:
-    """Count what a log has seen.
-
-    Parameters
-    ----------
-    paths
-        The log.
-    blocks
-        Block of each action.
-    num_blocks
-        K.
-    """
-    known = paths.is_begun & paths.has_action
-    is_block = blocks[paths.action][..., None] == np.arange(num_blocks)
-    of_block = blocks[:, None] == np.arange(num_blocks)
-    return Support(
-        num_begun=(is_block & known[..., None]).sum(axis=0),
-        num_completed=(is_block & (known & paths.is_completed)[..., None]).sum(axis=0),
-        is_allowed=(paths.is_possible & paths.is_begun[..., None]).any(axis=0) @ of_block,
-    )
-
-
-def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode) -> list[str]:
-    """Say of each block that was allowed and never seen completed where that was, and how often it was begun."""
-    reached: Bool[np.ndarray, "T 1"] = np.any(support.num_completed > 0, axis=1, keepdims=True)
-    lacking = support.is_allowed & ~support.is_seen(stages) & reached
-    told = []
-    for block in np.flatnonzero(lacking.any(axis=0)):
-        rows = np.flatnonzero(lacking[:, block])
-        begun = int(support.num_begun[rows, block].sum())
-        where = "" if stages == "pooled" else f" in stage {', '.join(str(row + 1) for row in rows)}"
-        cut = f"begun {begun} times and cut each time" if begun else "never taken"
-        told.append(
-            f"{names[block]} was never seen completed{where} ({cut}), so its value is not known and the policy never "
-            "takes it there; to learn it, log it uniformly at random now and then"
-        )
-    return told
 
 
 def is_count(value: object) -> bool:
@@ -191,12 +131,15 @@ class QModel:
         """
         self.check_horizon(logs)
         rows = sampled(logs.num_paths, self.random_state)
-        some = logs if len(rows) == logs.num_paths else logs.select(logs.path_ids[rows])
-        model = self.with_task([logs], some)
+        model = self.with_task([logs], logs if len(rows) == logs.num_paths else logs.select(logs.path_ids[rows]))
         paths = model.lay_out(logs)
         refuse_all_cut(paths.clocks.is_finished)
-        sample = model.sample_of(paths)
-        return model.with_kernel(sample).with_cuts(paths).with_behaviour(sample), paths
+        return model.with_cuts(paths).with_sample(model.sample_of(paths)), paths
+
+    def check_horizon(self, logs: Logs) -> None:
+        """Refuse a log with longer paths."""
+        if logs.horizon > self.horizon:
+            raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
 
     def with_task(self, parts: Iterable[Logs], sample: Logs) -> "QModel":
         """Fit what the task learns to a sample; but what categories there are only all parts can tell."""
@@ -211,43 +154,43 @@ class QModel:
 
     def with_cuts(self, paths: PathArrays) -> "QModel":
         """Fit Ĝ, and look at what was seen completed."""
-        return replace(self, cut_model=self.targets.fit_cuts(paths.clocks), support=self.support_in(paths))
+        return self.with_clocks(paths.clocks, self.support_in(paths))
 
-    def with_behaviour(self, paths: PathArrays) -> "QModel":
-        """Fit the behaviour policy, if there is a margin that it may waive."""
+    def with_clocks(self, clocks: StageClocks, support: Support) -> "QModel":
+        """Fit Ĝ to the clocks of a log that has seen this completed."""
+        return replace(self, cut_model=self.targets.fit_cuts(clocks), support=support)
+
+    def with_sample(self, paths: PathArrays) -> "QModel":
+        """Choose the features of a kernel, and fit the behaviour policy, if there is a margin that it may waive."""
+        kernel_map = self.space.features(paths.encoded.taken[paths.is_completed], self.random_state)
+        model = replace(self, kernel_map=kernel_map)
         if self.pessimism == 0:
-            return self
-        return replace(self, behaviour=behaviour_of(paths, self.blocks(paths.is_possible.shape[-1])))
+            return model
+        known, blocks = paths.is_begun & paths.has_action, self.blocks(paths.is_possible.shape[-1])
+        found = fit_choice(paths.features[known], paths.is_possible[known], paths.action[known], blocks)
+        return replace(model, behaviour=found)
+
+    def with_durations(self, paths: PathArrays) -> "QModel":
+        """Fit how long stages last, if targets are imputed."""
+        return replace(self, durations=self._durations_of(paths)) if self.targets.is_imputed else self
 
     def support_in(self, paths: PathArrays) -> Support:
         """Count what a log has seen completed."""
         return support_of(paths, self.kinds(paths.is_possible.shape[-1]), len(self.task.block_names))
 
     @property
-    def num_blocks(self) -> int:
-        """Blocks of coefficients: one a kind of action, or a single one where features tell kinds apart."""
-        return 1 if _is_joint(self.task) else len(self.task.block_names)
+    def is_joint(self) -> bool:
+        """Whether one block of coefficients serves all kinds of actions, which features tell apart."""
+        return bool(getattr(self.task, "is_joint", False))
 
     def blocks(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Block of coefficients of each action."""
         kinds = self.kinds(num_actions)
-        return np.zeros_like(kinds) if _is_joint(self.task) else kinds
+        return np.zeros_like(kinds) if self.is_joint else kinds
 
     def kinds(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Kind of each action, among `Task.block_names`: what the log has to have seen completed."""
         return np.asarray(self.task.block_of_action(num_actions))
-
-    def has_value(self, allowed: Bool[np.ndarray, "*n T A"]) -> Bool[np.ndarray, "*n T A"]:
-        """Which of the allowed actions have a value."""
-        if self.support is None:
-            return allowed
-        seen = self.support.is_seen(self.stages)[:, self.kinds(allowed.shape[-1])]
-        return np.asarray(seen_among(allowed, seen))
-
-    def check_horizon(self, logs: Logs) -> None:
-        """Refuse a log with longer paths."""
-        if logs.horizon > self.horizon:
-            raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
 
     def lay_out(self, logs: Logs) -> PathArrays:
         """Lay out a log as the arrays that this model looks at."""
@@ -256,14 +199,9 @@ class QModel:
             covariates = self.task.censoring_covariates(logs, spec.covariates, spec.by == "path")
         return path_arrays(logs, self.task.encode(logs, self.horizon), covariates)
 
-    def with_kernel(self, paths: PathArrays) -> "QModel":
-        """Choose the features of the kernel, if there is one."""
-        return replace(self, kernel_map=self.space.features(paths.encoded.taken[paths.is_completed], self.random_state))
-
     def transitions(self, paths: PathArrays) -> Transitions:
-        """Make the rows of eq. 3 of a log."""
-        weight, imputed = self.weights_and_imputation(paths)
-        return self.weighted(paths, weight, imputed, self.folds(paths.num_paths))
+        """Make the transitions of eq. 3 of a log."""
+        return self.weighted(paths, *self.weights_and_imputation(paths), self.folds(paths.num_paths))
 
     def weights_and_imputation(
         self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
@@ -279,11 +217,15 @@ class QModel:
         imputed: Imputation | None,
         fold: Int[np.ndarray, " n"],
     ) -> Transitions:
-        """Make the rows of eq. 3 with weights and folds that are given."""
+        """Make the transitions of eq. 3 with weights and folds that are given."""
         reward, variates = self.task.reduce_variance(self.rewarded(paths, weight))
+        features, is_possible = paths.features[:, :, :1] if self.task.is_shared else paths.features, paths.is_possible
+        if self.support is not None:
+            seen = self.support.is_seen(self.stages)[:, self.kinds(is_possible.shape[-1])]
+            is_possible = np.asarray(seen_among(is_possible, seen))
         return Transitions(
-            features=self._features(paths),
-            is_possible=self.has_value(paths.is_possible),
+            features=features if self.kernel_map is None else np.asarray(self.kernel_map(features)),
+            is_possible=is_possible,
             action=paths.action,
             reward=reward,
             weight=weight,
@@ -315,26 +257,20 @@ class QModel:
             coefficients, seen = coefficients[..., ::-1, :, :], None if seen is None else seen[::-1]
             root = None if root is None else root[..., ::-1, :, :, :]
         margin = None if root is None else self.pessimism * np.asarray(root)
-        learned = LearnedQ(np.asarray(coefficients), self.kernel_map, seen, margin, self.behaviour)
-        return self.task.policy(learned)
+        return self.task.policy(LearnedQ(coefficients, self.kernel_map, seen, margin, self.behaviour))
 
     @property
     def chosen(self) -> tuple[str, ...]:
         """What the task chose by itself, and why."""
         return tuple(getattr(self.task, "chosen", ()))
 
-    @property
-    def regs(self) -> Float[np.ndarray, " L"]:
-        """The λ to choose from."""
-        return self.reg.regs_of(self.space)
-
     def regression(self, num_paths: int, num_actions: int) -> Regression:
         """Say how each step of eq. 3 is fitted, on so many paths."""
         return Regression(
             block_of_action=self.blocks(num_actions),
-            num_blocks=self.num_blocks,
-            regs=self.regs,
-            num_folds=self.reg.folds_of(num_paths),
+            num_blocks=1 if self.is_joint else len(self.task.block_names),
+            regs=self.space.regs if isinstance(self.reg, CrossValidation) else np.array([self.reg]),
+            num_folds=self._num_folds(num_paths),
             stages=self.stages,
             end_action=self.task.end_action if self.stages == "pooled" else None,
             is_scaled=self.space.is_scaled,
@@ -342,12 +278,11 @@ class QModel:
         )
 
     def folds(self, num_paths: int) -> Int[np.ndarray, " n"]:
-        """Deal paths into folds, uniformly at random."""
-        return np.random.default_rng(self.random_state).permutation(num_paths) % self.reg.folds_of(num_paths)
+        """Deal paths into folds, uniformly at random; without cross-validation nothing is held out."""
+        return np.random.default_rng(self.random_state).permutation(num_paths) % self._num_folds(num_paths)
 
-    def with_durations(self, paths: PathArrays) -> "QModel":
-        """Fit how long stages last, if targets are imputed."""
-        return replace(self, durations=self._durations_of(paths)) if self.targets.is_imputed else self
+    def _num_folds(self, num_paths: int) -> int:
+        return min(self.reg.num_folds, num_paths) if isinstance(self.reg, CrossValidation) else 1
 
     def _imputation(self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None) -> Imputation:
         blocks = self.blocks(paths.is_possible.shape[-1])
@@ -369,41 +304,3 @@ class QModel:
         if not isinstance(self.space, LinearQ):
             raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
         return self.task.outcome_features(names)
-
-    def _features(self, paths: PathArrays) -> Float[np.ndarray, "n T E F"]:
-        own = paths.features[:, :, :1] if self.task.is_shared else paths.features
-        return own if self.kernel_map is None else np.asarray(self.kernel_map(own))
-
-
-def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
-    """Refuse a log in which no path came to its own end.
-
-    Raises
-    ------
-    PositivityError
-        All were cut.
-    """
-    if not is_finished.any():
-        raise PositivityError(
-            f"all {len(is_finished)} paths were cut, so how a path ends was never seen; record until some finish, or "
-            "shorten the horizon so that reaching it counts as finished"
-        )
-
-
-def refuse_too_few(num_seen: int, num_paths: int) -> None:
-    """Refuse to hold out paths where fewer than two completed a stage.
-
-    Raises
-    ------
-    ArgumentError
-        The message says how many did.
-    """
-    if num_seen < 2:
-        raise ArgumentError(
-            f"reg is 'cv', which holds out paths, but {num_seen} of {num_paths} completed a stage; give a "
-            "number for reg, or record more paths"
-        )
-
-
-def _is_joint(task: Task) -> bool:
-    return bool(getattr(task, "is_joint", False))

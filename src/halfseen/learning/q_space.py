@@ -234,37 +234,9 @@ class CrossValidation:
         if self.num_folds < 2:
             raise ArgumentError(f"num_folds is {self.num_folds}; cross-validation needs at least 2")
 
-    def folds_of(self, num_paths: int) -> int:
-        """Folds that so many paths are dealt into."""
-        return min(self.num_folds, num_paths)
 
-    def regs_of(self, space: QSpace) -> Float[np.ndarray, " L"]:
-        """The λ to choose from."""
-        return space.regs
-
-
-@dataclass(frozen=True)
-class FixedReg:
-    """λ is given.
-
-    Parameters
-    ----------
-    value
-        λ ≥ 0.
-    """
-
-    value: float
-
-    def folds_of(self, num_paths: int) -> int:
-        """Nothing is held out."""
-        return 1
-
-    def regs_of(self, space: QSpace) -> Float[np.ndarray, " L"]:
-        """The one λ."""
-        return np.array([self.value])
-
-
-Reg = CrossValidation | FixedReg
+Reg = CrossValidation | float
+"""How λ is chosen, or λ ≥ 0."""
 
 
 def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth"] | str) -> QSpace:
@@ -303,7 +275,7 @@ def stage_mode_of(stages: StageMode | str) -> StageMode:
     raise ArgumentError(f"stages is {stages!r}; it is 'separate' or 'pooled'")
 
 
-def reg_of(reg: Reg | float | int | Literal["cv"] | str) -> Reg:
+def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
     """Read what a user says of λ: ``"cv"``, a `CrossValidation`, or a number; what was read already stays.
 
     Raises
@@ -311,13 +283,13 @@ def reg_of(reg: Reg | float | int | Literal["cv"] | str) -> Reg:
     ArgumentError
         It is none of these.
     """
-    if isinstance(reg, CrossValidation | FixedReg):
+    if isinstance(reg, CrossValidation):
         return reg
     if isinstance(reg, str) and reg == "cv":
         return CrossValidation()
     if not (_is_number(reg) and float(reg) >= 0.0):
         raise ArgumentError(f"reg is {reg!r}; it is a λ ≥ 0, or 'cv'")
-    return FixedReg(float(reg))
+    return float(reg)
 
 
 def pessimism_of(pessimism: float | int | str) -> float:

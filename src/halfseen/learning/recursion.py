@@ -2,8 +2,8 @@
 
     Q̂_{T+1} ≡ 0;  Q̂_t = argmin E_n[ (R_t + max_a' Q̂_{t+1}(S_{t+1}, a') − Q_t(S_t, A_t))² · δ_t / Ĝ(U_t⁻) ]
 
-A linear Q is α_k + β_kᵀ φ(S, a) with k the block of the action, and each step adds the ridge of `regression`. It runs
-on sums over rows, so a log in memory is one part, and one that does not fit there is many (`streaming`).
+A linear Q is α_k + β_kᵀ φ(S, a) with k the block of the action, fitted by `ridge`. All runs on sums over rows (`sums`),
+so a log in memory is one part, and one that does not fit there is many (`passes`).
 
 *Separate* stages: each stage has its own Q_t, fitted on its own rows and shrunk towards 0.
 
@@ -19,86 +19,88 @@ policy (fitted Q evaluation), and nothing is chosen.
 
 Where targets are *imputed*, the stage in which a path was right-censored has one, too; see `imputation`.
 
-With pessimism V̂ is the largest lower confidence bound. Standard errors of Q take longest, and from one backward step to
-the next their root R most often stays what it was, but for a factor. So ‖Rᵀ (1, φ)‖ is kept as `Norms` with the R that
-it is of, and found anew where R is another.
+*Pessimism*: V̂ is the largest lower confidence bound. Imputed targets of cut stages count as nothing seen.
 """
 
-from collections.abc import Callable
-from functools import reduce
-from itertools import pairwise
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial, reduce
+from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+from jaxtyping import Float
 
+from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
-from halfseen.learning.q_space import StageMode
-from halfseen.learning.regression import (
-    Bound,
-    Crosses,
-    Equations,
-    Grams,
-    Shape,
-    Step,
-    StepFit,
-    Successor,
-    crosses_of,
-    fit_step,
-    grams_of,
-    plus,
-)
-from halfseen.learning.rows import (
+from halfseen.learning.ridge import Errors, Ridge, ridge_of, solve, standard_errors, with_prior
+from halfseen.learning.rows import Transitions
+from halfseen.learning.sums import (
     ENDED,
-    FOLLOWING,
     GOING_ON,
-    QFunctions,
+    OUTCOME,
+    SEEN,
+    SHARE,
+    WHOLE,
+    Columns,
+    Crosses,
+    Moments,
+    Regression,
     Rows,
-    StateChoices,
-    Transitions,
-    rows_of,
-    stack_q,
+    crosses_of,
+    moments_of,
+    packed,
 )
+from halfseen.learning.values import Norms, Successor, values_of
 
 
-class Regression(NamedTuple):
-    """How each step of eq. 3 is fitted."""
+class QFunctions(NamedTuple):
+    """Q of every stage (separate) or of every number of steps to go (pooled); index 0 is stage 1, or one step to go."""
 
-    block_of_action: Int[np.ndarray, " A"]
-    """Which block of coefficients each action uses."""
-    num_blocks: int
-    """K."""
-    regs: Float[np.ndarray, " L"]
-    """The λ to choose from."""
-    num_folds: int
-    """V, folds of the cross-validation."""
-    stages: StageMode
-    end_action: int | None = None
-    """For pooled stages: the action that the horizon forces upon a path, so that Q_0(S) = Q(S, end_action); every Q
-    is shrunk towards it. It must end a path wherever it is taken, and a feature must mean the same in all blocks
-    or be 0 for it. None if reaching the horizon costs nothing, Q_0 ≡ 0."""
-    is_scaled: bool = True
-    """Whether λ weighs features as if each had unit variance; False for features of a kernel."""
-    pessimism: float = 0.0
-    """Standard errors (`regression`) by which Q is lowered wherever the largest is sought; 0 for eq. 3 as it is."""
+    coefficients: Float[np.ndarray, "*B T K F"]
+    """The offset first."""
+    reg: Float[np.ndarray, "*B T K"]
+    """The λ that was used."""
+    outcome: Float[np.ndarray, "*B T K M"] | None = None
+    """Where targets are imputed, the regression of X on the features that it uses and the terms, the offset first."""
+    root: Float[np.ndarray, "*B T K F F"] | None = None
+    """With pessimism, R: the standard error of Q is ‖Rᵀ (1, φ)‖."""
 
-    @property
-    def shape(self) -> Shape:
-        """Of the sums."""
-        return Shape(self.num_folds, self.num_blocks, self.pessimism > 0)
+
+def stack_q(each: Sequence[QFunctions]) -> QFunctions:
+    """Stack Q-functions along a new first axis."""
+    columns: list[Any] = list(zip(*each, strict=True))
+    stacked: list[Any] = [None if leaves[0] is None else np.stack(leaves) for leaves in columns]
+    return QFunctions(*stacked)
+
+
+class Step(NamedTuple):
+    """One backward step."""
+
+    slices: tuple[int, ...]
+    """Those that are fitted."""
+    successor: Successor | None = None
+    """None where nothing follows."""
+    centre: Float[np.ndarray, "K F"] | None = None
+    """What coefficients are shrunk towards, those of control variates among them; None for 0."""
+    new: tuple[int, ...] = ()
+    """Slices whose moments nobody has summed so far."""
 
 
 class Found(NamedTuple):
-    """Sums of all parts for one step."""
+    """Sums of rows for one step."""
 
-    grams: tuple[Grams, ...]
+    moments: tuple[Moments, ...]
+    """Of the slices that are new."""
     crosses: Crosses
-    num_features: int
-    """Of Q, the offset among them."""
+    columns: Columns
+    norms: Norms | None = None
+    """For the next step, where it looks at the same states."""
 
 
-Ask = Callable[[Step, tuple[tuple[int, ...], ...]], Found]
-"""Sums what a step asks for, and what no target changes over the rows of some groups of slices."""
+def found_in(rows: Rows, step: Step, regression: Regression, norms: Norms | None = None) -> Found:
+    """Sum up rows for one step, given norms of an earlier one."""
+    values, norms = values_of(rows, step.successor, norms if regression.stages == "pooled" else None)
+    moments = tuple(moments_of(rows, which, regression) for which in step.new)
+    return Found(moments, crosses_of(rows, step.slices, values, regression), rows.columns, norms)
 
 
 def fit_q(log: Transitions, regression: Regression) -> QFunctions:
@@ -109,23 +111,40 @@ def fit_q(log: Transitions, regression: Regression) -> QFunctions:
     ArgumentError
         A path is in a fold that does not exist, and would count for nothing.
     """
-    return backward(_InMemory(log, regression), log.action.shape, regression)
+    return backward(_in_memory(log, regression), log.action.shape, regression)
 
 
 def fit_each_stage(log: Transitions, regression: Regression) -> QFunctions:
     """Fit Q of each stage to its rewards alone: nothing follows."""
     separate = regression._replace(stages="separate")
-    steps = _Steps(_InMemory(log, separate), len(log.action), separate)
-    return stack_q([steps.fit(Step((stage,), None, None)).q for stage in range(log.action.shape[1])])
+    steps = _Steps(_in_memory(log, separate), len(log.action), separate)
+    return stack_q([steps.fit(Step((stage,)))[0] for stage in range(log.action.shape[1])])
 
 
-def backward(ask: Ask, shape: tuple[int, int], regression: Regression) -> QFunctions:
+def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], Found]:
+    largest = int(np.asarray(log.fold).max())
+    if largest >= regression.num_folds:
+        raise ArgumentError(
+            f"fold {largest} of {regression.num_folds}: folds are 0 to {regression.num_folds - 1}; deal the paths anew"
+        )
+    rows, norms = packed(log, regression), None
+
+    def ask(step: Step) -> Found:
+        nonlocal norms
+        found = found_in(rows, step, regression, norms)
+        norms = found.norms
+        return found
+
+    return ask
+
+
+def backward(ask: Callable[[Step], Found], shape: tuple[int, int], regression: Regression) -> QFunctions:
     """Run eq. 3.
 
     Parameters
     ----------
     ask
-        Sums.
+        Sums over all rows of the log.
     shape
         n and T.
     regression
@@ -133,181 +152,121 @@ def backward(ask: Ask, shape: tuple[int, int], regression: Regression) -> QFunct
     """
     num_paths, horizon = shape
     steps = _Steps(ask, num_paths, regression)
-    fits = _separate(steps, horizon) if regression.stages == "separate" else _pooled(steps, horizon)
-    return stack_q([fit.q for fit in fits])
+    return stack_q(_separate(steps, horizon) if regression.stages == "separate" else _pooled(steps, horizon))
 
 
-class _InMemory:
-    """A log in memory, whose sums are those of one part."""
+def _separate(steps: "_Steps", horizon: int) -> list[QFunctions]:
+    """Each stage on its own rows, the last one first."""
+    fits, successor = [], None
+    for stage in reversed(range(horizon)):
+        q, _, errors = steps.fit(Step((stage,), successor))
+        fits.insert(0, q)
+        successor = Successor((stage,), q.coefficients, errors)
+    return fits
 
-    def __init__(self, log: Transitions, regression: Regression) -> None:
-        largest = int(np.asarray(log.fold).max())
-        if largest >= regression.num_folds:
-            raise ArgumentError(
-                f"fold {largest} of {regression.num_folds}: folds are 0 to {regression.num_folds - 1}; deal the paths "
-                "anew"
-            )
-        self._rows = rows_of(log, regression)
-        self._shape, self._is_pooled = regression.shape, regression.stages == "pooled"
-        self._norms: Norms | None = None
 
-    def __call__(self, step: Step, wanted: tuple[tuple[int, ...], ...]) -> Found:
-        rows, shape = self._rows, self._shape
-        # Pooled stages look at the same states in every step.
-        values, self._norms = values_of(rows, step.successor, self._norms if self._is_pooled else None)
-        grams = tuple(grams_of(rows, some, shape) for some in wanted)
-        return Found(grams, crosses_of(rows, step, values, shape), int(rows.widths[0]))
+def _pooled(steps: "_Steps", horizon: int) -> list[QFunctions]:
+    """All stages' rows at each number of steps to go: none, if the horizon forces an action upon a path, then one."""
+    every, end_action = (GOING_ON, ENDED), steps.regression.end_action
+    step = Step(every)
+    if end_action is not None:
+        q, coefficients, _ = steps.fit(step)
+        block = int(steps.regression.block_of_action[end_action])
+        centre = np.broadcast_to(coefficients[block], coefficients.shape)
+        step = Step(every, Successor(every, q.coefficients, None, end_action), centre)
+    fits = []
+    for _ in range(horizon):
+        q, coefficients, errors = steps.fit(step)
+        fits.append(q)
+        step = Step((GOING_ON,), Successor(every, q.coefficients, errors), coefficients)
+    return fits
+
+
+class _Equations(NamedTuple):
+    """The normal equations of a step, factorised once for all targets."""
+
+    moments: Moments
+    main: Ridge
+    outcome: Ridge | None
+    """Of X, where targets are imputed."""
+    seen: Ridge | None
+    """Of the completed stages, without folds, for pessimism."""
 
 
 class _Steps:
     """One backward step after the other."""
 
-    def __init__(self, ask: Ask, num_paths: int, regression: Regression) -> None:
+    def __init__(self, ask: Callable[[Step], Found], num_paths: int, regression: Regression) -> None:
         self.regression, self._ask, self._num_paths = regression, ask, num_paths
-        self._grams: dict[tuple[int, ...], Grams] = {}
-        self._equations: dict[tuple[tuple[int, ...], ...], Equations] = {}
+        self._moments: dict[int, Moments] = {}
+        self._equations: dict[tuple[int, ...], _Equations] = {}
 
-    def fit(self, step: Step) -> StepFit:
-        """Fit one step."""
-        parts = _summed_alone(step.slices)
-        wanted = tuple(some for some in parts if some not in self._grams)
-        found = self._ask(step, wanted)
+    def fit(self, step: Step) -> tuple[QFunctions, Float[np.ndarray, "K F"], Errors | None]:
+        """Fit Q of one step; with its coefficients and, last, those of control variates; and how far it is lowered."""
+        new = tuple(which for which in step.slices if which not in self._moments)
+        found = self._ask(step._replace(new=new))
         if self.regression.stages == "separate":
-            self._grams, self._equations = {}, {}
-        self._grams |= dict(zip(wanted, found.grams, strict=True))
-        if parts not in self._equations:
-            grams = reduce(plus, (self._grams[some] for some in parts))
-            self._equations[parts] = Equations.of(grams, self.regression.is_scaled, found.num_features)
-        return fit_step(self._equations[parts], found.crosses, step.centre, self.regression.regs, self._num_paths)
+            self._moments, self._equations = {}, {}
+        self._moments |= dict(zip(new, found.moments, strict=True))
+        if step.slices not in self._equations:
+            each = [self._moments[which] for which in step.slices]
+            moments = reduce(partial(mapped, np.add), each)
+            self._equations[step.slices] = self._factorised(moments, found.columns)
+        return self._solved(self._equations[step.slices], found, step.centre)
 
-    def bound(self, fit: StepFit) -> Bound | None:
-        """How far Q is lowered by its standard errors, if it is."""
-        return None if fit.bound is None else fit.bound._replace(margin=self.regression.pessimism * fit.bound.margin)
+    def _factorised(self, moments: Moments, columns: Columns) -> _Equations:
+        regs, num_paths, is_scaled = self.regression.regs, self._num_paths, self.regression.is_scaled
+        num_features, num_design, outcome, seen = columns.num_features, columns.num_design, None, None
+        main = moments.of_matrix[WHOLE, :, :, :num_design, :num_design]
+        if columns.is_used is not None:
+            kept, used = _of_outcome(columns)
+            gram = moments.of_matrix[OUTCOME][:, :, kept[:, None], kept] * used[:, None] * used
+            outcome = ridge_of(with_prior(gram, columns.num_terms), regs, num_paths, is_scaled)
+        if self.regression.pessimism > 0:
+            gram = moments.of_matrix[SEEN, :, :, :num_features, :num_features]
+            seen = ridge_of(gram.sum(axis=0, keepdims=True), regs, num_paths, is_scaled)
+        return _Equations(moments, ridge_of(main, regs, num_paths, is_scaled), outcome, seen)
 
-
-def _summed_alone(slices: tuple[int, ...]) -> tuple[tuple[int, ...], ...]:
-    """Pooled stages differ in what the horizon ended, which is asked of some steps alone."""
-    return (GOING_ON, ENDED) if set(slices) == {*GOING_ON, *ENDED} else (slices,)
-
-
-def _separate(steps: _Steps, horizon: int) -> list[StepFit]:
-    """Each stage on its own rows, the last one first."""
-    fits, successor = [], None
-    for stage in reversed(range(horizon)):
-        fit = steps.fit(Step((stage,), successor, None))
-        fits.insert(0, fit)
-        successor = Successor((stage,), fit.q.coefficients, steps.bound(fit))
-    return fits
-
-
-def _pooled(steps: _Steps, horizon: int) -> list[StepFit]:
-    """All stages' rows at each number of steps to go: none, if the horizon forces an action upon a path, then one."""
-    every, end_action = (*GOING_ON, *ENDED), steps.regression.end_action
-    step = Step(every, None, None)
-    if end_action is not None:
-        ended = steps.fit(step)
-        block = int(steps.regression.block_of_action[end_action])
-        centre = np.broadcast_to(ended.coefficients[block], ended.coefficients.shape)
-        step = Step(every, Successor(FOLLOWING, ended.q.coefficients, None, end_action), centre)
-    fits = [steps.fit(step)]
-    for _ in range(horizon - 1):
-        before = fits[-1]
-        successor = Successor(FOLLOWING, before.q.coefficients, steps.bound(before))
-        fits.append(steps.fit(Step(GOING_ON, successor, before.coefficients)))
-    return fits
-
-
-ROWS_AT_ONCE = 2_048
-"""Rows whose products stay in the cache of a core."""
-
-
-class Norms(NamedTuple):
-    """‖Rᵀ (1, φ)‖ of all that is possible, by block."""
-
-    root: Float[np.ndarray, "K F F"]
-    of_block: tuple[Float[np.ndarray, " _"], ...]
+    def _solved(
+        self, equations: _Equations, found: Found, centre: Float[np.ndarray, "K F"] | None
+    ) -> tuple[QFunctions, Float[np.ndarray, "K F"], Errors | None]:
+        columns, crosses, moments = found.columns, found.crosses.of_matrix, equations.moments.of_matrix
+        design, outcome = slice(columns.num_design), None
+        cross = crosses[SHARE - 1][..., design]
+        if equations.outcome is not None:
+            kept, used = _of_outcome(columns)
+            outcome, _ = solve(equations.outcome, crosses[OUTCOME - 1][..., kept] * used)
+            cross = cross + _of_imputed(moments, columns, outcome)
+        if centre is not None:
+            cross = cross - np.einsum("vkfg,kg->vkf", moments[WHOLE][..., design, design], centre)
+        coefficients, reg = solve(equations.main, cross)
+        coefficients = coefficients if centre is None else coefficients + centre
+        q = QFunctions(coefficients[:, : columns.num_features], reg, outcome)
+        if equations.seen is None:
+            return q, coefficients, None
+        gram = moments[SEEN][..., design, design].sum(axis=0)
+        # Σ w (X − βᵀx)² of the completed stages.
+        explained = 2.0 * crosses[SEEN - 1][..., design].sum(axis=0) - np.einsum("kfg,kg->kf", gram, coefficients)
+        squares = np.maximum(found.crosses.squares - np.sum(coefficients * explained, axis=-1), 0.0)
+        errors = standard_errors(equations.seen, reg * self._num_paths, squares, equations.moments.counts)
+        root = errors.root * errors.deviation[:, None, None]
+        lowered = errors._replace(deviation=self.regression.pessimism * errors.deviation)
+        return q._replace(root=root), coefficients, lowered
 
 
-def values_of(
-    rows: Rows, successor: Successor | None, known: Norms | None = None
-) -> tuple[Float[np.ndarray, " R1"], Norms | None]:
-    """V̂ of the state of every row that a step asks for, with a last one that is 0; and the norms, for the next step.
-
-    Parameters
-    ----------
-    rows
-        A part of the log.
-    successor
-        What V̂ is made of; None where it is 0.
-    known
-        Norms of an earlier step.
-    """
-    values = np.zeros(len(rows.weight) + 1)
-    if successor is None:
-        return values, known
-    states = rows.span(successor.slices)
-    matrices = _matrices(rows, states, len(successor.coefficients))
-    q = [matrix @ of_block for matrix, of_block in zip(matrices, successor.coefficients, strict=True)]
-    if successor.bound is not None and successor.forced is None and not _has_policy(rows):
-        known = _norms(matrices, successor.bound.root, known)
-        q = [each - by * norm for each, by, norm in zip(q, successor.bound.margin, known.of_block, strict=True)]
-    if rows.choices is None:
-        values[states] = _largest_of_shared(rows, states, np.stack(q, axis=1), successor.forced)
-    else:
-        values[:-1] = _largest_of_choices(rows.choices, len(values) - 1, np.concatenate(q), successor.forced)
-    return values, known
+def _of_outcome(columns: Columns) -> tuple[np.ndarray, Float[np.ndarray, " M"]]:
+    """Columns of the regression of X, and 1 for each that it uses."""
+    terms = np.arange(columns.num_design, columns.num_design + columns.num_terms)
+    kept = np.concatenate([np.arange(columns.num_features), terms])
+    return kept, np.concatenate([np.asarray(columns.is_used), np.ones(columns.num_terms)])
 
 
-def _has_policy(rows: Rows) -> bool:
-    return rows.policy is not None or (rows.choices is not None and rows.choices.policy is not None)
-
-
-def _matrices(rows: Rows, states: slice, num_blocks: int) -> list[Float[np.ndarray, "_ F"]]:
-    """1 and φ of what is possible, for each block."""
-    if rows.choices is None:
-        return [rows.features[states]] * num_blocks
-    begin = rows.choices.begin
-    return [rows.choices.matrix[first:end] for first, end in pairwise(begin)]
-
-
-def _norms(matrices: list[Float[np.ndarray, "_ F"]], root: Float[np.ndarray, "K F F"], known: Norms | None) -> Norms:
-    found = []
-    for block, (matrix, of_block) in enumerate(zip(matrices, root, strict=True)):
-        if known is not None and np.array_equal(known.root[block], of_block):
-            found.append(known.of_block[block])
-            continue
-        norm = np.empty(len(matrix))
-        for first in range(0, len(matrix), ROWS_AT_ONCE):
-            along = matrix[first : first + ROWS_AT_ONCE] @ of_block
-            norm[first : first + ROWS_AT_ONCE] = np.sqrt(np.einsum("rf,rf->r", along, along))
-        found.append(norm)
-    return Norms(root, tuple(found))
-
-
-def _largest_of_shared(
-    rows: Rows, states: slice, q: Float[np.ndarray, "S K"], forced: int | None
-) -> Float[np.ndarray, " S"]:
-    of_action = q[:, rows.block_of_action] if forced is None else q[:, [rows.block_of_action[forced]]]
-    if rows.policy is not None and forced is None:
-        policy = rows.policy[states]
-        return np.sum(np.where(policy > 0, policy * of_action, 0.0), axis=1)
-    if rows.is_possible is None:
-        return of_action.max(axis=1)
-    possible = rows.is_possible[states] if forced is None else rows.is_possible[states, [forced]][:, None]
-    return _or_nothing(np.where(possible, of_action, -np.inf).max(axis=1))
-
-
-def _largest_of_choices(
-    choices: StateChoices, num_rows: int, q: Float[np.ndarray, " C"], forced: int | None
-) -> Float[np.ndarray, " R"]:
-    if choices.policy is not None and forced is None:
-        return np.bincount(choices.row, choices.policy * q, num_rows)
-    largest = np.full(num_rows, -np.inf)
-    is_asked = slice(None) if forced is None else choices.action == forced
-    np.maximum.at(largest, choices.row[is_asked], q[is_asked])
-    return _or_nothing(largest)
-
-
-def _or_nothing(largest: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """0 where nothing is possible."""
-    return np.where(np.isneginf(largest), 0.0, largest)
+def _of_imputed(
+    moments: Float[np.ndarray, "4 V K M M"], columns: Columns, outcome: Float[np.ndarray, "K O"]
+) -> Float[np.ndarray, "V K F"]:
+    """Σ w x Y − Σ w x share·X: what the regression of X adds to targets, by the state and by the time."""
+    num_features, design = columns.num_features, slice(columns.num_design)
+    of_state = (moments[WHOLE] - moments[SHARE])[..., design, :num_features]
+    of_time = moments[WHOLE][..., design, columns.num_design + columns.num_terms :]
+    by_state = np.einsum("vkfm,km->vkf", of_state, outcome[:, :num_features] * columns.is_used)
+    return by_state + np.einsum("vkfg,kg->vkf", of_time, outcome[:, num_features:])

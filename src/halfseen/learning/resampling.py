@@ -6,6 +6,7 @@ estimated again from each such draw, and Q is fitted to it as it was to the log;
 
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,8 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
-from halfseen.learning.recursion import fit_q
-from halfseen.learning.rows import PathArrays, QFunctions, Transitions, stack_q
+from halfseen.learning.recursion import QFunctions, fit_q, stack_q
+from halfseen.learning.rows import PathArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 from halfseen.workers import ALONE, Workers
@@ -123,45 +124,32 @@ def bootstrap(
     share = np.full(paths.num_paths, 1.0 / paths.num_paths)
     counts = np.random.default_rng(random_state).multinomial(paths.num_paths, share, size=num_replicates)
     batches = [counts[start : start + BATCH_SIZE] for start in range(0, num_replicates, BATCH_SIZE)]
-    fits = []
+    fits: list[QFunctions] = []
     with (
         telling(Telling.NOTHING) if is_quiet else nullcontext(),
         Progress(num_replicates, "bootstrap", "draws") as bar,
         workers.ready_if_worth() as pool,
     ):
-        for fit in pool.in_order(_LearningAgain(model, paths, model.transitions(paths)), batches):
-            fits.append(fit)
-            bar.update(len(batches[len(fits) - 1]))
-    q_functions = stack_q([q for each in fits for q in each])
-    return QBootstrap(learner.policy_, model.policy(q_functions))
+        for each in pool.in_order(partial(_learned_again, model, paths, model.transitions(paths)), batches):
+            fits += each
+            bar.update(len(each))
+    return QBootstrap(learner.policy_, model.policy(stack_q(fits)))
 
 
-@dataclass(frozen=True, eq=False)
-class _LearningAgain:
-    """Learns from some draws of paths."""
-
-    model: QModel
-    paths: PathArrays
-    log: Transitions
-
-    def __call__(self, counts: Int[np.ndarray, "B n"]) -> list[QFunctions]:
-        plain = replace(self.model, pessimism=0.0)
-        regression = plain.regression(*self.log.is_possible.shape[::2])
-        drawn = (_redrawn(self.model, self.paths, each) for each in counts)
-        return [fit_q(self.log._replace(weight=weight, imputation=imputed), regression) for weight, imputed in drawn]
+def _learned_again(
+    model: QModel, paths: PathArrays, log: Transitions, counts: Int[np.ndarray, "B n"]
+) -> list[QFunctions]:
+    """Learn from some draws, in which each path counts so often."""
+    regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
+    return [fit_q(_redrawn(model, paths, log, each), regression) for each in counts]
 
 
-_OF_PATHS = ("share", "terms", "expected", "outcome_weight")
-
-
-def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) -> tuple[Any, Any]:
-    """Weights and imputation of each path in a draw, estimated from that draw; 0 where it was not drawn."""
-    rows = np.repeat(np.arange(paths.num_paths), counts)
-    drawn = paths.take(rows)
+def _redrawn(model: QModel, paths: PathArrays, log: Transitions, counts: Int[np.ndarray, " n"]) -> Transitions:
+    """Weigh and impute a draw by what is estimated from it; a path that was not drawn counts for nothing."""
+    drawn = paths.take(np.repeat(np.arange(paths.num_paths), counts))
     again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
     weight, imputed = again.weights_and_imputation(drawn)
-    first = np.cumsum(counts) - counts
-    was_drawn = counts > 0
+    first, was_drawn = np.cumsum(counts) - counts, counts > 0
 
     def back(leaf: np.ndarray) -> np.ndarray:
         spread = np.zeros((paths.num_paths, *leaf.shape[1:]))
@@ -169,6 +157,6 @@ def _redrawn(model: QModel, paths: PathArrays, counts: Int[np.ndarray, " n"]) ->
         return spread
 
     if imputed is not None:
-        imputed = imputed._replace(**{name: back(getattr(imputed, name)) for name in _OF_PATHS})
-        imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])
-    return back(weight) * counts[:, None], imputed
+        of_paths = {name: back(leaf) for name, leaf in imputed._asdict().items() if name != "is_used"}
+        imputed = imputed._replace(**of_paths)
+    return log._replace(weight=back(weight), imputation=imputed).counted(counts.astype(np.float64))

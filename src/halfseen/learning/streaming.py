@@ -9,9 +9,9 @@ same bytes; so it does not matter which worker sums a shard, nor how often one i
 
 import ctypes
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, partial
+from functools import cache, partial, reduce
 from itertools import chain
 from tempfile import TemporaryFile
 from typing import NamedTuple
@@ -19,22 +19,147 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import Float, Int
 
+from halfseen.arrays import mapped
 from halfseen.censoring import StageClocks, WeightDiagnostics
-from halfseen.censoring.diagnostics import WeightTally
+from halfseen.censoring.diagnostics import WeightTally, weight_diagnostics
 from halfseen.censoring.stage_clocks import stacked
 from halfseen.learning.judging import with_stages
 from halfseen.learning.kept_parts import KeptParts, kept_parts
-from halfseen.learning.q_model import QModel, Support, refuse_all_cut, refuse_too_few, sampled
+from halfseen.learning.q_model import QModel, sampled
 from halfseen.learning.q_space import CrossValidation
-from halfseen.learning.recursion import Found, backward, values_of
-from halfseen.learning.regression import Crosses, Grams, Shape, Step, crosses_of, grams_of, plus
-from halfseen.learning.rows import PathArrays, QFunctions, Rows, rows_of
+from halfseen.learning.recursion import Found, QFunctions, Step, backward, found_in
+from halfseen.learning.rows import PathArrays
+from halfseen.learning.sums import Rows, packed
+from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few
 from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.shards import Folder, Part, Shard, ShardReader, Tables, logs_of
 from halfseen.progress import Progress
-from halfseen.workers import Pool, Workers
+from halfseen.workers import ALONE, Pool, Workers
 from halfseen.workers.threads import one_thread
+
+
+class Learned(NamedTuple):
+    """What was learned from a log."""
+
+    model: QModel
+    """With what was fitted before Q."""
+    q_functions: QFunctions
+    chosen: tuple[str, ...]
+    """What was chosen by itself."""
+    weights: Float[np.ndarray, "n T"]
+    """Of every stage in eq. 3; of a stream, on disk."""
+    diagnostics: WeightDiagnostics
+
+
+def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, workers: Workers | None = None) -> Learned:
+    """Learn from a log, in memory or in passes over a stream.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    model
+        How Q is fitted.
+    has_choice
+        Whether stages are to be pooled is for the log to say (`judging`).
+    workers
+        Who sums the shards of a stream; None for this process alone.
+
+    Raises
+    ------
+    ArgumentError
+        A part of the model cannot be fitted.
+    PositivityError
+        All paths were cut, or a weight is not identified.
+    WorkerError
+        Workers were lost again and again.
+    """
+    if isinstance(logs, LogStream):
+        return _in_passes(logs, model, has_choice, workers or ALONE)
+    model, paths = model.fitted(logs)
+    model, chosen = with_stages(model, model.sample_of(paths)) if has_choice else (model, model.chosen)
+    log = model.transitions(paths)
+    diagnostics = weight_diagnostics(log.weight, model.cut_model and model.cut_model.truncate_at)
+    return Learned(model, model.fit(log), chosen, log.weight, diagnostics)
+
+
+def _in_passes(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Learned:
+    """The first pass gathers what Ĝ needs, and a sample of the paths; each backward step is a pass."""
+    refuse_all_cut(stream.is_finished)
+    shards, num_paths = stream.shards(), stream.num_paths
+    with (
+        (workers if len(shards) > 1 else ALONE).ready() as pool,
+        kept_parts(shards[-1].parts[-1].number + 1, pool.is_here) as kept,
+    ):
+        work = partial(_Work, stream.as_folder, num_paths, kept)
+        sample = _read(stream, shards, sampled(num_paths, model.random_state), pool)
+        model = model.with_task(stream, sample)
+        support, clocks = _joined(pool.in_order(partial(_look_at, work(model)), shards))
+        clocks = clocks or [StageClocks.of_ends(stream.end_s, stream.is_finished)]
+        model = model.with_clocks(clocks[0], support)
+        paths = model.lay_out(sample)
+        give_back()
+        model = model.with_sample(paths).with_durations(paths)
+        model, chosen = with_stages(model, paths) if has_choice else (model, model.chosen)
+        give_back()
+        rewarded = chain.from_iterable(work(model).rewarded(shard) for shard in shards)
+        model = replace(model, task=model.task.fitted_to_rewards(rewarded))
+        return _backward_in_passes(work(model), shards, pool, paths.is_possible.shape[-1], chosen)
+
+
+def _backward_in_passes(
+    work: "_Work", shards: list[Shard], pool: Pool, num_actions: int, chosen: tuple[str, ...]
+) -> Learned:
+    model, num_paths = work.model, work.num_paths
+    regression = model.regression(num_paths, num_actions)
+    fold = model.folds(num_paths).astype(np.min_scalar_type(-regression.num_folds))
+    dealt = [(shard, fold[shard.paths]) for shard in shards]
+    tally = WeightTally(model.cut_model and model.cut_model.truncate_at)
+    num_passes, is_first = model.horizon + (regression.end_action is not None), True
+    # The file has no name; it is gone with the last array that shows it.
+    with one_thread(), TemporaryFile(prefix="halfseen-") as file, Progress(num_passes, "learn", "passes") as bar:
+
+        def ask(step: Step) -> Found:
+            nonlocal is_first
+            total = None
+            for found, weight in pool.in_order(partial(_sums_of, work, step, is_first), dealt):
+                if weight is not None:
+                    file.write(np.ascontiguousarray(weight).tobytes())
+                    tally.add(weight)
+                total = _plus(total, found)
+            assert total is not None
+            is_first = False
+            bar.update()
+            return total
+
+        q = backward(ask, (num_paths, model.horizon), regression)
+        if isinstance(model.reg, CrossValidation):
+            refuse_too_few(tally.num_rows_seen, num_paths)
+        file.flush()
+        weights = np.memmap(file, dtype=np.float64, mode="r", shape=(num_paths, model.horizon))
+    return Learned(model, q, chosen, weights, tally.told())
+
+
+def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:
+    """Read some of the paths; by default those that `QModel.sample_of` takes of a log in memory."""
+    return _read(stream, stream.shards(), sampled(stream.num_paths, seed, most), Pool(None))
+
+
+def _read(stream: LogStream, shards: Sequence[Shard], rows: Int[np.ndarray, " k"], pool: Pool) -> Logs:
+    wanted = [(shard, rows[(rows >= shard.paths.start) & (rows < shard.paths.stop)]) for shard in shards]
+    found = pool.in_order(partial(_tables_of, stream.as_folder), wanted)
+    return logs_of(stream.as_folder, list(chain.from_iterable(found)))
+
+
+def _tables_of(folder: Folder, wanted: tuple[Shard, Int[np.ndarray, " k"]]) -> list[Tables]:
+    """Read some paths of a shard, by their rows, and check nothing."""
+    reader, (shard, rows), found = ShardReader(folder), wanted, []
+    for part in shard.parts:
+        here = rows[(rows >= part.paths[0]) & (rows < part.paths[1])] - part.paths[0]
+        if len(here):
+            found.append(reader.tables(part, here))
+    return found
 
 
 def give_back() -> None:
@@ -50,31 +175,28 @@ def give_back() -> None:
 
 
 @dataclass(frozen=True)
-class ShardWork:
-    """What all workers are told once a pass.
-
-    Parameters
-    ----------
-    folder
-        The log.
-    model
-        As far as it is fitted.
-    num_paths
-        n, of the whole log.
-    kept
-        Where what was laid out is kept.
-    """
+class _Work:
+    """What all workers are told once a pass: the log, the model as far as it is fitted, and where parts are kept."""
 
     folder: Folder
-    model: QModel
     num_paths: int
     kept: KeptParts
+    model: QModel
 
     def paths_of(self, shard: Shard) -> Iterator[PathArrays]:
         """Lay out the parts of a shard as arrays."""
         reader = self._reader()
         for part in shard.parts:
-            yield self.kept.found("paths", part.number, partial(self._laid_out, reader, part))
+            paths = self.kept.read("paths", part.number)
+            if paths is None:
+                paths = self._laid_out(reader, part)
+                self.kept.keep("paths", part.number, paths)
+            yield paths
+
+    def rewarded(self, shard: Shard) -> Iterator[RewardedStages]:
+        """What the stages of a shard paid; nothing is read unless it is asked for."""
+        for paths in self.paths_of(shard):
+            yield self.model.rewarded(paths, self.model.targets.weights(paths, self.model.cut_model))
 
     def rows_of(
         self, shard: Shard, fold: Int[np.ndarray, " n"], is_first: bool
@@ -84,15 +206,13 @@ class ShardWork:
         for part in shard.parts:
             rows, weight = None if is_first else self.kept.read("rows", part.number), None
             if rows is None:
-                rows, weight = self._packed(reader, part, fold[part.paths[0] - begin : part.paths[1] - begin])
+                paths = self.kept.read("paths", part.number) or self._laid_out(reader, part)
+                weight, imputed = self.model.weights_and_imputation(paths)
+                log = self.model.weighted(paths, weight, imputed, fold[part.paths[0] - begin : part.paths[1] - begin])
+                rows = packed(log, self.model.regression(self.num_paths, log.is_possible.shape[-1]))
                 self.kept.forget("paths", part.number)
                 self.kept.keep("rows", part.number, rows)
-            yield part, rows, weight if is_first else None
-
-    @property
-    def shape(self) -> Shape:
-        """Of the sums."""
-        return Shape(self.model.reg.folds_of(self.num_paths), self.model.num_blocks, self.model.pessimism > 0)
+            yield part, rows, weight
 
     def _reader(self) -> Callable[[], ShardReader]:
         """The log, opened where a part of it is to be read."""
@@ -103,235 +223,47 @@ class ShardWork:
         self.model.check_horizon(logs)
         return self.model.lay_out(logs)
 
-    def _packed(
-        self, reader: Callable[[], ShardReader], part: Part, fold: Int[np.ndarray, " n"]
-    ) -> tuple[Rows, Float[np.ndarray, "n T"]]:
-        paths = self.kept.read("paths", part.number) or self._laid_out(reader, part)
-        weight, imputed = self.model.weights_and_imputation(paths)
-        log = self.model.weighted(paths, weight, imputed, fold)
-        return rows_of(log, self.model.regression(self.num_paths, log.is_possible.shape[-1])), weight
+
+_Look = tuple[Support, list[StageClocks]]
+"""What was seen completed; and what Ĝ is fitted to, beyond the ends of the paths, if it is."""
 
 
-class Wanted(NamedTuple):
-    """Some paths of a shard."""
-
-    shard: Shard
-    paths: Int[np.ndarray, " k"]
-    """Rows of the table of paths."""
-
-
-def sampled_of(folder: Folder, wanted: Wanted) -> list[Tables]:
-    """Read some paths, and check nothing."""
-    reader, found = ShardReader(folder), []
-    for part in wanted.shard.parts:
-        here = wanted.paths[(wanted.paths >= part.paths[0]) & (wanted.paths < part.paths[1])] - part.paths[0]
-        if len(here):
-            found.append(reader.tables(part, here))
-    return found
-
-
-class Look(NamedTuple):
-    """What a first look at a shard finds."""
-
-    support: Support
-    num_actions: int
-    clocks: StageClocks | None
-    """What Ĝ is fitted to, beyond the ends of the paths; None if nothing."""
-
-
-def look_at(work: ShardWork, shard: Shard) -> Look:
+def _look_at(work: _Work, shard: Shard) -> _Look:
     """Read, check and lay out a shard for the first time."""
-    support, clocks, num_actions = None, [], 0
+    model, looks = work.model, []
     for paths in work.paths_of(shard):
-        here = work.model.support_in(paths)
-        support, num_actions = here if support is None else support.plus(here), paths.is_possible.shape[-1]
-        found = work.model.targets.looks_at(paths.clocks)
-        clocks += [] if found is None else [found]
-    assert support is not None
+        clocks = model.targets.looks_at(paths.clocks)
+        looks.append((model.support_in(paths), [] if clocks is None else [clocks]))
     # This process may wait for long now, for others that read.
     give_back()
-    return Look(support, num_actions, stacked(clocks) if clocks else None)
+    return _joined(looks)
 
 
-class Dealt(NamedTuple):
-    """A shard, and the folds of its paths."""
-
-    shard: Shard
-    fold: Int[np.ndarray, " n"]
-
-
-class Sums(NamedTuple):
-    """What a pass finds in a shard."""
-
-    grams: tuple[Grams, ...]
-    crosses: Crosses
-    num_features: int
-    weight: Float[np.ndarray, "n T"] | None
-    """Of every stage, in the first pass."""
+def _joined(looks: Iterable[_Look]) -> _Look:
+    seen, clocks = zip(*looks, strict=True)
+    every = list(chain.from_iterable(clocks))
+    return reduce(Support.plus, seen), [stacked(every)] if every else []
 
 
-class Ask(NamedTuple):
-    """What a pass asks for."""
-
-    step: Step
-    grams: tuple[tuple[int, ...], ...]
-    """Slices whose Gram matrices are wanted."""
-    is_first: bool
-    """Whether nobody has packed the log so far."""
-    keeps_norms: bool
-    """Whether the next step looks at the same states."""
-
-
-def sums_of(work: ShardWork, ask: Ask, dealt: Dealt) -> Sums:
-    """Sum a shard up for one backward step."""
-    total, weights, rows = None, [], None
-    for part, rows, weight in work.rows_of(*dealt, ask.is_first):
+def _sums_of(
+    work: _Work, step: Step, is_first: bool, dealt: tuple[Shard, Int[np.ndarray, " n"]]
+) -> tuple[Found, Float[np.ndarray, "n T"] | None]:
+    """Sum a shard up for one backward step, given the folds of its paths; in the first pass with all weights."""
+    total, weights, keeps_norms = None, [], work.model.stages == "pooled"
+    for part, rows, weight in work.rows_of(*dealt, is_first):
+        known = work.kept.read("norms", part.number) if keeps_norms else None
+        regression = work.model.regression(work.num_paths, len(rows.block_of_action))
+        found = found_in(rows, step, regression, known)
+        if keeps_norms and found.norms is not known:
+            work.kept.keep("norms", part.number, found.norms)
         weights.append(weight)
-        known = work.kept.read("norms", part.number) if ask.keeps_norms else None
-        values, norms = values_of(rows, ask.step.successor, known)
-        if ask.keeps_norms and norms is not known:
-            work.kept.keep("norms", part.number, norms)
-        grams = tuple(grams_of(rows, some, work.shape) for some in ask.grams)
-        total = plus(total, (grams, crosses_of(rows, ask.step, values, work.shape)))
+        total = _plus(total, found._replace(norms=None))
     assert total is not None
-    assert rows is not None
-    weight = np.concatenate(weights) if ask.is_first else None
-    grams, crosses = total
-    return Sums(grams, crosses, int(rows.widths[0]), weight)
+    return total, np.concatenate(weights) if is_first else None
 
 
-class Streamed(NamedTuple):
-    """What was learned in passes."""
-
-    model: QModel
-    """With what was fitted before Q."""
-    q_functions: QFunctions
-    chosen: tuple[str, ...]
-    """What was chosen by itself."""
-    weights: Float[np.ndarray, "n T"]
-    """Of every stage in eq. 3, on disk."""
-    diagnostics: WeightDiagnostics
-
-
-def fit_stream(model: QModel, stream: LogStream, has_choice: bool = False, workers: Workers | None = None) -> Streamed:
-    """Learn in passes over a log; the first pass gathers what Ĝ needs, and a sample of the paths.
-
-    Parameters
-    ----------
-    model
-        How Q is fitted.
-    stream
-        The log.
-    has_choice
-        Whether stages are to be pooled is for the log to say (`judging`).
-    workers
-        Who sums; None for this process alone.
-
-    Raises
-    ------
-    ArgumentError
-        A part of the model cannot be fitted.
-    PositivityError
-        All paths were cut, or a weight is not identified.
-    WorkerError
-        Workers were lost again and again.
-    """
-    refuse_all_cut(stream.is_finished)
-    shards = stream.shards()
-    if workers is None or len(shards) == 1:
-        workers = Workers(1)
-    with workers.ready() as pool, kept_parts(shards[-1].parts[-1].number + 1, pool.is_here) as kept:
-        passes = _Log(stream, shards, pool, kept)
-        sample = passes.sample(model.random_state)
-        model = model.with_task(stream, sample)
-        model = passes.looked_at(model)
-        paths = model.lay_out(sample)
-        give_back()
-        model = model.with_kernel(paths).with_behaviour(paths).with_durations(paths)
-        model, chosen = with_stages(model, paths) if has_choice else (model, model.chosen)
-        give_back()
-        model = replace(model, task=model.task.fitted_to_rewards(passes.rewarded(model)))
-        return passes.fit(model, chosen)
-
-
-def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:
-    """Read some of the paths; by default those that `QModel.sample_of` takes of a log in memory."""
-    rows = sampled(stream.num_paths, seed, most)
-    found = (sampled_of(stream.as_folder, wanted) for wanted in _wanted(stream.shards(), rows))
-    return logs_of(stream.as_folder, list(chain.from_iterable(found)))
-
-
-def _wanted(shards: list[Shard], rows: Int[np.ndarray, " k"]) -> Iterator[Wanted]:
-    for shard in shards:
-        yield Wanted(shard, rows[(rows >= shard.paths.start) & (rows < shard.paths.stop)])
-
-
-class _Log:
-    """A log in shards, and who reads them."""
-
-    def __init__(self, stream: LogStream, shards: list[Shard], pool: Pool, kept: KeptParts) -> None:
-        self._stream, self._shards, self._pool, self._kept = stream, shards, pool, kept
-        self.num_actions = 0
-
-    def sample(self, seed: int) -> Logs:
-        """Read the paths that decide on what is no sum."""
-        rows = sampled(self._stream.num_paths, seed)
-        found = self._pool.in_order(partial(sampled_of, self._stream.as_folder), _wanted(self._shards, rows))
-        return logs_of(self._stream.as_folder, list(chain.from_iterable(found)))
-
-    def looked_at(self, model: QModel) -> QModel:
-        """Look at all shards for the first time; fit Ĝ, and see what was completed."""
-        support, clocks = None, []
-        for look in self._pool.in_order(partial(look_at, self._work(model)), self._shards):
-            support = look.support if support is None else support.plus(look.support)
-            self.num_actions = look.num_actions
-            clocks += [] if look.clocks is None else [look.clocks]
-        of_ends = StageClocks.of_ends(self._stream.end_s, self._stream.is_finished)
-        found = stacked(clocks) if clocks else of_ends
-        return replace(model, support=support, cut_model=model.targets.fit_cuts(found))
-
-    def rewarded(self, model: QModel) -> Iterator[RewardedStages]:
-        """What the stages of a log paid; nothing is read unless it is asked for."""
-        for shard in self._shards:
-            for paths in self._work(model).paths_of(shard):
-                yield model.rewarded(paths, model.targets.weights(paths, model.cut_model))
-
-    def fit(self, model: QModel, chosen: tuple[str, ...]) -> Streamed:
-        """Run eq. 3 in float64, a pass for each backward step."""
-        num_paths, is_pooled = self._stream.num_paths, model.stages == "pooled"
-        num_passes = model.horizon + (is_pooled and model.task.end_action is not None)
-        fold = model.folds(num_paths).astype(np.min_scalar_type(-model.reg.folds_of(num_paths)))
-        dealt = [Dealt(shard, fold[shard.paths]) for shard in self._shards]
-        work, bound = self._work(model), None if model.cut_model is None else model.cut_model.truncate_at
-        tally = WeightTally(bound)
-        with (
-            one_thread(),
-            TemporaryFile(prefix="halfseen-") as weights,
-            Progress(num_passes, "learn", "passes") as bar,
-        ):
-            is_first = True
-
-            def ask(step: Step, wanted: tuple[tuple[int, ...], ...]) -> Found:
-                nonlocal is_first
-                total, num_features = None, 0
-                asked = Ask(step, wanted, is_first, keeps_norms=is_pooled)
-                for sums in self._pool.in_order(partial(sums_of, work, asked), dealt):
-                    if sums.weight is not None:
-                        weights.write(np.ascontiguousarray(sums.weight).tobytes())
-                        tally.add(sums.weight)
-                    total, num_features = plus(total, (sums.grams, sums.crosses)), sums.num_features
-                assert total is not None
-                is_first = False
-                bar.update()
-                return Found(*total, num_features=num_features)
-
-            q = backward(ask, (num_paths, model.horizon), model.regression(num_paths, self.num_actions))
-            if isinstance(model.reg, CrossValidation):
-                refuse_too_few(tally.num_rows_seen, num_paths)
-            weights.flush()
-            # The file has no name; it is gone with the last array that shows it.
-            shown = np.memmap(weights, dtype=np.float64, mode="r", shape=(num_paths, model.horizon))
-            return Streamed(model, q, chosen, shown, tally.told())
-
-    def _work(self, model: QModel) -> ShardWork:
-        return ShardWork(self._stream.as_folder, model, self._stream.num_paths, self._kept)
+def _plus(total: Found | None, found: Found) -> Found:
+    if total is None:
+        return found
+    moments, crosses = mapped(np.add, (total.moments, total.crosses), (found.moments, found.crosses))
+    return total._replace(moments=moments, crosses=crosses)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.categories import unfit_covariates
+from halfseen.learning.covariates import unfit_covariates
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.task import AUTO
 from halfseen.logs import Logs, LogStream

@@ -29,6 +29,7 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float
 
+from halfseen.arrays import mapped
 from halfseen.censoring import StageClocks, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
@@ -39,6 +40,7 @@ from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.study.tried import tried_in
 from halfseen.tables.encoding import encoded_states
+from halfseen.tables.features import table_features
 from halfseen.tables.grasp.choice import choose_by
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world import random
@@ -145,7 +147,10 @@ class LoggedPaths:
     @cached_property
     def encoded(self) -> Encoded:
         """All paths as the learner sees them where no log has its own model of grasps."""
-        return self._encoded(len(self.episodes.action), self._common)
+        action, is_taken = (np.asarray(leaf) for leaf in (self.episodes.action, self.episodes.is_taken))
+        return encoded_states(
+            self.episodes.states, action, is_taken, None if isinstance(self.grasp, str) else self.grasp
+        )
 
     def lay_out(self, cuts: CutEpisodes, treatment: str) -> PathArrays:
         """A log as the learner sees it under a treatment."""
@@ -158,16 +163,20 @@ class LoggedPaths:
 
         Returns each policy with the effective sample size and the largest of its weights.
         """
-        tried = {id(cuts): tried_in(cuts) for cuts, _ in logs} if isinstance(self.grasp, str) else {}
-        laid_out = [(self.lay_out(cuts, treatment), treatment, id(cuts)) for cuts, treatment in logs]
-        learned = []
-        for size in sizes:
-            own = {name: self._chosen(each, size) for name, each in tried.items()}
-            learned += [
-                self._learn_from(paths.take(slice(size)), treatment, own.get(name))
-                for paths, treatment, name in laid_out
-            ]
-        return learned
+        treatments: dict[int, list[int]] = {}
+        for number, (cuts, _) in enumerate(logs):
+            treatments.setdefault(id(cuts), []).append(number)
+        learned: dict[tuple[int, int], tuple[LinearTablePolicy, dict[str, float]]] = {}
+        for numbers in treatments.values():
+            cuts = logs[numbers[0]][0]
+            tried = tried_in(cuts) if isinstance(self.grasp, str) else None
+            laid_out = {number: self.lay_out(cuts, logs[number][1]) for number in numbers}
+            for size in sizes:
+                grasp, encoded = self._seen_by(cuts, tried, size)
+                for number, paths in laid_out.items():
+                    first = paths.take(slice(size))._replace(encoded=encoded)
+                    learned[size, number] = self._learn_from(first, logs[number][1], grasp)
+        return [learned[size, number] for size in sizes for number in range(len(logs))]
 
     def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
         """Learn from the first paths of a log, weighted."""
@@ -182,29 +191,36 @@ class LoggedPaths:
         return [(weights, each) for (_, weights), each in zip(learned, played, strict=True)]
 
     def _learn_from(
-        self, paths: PathArrays, treatment: str, own: "_OwnGrasp | None"
+        self, paths: PathArrays, treatment: str, grasp: GraspModel | None
     ) -> tuple[LinearTablePolicy, dict[str, float]]:
-        grasp = self._common
-        if own is not None:
-            paths, grasp = paths._replace(encoded=own.encoded), own.grasp
         model = self.model(treatment, grasp).with_cuts(paths)
         rows = model.transitions(paths)
         return model.policy(model.fit(rows)), _weights(np.asarray(rows.weight))
 
-    @property
-    def _common(self) -> GraspModel | None:
-        """What tells the probability of a grasp where the log has not chosen a model of its own."""
-        return None if isinstance(self.grasp, str) else self.grasp
+    def _seen_by(
+        self, cuts: CutEpisodes, tried: pd.DataFrame | None, num_paths: int
+    ) -> tuple[GraspModel | None, Encoded]:
+        """What the first paths of a log choose to tell the probability of a grasp, and what the learner sees by it.
 
-    def _chosen(self, tried: pd.DataFrame, num_paths: int) -> "_OwnGrasp | None":
-        """What the first paths of a log choose, if it is not the rule of succession."""
+        It is seen until the next one is asked for: the features of all lie in the same memory.
+        """
+        common = mapped(lambda leaf: leaf[:num_paths], self.encoded)
+        if not isinstance(self.grasp, str):
+            return self.grasp, common
+        assert tried is not None
         num_attempts = int(tried["path"].searchsorted(num_paths))
         grasp = choose_by(tried.iloc[:num_attempts], self.source.world.horizon).grasp
-        return None if grasp is None else _OwnGrasp(grasp, self._encoded(num_paths, grasp))
+        if grasp is None:
+            return None, common
+        at = np.nonzero(cuts.is_begun[:num_paths])
+        there = mapped(lambda leaf: np.asarray(leaf)[at], self.episodes.states)
+        features = self._room[:num_paths]
+        features[at] = table_features(there, grasp)
+        return grasp, common._replace(features=features)
 
-    def _encoded(self, num_paths: int, grasp: GraspModel | None) -> Encoded:
-        action, is_taken = (np.asarray(leaf)[:num_paths] for leaf in (self.episodes.action, self.episodes.is_taken))
-        return encoded_states(self.episodes.states, action, is_taken, grasp)
+    @cached_property
+    def _room(self) -> Float[np.ndarray, "n T A F"]:
+        return np.zeros_like(self.encoded.features)
 
     def model(self, treatment: str, grasp: GraspModel | None = None) -> QModel:
         """How the product's own learner fits Q under a treatment."""
@@ -215,13 +231,6 @@ class LoggedPaths:
             censoring=CENSORING.get(treatment, "none"),
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
         ).compose()
-
-
-class _OwnGrasp(NamedTuple):
-    """The model of grasps that a log has chosen, and what the learner sees with it."""
-
-    grasp: GraspModel
-    encoded: Encoded
 
 
 def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> PathArrays:

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import STATIC, Array, at, library_of, record
 from halfseen.errors import ArgumentError
-from halfseen.learning.choice import leaning, seen_among
+from halfseen.learning.behaviour import leaning, seen_among
 from halfseen.learning.q_space import KernelMap
 from halfseen.learning.rows import q_values
 from halfseen.tables.features import table_features, table_q

@@ -32,7 +32,7 @@ def described(model: QModel) -> dict[str, Any]:
         "augmented": isinstance(targets, DoublyRobust),
         "outcome_covariates": getattr(targets, "outcome_covariates", None),
         "stages": model.stages,
-        "reg": "cv" if isinstance(model.reg, CrossValidation) else model.reg.value,
+        "reg": "cv" if isinstance(model.reg, CrossValidation) else model.reg,
         "num_folds": getattr(model.reg, "num_folds", None),
         "random_state": int(model.random_state),
     }
