@@ -12,8 +12,8 @@ from halfseen.learning.svm import cross_validation
 from halfseen.learning.svm.cross_validation import fit_sigmoid
 from halfseen.learning.svm.kernels import RbfKernel
 from halfseen.learning.svm.losses import named_loss
+from halfseen.learning.svm.newton import Gram
 from halfseen.learning.svm.solver import Problem, solve
-from halfseen.learning.svm.spaces import GramSpace
 
 GAMMA = 2.0
 
@@ -35,7 +35,7 @@ def naive_losses(rows, y, weights, loss, regs, splits):
         fitted, held = fitted[seen[fitted]], held[seen[held]]
         num_rows = len(rows) * len(fitted) / seen.sum()
         for k, reg in enumerate(regs):
-            space = GramSpace(kernel(rows[fitted], rows[fitted]))
+            space = Gram(kernel(rows[fitted], rows[fitted]))
             found = solve(Problem(space, y[fitted], weights[fitted] / num_rows, loss, float(reg), True))
             f = kernel(rows[held], rows[fitted]) @ found.coefficients + found.offset
             losses[k] += weights[held] @ loss.value(y[held], f)
@@ -58,7 +58,7 @@ def test_losses_are_those_of_a_naive_loop_and_the_least_is_chosen(log, loss):
 def test_giving_up_spares_work_and_changes_no_choice(log, loss, monkeypatch):
     rows, y = log
     quick = CensoredSVR(loss, gamma="cv").fit(rows, y)
-    monkeypatch.setattr(cross_validation, "_HOPELESS", np.inf)
+    monkeypatch.setattr(cross_validation, "HOPELESS", np.inf)
     patient = CensoredSVR(loss, gamma="cv").fit(rows, y)
     assert np.isinf(quick.cv_losses_).any()
     assert np.isfinite(patient.cv_losses_).all()

@@ -1,5 +1,7 @@
 """Targets, weights, rows and λ of any size: a small gap, and no warning where there is nothing to warn of."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from convex_oracle import CLASSIFICATION, REGRESSION, optimum, tied_rows
@@ -7,11 +9,10 @@ from sklearn.metrics.pairwise import rbf_kernel
 
 from halfseen.errors import HalfseenWarning
 from halfseen.learning import CensoredSVC, CensoredSVR
-from halfseen.learning.svm import interior_point, solver
-from halfseen.learning.svm.losses import DeadZone, SquaredHinge, named_loss
-from halfseen.learning.svm.newton import Point
+from halfseen.learning.svm import interior_point, newton, solver
+from halfseen.learning.svm.losses import PiecewiseLoss, named_loss
+from halfseen.learning.svm.newton import Features, Gram, Point
 from halfseen.learning.svm.solver import Problem, certify, solve
-from halfseen.learning.svm.spaces import FeatureSpace, GramSpace
 
 ROWS, Y, LABELS, _ = tied_rows(60)
 
@@ -90,13 +91,13 @@ def test_the_gap_bounds_the_distance_to_the_optimum(loss, reg):
     gram, mass = rbf_kernel(ROWS, gamma=0.3), np.full(60, 1 / 60)
     best, f = optimum(gram, Y, mass, loss, 1e-2, True)
     named = named_loss(loss, quantile=0.3, delta=0.7)
-    problem = Problem(GramSpace(gram), Y, mass, named, 1e-2, True)
+    problem = Problem(Gram(gram), Y, mass, named, 1e-2, True)
     # Any point and any pulls, as a solver that stops early leaves them.
     rng = np.random.default_rng(0)
     for size in (reg, 10 * reg):
         coefficients = np.linalg.solve(gram + 1e-9 * np.eye(60), f - f.mean() + size * rng.normal(size=60))
         point = Point(coefficients, gram @ coefficients, float(f.mean()))
-        found = certify(problem, point, rng.uniform(-0.3, 0.3, size=60), 0)
+        found = certify(problem, point, rng.uniform(-0.3, 0.3, size=60))
         assert found.objective - found.gap <= best + 1e-9
 
 
@@ -106,15 +107,17 @@ def test_pulls_that_do_not_cancel_certify_nothing(loss, pull):
     # All pull one way, so f may run the other way for free: no bound but that of the least loss follows.
     y = np.array([1.0, -1.0, 1.0])
     named = named_loss(loss, quantile=0.3)
-    problem = Problem(FeatureSpace(np.eye(3)), y, np.full(3, 1 / 3), named, 0.1, True)
+    problem = Problem(Features(np.eye(3)), y, np.full(3, 1 / 3), named, 0.1, True)
     best, _ = optimum(np.eye(3), y, problem.mass, loss, 0.1, True)
-    found = certify(problem, Point(np.zeros(3), np.zeros(3), 0.0), np.full(3, pull), 0)
+    found = certify(problem, Point(np.zeros(3), np.zeros(3), 0.0), np.full(3, pull))
     assert found.objective - found.gap <= best + 1e-12
 
 
 def test_tiny_pulls_are_balanced_too():
-    problem = Problem(FeatureSpace(np.eye(2)), np.array([1.0, -1.0]), np.full(2, 0.5), SquaredHinge(), 1e-12, True)
-    found = certify(problem, Point(np.array([1.0, -1.0]), np.array([1.0, -1.0]), 0.0), np.array([1e-11, -2e-11]), 0)
+    problem = Problem(
+        Features(np.eye(2)), np.array([1.0, -1.0]), np.full(2, 0.5), named_loss("squared-hinge"), 1e-12, True
+    )
+    found = certify(problem, Point(np.array([1.0, -1.0]), np.array([1.0, -1.0]), 0.0), np.array([1e-11, -2e-11]))
     assert 0.0 < found.gap < 1e-10
     assert found.pull.sum() == 0.0
 
@@ -125,45 +128,39 @@ def test_above_the_tolerance_it_warns_and_names_the_remedy():
     assert "\n" not in str(caught[0].message)
 
 
-LOSSES = ("absolute", "pinball", "epsilon-insensitive")
-EXACT = -1.0
-"""No solution in single precision misses so little."""
+KINKED = ("absolute", "pinball", "epsilon-insensitive")
 
 
 def problem(loss, reg, has_offset=True, num_rows=60, mass=None):
     rows, y, _, _ = tied_rows(num_rows, seed=3)
     mass = np.full(num_rows, 1 / num_rows) if mass is None else mass
-    return Problem(GramSpace(rbf_kernel(rows, gamma=0.3)), y, mass, named_loss(loss, quantile=0.3), reg, has_offset)
+    return Problem(Gram(rbf_kernel(rows, gamma=0.3)), y, mass, named_loss(loss, quantile=0.3), reg, has_offset)
 
 
-@pytest.fixture
-def no_rounds(monkeypatch):
-    def refuse(*_):
-        raise AssertionError("it went on by rounds")
-
-    monkeypatch.setattr(solver, "_solve_by_rounds", refuse)
+def refuse(*_):
+    pytest.fail("it was asked")
 
 
-@pytest.mark.usefixtures("no_rounds")
-@pytest.mark.parametrize("single_misses", [interior_point.SINGLE_MISSES, EXACT])
+@pytest.mark.parametrize("single_from", [1, 1000])
 @pytest.mark.parametrize("has_offset", [True, False])
-@pytest.mark.parametrize("loss", LOSSES)
-def test_the_optimum_is_the_one_that_cvxpy_finds(loss, has_offset, single_misses, monkeypatch):
-    monkeypatch.setattr(interior_point, "SINGLE_MISSES", single_misses)
+@pytest.mark.parametrize("loss", KINKED)
+def test_interior_points_find_the_optimum_alone_in_either_precision(loss, has_offset, single_from, monkeypatch):
+    monkeypatch.setattr(newton, "SINGLE_FROM", single_from)
+    monkeypatch.setattr(solver, "_by_rounds", refuse)
     given = problem(loss, 1e-4, has_offset)
     found = solve(given)
-    best, f = optimum(given.space.gram, given.y, given.mass, loss, 1e-4, has_offset)
+    best, f = optimum(given.space.matrix, given.y, given.mass, loss, 1e-4, has_offset)
     assert found.objective == pytest.approx(best, rel=3e-8)
     assert found.relative_gap <= 1e-8
-    np.testing.assert_allclose(given.space.values(found.coefficients) + found.offset, f, atol=1e-4)
+    np.testing.assert_allclose(given.space.matrix @ found.coefficients + found.offset, f, atol=1e-4)
 
 
-@pytest.mark.parametrize("loss", LOSSES)
+@pytest.mark.parametrize("loss", KINKED)
 @pytest.mark.parametrize("reg", [1e-4, 1e-6, 1e-8])
-def test_it_agrees_with_the_rounds(loss, reg, monkeypatch):
+def test_interior_points_agree_with_the_rounds(loss, reg, monkeypatch):
     given = problem(loss, reg, num_rows=150, mass=np.random.default_rng(1).exponential(size=150) / 150)
     inside = solve(given)
-    monkeypatch.setattr(solver, "_solve_from_inside", lambda *_: None)
+    monkeypatch.setattr(solver, "_from_inside", lambda *_: None)
     by_rounds = solve(given)
     assert inside.relative_gap <= 1e-8
     # Pulls that cancel but for 1e-11 of their sum count as cancelling, so a gap is no more exact than that.
@@ -172,11 +169,11 @@ def test_it_agrees_with_the_rounds(loss, reg, monkeypatch):
     assert by_rounds.objective - inside.objective <= by_rounds.gap + slack
 
 
-def test_what_it_leaves_is_mended_by_rounds(monkeypatch):
+def test_what_interior_points_leave_is_mended_by_rounds(monkeypatch):
     given = problem("epsilon-insensitive", 1e-4)
     monkeypatch.setattr(interior_point, "MAX_STEPS", 3)
     found = solve(given)
-    best, _ = optimum(given.space.gram, given.y, given.mass, "epsilon-insensitive", 1e-4, True)
+    best, _ = optimum(given.space.matrix, given.y, given.mass, "epsilon-insensitive", 1e-4, True)
     assert found.objective == pytest.approx(best, rel=3e-8)
     assert found.relative_gap <= 1e-8
 
@@ -184,25 +181,23 @@ def test_what_it_leaves_is_mended_by_rounds(monkeypatch):
 @pytest.mark.parametrize(
     ("loss", "reg"), [("absolute", 1e-1), ("hinge", 1e-6), ("huber", 1e-6), ("squared", 1e-6)], ids=lambda value: value
 )
-def test_where_few_rows_lie_on_a_kink_it_is_not_asked(loss, reg, monkeypatch):
-    def refuse(*_):
-        raise AssertionError("it began inside")
-
+def test_where_few_rows_lie_on_a_kink_interior_points_are_not_asked(loss, reg, monkeypatch):
     monkeypatch.setattr(solver, "interior_points", refuse)
     given = problem(loss, reg)
-    labelled = Problem(given.space, np.sign(given.y - 0.05), given.mass, given.loss, reg, True)
-    assert solve(labelled if loss == "hinge" else given).relative_gap <= 1e-8
+    labelled = replace(given, y=np.sign(given.y - 0.05)) if loss == "hinge" else given
+    assert solve(labelled).relative_gap <= 1e-8
 
 
 def test_a_side_that_costs_nothing_is_left_to_the_rounds():
-    given = problem("absolute", 1e-4)
-    found = solve(Problem(given.space, given.y, given.mass, DeadZone(up=1.0, down=0.0), 1e-4, True))
+    found = solve(replace(problem("absolute", 1e-4), loss=PiecewiseLoss(up=1.0, down=0.0)))
     assert found.objective == pytest.approx(0.0, abs=1e-12)
 
 
-def test_single_precision_serves_where_it_can(monkeypatch):
-    monkeypatch.setattr(interior_point, "_solver_in_double", lambda *_: pytest.fail("double precision was asked for"))
-    gram = rbf_kernel(np.random.default_rng(0).normal(size=(80, 3)), gamma=0.3)
-    right = np.ones((80, 1))
-    solved = interior_point._solver(gram, np.full(80, 0.1))(right)
-    np.testing.assert_allclose((gram + 0.1 * np.eye(80)) @ solved, right, atol=1e-9)
+@pytest.mark.parametrize("ridge", [0.1, 1e-9])
+def test_single_precision_serves_where_it_can_and_double_elsewhere(ridge, monkeypatch):
+    monkeypatch.setattr(newton, "SINGLE_FROM", 1)
+    gram, right = rbf_kernel(np.random.default_rng(0).normal(size=(80, 3)), gamma=0.3), np.ones(80)
+    if ridge == 0.1:
+        monkeypatch.setattr(newton, "factored", refuse)
+    solved = newton._solver(gram, np.full(80, ridge))(right)
+    np.testing.assert_allclose((gram + ridge * np.eye(80)) @ solved, right, atol=1e-6)

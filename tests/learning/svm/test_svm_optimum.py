@@ -9,8 +9,8 @@ from sklearn.svm import SVC, SVR
 
 from halfseen.learning import CensoredSVC, CensoredSVR
 from halfseen.learning.svm.losses import named_loss
+from halfseen.learning.svm.newton import Features, Gram
 from halfseen.learning.svm.solver import Problem, solve
-from halfseen.learning.svm.spaces import FeatureSpace, GramSpace
 
 GAMMA = 0.4
 GRAMS = {
@@ -55,11 +55,11 @@ def test_solver_agrees_with_cvxpy_where_mass_is_any_number_and_the_features_are_
     named = named_loss(loss, epsilon=EPSILON, quantile=QUANTILE, delta=DELTA)
     gram, mass = linear_kernel(rows[seen], rows[seen]), 1e3 * weights[seen]
     best, f = optimum(gram, target[seen], mass, loss, 2.0, True)
-    for space in (FeatureSpace(rows[seen]), GramSpace(gram)):
+    for space in (Features(rows[seen]), Gram(gram)):
         solution = solve(Problem(space, target[seen], mass, named, 2.0, True))
         assert solution.objective == pytest.approx(best, rel=2e-8)
         assert solution.relative_gap <= 1e-8
-        np.testing.assert_allclose(space.values(solution.coefficients) + solution.offset, f, atol=1e-4)
+        np.testing.assert_allclose(space.matrix @ solution.coefficients + solution.offset, f, atol=1e-4)
 
 
 @pytest.mark.parametrize("loss", ["absolute", "huber", "squared"])
