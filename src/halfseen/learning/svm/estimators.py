@@ -77,8 +77,8 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
     ----------
     intercept_ : float
         b.
-    function_ : Function
-        g.
+    function_ : Nystrom
+        g, as a sum of kernels; its `transform` gives the values at new rows.
     reg_, gamma_ : float
         λ and γ used.
     weights_ : Float[ndarray, "n"]

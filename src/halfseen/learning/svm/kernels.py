@@ -8,7 +8,8 @@ longer than most fits. The Gaussian and the Laplacian kernel are bounded by 1, a
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar, Literal, TypeAlias
+from functools import partial
+from typing import Any, TypeAlias
 
 import numpy as np
 from jaxtyping import Float
@@ -39,129 +40,87 @@ def row_blocks(num_rows: int, num_columns: int, block_entries: int = BLOCK_ENTRI
         yield slice(start, min(start + step, num_rows))
 
 
-@dataclass(frozen=True)
-class LinearKernel:
-    """k(x, z) = x·z."""
-
-    def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
-        return first @ second.T
+DISTANCES: dict[str, Any] = {"rbf": "sqeuclidean", "laplacian": "cityblock"}
+KERNEL_NAMES = ("linear", "rbf", "laplacian", "polynomial")
 
 
 @dataclass(frozen=True)
-class DecayingKernel:
-    """k(x, z) = exp(−γ d(x, z)) for a distance d; γ > 0 [1 / unit of d], or an `ArgumentError`."""
-
-    gamma: float | int
-    metric: ClassVar[Literal["sqeuclidean", "cityblock"]]
-
-    def __post_init__(self) -> None:
-        _check_gamma(self.gamma)
-
-    def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
-        # SciPy's distances take a quarter of a second to load. They do not cancel as ‖x‖² + ‖z‖² − 2 x·z does.
-        from scipy.spatial.distance import cdist
-
-        distance: Any = cdist(first, second, self.metric)
-        for rows in row_blocks(*distance.shape):
-            distance[rows] *= -self.gamma
-            np.exp(distance[rows], out=distance[rows])
-        return distance
-
-
-class RbfKernel(DecayingKernel):
-    """k(x, z) = exp(−γ‖x − z‖²), the Gaussian kernel; γ in [1 / squared unit of the rows]."""
-
-    metric = "sqeuclidean"
-
-
-class LaplacianKernel(DecayingKernel):
-    """k(x, z) = exp(−γ Σ_f |x_f − z_f|); γ in [1 / unit of the rows]."""
-
-    metric = "cityblock"
-
-
-@dataclass(frozen=True)
-class PolynomialKernel:
-    """k(x, z) = (γ x·z + c)^d, positive semidefinite for whole d ≥ 1 and c ≥ 0.
+class VectorKernel:
+    """A kernel between rows of numbers.
 
     Attributes
     ----------
+    name
+        "linear": x·z; "rbf": exp(−γ‖x − z‖²), the Gaussian kernel; "laplacian": exp(−γ‖x − z‖₁); "polynomial":
+        (γ x·z + c)^d.
     gamma
-        γ > 0 [1 / squared unit of the rows].
-    degree
-        d.
-    coef0
-        c: how much the lower powers count.
-
-    Raises
-    ------
-    ArgumentError
-        A parameter makes this no kernel.
-    """
-
-    gamma: float | int
-    degree: float | int = 3
-    coef0: float | int = 1.0
-
-    def __post_init__(self) -> None:
-        _check_gamma(self.gamma)
-        if not (self.degree >= 1 and self.degree % 1 == 0):
-            raise ArgumentError(
-                f"degree is {self.degree}: such a power is no positive semidefinite kernel; give a whole number ≥ 1"
-            )
-        if not 0.0 <= self.coef0 < np.inf:
-            raise ArgumentError(
-                f"coef0 is {self.coef0}: the polynomial is no positive semidefinite kernel; give a finite number ≥ 0"
-            )
-
-    def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
-        base = self.gamma * (first @ second.T) + self.coef0
-        power = base.copy()
-        # Products, since powers of floats take ten times as long.
-        for _ in range(int(self.degree) - 1):
-            power *= base
-        return power
-
-
-def named_kernel(kernel: str | Kernel, gamma: float | int, degree: float | int = 3, coef0: float | int = 1.0) -> Kernel:
-    """The kernel of that name.
-
-    Parameters
-    ----------
-    kernel
-        "linear": x·z; "rbf": exp(−γ‖x − z‖²); "laplacian": exp(−γ‖x − z‖₁); "polynomial": (γ x·z + c)^d. A callable
-        passes through; see `checked_gram`.
-    gamma
-        γ > 0 [1 / unit of the rows, squared but for "laplacian"]; "linear" and callables don't read it.
+        γ > 0 [1 / unit of the rows, squared but for "laplacian"]; "linear" doesn't read it.
     degree, coef0
-        d ≥ 1 and c ≥ 0 of "polynomial".
+        Whole d ≥ 1 and c ≥ 0 of "polynomial", without which it is not positive semidefinite.
 
     Raises
     ------
     ArgumentError
         There is no such kernel, or a parameter that it uses makes it none.
     """
-    if callable(kernel):
-        return kernel
-    makers = {
-        "linear": LinearKernel,
-        "rbf": lambda: RbfKernel(gamma),
-        "laplacian": lambda: LaplacianKernel(gamma),
-        "polynomial": lambda: PolynomialKernel(gamma, degree, coef0),
-    }
-    if kernel not in makers:
-        raise ArgumentError(
-            f"kernel {kernel!r} is unknown; give one of {', '.join(makers)}, or a callable; for sets, 'set' or a "
-            "SetKernel"
-        )
-    return makers[kernel]()
+
+    name: str
+    gamma: float | int = 1.0
+    degree: float | int = 3
+    coef0: float | int = 1.0
+
+    def __post_init__(self) -> None:
+        if self.name not in KERNEL_NAMES:
+            raise ArgumentError(
+                f"kernel {self.name!r} is unknown; give one of {', '.join(KERNEL_NAMES)}, or a callable; for sets, "
+                "'set' or a SetKernel"
+            )
+        if self.name != "linear" and not 0.0 < self.gamma < np.inf:
+            raise ArgumentError(
+                f"gamma is {self.gamma}, which is no width of a kernel; give a finite number > 0, such as 'scale'"
+            )
+        if self.name == "polynomial" and not (self.degree >= 1 and self.degree % 1 == 0):
+            raise ArgumentError(
+                f"degree is {self.degree}: such a power is no positive semidefinite kernel; give a whole number ≥ 1"
+            )
+        if self.name == "polynomial" and not 0.0 <= self.coef0 < np.inf:
+            raise ArgumentError(
+                f"coef0 is {self.coef0}: the polynomial is no positive semidefinite kernel; give a finite number ≥ 0"
+            )
+
+    def __call__(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
+        """Values of k for all pairs."""
+        if self.name in DISTANCES:
+            return self._decay(first, second)
+        products = first @ second.T
+        if self.name == "linear":
+            return products
+        base = self.gamma * products + self.coef0
+        power = base.copy()
+        # Products, since powers of floats take ten times as long.
+        for _ in range(int(self.degree) - 1):
+            power *= base
+        return power
+
+    def _decay(self, first: Float[np.ndarray, "n F"], second: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "n m"]:
+        """exp(−γ·distance), of distances that do not cancel as ‖x‖² + ‖z‖² − 2 x·z does."""
+        # They take a quarter of a second to load.
+        from scipy.spatial.distance import cdist
+
+        distance: Any = cdist(first, second, DISTANCES[self.name])
+        for rows in row_blocks(*distance.shape):
+            distance[rows] *= -self.gamma
+            np.exp(distance[rows], out=distance[rows])
+        return distance
 
 
-def _check_gamma(gamma: float | int) -> None:
-    if not 0.0 < gamma < np.inf:
-        raise ArgumentError(
-            f"gamma is {gamma}, which is no width of a kernel; give a finite number > 0, such as scale_gamma(X)"
-        )
+RbfKernel = partial(VectorKernel, "rbf")
+"""Of γ."""
+
+
+def named_kernel(kernel: str | Kernel, gamma: float | int, degree: float | int = 3, coef0: float | int = 1.0) -> Kernel:
+    """The `VectorKernel` of that name; a callable passes through, see `checked_gram`."""
+    return kernel if callable(kernel) else VectorKernel(kernel, gamma, degree, coef0)
 
 
 def checked_gram(

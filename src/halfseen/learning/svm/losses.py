@@ -66,29 +66,25 @@ class PiecewiseLoss:
         ≥ 0; with 0 the slopes are at once the largest.
     epsilon
         The edges are y − ε and y + ε.
-    is_of_label
-        y = ±1, and the only edge is y: nothing is lost where y s ≥ 1.
+    is_of_difference
+        Else y = ±1, and the only edge is y: nothing is lost where y s ≥ 1.
     """
 
     up: float = 1.0
     down: float = 1.0
     softness: float = 0.0
     epsilon: float | int = 0.0
-    is_of_label: bool = False
+    is_of_difference: bool = True
 
     @property
     def is_smooth(self) -> bool:
         return self.softness > 0.0
 
-    @property
-    def is_of_difference(self) -> bool:
-        return not self.is_of_label
-
     def edges(self, y: Rows) -> tuple[Rows, Rows]:
         """Low and high edge of each row, ∓∞ where there is none."""
-        if self.is_of_label:
-            return np.where(y > 0, y, -np.inf), np.where(y > 0, np.inf, y)
-        return y - self.epsilon, y + self.epsilon
+        if self.is_of_difference:
+            return y - self.epsilon, y + self.epsilon
+        return np.where(y > 0, y, -np.inf), np.where(y > 0, np.inf, y)
 
     def value(self, y: Rows, s: Rows) -> Rows:
         low, high = self.edges(y)
@@ -169,8 +165,8 @@ def named_loss(name: str, *, epsilon: float | int = 0.1, quantile: float | int =
         "pinball": PiecewiseLoss(1.0 - quantile, float(quantile)),
         "epsilon-insensitive": PiecewiseLoss(epsilon=epsilon),
         "huber": PiecewiseLoss(float(delta), float(delta), softness=1.0),
-        "hinge": PiecewiseLoss(is_of_label=True),
-        "squared-hinge": PiecewiseLoss(np.inf, np.inf, softness=0.5, is_of_label=True),
+        "hinge": PiecewiseLoss(is_of_difference=False),
+        "squared-hinge": PiecewiseLoss(np.inf, np.inf, softness=0.5, is_of_difference=False),
         "logistic": Logistic(),
     }
     if name not in losses:

@@ -17,7 +17,7 @@ from halfseen.arrays import RowIds, Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.learning.svm.cross_validation import Fold, folds_of_seen, hold_out
-from halfseen.learning.svm.kernels import Kernel, checked_gram, named_kernel, row_blocks, scale_gamma
+from halfseen.learning.svm.kernels import checked_gram, named_kernel, scale_gamma
 from halfseen.learning.svm.losses import CLASSIFICATION, Loss, named_loss, own_loss
 from halfseen.learning.svm.newton import Coefficients, Features, Gram, Space
 from halfseen.learning.svm.nystrom import Nystrom, fit_nystrom, inverse_root
@@ -37,34 +37,6 @@ MOST_LANDMARKS_ADVISED = 1000
 
 CONTAINER_LIMIT = Path("/sys/fs/cgroup/memory.max")
 """Inside a container, the machine's memory is told, not the container's."""
-
-VALUES_AT_ONCE = 2**22
-
-
-@dataclass(frozen=True)
-class Function:
-    """A fitted g = Σ_j c_j k(·, s_j), without its offset.
-
-    Attributes
-    ----------
-    kernel
-        k.
-    support
-        The s_j, shape (c, F), or (c,) of sets.
-    coefficients
-        The c_j.
-    """
-
-    kernel: Kernel
-    support: np.ndarray
-    coefficients: Coefficients
-
-    def __call__(self, rows: np.ndarray) -> Rows:
-        """Values of g at new rows or sets."""
-        g = np.zeros(len(rows))
-        for some in row_blocks(len(rows), len(self.coefficients), VALUES_AT_ONCE):
-            g[some] = self.kernel(rows[some], self.support) @ self.coefficients
-        return g
 
 
 @dataclass(eq=False, repr=False)
@@ -101,7 +73,7 @@ class CensoredSVM(BaseEstimator):
     cv_gammas_: Float[np.ndarray, " G"] = field(init=False)
     cv_regs_: Float[np.ndarray, " L"] = field(init=False)
     cv_losses_: Float[np.ndarray, "G L"] = field(init=False)
-    function_: Function = field(init=False)
+    function_: Nystrom = field(init=False)
     n_features_in_: int = field(init=False)
 
     def _check_parameters(self) -> None:
@@ -187,7 +159,7 @@ class CensoredSVM(BaseEstimator):
         kept, y, mass = rows[seen], y[seen], self.weights_[seen] / counts.sum()
         loss, has_offset = self._checked_loss(y), bool(self.fit_intercept)
 
-        def prepared(gamma: float) -> tuple[Problem, Callable[[Coefficients], Function]]:
+        def prepared(gamma: float) -> tuple[Problem, Callable[[Coefficients], Nystrom]]:
             space, function_of = self._space(kept, gamma)
             return Problem(space, y, mass, loss, float(self.reg_), has_offset), function_of
 
@@ -240,7 +212,7 @@ class CensoredSVM(BaseEstimator):
         scale = scale_gamma(all_objects(rows)) if rows.dtype == object else scale_gamma(rows, counts)
         return scale * WIDTHS if self.gamma == "cv" else np.array([scale])
 
-    def _space(self, kept: np.ndarray, gamma: float) -> tuple[Space, Callable[[Coefficients], Function]]:
+    def _space(self, kept: np.ndarray, gamma: float) -> tuple[Space, Callable[[Coefficients], Nystrom]]:
         """Rows as the solver sees them, and what makes a function of its coefficients."""
         is_set = self.kernel == "set"
         kernel = SetKernel("rbf", gamma) if is_set else named_kernel(self.kernel, gamma, self.degree, self.coef0)
@@ -255,18 +227,14 @@ class CensoredSVM(BaseEstimator):
             check_gram_fits(len(kept))
             gram = checked_gram(kernel, kept, kept)
             if self.reg != 0:
-                return Gram(gram), lambda alpha: Function(kernel, kept[alpha != 0.0], alpha[alpha != 0.0])
+                return Gram(gram), lambda alpha: Nystrom(kernel, kept[alpha != 0.0], alpha[alpha != 0.0])
             low_rank = Nystrom(kernel, kept, inverse_root(gram))
             if low_rank.projection.shape[1] < len(kept):
                 raise ArgumentError(
                     f"reg is 0 and the kernel matrix of {len(kept)} rows is singular, so that many functions fit "
                     "alike; give reg > 0, for example 1e-6"
                 )
-
-        def function_of(theta: Coefficients) -> Function:
-            return Function(kernel, low_rank.landmarks, low_rank.projection @ theta)
-
-        return Features(low_rank.transform(kept)), function_of
+        return Features(low_rank.transform(kept)), low_rank.function
 
     def _checked_loss(self, y: Rows) -> Loss:
         if not isinstance(self.loss, str):
@@ -280,7 +248,7 @@ class CensoredSVM(BaseEstimator):
     def _values(self, X: Any) -> Rows:
         """Values of f at new rows."""
         check_is_fitted(self, "function_")
-        return self.function_(self._checked_rows(X, is_fit=False)) + self.intercept_
+        return self.function_.transform(self._checked_rows(X, is_fit=False)) + self.intercept_
 
 
 def _is_number(value: Any) -> bool:

@@ -50,7 +50,7 @@ FEATURES_AT_ONCE = 2**22
 
 @dataclass(frozen=True)
 class Nystrom:
-    """Features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z).
+    """Sums of the kernel with landmarks: features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z).
 
     Attributes
     ----------
@@ -59,14 +59,15 @@ class Nystrom:
     landmarks
         Shape (m, F), or (m,) of sets.
     projection
-        R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span.
+        R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span. Or
+        shape (m,), for one function instead of features.
     """
 
     kernel: Kernel
     landmarks: np.ndarray
-    projection: Float[np.ndarray, "m r"]
+    projection: Float[np.ndarray, "m ..."]
 
-    def transform(self, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "n r"]:
+    def transform(self, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "n ..."]:
         """Φ of n rows or sets, in blocks: no second buffer of its size is needed.
 
         Raises
@@ -74,16 +75,20 @@ class Nystrom:
         ArgumentError
             The kernel of a row is not finite.
         """
-        features = np.empty((len(rows), self.projection.shape[1]))
+        features = np.empty((len(rows), *self.projection.shape[1:]))
         for few in row_blocks(len(rows), len(self.landmarks), FEATURES_AT_ONCE):
             np.matmul(self.kernel(rows[few], self.landmarks), self.projection, out=features[few])
-            wrong = ~np.isfinite(features[few]).all(axis=1)
-            if wrong.any():
-                raise ArgumentError(
-                    f"row {few.start + int(np.argmax(wrong))}: its kernel with a landmark is not finite; "
-                    "give finite values, and scale them if the kernel overflows"
-                )
+        wrong = ~np.isfinite(features).all(axis=tuple(range(1, features.ndim)))
+        if wrong.any():
+            raise ArgumentError(
+                f"row {int(np.argmax(wrong))}: its kernel with a landmark is not finite; give finite values, and scale "
+                "them if the kernel overflows"
+            )
         return features
+
+    def function(self, coefficients: Float[np.ndarray, " r"]) -> "Nystrom":
+        """Σ_j coefficients_j φ_j, as a sum of kernels itself."""
+        return Nystrom(self.kernel, self.landmarks, self.projection @ coefficients)
 
 
 def fit_nystrom(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random.Generator) -> Nystrom:
