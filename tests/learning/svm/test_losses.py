@@ -1,5 +1,7 @@
 """Losses, and those of the user's own, against their definitions by plain numbers; what is none is refused."""
 
+from types import SimpleNamespace
+
 import cvxpy as cp
 import numpy as np
 import pytest
@@ -123,13 +125,9 @@ def test_the_best_constant_of_pinball_is_the_weighted_quantile(quantile):
 @pytest.mark.parametrize(
     ("name", "parameters", "says"),
     [
-        ("pinball", {"quantile": 0}, "quantile is 0"),
-        ("pinball", {"quantile": 1.0}, "quantile is 1.0"),
-        ("pinball", {"quantile": np.nan}, "quantile is nan"),
-        ("epsilon-insensitive", {"epsilon": -0.1}, "epsilon is -0.1"),
-        ("epsilon-insensitive", {"epsilon": np.inf}, "epsilon is inf"),
-        ("huber", {"delta": 0}, "delta is 0"),
-        ("huber", {"delta": np.nan}, "delta is nan"),
+        *(("pinball", {"quantile": q}, f"quantile is {q}") for q in (0, 1.0, np.nan)),
+        *(("epsilon-insensitive", {"epsilon": e}, f"epsilon is {e}") for e in (-0.1, np.inf)),
+        *(("huber", {"delta": d}, f"delta is {d}") for d in (0, np.nan)),
         ("hingee", {}, "there is no loss 'hingee'; there are squared, absolute"),
     ],
 )
@@ -142,67 +140,42 @@ ROWS, Y, LABELS, _ = tied_rows()
 GRAM, MASS = rbf_kernel(ROWS, gamma=0.3), np.full(len(Y), 1 / len(Y))
 
 
-class LogCosh:
-    def value(self, y, s):
-        r = np.abs(y - s)
-        return r + np.log1p(np.exp(-2 * r)) - np.log(2)
-
-    def derivative(self, y, s):
-        return np.tanh(s - y)
+def log_cosh(y, s):
+    return np.abs(y - s) + np.log1p(np.exp(-2 * np.abs(y - s))) - np.log(2)
 
 
-class QuantileHuber:
+def quantile_huber(y, s):
     """Huber, three times as steep where the target is above."""
-
-    def value(self, y, s):
-        r = y - s
-        return np.where(r > 0, 3.0, 1.0) * np.where(np.abs(r) <= 0.5, 0.5 * r**2, 0.5 * (np.abs(r) - 0.25))
-
-    def derivative(self, y, s):
-        r = y - s
-        return -np.where(r > 0, 3.0, 1.0) * np.clip(r, -0.5, 0.5)
+    r = np.abs(y - s)
+    return np.where(y > s, 3.0, 1.0) * np.where(r <= 0.5, 0.5 * r**2, 0.5 * (r - 0.25))
 
 
-class Kinked:
-    """|y − s|, by its slope only."""
-
-    def value(self, y, s):
-        return np.abs(y - s)
-
-    def derivative(self, y, s):
-        return np.sign(s - y)
+def absolute(y, s):
+    return np.abs(y - s)
 
 
-class OwnAbsolute:
-    """|y − s|, by its proximal step only."""
-
-    def value(self, y, s):
-        return np.abs(y - s)
-
-    def proximal(self, y, v, step):
-        return v - np.clip(v - y, -step, step)
-
-
-class OwnLogistic:
-    def value(self, y, s):
-        return np.logaddexp(0, -y * s)
-
-    def derivative(self, y, s):
-        return -y / (1 + np.exp(y * s))
-
-
+OWN = {
+    "log-cosh": SimpleNamespace(value=log_cosh, derivative=lambda y, s: np.tanh(s - y)),
+    "quantile-huber": SimpleNamespace(
+        value=quantile_huber, derivative=lambda y, s: -np.where(y > s, 3.0, 1.0) * np.clip(y - s, -0.5, 0.5)
+    ),
+    "absolute by its slope": SimpleNamespace(value=absolute, derivative=lambda y, s: np.sign(s - y)),
+    "absolute by its step": SimpleNamespace(
+        value=absolute, proximal=lambda y, v, step: v - np.clip(v - y, -step, step)
+    ),
+}
 CVXPY = {
-    LogCosh: lambda y, f: cp.logistic(2 * (y - f)) - (y - f) - np.log(2),
-    QuantileHuber: lambda y, f: 1.5 * cp.huber(cp.pos(y - f), 0.5) + 0.5 * cp.huber(cp.pos(f - y), 0.5),
-    Kinked: "absolute",
-    OwnAbsolute: "absolute",
+    "log-cosh": lambda y, f: cp.logistic(2 * (y - f)) - (y - f) - np.log(2),
+    "quantile-huber": lambda y, f: 1.5 * cp.huber(cp.pos(y - f), 0.5) + 0.5 * cp.huber(cp.pos(f - y), 0.5),
+    "absolute by its slope": "absolute",
+    "absolute by its step": "absolute",
 }
 
 
-@pytest.mark.parametrize("own", list(CVXPY))
+@pytest.mark.parametrize("own", list(OWN))
 @pytest.mark.parametrize("has_offset", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_fit_is_the_optimum_that_cvxpy_finds(own, has_offset):
-    model = CensoredSVR(own(), reg=1e-2, gamma=0.3, fit_intercept=has_offset, tol=1e-6).fit(ROWS, Y)
+    model = CensoredSVR(OWN[own], reg=1e-2, gamma=0.3, fit_intercept=has_offset, tol=1e-6).fit(ROWS, Y)
     best, f = optimum(GRAM, Y, MASS, CVXPY[own], 1e-2, has_offset)
     assert model.objective_ == pytest.approx(best, rel=1e-6)
     assert model.objective_ - model.duality_gap_ <= best * (1 + 1e-8)
@@ -210,7 +183,10 @@ def test_fit_is_the_optimum_that_cvxpy_finds(own, has_offset):
 
 
 def test_own_logistic_is_the_built_in_one():
-    own = CensoredSVC(OwnLogistic(), reg=1e-2, tol=1e-6, calibrate=False).fit(ROWS, LABELS)
+    logistic = SimpleNamespace(
+        value=lambda y, s: np.logaddexp(0, -y * s), derivative=lambda y, s: -y / (1 + np.exp(y * s))
+    )
+    own = CensoredSVC(logistic, reg=1e-2, tol=1e-6, calibrate=False).fit(ROWS, LABELS)
     built_in = CensoredSVC("logistic", reg=1e-2, calibrate=False).fit(ROWS, LABELS)
     np.testing.assert_allclose(own.decision_function(ROWS), built_in.decision_function(ROWS), atol=1e-3)
 
@@ -223,47 +199,32 @@ def test_a_loss_of_the_library_passes_as_it_is():
     assert clone(own).loss == loss
 
 
-@pytest.mark.parametrize("own", [LogCosh(), Kinked(), OwnAbsolute()])
-def test_conjugate_and_proximal_step_are_worked_out(own):
-    loss, y = OwnLoss(own), np.zeros(5)
+@pytest.mark.parametrize("name", [name for name in OWN if name != "quantile-huber"])
+def test_conjugate_and_envelope_are_worked_out(name):
+    own, y = OWN[name], np.zeros(5)
+    loss = OwnLoss(own)
     t = np.array([-0.9, -0.3, 0.0, 0.3, 0.9])
     s = np.linspace(-30, 30, 600_001)
     supremum = [(slope * s - own.value(0.0, s)).max() for slope in t]
     np.testing.assert_allclose(loss.conjugate(y, t), supremum, atol=1e-6)
     assert (loss.conjugate(y[:2], np.array([-1.1, 1.1])) > 1e3).all()
-    if not isinstance(own, LogCosh):
-        v, absolute = np.array([-3.0, -0.4, 0.1, 1.5, 3.0]), named_loss("absolute")
-        np.testing.assert_allclose(loss.slope(y, v, 0.7), absolute.slope(y, v, 0.7), atol=1e-12)
-        np.testing.assert_allclose(loss.curvature(y, v, 0.7), absolute.curvature(y, v, 0.7), atol=1e-6)
+    if name != "log-cosh":
+        v, theirs = np.array([-3.0, -0.4, 0.1, 1.5, 3.0]), named_loss("absolute")
+        np.testing.assert_allclose(loss.slope(y, v, 0.7), theirs.slope(y, v, 0.7), atol=1e-12)
+        np.testing.assert_allclose(loss.curvature(y, v, 0.7), theirs.curvature(y, v, 0.7), atol=1e-6)
 
 
-class NotConvex(Kinked):
-    def value(self, y, s):
-        return np.sqrt(np.abs(y - s))
-
-
-class NotFinite(Kinked):
-    def value(self, y, s):
-        return np.where(s > y, np.nan, 0.0)
-
-
-class OneNumber(Kinked):
-    def value(self, y, s):
-        return np.abs(y - s).sum()
-
-
-class NoSlope:
-    def value(self, y, s):
-        return np.abs(y - s)
+def kinked(value):
+    return SimpleNamespace(value=value, derivative=lambda y, s: np.sign(s - y))
 
 
 @pytest.mark.parametrize(
     ("own", "says"),
     [
-        (NotConvex(), r"bends down at y = .*convex in s"),
-        (NotFinite(), r"not finite; return one finite number a row"),
-        (OneNumber(), r"gives shape \(\) for 40 rows"),
-        (NoSlope(), r"without value\(y, s\) and proximal\(y, v, step\) or derivative"),
+        (kinked(lambda y, s: np.sqrt(np.abs(y - s))), r"bends down at y = .*convex in s"),
+        (kinked(lambda y, s: np.where(s > y, np.nan, 0.0)), r"not finite; return one finite number a row"),
+        (kinked(lambda y, s: np.abs(y - s).sum()), r"gives shape \(\) for 40 rows"),
+        (SimpleNamespace(value=absolute), r"without value\(y, s\) and proximal\(y, v, step\) or derivative"),
         (np.abs, r"without value\(y, s\)"),
     ],
 )
