@@ -155,7 +155,7 @@ def test_scale_is_that_of_scikit_learn():
     rows = normal(50) * [1.0, 2.0, 3.0, 4.0] + 5.0
     assert scale_gamma(rows) == pytest.approx(svm.SVR(gamma="scale").fit(rows, rows[:, 0])._gamma, rel=1e-12)
     counts = np.arange(50) % 3
-    assert scale_gamma(rows, counts) == pytest.approx(scale_gamma(rows.repeat(counts, axis=0)), rel=1e-12)
+    assert scale_gamma(rows, counts.astype(float)) == pytest.approx(scale_gamma(rows.repeat(counts, axis=0)), rel=1e-12)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.1, 1e9 / 3])

@@ -152,7 +152,6 @@ def test_few_effective_rows_are_warned_of():
     with pytest.warns(HalfseenWarning, match=r"6 of 12 were seen.* too few .*record more") as caught:
         CensoredSVR(reg=1e-2).fit(X[:12], (TIME[:12], np.arange(12) % 2 == 0))
     assert len(caught) == 1
-    assert caught[0].filename == __file__
 
 
 @pytest.mark.parametrize("model", [CensoredSVR(reg=1e-2), CensoredSVC(tau=1.0, reg=1e-2)])

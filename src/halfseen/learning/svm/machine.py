@@ -127,7 +127,7 @@ class CensoredSVM(BaseEstimator):
             raise ArgumentError(f"X has {len(rows)} rows and y has {len(targets)}; give one target a row")
         return counts, *row_weights(ends, rows, counts, self.censoring, self.tau, self.truncate_at)
 
-    def _fit(self, X: Any, y: Any, sample_weight: Any) -> tuple[Problem, Rows | None]:
+    def _fit(self, X: Any, y: Any, sample_weight: Any) -> tuple[Problem, Float[np.ndarray, " seen"] | None]:
         """Weigh every row, tell how much evidence that leaves, and fit f to those of positive weight.
 
         Returns
@@ -147,7 +147,9 @@ class CensoredSVM(BaseEstimator):
         self._check_seen(targets)
         return self._fit_function(rows, targets, counts)
 
-    def _fit_function(self, rows: np.ndarray, y: Rows, counts: Rows) -> tuple[Problem, Rows | None]:
+    def _fit_function(
+        self, rows: np.ndarray, y: Rows, counts: Rows
+    ) -> tuple[Problem, Float[np.ndarray, " seen"] | None]:
         """Choose λ and γ, fit f to the rows of positive weight, and keep the certificate.
 
         Returns

@@ -11,7 +11,7 @@ the number of objects is. The empty set is the zero of that space: its k with ev
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Float
@@ -46,7 +46,7 @@ class SetKernel:
     gamma: float | int = 1.0
     degree: float | int = 3
     coef0: float | int = 1.0
-    pooling: Literal["mean", "sum"] = "mean"
+    pooling: str = "mean"
 
     def __post_init__(self) -> None:
         named_kernel(self.base, self.gamma, self.degree, self.coef0)
