@@ -11,70 +11,71 @@ from sklearn import svm
 from sklearn.metrics import pairwise
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm import kernels
+from halfseen.learning import CensoredSVR
+from halfseen.learning.svm import set_kernel
 from halfseen.learning.svm.kernels import (
     BLOCK_ENTRIES,
-    KERNEL_NAMES,
-    VECTOR_KERNELS,
-    SetKernel,
-    all_objects,
-    as_sets,
-    candidate_gammas,
     checked_gram,
     kernel_diagonal,
     named_kernel,
     row_blocks,
     scale_gamma,
-    vector_kernel,
 )
+from halfseen.learning.svm.set_kernel import SetKernel, all_objects, as_sets
 
 REFERENCES = {
-    "linear": lambda x, z: pairwise.linear_kernel(x, z),
-    "rbf": lambda x, z: pairwise.rbf_kernel(x, z, gamma=0.7),
-    "laplacian": lambda x, z: pairwise.laplacian_kernel(x, z, gamma=0.7),
-    "polynomial": lambda x, z: pairwise.polynomial_kernel(x, z, gamma=0.7, degree=4, coef0=0.5),
+    "linear": (lambda x, z: pairwise.linear_kernel(x, z), lambda x, z: np.dot(x, z)),
+    "rbf": (lambda x, z: pairwise.rbf_kernel(x, z, gamma=0.7), lambda x, z: np.exp(-0.7 * np.sum((x - z) ** 2))),
+    "laplacian": (
+        lambda x, z: pairwise.laplacian_kernel(x, z, gamma=0.7),
+        lambda x, z: np.exp(-0.7 * np.sum(np.abs(x - z))),
+    ),
+    "polynomial": (
+        lambda x, z: pairwise.polynomial_kernel(x, z, gamma=0.7, degree=4, coef0=0.5),
+        lambda x, z: (0.7 * np.dot(x, z) + 0.5) ** 4,
+    ),
 }
-FORMULAS = {
-    "linear": lambda x, z: np.dot(x, z),
-    "rbf": lambda x, z: np.exp(-0.7 * np.sum((x - z) ** 2)),
-    "laplacian": lambda x, z: np.exp(-0.7 * np.sum(np.abs(x - z))),
-    "polynomial": lambda x, z: (0.7 * np.dot(x, z) + 0.5) ** 4,
-}
+NAMES = list(REFERENCES)
 ROWS = arrays(np.float64, st.tuples(st.integers(1, 8), st.just(3)), elements=st.floats(-3, 3))
 
 
-def kernel_of(name):
-    return named_kernel(name, 0.7, degree=4, coef0=0.5)
+def kernel_of(name, gamma=0.7):
+    return SetKernel("rbf", gamma) if name == "set" else named_kernel(name, gamma, degree=4, coef0=0.5)
 
 
 def normal(num_rows, num_features=4, seed=0):
     return np.random.default_rng(seed).normal(size=(num_rows, num_features))
 
 
-@pytest.mark.parametrize("name", VECTOR_KERNELS)
-def test_equals_scikit_learn_and_the_formula(name):
+@pytest.mark.parametrize("name", NAMES)
+def test_equals_scikit_learn_and_the_formula_and_leaves_its_arguments_alone(name):
     # More rows than one block holds.
     first, second = normal(700), normal(600, seed=1)
     assert len(list(row_blocks(700, 600))) > 1
     gram = kernel_of(name)(first, second)
-    np.testing.assert_allclose(gram, REFERENCES[name](first, second), rtol=1e-12, atol=1e-14)
-    naive = [[FORMULAS[name](x, z) for z in second[:5]] for x in first[:5]]
+    np.testing.assert_array_equal(first, normal(700))
+    np.testing.assert_array_equal(second, normal(600, seed=1))
+    theirs, formula = REFERENCES[name]
+    np.testing.assert_allclose(gram, theirs(first, second), rtol=1e-12, atol=1e-14)
+    naive = [[formula(x, z) for z in second[:5]] for x in first[:5]]
     np.testing.assert_allclose(gram[:5, :5], naive, rtol=1e-12, atol=1e-14)
 
 
-@pytest.mark.parametrize("name", VECTOR_KERNELS)
+@pytest.mark.parametrize("name", NAMES)
 def test_gram_of_rows_with_themselves_is_exactly_symmetric_and_agrees_with_the_diagonal(name):
-    rows = normal(600)
-    gram = kernel_of(name)(rows, rows)
+    rows, kernel = normal(600), kernel_of(name)
+    gram = kernel(rows, rows)
     assert (gram == gram.T).all()
-    np.testing.assert_allclose(gram, kernel_of(name)(rows, rows.copy()), rtol=1e-12, atol=1e-14)
-    np.testing.assert_allclose(kernel_diagonal(kernel_of(name), rows), np.diag(gram), rtol=1e-12)
+    np.testing.assert_allclose(gram, kernel(rows, rows.copy()), rtol=1e-12, atol=1e-14)
+    np.testing.assert_allclose(kernel_diagonal(kernel, rows), np.diag(gram), rtol=1e-12)
     if name in ("rbf", "laplacian"):
         assert (np.diag(gram) == 1.0).all()
         assert gram.max() == 1.0
+    assert kernel(np.empty((0, 3)), normal(2, 3)).shape == (0, 2)
+    assert kernel(normal(2, 3), np.empty((0, 3))).shape == (2, 0)
 
 
-@pytest.mark.parametrize("name", VECTOR_KERNELS)
+@pytest.mark.parametrize("name", NAMES)
 @given(rows=ROWS)
 def test_gram_is_positive_semidefinite(name, rows):
     eigenvalues = np.linalg.eigvalsh(kernel_of(name)(rows, rows))
@@ -88,38 +89,22 @@ def test_distances_survive_an_offset_and_far_clusters(name, shift, spread):
     centres = np.array([0.0, spread, -2 * spread]).repeat(20)[:, None]
     rows = np.round((normal(60, 2) + centres) * 2**10) / 2**10 + shift
     gram = kernel_of(name)(rows, rows)
-    naive = [[FORMULAS[name](x, z) for z in rows] for x in rows]
+    naive = [[REFERENCES[name][1](x, z) for z in rows] for x in rows]
     np.testing.assert_allclose(gram, naive, rtol=0, atol=1e-9)
     assert (gram == gram.T).all()
 
 
-def test_no_rows_are_legal():
-    for name in VECTOR_KERNELS:
-        assert kernel_of(name)(np.empty((0, 3)), normal(2, 3)).shape == (0, 2)
-        assert kernel_of(name)(normal(2, 3), np.empty((0, 3))).shape == (2, 0)
-
-
-def test_arguments_are_left_alone():
-    for name in VECTOR_KERNELS:
-        first, second = normal(5), normal(4, seed=1)
-        kernel_of(name)(first, second)
-        np.testing.assert_array_equal(first, normal(5))
-        np.testing.assert_array_equal(second, normal(4, seed=1))
-
-
-@pytest.mark.parametrize("name", KERNEL_NAMES)
+@pytest.mark.parametrize("name", [*NAMES, "set"])
 def test_kernels_of_one_name_and_width_are_equal_and_travel(name):
     kernel = kernel_of(name)
-    assert kernel == kernel_of(name)
-    assert pickle.loads(pickle.dumps(kernel)) == kernel
-    if name != "linear":
-        assert kernel != named_kernel(name, 0.8, degree=4, coef0=0.5)
+    assert kernel == kernel_of(name) == pickle.loads(pickle.dumps(kernel))
+    assert kernel != kernel_of(name, 0.8)
 
 
 NO_NUMBERS = [0.0, -1.0, np.nan, np.inf]
 REFUSED = [
-    ("gauss", {}, r"kernel 'gauss' is unknown.*linear, rbf, laplacian, polynomial, set"),
-    *((n, {"gamma": g}, "gamma is .* finite number > 0") for n in KERNEL_NAMES if n != "linear" for g in NO_NUMBERS),
+    ("gauss", {}, r"kernel 'gauss' is unknown.*linear, rbf, laplacian, polynomial.*'set'"),
+    *((n, {"gamma": g}, "gamma is .* finite number > 0") for n in (*NAMES[1:], "set") for g in NO_NUMBERS),
     *(("polynomial", {"degree": degree}, "degree is") for degree in (*NO_NUMBERS, 1.5)),
     *(("polynomial", {"coef0": coef0}, "coef0 is") for coef0 in (-0.1, np.nan, np.inf)),
 ]
@@ -128,19 +113,12 @@ REFUSED = [
 @pytest.mark.parametrize(("name", "parameters", "message"), REFUSED)
 def test_what_is_no_kernel_is_refused(name, parameters, message):
     with pytest.raises(ArgumentError, match=message):
-        named_kernel(name, **{"gamma": 1.0} | parameters)
+        SetKernel("rbf", **parameters) if name == "set" else named_kernel(name, **{"gamma": 1.0} | parameters)
 
 
 def test_what_a_kernel_does_not_read_may_be_anything():
     assert named_kernel("linear", np.nan)
     assert named_kernel(pairwise.rbf_kernel, np.nan) is pairwise.rbf_kernel
-
-
-def test_checked_gram_gives_float64():
-    rows = normal(600)
-    gram = checked_gram(lambda x, z: (x @ z.T).astype(np.float32), rows, rows)
-    assert gram.dtype == np.float64
-    np.testing.assert_allclose(gram, rows @ rows.T, rtol=1e-5, atol=1e-5)
 
 
 @pytest.mark.parametrize(
@@ -165,26 +143,26 @@ def test_what_is_no_gram_matrix_is_refused(kernel, message):
         checked_gram(kernel, rows, rows)
 
 
-def test_asymmetry_is_no_matter_between_different_rows():
-    first, second = normal(3), normal(3, seed=1)
-    np.testing.assert_array_equal(checked_gram(lambda x, z: x @ z.T, first, second), first @ second.T)
-
-
-def test_diagonal_of_a_callable_without_one():
-    rows = normal(100)
-    np.testing.assert_allclose(kernel_diagonal(lambda x, z: x @ z.T, rows), np.sum(rows**2, axis=1), rtol=1e-12)
+def test_checked_gram_gives_float64_and_asks_no_symmetry_between_different_rows():
+    rows, others = normal(600), normal(3, seed=1)
+    gram = checked_gram(lambda x, z: (x @ z.T).astype(np.float32), rows, rows)
+    assert gram.dtype == np.float64
+    np.testing.assert_allclose(gram, rows @ rows.T, rtol=1e-5, atol=1e-5)
+    np.testing.assert_array_equal(checked_gram(lambda x, z: x @ z.T, rows[:3], others), rows[:3] @ others.T)
 
 
 def test_scale_is_that_of_scikit_learn():
     rows = normal(50) * [1.0, 2.0, 3.0, 4.0] + 5.0
     assert scale_gamma(rows) == pytest.approx(svm.SVR(gamma="scale").fit(rows, rows[:, 0])._gamma, rel=1e-12)
+    counts = np.arange(50) % 3
+    assert scale_gamma(rows, counts.astype(float)) == pytest.approx(scale_gamma(rows.repeat(counts, axis=0)), rel=1e-12)
 
 
 @pytest.mark.parametrize("value", [0.0, 0.1, 1e9 / 3])
 def test_scale_of_rows_that_do_not_vary_is_one(value):
     assert scale_gamma(np.full((5, 1), value)) == 1.0
     assert scale_gamma(np.full((1, 1), value)) == 1.0
-    assert scale_gamma(np.empty((3, 0))) == 1.0
+    assert scale_gamma(np.empty((3, 0))) == scale_gamma(np.empty((0, 0))) == 1.0
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
@@ -193,20 +171,19 @@ def test_scale_of_rows_without_a_variance_is_refused(value):
         scale_gamma(np.array([[value], [1.0]]))
 
 
-def test_scale_and_candidates_of_sets_are_those_of_their_objects():
-    objects = normal(9)
-    sets = [objects[:2], np.empty((0, 4)), objects[2:]]
-    assert scale_gamma(sets) == scale_gamma(objects)
-    assert scale_gamma([[], []]) == 1.0
-    np.testing.assert_allclose(candidate_gammas(sets), scale_gamma(objects) * np.array([1 / 16, 1 / 4, 1, 4, 16]))
-
-
 NUMBERS = st.lists(st.integers(0, 5), min_size=1, max_size=7)
 
 
 def sets_of(counts, seed=0, num_features=3):
     rng = np.random.default_rng(seed)
     return [rng.normal(size=(count, num_features)) for count in counts]
+
+
+def test_widths_of_sets_are_those_of_their_objects():
+    sets = sets_of([2, 0, 3, 1] * 5)
+    model = CensoredSVR("squared", kernel="set", gamma="cv", reg=1e-2, cv=2).fit(sets, np.arange(20.0))
+    scale = scale_gamma(np.concatenate(sets))
+    np.testing.assert_allclose(model.cv_gammas_, scale * np.array([1 / 16, 1 / 4, 1, 4, 16]))
 
 
 def naive(base, first, second, pooling="mean"):
@@ -218,52 +195,42 @@ def naive(base, first, second, pooling="mean"):
     return gram
 
 
-@pytest.fixture
-def small_blocks(monkeypatch):
-    """Blocks smaller than sets, so that sets lie across their edges."""
-    monkeypatch.setattr(kernels, "OBJECTS_AT_ONCE", 3)
+@pytest.fixture(params=["one", "small"])
+def blocks(request, monkeypatch):
+    """Blocks that hold all pairs, or fewer than a set has, so that sets lie across their edges."""
+    if request.param == "small":
+        monkeypatch.setattr(set_kernel, "PAIRS_AT_ONCE", 30)
 
 
-@pytest.mark.parametrize("blocks", ["one", "small"])
+@pytest.mark.usefixtures("blocks")
 @pytest.mark.parametrize("pooling", ["mean", "sum"])
 @pytest.mark.parametrize("base", ["rbf", "laplacian", "linear", lambda x, z: 1.0 + x @ z.T])
-def test_equals_the_double_loop(base, pooling, blocks, monkeypatch):
-    if blocks == "small":
-        monkeypatch.setattr(kernels, "OBJECTS_AT_ONCE", 3)
+def test_equals_the_double_loop(base, pooling):
     first, second = sets_of([3, 0, 1, 8, 2, 0, 1]), sets_of([0, 4, 7, 1], seed=1)
     kernel = SetKernel(base, gamma=0.4, pooling=pooling)
-    one = vector_kernel(base, 0.4)
+    one = named_kernel(base, 0.4)
     np.testing.assert_allclose(kernel(first, second), naive(one, first, second, pooling), rtol=1e-12, atol=1e-13)
     np.testing.assert_allclose(kernel(first, first), naive(one, first, first, pooling), rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(kernel_diagonal(kernel, as_sets(first)), np.diag(kernel(first, first)), rtol=1e-12)
 
 
-@pytest.mark.usefixtures("small_blocks")
 @given(counts=NUMBERS, seed=st.integers(0, 99))
-def test_symmetric_positive_semidefinite_and_bounded(counts, seed):
-    sets = sets_of(counts, seed)
-    gram = named_kernel("set", 0.5)(sets, sets)
+def test_symmetric_positive_semidefinite_bounded_and_of_no_order(counts, seed):
+    sets, kernel = sets_of(counts, seed), SetKernel(gamma=0.5)
+    gram = kernel(sets, sets)
     assert (gram == gram.T).all()
     assert np.linalg.eigvalsh(gram).min() >= -1e-12
     assert gram.min() >= 0.0
     assert gram.max() <= 1.0 + 1e-15
-
-
-@given(counts=NUMBERS, seed=st.integers(0, 99))
-def test_order_of_objects_is_irrelevant(counts, seed):
-    sets = sets_of(counts, seed)
     rng = np.random.default_rng(seed)
     shuffled = [rng.permutation(objects) for objects in sets]
-    kernel = SetKernel(gamma=0.5)
-    np.testing.assert_allclose(kernel(sets, sets), kernel(shuffled, sets), rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(kernel(shuffled, sets), gram, rtol=1e-12, atol=1e-15)
 
 
-def test_sets_of_one_object_are_rows():
-    rows, other = (np.random.default_rng(seed).normal(size=(9, 3)) for seed in (0, 1))
+def test_sets_of_one_object_are_rows_and_the_mean_forgets_how_many():
+    rows, other = normal(9, 3), normal(9, 3, seed=1)
     gram = SetKernel("rbf", 0.5)(rows[:, None], list(other[:, None]))
-    np.testing.assert_allclose(gram, vector_kernel("rbf", 0.5)(rows, other), rtol=1e-14)
-
-
-def test_mean_forgets_how_many_and_sum_counts_them():
+    np.testing.assert_allclose(gram, named_kernel("rbf", 0.5)(rows, other), rtol=1e-14)
     one, twice = np.ones((1, 2)), np.ones((2, 2))
     np.testing.assert_allclose(SetKernel()([one, twice], [one, twice]), np.ones((2, 2)))
     np.testing.assert_allclose(SetKernel(pooling="sum")([one, twice], [one, twice]), [[1, 2], [2, 4]])
@@ -274,12 +241,6 @@ def test_empty_sets_have_nothing_in_common():
     np.testing.assert_array_equal(SetKernel()(sets, sets) != 0, np.diag([False, False, True]))
     np.testing.assert_array_equal(SetKernel()(sets[:2], sets[:2]), np.zeros((2, 2)))
     assert SetKernel()([], sets).shape == (0, 3)
-
-
-def test_diagonal_is_that_of_the_gram_matrix():
-    sets = as_sets(sets_of([3, 0, 1, 5] * 20))
-    kernel = SetKernel(gamma=0.3)
-    np.testing.assert_allclose(kernel_diagonal(kernel, sets), np.diag(kernel(sets, sets)), rtol=1e-12)
 
 
 def test_as_sets_is_indexed_like_an_array():
@@ -301,25 +262,19 @@ def test_as_sets_is_indexed_like_an_array():
     ],
 )
 def test_what_is_no_set_is_named(rows, message):
-    with pytest.raises(ArgumentError, match=message):
-        as_sets(rows)
-    with pytest.raises(ArgumentError, match=message):
-        SetKernel()(rows, rows)
-
-
-def test_sets_of_different_features_are_refused():
-    with pytest.raises(ArgumentError, match="3 and 2 features"):
-        SetKernel()(sets_of([1]), sets_of([1], num_features=2))
+    for call in (as_sets, lambda sets: SetKernel()(sets, sets)):
+        with pytest.raises(ArgumentError, match=message):
+            call(rows)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("call", "message"),
     [
-        ({"base": "gauss"}, "kernel 'gauss' is unknown"),
-        ({"gamma": 0.0}, "gamma is 0.0"),
-        ({"base": "polynomial", "coef0": -1.0}, "coef0 is -1.0"),
+        (lambda: SetKernel()(sets_of([1]), sets_of([1], num_features=2)), "3 and 2 features"),
+        (lambda: SetKernel(pooling="max"), "pooling 'max' is unknown"),
+        (lambda: SetKernel("gauss"), "kernel 'gauss' is unknown"),
     ],
 )
-def test_parameters_are_checked_when_made(arguments, message):
+def test_set_kernels_that_are_none_are_refused(call, message):
     with pytest.raises(ArgumentError, match=message):
-        SetKernel(**arguments)
+        call()

@@ -1,27 +1,186 @@
 """Minimise λ‖g‖² + Σ_i φ_i(g_i + b) over g in H and an offset b, φ convex with a (semismooth) derivative.
 
 Newton steps with an exact search along each: where φ is piecewise quadratic, as it is for all losses here but the
-logistic one, the last step is exact and few are needed [QiSun1993]_. What a search along a step asks for thousands of
-times has the shapes of the step, and is not checked again.
+logistic one, the last step is exact and few are needed [QiSun1993]_. Rows are seen in one of two ways: `Gram`, by the
+values of the kernel between them, g = K α, or `Features`, g = Φ θ and ‖g‖² = θᵀθ. Of Σ φ_i(f_i) they are told the
+*pull* of each row, −∂φ_i/∂f_i, how hard it pulls its value up, and the curvature ∂²φ_i/∂f_i².
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any, no_type_check
+from functools import cache
+from typing import Any, TypeAlias, no_type_check
 
 import numpy as np
+import scipy.linalg
+from jaxtyping import Float, Int
 
 from halfseen.arrays import Rows
-from halfseen.learning.svm.spaces import Coefficients, Space
+
+Coefficients = Float[np.ndarray, " c"]
+Step: TypeAlias = Callable[[Coefficients, Rows], tuple[Coefficients, float]]
+"""Takes coefficients and pulls, gives the change of the coefficients and of the offset."""
 
 MAX_STEPS = 200
-_FORESEEN = 1e-12
 PATIENCE = 20
 """Steps without a smaller promise after which rounding is taken to have the last word."""
+FORESEEN = 1e-12
+NEGLIGIBLE = 1e-12
+"""Curvatures below this share of the largest are taken for none."""
+JITTER = 1e-13
+FEATURES_AT_ONCE = 2**22
+SINGLE_FROM = 300
+"""Rows from which a system is factored in single precision, which takes half the time."""
+REFINED, MOST_REFINEMENTS = 1e-6, 4
+"""What a solution in single precision may miss, as a share of the right side, and how many it must get there by."""
+
+
+@dataclass(frozen=True)
+class Gram:
+    """g = Σ_i α_i k(z_i, ·), λ > 0; K need not be of full rank.
+
+    The optimality condition 2 λ α = p is kept in this form, without a factor K. Rows without curvature are solved at
+    once, α_i = p_i / 2λ; the others, A, solve (K_AA + 2 λ D_A⁻¹) Δα_A + Δb = …, whose matrix is as large as A only.
+    """
+
+    matrix: Float[np.ndarray, "n n"]
+
+    def part(self, rows: Int[np.ndarray, " r"]) -> "Gram":
+        """The space that some of the rows span."""
+        return Gram(self.between(rows, rows))
+
+    def between(self, rows: Int[np.ndarray, " r"], fitted: Int[np.ndarray, " s"]) -> Float[np.ndarray, "r c"]:
+        """What gives the values of g at some rows, of its coefficients in the `part` of others."""
+        return self.matrix[np.ix_(rows, fitted)]
+
+    def inner(self, coefficients: Coefficients, others: Coefficients, other_values: Rows) -> float:
+        """⟨g, g'⟩ in H, where `other_values` are the values of g'."""
+        return float(coefficients @ other_values)
+
+    def squared_norm(self, forces: Rows) -> float:
+        """Of Σ_i forces_i k(z_i, ·)."""
+        return float(forces @ self.matrix @ forces)
+
+    def newton(self, curvature: Rows, reg: float, has_offset: bool, negligible: float = NEGLIGIBLE) -> Step:
+        """Factor the equations of a step."""
+        curved = np.flatnonzero(curvature > negligible * curvature.max(initial=0.0))
+        ridge = 2.0 * reg / curvature[curved]
+        is_whole = len(curved) == len(self.matrix)
+        solve = _solver(self.matrix if is_whole else self.matrix[np.ix_(curved, curved)], ridge)
+        of_ones = solve(np.ones(len(curved)))
+
+        def step(coefficients: Coefficients, pull: Rows) -> tuple[Coefficients, float]:
+            change = pull / (2.0 * reg) - coefficients
+            wanted = ridge * change[curved]
+            change[curved] = 0.0
+            if not is_whole:
+                wanted -= (self.matrix @ change)[curved]
+            change[curved] = solve(wanted)
+            if not has_offset or len(curved) == 0:
+                return change, 0.0
+            # Σ α = 0 is the optimality condition of the offset.
+            offset = float((change.sum() + coefficients.sum()) / of_ones.sum())
+            change[curved] -= offset * of_ones
+            return change, offset
+
+        return step
+
+
+@dataclass(frozen=True)
+class Features:
+    """g = Φ θ; its methods are those of `Gram`."""
+
+    matrix: Float[np.ndarray, "n c"]
+
+    def part(self, rows: Int[np.ndarray, " r"]) -> "Features":
+        return Features(self.matrix[rows])
+
+    def between(self, rows: Int[np.ndarray, " r"], fitted: Int[np.ndarray, " s"]) -> Float[np.ndarray, "r c"]:
+        return self.matrix[rows]
+
+    def inner(self, coefficients: Coefficients, others: Coefficients, other_values: Rows) -> float:
+        return float(coefficients @ others)
+
+    def squared_norm(self, forces: Rows) -> float:
+        return float(np.sum(np.square(self.matrix.T @ forces)))
+
+    def newton(self, curvature: Rows, reg: float, has_offset: bool) -> Step:
+        size = self.matrix.shape[1]
+        curved = np.flatnonzero(curvature > NEGLIGIBLE * curvature.max(initial=0.0))
+        system = np.diag(np.repeat([2.0 * reg, 0.0], [size, 1]))
+        for rows in np.array_split(curved, 1 + len(curved) * size // FEATURES_AT_ONCE):
+            weighted = np.column_stack([self.matrix[rows], np.ones(len(rows))])
+            weighted *= np.sqrt(curvature[rows])[:, None]
+            system += weighted.T @ weighted
+        used = size + bool(has_offset and len(curved))
+        system = system[:used, :used]
+        factor = factored(system) if system.diagonal().max(initial=0.0) > 0.0 else None
+
+        def step(coefficients: Coefficients, pull: Rows) -> tuple[Coefficients, float]:
+            change = np.zeros(size + 1)
+            if factor is not None:
+                gradient = np.append(self.matrix.T @ pull - 2.0 * reg * coefficients, pull.sum())
+                change[:used] = scipy.linalg.cho_solve(factor, gradient[:used], check_finite=False)
+            return change[:size], float(change[size])
+
+        return step
+
+
+Space: TypeAlias = Gram | Features
+
+
+def _solver(matrix: Float[np.ndarray, "k k"], ridge: Rows) -> Callable[[Rows], Rows]:
+    """Solve (K + diag ρ) x = r, by a factor in single precision and refinement in double where that gets there."""
+    system = matrix.copy()
+    system[np.diag_indices_from(system)] += ridge
+    single = _single_factor(system) if len(ridge) >= SINGLE_FROM else None
+    double = cache(lambda: factored(system))
+
+    def solve(right: Rows) -> Rows:
+        nonlocal single
+        size, rate = np.abs(right).max(initial=0.0) or 1.0, 1.0
+        solved, missed = np.zeros(len(right)), right / size
+        for _ in range(MOST_REFINEMENTS if single is not None else 0):
+            solved += scipy.linalg.cho_solve(single, missed.astype(np.float32), check_finite=False)
+            # What is missed shrinks by one rate, so this correction needs no look.
+            if rate * np.abs(missed).max() <= REFINED:
+                return size * solved
+            missed = right / size - system @ solved
+            rate = min(rate, np.abs(missed).max())
+        single = None
+        return scipy.linalg.cho_solve(double(), right, check_finite=False)
+
+    return solve
+
+
+def _single_factor(system: Float[np.ndarray, "k k"]) -> tuple[np.ndarray, bool] | None:
+    # What is too large for single precision becomes infinite, and is missed.
+    with np.errstate(over="ignore"):
+        single = system.astype(np.float32)
+    try:
+        # LAPACK counts by columns, and to it the rows of a symmetric matrix are as good: nothing is copied.
+        return scipy.linalg.cho_factor(single.T, lower=True, overwrite_a=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        return None
+
+
+def factored(system: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"], bool]:
+    """Factor a positive semidefinite system, which is changed, for `scipy.linalg.cho_solve`.
+
+    A direction that it does not see gets as much curvature as rounding has.
+    """
+    jitter = JITTER * system.diagonal().max(initial=0.0)
+    while True:
+        try:
+            return scipy.linalg.cho_factor(system, lower=True, check_finite=False)
+        except np.linalg.LinAlgError:
+            system[np.diag_indices_from(system)] += jitter
+            jitter *= 100.0
 
 
 @dataclass(frozen=True)
 class Point:
-    """A candidate: the coefficients of g, the values g_i, and the offset b."""
+    """A candidate, or a move: the coefficients of g, the values g_i, and the offset b."""
 
     coefficients: Coefficients
     values: Rows
@@ -32,91 +191,74 @@ class Point:
         """Values of f = g + b on the rows."""
         return self.values + self.offset
 
-
-def minimise(
-    space: Space, total: Any, reg: float, has_offset: bool, start: Point, tolerance: float
-) -> tuple[Point, int]:
-    """Minimise from `start`; stop when a Newton step promises less than `tolerance`.
-
-    `total` tells of Σ_i φ_i(f_i) its `pull`, −∂φ_i/∂f_i: how hard each row pulls its value up, and its `curvature`.
-
-    Returns
-    -------
-    tuple
-        The minimiser and the number of steps taken.
-    """
-    point, least, in_vain = start, np.inf, 0
-    for step in range(MAX_STEPS):
-        pull, curvature = total.pull(point.f), total.curvature(point.f)
-        if has_offset and not curvature.any():
-            point = replace(point, offset=balanced_offset(total, point))
-            pull, curvature = total.pull(point.f), total.curvature(point.f)
-        coefficients, offset = space.newton_step(point.coefficients, pull, curvature, reg, has_offset)
-        move = Point(coefficients, space.values(coefficients), offset)
-        line = _Line(space, total, reg, point, move)
-        promise = -line.slope(0.0)
-        least, in_vain = (promise, 0) if promise < least else (least, in_vain + 1)
-        if promise <= tolerance or in_vain == PATIENCE:
-            return point, step
-        share = line.lowest()
-        point = line.at(share)
-        if share == 1.0 and _was_foreseen(pull, total.pull(point.f), curvature, move):
-            return point, step + 1
-    return point, MAX_STEPS
-
-
-def _was_foreseen(before: Rows, after: Rows, curvature: Rows, move: Point) -> bool:
-    """Tell whether the pulls changed as their curvatures said, so that the step went all the way to the minimum."""
-    error = np.abs(after - before + curvature * move.f).max(initial=0.0)
-    return bool(error <= _FORESEEN * np.abs(before).max(initial=0.0))
-
-
-def balanced_offset(total: Any, point: Point) -> float:
-    """Find the offset at which the rows' pulls cancel, the other coefficients held."""
-
-    def excess(offset: float) -> float:
-        return float(total.pull(point.values + offset).sum())
-
-    low = high = point.offset
-    width = 1.0 + abs(point.offset)
-    while excess(low) < 0.0 and width < 1e12:
-        low, width = low - width, 2.0 * width
-    while excess(high) > 0.0 and width < 1e12:
-        high, width = high + width, 2.0 * width
-    return _bisect(lambda offset: -excess(offset), low, high, 0.0)
+    def plus(self, share: float, move: "Point") -> "Point":
+        """The point a share of a move farther."""
+        return Point(
+            self.coefficients + share * move.coefficients,
+            self.values + share * move.values,
+            self.offset + share * move.offset,
+        )
 
 
 @no_type_check
-class _Line:
-    """The objective along a move; its derivative only rises, since it is convex."""
+def minimise(space: Space, total: Any, reg: float, has_offset: bool, point: Point, tolerance: float) -> Point:
+    """Minimise from a point on; stop when a Newton step promises less than `tolerance`.
 
-    def __init__(self, space: Space, total: Any, reg: float, point: Point, move: Point) -> None:
-        self.total, self.point, self.move, self.f, self.way = total, point, move, point.f, move.f
-        self.linear = 2.0 * reg * space.inner(point.coefficients, move.coefficients, move.values)
-        self.quadratic = 2.0 * reg * space.inner(move.coefficients, move.coefficients, move.values)
+    `total` tells ``pull(f)`` and ``curvature(f)`` of Σ φ_i(f_i).
+    """
+    least, in_vain = np.inf, 0
+    for _ in range(MAX_STEPS):
+        pull, curvature = total.pull(point.f), total.curvature(point.f)
+        if has_offset and not curvature.any():
+            point = _with_balanced_offset(total, point)
+            pull, curvature = total.pull(point.f), total.curvature(point.f)
+        coefficients, offset = space.newton(curvature, reg, has_offset)(point.coefficients, pull)
+        move = Point(coefficients, space.matrix @ coefficients, offset)
+        slope = _slope_along(space, total, reg, point, move)
+        promise = -slope(0.0)
+        least, in_vain = (promise, 0) if promise < least else (least, in_vain + 1)
+        if promise <= tolerance or in_vain == PATIENCE:
+            break
+        share = _lowest(slope, 1.0, 0.1 * promise)
+        point = point.plus(share, move)
+        # A whole step through which the pulls changed as their curvatures said went all the way to the minimum.
+        error = np.abs(total.pull(point.f) - pull + curvature * move.f).max(initial=0.0)
+        if share == 1.0 and error <= FORESEEN * np.abs(pull).max(initial=0.0):
+            break
+    return point
 
-    def at(self, share: float) -> Point:
-        return Point(
-            self.point.coefficients + share * self.move.coefficients,
-            self.point.values + share * self.move.values,
-            self.point.offset + share * self.move.offset,
-        )
 
-    def slope(self, share: float) -> float:
-        pull = self.total.pull(self.f + share * self.way)
-        return self.linear + share * self.quadratic - float(pull @ self.way)
-
-    def lowest(self) -> float:
-        """The whole move unless it overshoots, then the share at which the slope is all but gone."""
-        enough = 0.1 * abs(self.slope(0.0))
-        return 1.0 if self.slope(1.0) <= enough else _bisect(self.slope, 0.0, 1.0, enough)
+@no_type_check
+def _slope_along(space: Space, total: Any, reg: float, point: Point, move: Point) -> Callable[[float], float]:
+    """The derivative of the objective along a move, which only rises."""
+    linear = 2.0 * reg * space.inner(point.coefficients, move.coefficients, move.values)
+    quadratic = 2.0 * reg * space.inner(move.coefficients, move.coefficients, move.values)
+    start, way = point.f, move.f
+    return lambda share: linear + share * quadratic - float(total.pull(start + share * way) @ way)
 
 
-def _bisect(rising, low: float, high: float, enough: float) -> float:
-    """Zero of a rising function between `low` and `high`."""
-    middle = 0.5 * (low + high)
+@no_type_check
+def _with_balanced_offset(total: Any, point: Point) -> Point:
+    """Move the offset alone, to where the rows' pulls cancel."""
+    start, way = point.f, np.sign(total.pull(point.f).sum())
+
+    def slope(distance):
+        return -way * float(total.pull(start + distance * way).sum())
+
+    farthest = 1.0 + abs(point.offset)
+    while slope(farthest) < 0.0 and farthest < 1e12:
+        farthest *= 2.0
+    return replace(point, offset=point.offset + way * _lowest(slope, farthest, 0.0))
+
+
+@no_type_check
+def _lowest(slope: Callable[[float], float], high: float, enough: float) -> float:
+    """Where a slope that rises is 0 within `enough`, by bisection from 0 to `high`; `high` where it is not yet."""
+    if slope(high) <= enough:
+        return high
+    low, middle = 0.0, 0.5 * high
     for _ in range(100):
-        value = rising(middle)
+        value = slope(middle)
         if abs(value) <= enough or not low < middle < high:
             break
         low, high = (middle, high) if value < 0.0 else (low, middle)

@@ -21,19 +21,14 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float, Int
-from scipy.linalg import eigh, solve_triangular
 
-from halfseen.arrays import Rows
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm.kernels import Kernel, as_sets, checked_gram, kernel_diagonal, row_blocks
+from halfseen.learning.svm.kernels import Kernel, checked_gram, kernel_diagonal, row_blocks
 
 MOST_CANDIDATES = 20_000
 """Rows among which landmarks are sought, where the landmarks are not many; a random sample of larger logs."""
 
 CANDIDATES_A_LANDMARK = 10
-
-FRESH_ROWS = 4_000
-"""Rows beyond the candidates on which the trace error is estimated."""
 
 ROWS_CHECKED = 32
 """Rows on which a kernel must first look like one."""
@@ -55,7 +50,7 @@ FEATURES_AT_ONCE = 2**22
 
 @dataclass(frozen=True)
 class Nystrom:
-    """Features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z).
+    """Sums of the kernel with landmarks: features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z).
 
     Attributes
     ----------
@@ -63,108 +58,72 @@ class Nystrom:
         k.
     landmarks
         Shape (m, F), or (m,) of sets.
-    landmark_rows
-        Where the landmarks stood in the rows that were fitted, shape (m,).
     projection
-        R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span.
-    trace_error_share
-        1 − tr(ΦΦᵀ)/tr(K) over the rows of positive weight, in [0, 1]; of a log with more rows than were candidates, the
-        share of the others is estimated on `FRESH_ROWS` of them.
+        R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span. Or
+        shape (m,), for one function instead of features.
     """
 
     kernel: Kernel
     landmarks: np.ndarray
-    landmark_rows: Int[np.ndarray, " m"]
-    projection: Float[np.ndarray, "m r"]
-    trace_error_share: float
+    projection: Float[np.ndarray, "m ..."]
 
-    @property
-    def num_features(self) -> int:
-        """r, at most the number of landmarks."""
-        return self.projection.shape[1]
-
-    def transform(self, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "n r"]:
-        """Φ of the rows, in blocks: no second buffer of its size is needed.
-
-        Parameters
-        ----------
-        rows
-            Shape (n, F), or n sets.
+    def transform(self, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "n ..."]:
+        """Φ of n rows or sets, in blocks: no second buffer of its size is needed.
 
         Raises
         ------
         ArgumentError
             The kernel of a row is not finite.
         """
-        features = np.empty((len(rows), self.num_features))
+        features = np.empty((len(rows), *self.projection.shape[1:]))
         for few in row_blocks(len(rows), len(self.landmarks), FEATURES_AT_ONCE):
             np.matmul(self.kernel(rows[few], self.landmarks), self.projection, out=features[few])
-            wrong = ~np.isfinite(features[few]).all(axis=1)
-            if wrong.any():
-                raise ArgumentError(
-                    f"row {few.start + int(np.argmax(wrong))}: its kernel with a landmark is not finite; "
-                    "give finite values, and scale them if the kernel overflows"
-                )
+        wrong = ~np.isfinite(features).all(axis=tuple(range(1, features.ndim)))
+        if wrong.any():
+            raise ArgumentError(
+                f"row {int(np.argmax(wrong))}: its kernel with a landmark is not finite; give finite values, and scale "
+                "them if the kernel overflows"
+            )
         return features
 
+    def function(self, coefficients: Float[np.ndarray, " r"]) -> "Nystrom":
+        """Σ_j coefficients_j φ_j, as a sum of kernels itself."""
+        return Nystrom(self.kernel, self.landmarks, self.projection @ coefficients)
 
-def fit_nystrom(
-    kernel: Kernel,
-    rows: Sequence[Any] | np.ndarray,
-    num_landmarks: int,
-    rng: np.random.Generator,
-    weights: Rows | None = None,
-) -> Nystrom:
-    """Choose landmarks among the rows of positive weight.
+
+def fit_nystrom(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random.Generator) -> Nystrom:
+    """Choose landmarks among the rows.
 
     Parameters
     ----------
     kernel
         k, positive semidefinite.
     rows
-        Shape (n, F), or n sets.
+        Shape (n, F), or (n,) of sets.
     num_landmarks
         m, at most; fewer serve where they explain all rows. With as many as there are rows, ΦΦᵀ is K.
     rng
         Draws the landmarks.
-    weights
-        A row of weight 0 is no landmark; None weighs all alike. Shape (n,).
 
     Raises
     ------
     ArgumentError
-        No row has a positive weight, no landmark is asked for, or the kernel's values are not those of one.
+        No landmark is asked for, or the kernel's values are not those of one.
     """
     if num_landmarks < 1:
         raise ArgumentError(f"num_landmarks is {num_landmarks}; give at least 1")
-    rows = rows if isinstance(rows, np.ndarray) else as_sets(rows)
-    eligible = np.arange(len(rows)) if weights is None else np.flatnonzero(np.asarray(weights) > 0)
-    if len(eligible) == 0:
-        raise ArgumentError(
-            f"none of {len(rows)} rows has a positive weight; give at least one that was seen to its end"
-        )
     most = max(MOST_CANDIDATES, CANDIDATES_A_LANDMARK * num_landmarks)
-    order = rng.permutation(eligible) if len(eligible) > most else eligible
-    candidates, others = rows[order[:most]], order[most:]
-    checked_gram(kernel, few := candidates[:ROWS_CHECKED], few)
-    chosen, unexplained = _pivots(kernel, candidates, num_landmarks, rng)
-    landmarks = candidates[chosen]
-    projection = _inverse_root(checked_gram(kernel, landmarks, landmarks))
-    model = Nystrom(kernel, landmarks, order[chosen], projection, 0.0)
-    trace = float(kernel_diagonal(kernel, candidates).sum())
-    if len(others):
-        fresh = rows[others[:FRESH_ROWS]]
-        diagonal, times = kernel_diagonal(kernel, fresh), len(others) / len(fresh)
-        unexplained += times * float(np.sum(diagonal - np.square(model.transform(fresh)).sum(axis=1)))
-        trace += times * float(diagonal.sum())
-    share = min(max(unexplained / trace, 0.0), 1.0) if trace > 0 else 0.0
-    return Nystrom(kernel, landmarks, order[chosen], projection, share)
+    candidates = rows[rng.permutation(len(rows))[:most]] if len(rows) > most else rows
+    few = candidates[:ROWS_CHECKED]
+    checked_gram(kernel, few, few)
+    landmarks = candidates[_pivots(kernel, candidates, num_landmarks, rng)]
+    return Nystrom(kernel, landmarks, inverse_root(checked_gram(kernel, landmarks, landmarks)))
 
 
-def _pivots(
-    kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random.Generator
-) -> tuple[Int[np.ndarray, " m"], float]:
-    """Landmarks among the rows, and the trace that they leave unexplained."""
+def _pivots(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random.Generator) -> Int[np.ndarray, " m"]:
+    """Landmarks among the rows."""
+    from scipy.linalg import solve_triangular
+
     diagonal = kernel_diagonal(kernel, rows)
     floor = RESIDUAL_TOLERANCE * diagonal.max()
     residual = np.where(diagonal > floor, diagonal, 0.0)
@@ -195,7 +154,7 @@ def _pivots(
         residual[pivots] = 0.0
         residual[residual <= floor] = 0.0
         chosen = np.concatenate([chosen, pivots])
-    return chosen, float(residual.sum())
+    return chosen
 
 
 def _accept(
@@ -217,8 +176,10 @@ def _accept(
     return kept, np.tril(lower)
 
 
-def _inverse_root(gram: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m r"]:
+def inverse_root(gram: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m r"]:
     """R with R Rᵀ = K⁻¹ on the directions that K spans."""
+    from scipy.linalg import eigh
+
     values, vectors = eigh(gram)
     is_spanned = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
     return vectors[:, is_spanned] / np.sqrt(values[is_spanned])

@@ -5,8 +5,7 @@ that is cut after τ counts in full (design, §2). Rows weigh w = δ / Ĝ(min(T,
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -17,23 +16,12 @@ from halfseen.censoring import CensoringModel, censoring_weights, named_model, u
 from halfseen.censoring.inputs import checked_ends, checked_floats
 from halfseen.errors import ArgumentError, PositivityError
 
-TIME_COLUMNS = ("time", "time_s")
-FINISHED_COLUMN = "is_finished"
 
-
-@dataclass(frozen=True)
-class Ends:
-    """Observed ends of paths."""
+class Ends(NamedTuple):
+    """Observed ends of paths [s], and whether they are the path's own; False where it was cut."""
 
     time: Rows
     is_finished: RowMask
-    """False where the path was cut."""
-
-    def restricted(self, tau: float | None) -> "Ends":
-        """min(T, τ), and whether it was seen."""
-        if tau is None:
-            return self
-        return Ends(np.minimum(self.time, tau), self.is_finished | (self.time >= tau))
 
 
 def survival_array(time: ArrayLike, is_finished: ArrayLike) -> np.ndarray:
@@ -52,8 +40,8 @@ def survival_array(time: ArrayLike, is_finished: ArrayLike) -> np.ndarray:
         Fields ``is_finished`` (bool) and ``time`` (float64), shape (n,), as scikit-survival has it.
     """
     ends, finished = checked_ends(time, is_finished)
-    array = np.empty(len(ends), dtype=[(FINISHED_COLUMN, np.bool_), ("time", np.float64)])
-    array[FINISHED_COLUMN], array["time"] = finished, ends
+    array = np.empty(len(ends), dtype=[("is_finished", np.bool_), ("time", np.float64)])
+    array["is_finished"], array["time"] = finished, ends
     return array
 
 
@@ -71,40 +59,24 @@ def as_ends(y: Any) -> Ends | None:
     ArgumentError
         It is none of these, or a time is not finite and positive.
     """
-    if isinstance(y, pd.DataFrame) and len(y.columns) > 1:
-        return Ends(*checked_ends(*_of_frame(y)))
     if isinstance(y, tuple) and len(y) == 2 and np.ndim(y[0]) == 1:
-        return Ends(*checked_ends(y[0], y[1]))
+        return Ends(*checked_ends(*y))
+    if isinstance(y, pd.DataFrame) and len(y.columns) > 1:
+        times = [name for name in ("time", "time_s") if name in y.columns]
+        if len(times) != 1 or "is_finished" not in y.columns:
+            raise ArgumentError(
+                f"y has the columns {list(y.columns)}; give is_finished (False where cut) and one of time and time_s"
+            )
+        return Ends(*checked_ends(y[times[0]], y["is_finished"]))
     if isinstance(y, np.ndarray) and y.dtype.names:
-        return Ends(*checked_ends(*_of_record(y)))
+        flags = [name for name in y.dtype.names if y.dtype[name] == np.bool_]
+        times = [name for name in y.dtype.names if y.dtype[name].kind in "fiu"]
+        if len(y.dtype.names) != 2 or len(flags) != 1 or len(times) != 1:
+            raise ArgumentError(
+                f"y has the fields {y.dtype}; give one boolean (True where the end was seen) and one of times"
+            )
+        return Ends(*checked_ends(y[times[0]], y[flags[0]]))
     return None
-
-
-def _of_frame(y: pd.DataFrame) -> tuple[Any, Any]:
-    times = [name for name in TIME_COLUMNS if name in y.columns]
-    if len(times) != 1 or FINISHED_COLUMN not in y.columns:
-        raise ArgumentError(
-            f"y has the columns {list(y.columns)}; give is_finished (False where cut) and one of time and time_s"
-        )
-    return y[times[0]], y[FINISHED_COLUMN]
-
-
-def _of_record(y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    names = y.dtype.names or ()
-    flags = [name for name in names if y.dtype[name] == np.bool_]
-    times = [name for name in names if y.dtype[name].kind in "fiu"]
-    if len(names) != 2 or len(flags) != 1 or len(times) != 1:
-        raise ArgumentError(
-            f"y has the fields {y.dtype}; give one boolean (True where the end was seen) and one of times"
-        )
-    return y[times[0]], y[flags[0]]
-
-
-def checked_tau(tau: float | int | None) -> float | None:
-    """τ [s], > 0."""
-    if tau is not None and not 0.0 < tau < np.inf:
-        raise ArgumentError(f"tau is {tau}; it is a time > 0 s, or None for times that are not restricted")
-    return None if tau is None else float(tau)
 
 
 def target_values(time: Rows, target: str | Callable[[Rows], Any]) -> Rows:
@@ -135,24 +107,12 @@ def target_values(time: Rows, target: str | Callable[[Rows], Any]) -> Rows:
     return values
 
 
-def check_lengths(rows: np.ndarray, targets: np.ndarray) -> None:
-    """Refuse rows and targets that do not pair.
-
-    Raises
-    ------
-    ArgumentError
-        Their numbers differ.
-    """
-    if len(rows) != len(targets):
-        raise ArgumentError(f"X has {len(rows)} rows and y has {len(targets)}; give one target a row")
-
-
 def row_weights(
     ends: Ends | None,
     rows: np.ndarray,
     counts: Rows,
     censoring: str | CensoringModel,
-    tau: float | None,
+    tau: float | int | None,
     truncate_at: float | int | None,
 ) -> tuple[Rows, CensoringModel | None]:
     """Weight of each row, and the censoring model that gave it.
@@ -181,26 +141,21 @@ def row_weights(
     """
     if ends is None:
         return counts, None
-    seen, counted = ends.restricted(tau), counts > 0
-    if not seen.is_finished[counted].any():
+    time, is_seen = ends
+    if tau is not None:
+        time, is_seen = np.minimum(time, tau), is_seen | (time >= tau)
+    counted = counts > 0
+    if not is_seen[counted].any():
         raise PositivityError(
             f"all {len(rows)} paths were cut before their target was seen; record until some finish, or give a tau "
             "that some outlived"
         )
     if isinstance(censoring, str) and censoring == "none":
-        return counts * seen.is_finished, None
+        return counts * is_seen, None
     model = named_model(censoring)
-    covariates = _covariates(model, rows)
-    model.fit(ends.time[counted], ends.is_finished[counted], None if covariates is None else covariates[counted])
-    weights = censoring_weights(
-        seen.time, seen.is_finished & counted, model, covariates=covariates, truncate_at=truncate_at
-    )
-    return counts * weights, model
-
-
-def _covariates(model: CensoringModel, rows: np.ndarray) -> np.ndarray | None:
-    if not uses_covariates(model):
-        return None
-    if rows.dtype == object:
+    covariates = rows if uses_covariates(model) else None
+    if covariates is not None and covariates.dtype == object:
         raise ArgumentError("censoring uses covariates, and X holds sets; choose 'kaplan-meier'")
-    return rows
+    model.fit(ends.time[counted], ends.is_finished[counted], None if covariates is None else covariates[counted])
+    weights = censoring_weights(time, is_seen & counted, model, covariates=covariates, truncate_at=truncate_at)
+    return counts * weights, model
