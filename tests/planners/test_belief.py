@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from naive_planner import CONFIG, Cup, attempt_s, chance, over_grips
 
-from halfseen.arrays import expit, softmax
+from halfseen.arrays import softmax
 from halfseen.planners.belief import (
     Grip,
     belief_of,
@@ -14,9 +14,7 @@ from halfseen.planners.belief import (
     offset_nodes,
     prior_grip,
 )
-from halfseen.world import random
-from picked import repeated
-from tables import drawn_successor, state_of
+from tables import drawn_successors, state_of
 
 GRID = np.linspace(-6.0, 6.0, 1201)
 NORMAL = np.exp(-(GRID**2) / 2)
@@ -97,13 +95,12 @@ def test_labels_leave_the_expected_chance_of_dirt_as_it_was():
 @pytest.mark.slow
 def test_sampled_futures_of_a_wash_take_the_cup_away_as_often_as_it_is_grasped():
     cups, hides = [Cup(0.7, ((0.2, False),)), Cup(0.4)], [[0.0, 0.6], [0.0, 0.0]]
-    belief = belief_of(CONFIG, state_of(cups, hides))
-    keys = random.keys_of(random.key_of(0), 20_000)
+    futures = drawn_successors(CONFIG, state_of(cups, hides), 0, 20_000)
 
-    futures = drawn_successor(CONFIG, repeated(belief, 20_000), np.full(20_000, 1), keys)
-
-    assert 1 - futures.is_on_table[:, 0].mean() == pytest.approx(chance(cups[0], 0.6), abs=0.015)
-    assert bool(futures.is_on_table[:, 1].all())
+    assert 1 - futures.is_there[0].mean() == pytest.approx(chance(cups[0], 0.6), abs=0.015)
+    assert bool(futures.is_there[1].all())
     assert set(futures.steps_to_go) == {9}
-    # What is believed of dirt is a martingale: labels on average change nothing.
-    assert expit(futures.log_odds[:, 1]).mean() == pytest.approx(0.4, abs=0.01)
+    # What is believed of dirt is a martingale: labels on average change nothing. So it is of the grip.
+    assert futures.is_dirty[1].mean() == pytest.approx(0.4, abs=0.01)
+    weights = softmax(belief_of(CONFIG, state_of(cups, hides)).grip.log_weights)
+    np.testing.assert_allclose(futures.weights.mean(axis=-1).T, weights, atol=0.01)
