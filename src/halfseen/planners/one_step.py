@@ -41,17 +41,16 @@ class Table(NamedTuple):
     """Posterior of each grip offset on its nodes."""
     seen: Float[Array, " N *B"]
     steps_to_go: Int[Array, "*B"]
-    hides: Float[Array, "N N *B"] | None
-    grip: Float[Array, " N *B"] | None
-    """Both None where each `Setting` that may come is known already."""
+    hides: Float[Array, "N N *B"]
+    grip: Float[Array, " N *B"]
+    """Mean of the grip offset."""
 
 
 class Setting(NamedTuple):
     """What follows, for attempts and labels, from how the objects stand."""
 
-    occluded: Float[Array, "M N *B"] | None
-    """None where no look depends on former ones, and none is asked for."""
-    label: Float[Array, "2 2 M N *B"] | None
+    occluded: Float[Array, "M N *B"]
+    label: Float[Array, "2 2 M N *B"]
     """P(the next label says dirty, or says not) of what is dirty, and of what is clean; 0 of what is not tried."""
     attempts: tuple[Float[Array, "W G N *B"], ...]
     """At each node of the grip offset, by the law of the robot that tries next; see `MISSED` and what follows it."""
@@ -60,7 +59,7 @@ class Setting(NamedTuple):
 class Outlook(NamedTuple):
     """What may follow one attempt at each object."""
 
-    occluded: Float[Array, "M N *B"] | None
+    occluded: Float[Array, "M N *B"]
     """As `Setting` has it."""
     likelihood: Float[Array, "2 G N *B"]
     """P(an attempt now misses, and holds) at each node of the grip offset."""

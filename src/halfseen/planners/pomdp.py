@@ -79,7 +79,7 @@ class POMDPPolicy:
         """Q_h of every action; −∞ where an action is impossible."""
         if self.num_simulations == 0:
             return one_step_q(self.config, belief_of(self.config, state))
-        return searched_values(self.config, state, key, self.num_simulations, self.planning_horizon)
+        return searched_values(self.config, state, key, self.num_simulations, int(self.planning_horizon))
 
 
 BATCH = 24

@@ -85,8 +85,6 @@ def opened(config: WorldConfig, state: TableState) -> Search:
     settings = settings_of(config, table)
     look, left = looked(config, table, settings), left_price(config, table)
     rule, control = (laid_out(left, left + values) for values in rule_and_control(config, table, look))
-    if settings is not None:
-        table = table._replace(hides=None, grip=None)
     none = library_of(rule).zeros_like(rule)
     return Search(config, table, look, settings, rule, control, none, none)
 

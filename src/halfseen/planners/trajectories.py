@@ -58,14 +58,14 @@ class Settings(NamedTuple):
     bit: Int[np.ndarray, " N"]
     """What each object adds to the number of a set; 0 for what is not there."""
     each: Setting
-    """Of each set, by its number; without labels where they depend on what was seen, else without occlusions."""
+    """Of each set, by its number; labels as if nothing more had been seen."""
 
     def of(self, config: WorldConfig, table: Table) -> Setting:
         """Those of some beliefs of that table, from now on."""
         setting = picked(self.each, self.bit @ table.is_there)
-        if setting.label is None:
-            return setting._replace(label=labels_in(config, table, setting.occluded))
-        return setting
+        if type(config.seeing) is AssumedSeeing:
+            return setting
+        return setting._replace(label=labels_in(config, table, setting.occluded))
 
 
 def settings_of(config: WorldConfig, table: Table) -> Settings | None:
@@ -78,9 +78,7 @@ def settings_of(config: WorldConfig, table: Table) -> Settings | None:
     if num_sets > MOST_SETS:
         return None
     every = picked(table, np.zeros(num_sets, dtype=np.int64))
-    each = setting_of((config,), every._replace(is_there=(bit[:, None] & np.arange(num_sets)) > 0))
-    is_same_by_look = type(config.seeing) is AssumedSeeing
-    return Settings(bit, each._replace(occluded=None) if is_same_by_look else each._replace(label=None))
+    return Settings(bit, setting_of((config,), every._replace(is_there=(bit[:, None] & np.arange(num_sets)) > 0)))
 
 
 def looked(config: WorldConfig, table: Table, settings: Settings | None) -> Outlook:
