@@ -85,6 +85,7 @@ class _Crew(NamedTuple):
 
 
 def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: Others) -> Float[Array, "*B A"]:
+    assert state.decider is not None
     xp, speed = library_of(state.is_on_table), np.asarray(config.speed, dtype=np.float32)
     laws = tuple(config.as_robot(robot) for robot in range(config.num_robots if config.has_own_laws else 1))
     robot = state.decider if config.has_own_laws else xp.zeros_like(state.decider)

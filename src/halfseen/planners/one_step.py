@@ -260,10 +260,10 @@ def attempts_worth(
 def rule_and_control(config: WorldConfig, table: Table, look: Outlook) -> Float[Array, "2 C *B"]:
     """Q_1 and Q° of WASH and of LIFT of each object above leaving all, for one robot; −∞ of what is not there.
 
-    With one step to go, both are Q_1, which is exact there.
+    With one step to go Q_1 is exact, and Q° is of no meaning.
     """
-    xp, steps, tries = library_of(look.worth), table.steps_to_go - 1, tries_after(config, look, (0.0,))
-    gains = _pair(limited(tries, steps), tries[0] * (steps > 0))
+    xp, tries = library_of(look.worth), tries_after(config, look, (0.0,))
+    gains = _pair(limited(tries, table.steps_to_go - 1), tries[0])
     own_s = config.transport_s + look.expected[0][ATTEMPT_S]
     values = xp.where(table.is_there, attempts_worth(config, look, gains, own_s), _NEVER)
     return values.reshape(2, -1, *table.steps_to_go.shape)

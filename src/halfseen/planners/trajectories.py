@@ -107,7 +107,7 @@ def successor(
     lanes, objects, nodes = (np.arange(num) for num in (len(choice), num_objects, len(table.weights)))
     target, objects = choice % num_objects, objects[:, None]
     is_grasped = draws[0] < look.expected[0][HELD, target, lanes]
-    is_target, result = target == objects, is_grasped.astype(np.int64)
+    is_target, result = target == objects, is_grasped.astype(np.int32)
     is_moved = is_target & is_grasped
     is_held = is_moved & (choice >= num_objects)
     # By Bayes, of the grip and of every label; what was drawn was possible, so that the least of floats only guards
