@@ -86,7 +86,8 @@ class _Crew(NamedTuple):
 
 def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: Others) -> Float[Array, "*B A"]:
     assert state.decider is not None
-    xp, speed = library_of(state.is_on_table), np.asarray(config.speed, dtype=np.float32)
+    xp = library_of(state.is_on_table)
+    speed = xp.asarray(config.speed, dtype=np.float32)
     laws = tuple(config.as_robot(robot) for robot in range(config.num_robots if config.has_own_laws else 1))
     robot = state.decider if config.has_own_laws else xp.zeros_like(state.decider)
     table = table_of(belief_of(config, state))
@@ -142,7 +143,8 @@ def _value_now(config: WorldConfig, look: Outlook, crew: _Crew) -> Float[Array, 
 
 def _wait_s(config: WorldConfig, robots: Robots, others: Others, seconds: Float[Array, "L N *B"]) -> Float[Array, "*B"]:
     """Time until the first of the other robots is expected to be done; 0 where none is at work [s]."""
-    xp, speed = library_of(robots.since_s), np.asarray(config.speed, dtype=np.float32)
+    xp = library_of(robots.since_s)
+    speed = xp.asarray(config.speed, dtype=np.float32)
     of_robots = xp.broadcast_to(seconds, (robots.num_robots, *seconds.shape[1:]))
     expected_s = xp.take_along_axis(of_robots, xp.moveaxis(robots.target, -1, 0)[:, None], axis=1)[:, 0]
     expected_s = xp.moveaxis(expected_s, 0, -1) / speed

@@ -119,17 +119,17 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
     helds, seconds = [], []
     for world in worlds:
         law, offset = known_grasping(world), _offsets(world, table.grip)
-        helds.append(-xp.expm1(law.log_failure(occluded[:-1, None], offset)))
+        helds.append(_ONE - xp.exp(law.log_failure(occluded[:-1, None], offset)))
         seconds.append(law.expected_s(occluded[0], offset))
     own = helds[0][0]
     if robot is not None:
         own = xp.take_along_axis(xp.stack([held[0] for held in helds]), robot[None, None, None], axis=0)[0]
     missed = _ONE - own
-    attempts = tuple(
-        xp.concatenate([xp.stack([missed, own, missed * held[0], own * held[0], attempt_s]), held])
-        for held, attempt_s in zip(helds, seconds, strict=True)
-    )
-    return Setting(occluded, labels_in(worlds[0], table, occluded), attempts)
+    attempts = []
+    for held, attempt_s in zip(helds, seconds, strict=True):
+        first = (missed, own, missed * held[0], own * held[0], attempt_s)
+        attempts.append(xp.concatenate([*(each[None] for each in first), held]))
+    return Setting(occluded, labels_in(worlds[0], table, occluded), tuple(attempts))
 
 
 def _offsets(config: WorldConfig, grip: Float[Array, " N *B"]) -> Float[Array, "G N *B"]:
