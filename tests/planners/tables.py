@@ -3,15 +3,19 @@
 import numpy as np
 from naive_planner import CONFIG
 
-from halfseen.planners.one_step import outlook_of
-from halfseen.planners.trajectories import Draws, draws_of, successor
+from halfseen.arrays import mapped
+from halfseen.planners.rollout import opened
+from halfseen.planners.trajectories import draws_of, picked, successor
+from halfseen.world import random
 from halfseen.world.state import NO_ATTEMPT, TableState
 
 
-def drawn_successor(config, belief, action, key):
-    """What would be believed after an attempt, of each table by its key."""
-    draws = draws_of(key, 1, belief.is_on_table.shape[-1])
-    return successor(config, belief, outlook_of(config, belief).chances, action, Draws(*(each[0] for each in draws)))
+def drawn_successors(config, state, choice, num):
+    """What is believed after so many attempts at one table, each by draws of its own; the axis of draws last."""
+    search = opened(config, mapped(lambda leaf: np.asarray(leaf)[None], state))
+    table, look = picked((search.table, search.look), np.zeros(num, dtype=np.int64))
+    draws = draws_of(random.keys_of(random.key_of(0), num), 1, state.num_objects)[0]
+    return successor(config, table, look, np.full(num, choice), draws)
 
 
 def state_of(cups, hides, steps_to_go=10, num_padding=0):

@@ -29,22 +29,17 @@ def explain_few(cups, hides, steps_to_go, key=KEY, num_rollouts=NUM_ROLLOUTS):
     return explain(CONFIG, state, key, num_rollouts=num_rollouts)
 
 
-def test_a_cup_that_is_surely_dirty_and_in_full_view_is_washed():
-    told = explain_few([Cup(0.999)], np.zeros((1, 1)), 5)
+def test_what_is_sure_is_said_to_be_so():
+    dirty, clean = explain_few([Cup(0.999)], np.zeros((1, 1)), 5), explain_few([Cup(0.001)] * 2, np.zeros((2, 2)), 5)
 
-    assert told.actions[told.best] == "WASH 0"
-    assert told.probability_best[1] > 0.99
-    assert told.probability_stop_is_right == 0.0
-    assert told.lift_high[0] < 0.0
-
-
-def test_where_all_is_surely_clean_stopping_is_right():
-    told = explain_few([Cup(0.001), Cup(0.001)], np.zeros((2, 2)), 5)
-
-    assert told.best == 0
-    assert told.probability_stop_is_right > 0.95
-    assert told.values[0] == pytest.approx(-0.01, abs=1e-4)
-    assert told.low[0] == pytest.approx(told.high[0])
+    assert dirty.actions[dirty.best] == "WASH 0"
+    assert dirty.probability_best[1] > 0.99
+    assert dirty.probability_stop_is_right == 0.0
+    assert dirty.lift_high[0] < 0.0
+    assert clean.best == 0
+    assert clean.probability_stop_is_right > 0.95
+    assert clean.values[0] == pytest.approx(-0.01, abs=1e-4)
+    assert clean.low[0] == pytest.approx(clean.high[0])
 
 
 def test_cups_that_nothing_tells_apart_are_equally_good_and_one_of_them_is_best():
@@ -91,20 +86,18 @@ def test_more_rollouts_leave_less_doubt():
     assert np.median((many.high - many.low)[1:]) < 0.7 * np.median((few.high - few.low)[1:])
 
 
-def test_stopping_has_one_rollout_and_the_others_differ():
-    sampled = sampled_values(CONFIG, state_of(CUPS, HIDES, 6), KEY, NUM_ROLLOUTS)
-
-    assert (sampled[:, 0] == sampled[0, 0]).all()
-    assert (sampled[:, 1:].std(axis=0) > 0.1).all()
-
-
-def test_with_one_step_to_go_the_rollouts_are_exact():
-    state = state_of(CUPS, HIDES, 1)
+@pytest.mark.parametrize("steps_to_go", [6, 1])
+def test_stopping_and_the_last_step_have_one_worth_and_others_differ(steps_to_go):
+    state = state_of(CUPS, HIDES, steps_to_go)
     sampled = sampled_values(CONFIG, state, KEY, NUM_ROLLOUTS)
+    scatter = np.ptp(sampled, axis=0)
 
-    np.testing.assert_allclose(
-        sampled, np.tile(one_step_q(CONFIG, belief_of(CONFIG, state)), (NUM_ROLLOUTS, 1)), rtol=1e-5
-    )
+    assert scatter[0] == 0.0
+    if steps_to_go == 1:
+        assert (scatter == 0.0).all()
+        np.testing.assert_allclose(sampled[0], one_step_q(CONFIG, belief_of(CONFIG, state)), rtol=1e-5)
+    else:
+        assert (scatter[1:] > 0.1).all()
 
 
 @pytest.mark.slow

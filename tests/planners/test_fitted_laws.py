@@ -26,8 +26,8 @@ from halfseen.planners.rollout import sampled_values
 from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import evaluate, play
 from halfseen.world.state import pad_scenes
-from picked import picked, repeated
-from tables import drawn_successor, state_of
+from picked import picked
+from tables import drawn_successors, state_of
 
 TWO = Scene(np.array([[0.0, 0.6], [0.1, 0.0]]), grip=np.array([-1.0, 0.5]))
 THREE = Scene(np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]]), grip=np.array([0.5, -1.5, 0.0]))
@@ -116,16 +116,13 @@ def test_labels_leave_the_expected_chance_of_dirt_as_it_was(is_held):
 @pytest.mark.slow
 def test_sampled_futures_keep_what_is_believed_of_dirt_on_average(played):
     state = next(state for state in played if state.is_on_table.all() and (state.seen < 1.0).all())
-    belief, keys = belief_of(FITTED, state), random.keys_of(random.key_of(0), 20_000)
-    lift_1 = np.full(20_000, 5)
+    belief = belief_of(FITTED, state)
+    futures = drawn_successors(FITTED, state, 3 + 1, 20_000)
 
-    futures = drawn_successor(FITTED, repeated(belief, 20_000), lift_1, keys)
-
-    is_dirty = expit(futures.log_odds)
-    np.testing.assert_allclose(is_dirty.mean(axis=0), expit(belief.log_odds), atol=0.01)
+    np.testing.assert_allclose(futures.is_dirty.mean(axis=-1), expit(belief.log_odds), atol=0.01)
     chance = float(grasp_probability(FITTED, np.asarray(THREE.occlusion[1]), Grip(*(leaf[1] for leaf in belief.grip))))
-    assert float((futures.seen[:, 1] == 1.0).mean()) == pytest.approx(chance, abs=0.015)
-    assert bool((futures.seen >= belief.seen).all())
+    assert float((futures.seen[1] == 1.0).mean()) == pytest.approx(chance, abs=0.015)
+    assert bool((futures.seen >= belief.seen[:, None]).all())
 
 
 def test_at_the_last_step_the_look_ahead_is_exact(played):

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from halfseen.planners.belief import belief_of, expected_attempt_s, grip_posterior
+from halfseen.planners.belief import belief_of
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import one_step_q
@@ -77,34 +77,10 @@ def test_one_robot_looks_ahead_as_it_does_without_a_team():
     np.testing.assert_allclose(q_of(team, states)[:, :-1], known - known[:, [FINISH]], atol=1e-4)
 
 
-def test_a_price_is_paid_for_every_try_and_once_by_one_robot():
-    # All surely dirty and surely grasped: whoever is alone pays the seconds of each object, now or later.
-    price = -0.01
-    free, dear = (team_of(1, reward_per_s=each) for each in (0.0, price))
-    layout = picked(layouts_of(1), 0)
-    state, _ = start(team_of(1), layout, KEY)
-    state = replace(state, log_odds=np.full(NUM_OBJECTS, 9.0, dtype=np.float32), hides=np.zeros_like(state.hides))
-    paid = np.subtract(*(q_of(team, state)[1 : 1 + NUM_OBJECTS] for team in (dear, free)))
-    nothing_hides = np.zeros(NUM_OBJECTS, dtype=np.float32)
-    all_s = float(np.sum(expected_attempt_s(WORLD, nothing_hides, grip_posterior(WORLD, state))))
-    # What is missed now is tried once more.
-    assert (paid <= price * all_s + 1e-4).all()
-    assert (paid >= 2 * price * all_s).all()
-
-
 def test_at_no_price_it_waits_for_a_label_and_at_a_high_one_it_leaves():
     free, dear = (q_of(team, while_the_other_washes(team)) for team in (team_of(2), team_of(2, reward_per_s=-5.0)))
     assert free[WAIT] >= free[FINISH]
     assert np.argmax(dear) == FINISH
-
-
-def test_what_another_washes_is_nobody_elses():
-    team = team_of(2)
-    state = while_the_other_washes(team)
-    q = q_of(team, state)
-    is_washed = np.arange(NUM_OBJECTS) == 0
-    sure = replace(state, log_odds=np.where(is_washed, np.float32(9.0), state.log_odds))
-    np.testing.assert_allclose(q_of(team, sure), q, atol=1e-5)
 
 
 def test_who_has_no_decision_left_tries_nothing_more():

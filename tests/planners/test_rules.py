@@ -13,7 +13,6 @@ from halfseen.world import Scene, UniformPolicy, Workspace, WorldConfig, actions
 from halfseen.world.actions import Verb, possible_actions, wait_of
 from halfseen.world.rollout import play
 from halfseen.world.state import occlusion, pad_scenes
-from halfseen.world.transition import start
 from picked import picked
 
 NUM_OBJECTS = 4
@@ -29,8 +28,8 @@ def layouts_of(reach):
     return replace(pad_scenes([Scene(HIDES)]), workspace=Workspace(reach[None], near))
 
 
-def config_of(price=0.0, num_robots=2):
-    return replace(RULE.config, speed=(1.0,) * num_robots, reward_per_s=price)
+def config_of(price=0.0, speed=(1.0, 1.0)):
+    return replace(RULE.config, speed=speed, reward_per_s=price)
 
 
 def states_of(config, num_paths=60):
@@ -70,11 +69,12 @@ def naive_choice(price_per_s, me, is_gone, is_on_table, worth, attempt_s, is_pos
     return WAIT if is_hope and is_possible[WAIT] else 0
 
 
-@pytest.mark.parametrize("price_per_s", [0.0, 0.3])
-def test_a_team_with_reservation_washes_what_is_worth_its_time(price_per_s):
-    config = config_of(-price_per_s)
+@pytest.mark.parametrize(("price_per_s", "speed"), [(0.0, (1.0, 1.0)), (0.3, (1.0, 1.0)), (0.6, (0.1, 1.0))])
+def test_a_team_with_reservation_washes_what_is_worth_its_time(price_per_s, speed):
+    config = config_of(-price_per_s, speed)
     states = states_of(config)
-    worth, attempt_s, is_possible = RULE.worth(states), attempt_s_of(states), possible_actions(states)
+    attempt_s = attempt_s_of(states) / np.array(speed)[states.decider][:, None]
+    worth, is_possible = RULE.worth(states), possible_actions(states)
     columns = (states.decider, gone(states.robots), states.is_on_table, worth, attempt_s, is_possible)
     naive = [naive_choice(price_per_s, *row) for row in zip(*columns, strict=True)]
     assert {0, WAIT} < set(naive)
@@ -86,9 +86,9 @@ def test_without_a_price_of_time_it_is_the_team_of_rules():
     np.testing.assert_array_equal(chosen(ReservingPolicy(config_of(), RULE), states), chosen(TeamOfRules(RULE), states))
 
 
-@pytest.mark.parametrize("policy", [ReservingPolicy(config_of(num_robots=1), RULE), RoundRobin(RULE), OneAtATime(RULE)])
+@pytest.mark.parametrize("policy", [ReservingPolicy(config_of(speed=(1.0,)), RULE), RoundRobin(RULE), OneAtATime(RULE)])
 def test_one_robot_does_as_its_rule(policy):
-    config, layouts = config_of(num_robots=1), layouts_of(np.ones((1, NUM_OBJECTS), dtype=bool))
+    config, layouts = config_of(speed=(1.0,)), layouts_of(np.ones((1, NUM_OBJECTS), dtype=bool))
     alone = play(config, replace(layouts, workspace=None), RULE, KEY, 60)
     team = play(config, layouts, policy, KEY, 60)
     np.testing.assert_array_equal(alone.action, team.action)
@@ -112,13 +112,3 @@ def test_one_at_a_time_never_has_two_at_work():
     num_at_work = np.sum(robots.is_busy & (robots.verb != actions.WAIT), axis=-1)
     begins = paths.is_taken & (paths.action != WAIT)
     assert (num_at_work[begins] == 0).all()
-
-
-def test_a_second_costs_a_slow_robot_more():
-    layout = picked(layouts_of(REACH), 0)
-    config = config_of(-0.6)
-    state, _ = start(config, layout, random.key_of(1))
-    state = replace(state, log_odds=np.full(NUM_OBJECTS, 2.0, dtype=np.float32))
-    slow = replace(config, speed=(0.1, 1.0))
-    assert int(chosen(ReservingPolicy(config, RULE), state)) != 0
-    assert int(chosen(ReservingPolicy(slow, RULE), state)) == 0

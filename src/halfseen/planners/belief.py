@@ -16,7 +16,7 @@ from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import GraspingByRobot, KnownGrasping
 from halfseen.world.seeing import KnownSeeing
-from halfseen.world.state import TableState, occlusion_by
+from halfseen.world.state import TableState
 
 NUM_NODES = 7
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(NUM_NODES)
@@ -58,15 +58,9 @@ def known_grasping(config: WorldConfig) -> KnownGrasping:
     ArgumentError
         The world's law can only be drawn from, or so can that of a robot.
     """
-    law = config.grasping
-    if type(law) in _KNOWN:
-        return law  # type: ignore[return-value]
+    law: Any = config.grasping
     for each in law.laws if isinstance(law, GraspingByRobot) else (law,):
-        if not isinstance(each, KnownGrasping):
-            raise _unknown("grasping", each, "AssumedGrasping")
-    assert isinstance(law, KnownGrasping), "it is where each of its laws is"
-    if not isinstance(law, GraspingByRobot):
-        _KNOWN.add(type(law))
+        _check_known("grasping", each, KnownGrasping, "AssumedGrasping")
     return law
 
 
@@ -78,20 +72,18 @@ def known_seeing(config: WorldConfig) -> KnownSeeing:
     ArgumentError
         The world's law can only be drawn from.
     """
-    law = config.seeing
-    if type(law) in _KNOWN:
-        return law  # type: ignore[return-value]
-    if not isinstance(law, KnownSeeing):
-        raise _unknown("seeing", law, "AssumedSeeing")
-    _KNOWN.add(type(law))
+    law: Any = config.seeing
+    _check_known("seeing", law, KnownSeeing, "AssumedSeeing")
     return law
 
 
-def _unknown(name: str, law: object, known: str) -> ArgumentError:
-    return ArgumentError(
-        f"{name} of the config is {type(law).__name__}, a law that can be drawn from but whose probabilities are not "
-        f"known, and planners need them; plan with a config whose {name} models it, such as {known}"
-    )
+def _check_known(name: str, law: object, protocol: Any, known: str) -> None:
+    if type(law) not in _KNOWN and not isinstance(law, protocol):
+        raise ArgumentError(
+            f"{name} of the config is {type(law).__name__}, a law that can be drawn from but whose probabilities are "
+            f"not known, and planners need them; plan with a config whose {name} models it, such as {known}"
+        )
+    _KNOWN.add(type(law))
 
 
 def offset_nodes(config: WorldConfig) -> Float[Array, "*R G"]:
@@ -139,17 +131,6 @@ def failure_log_probability(
     return known_grasping(config).log_failure(occluded[..., None], grip_offsets(config, mean))
 
 
-def attempt_evidence(
-    config: WorldConfig, occluded: Float[Array, "*#S"], mean: Float[Array, "*#S"], succeeded: Bool[Array, "*#S"]
-) -> Float[Array, "*S G"]:
-    """Log-likelihood of an attempt's result at each of `offset_nodes`."""
-    failed = failure_log_probability(config, occluded, mean)
-    xp = library_of(failed)
-    held = -xp.expm1(failed)
-    # Where an attempt cannot succeed, it did not.
-    return xp.where(succeeded[..., None], xp.log(xp.maximum(held, np.finfo(np.float32).tiny)), failed)
-
-
 def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
     """Grip of each object, given all its attempts, each as likely as the law of who made it has it."""
     xp, prior = library_of(state.attempt_object), prior_grip(state.grip)
@@ -157,7 +138,10 @@ def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
         return prior
     tried = xp.take_along_axis(state.grip, xp.maximum(state.attempt_object, 0), axis=-1)
     world = config if state.attempt_robot is None else config.as_robot(state.attempt_robot)
-    evidence = attempt_evidence(world, state.attempt_occlusion, tried, state.attempt_succeeded)
+    failed = failure_log_probability(world, state.attempt_occlusion, tried)
+    # Where an attempt cannot succeed, it did not.
+    held = xp.log(xp.maximum(-xp.expm1(failed), np.finfo(np.float32).tiny))
+    evidence = xp.where(state.attempt_succeeded[..., None], held, failed)
     is_mine = state.attempt_object[..., None, :] == xp.arange(state.num_objects)[:, None]
     return prior._replace(log_weights=prior.log_weights + is_mine.astype(evidence.dtype) @ evidence)
 
@@ -188,11 +172,6 @@ def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: 
     attempt_s = known_grasping(config).expected_s(occluded[..., None], grip_offsets(config, grip.mean))
     xp = library_of(attempt_s)
     return config.transport_s + xp.sum(softmax(grip.log_weights) * attempt_s, axis=-1)
-
-
-def occlusion_without(belief: Belief, is_taken: Bool[Array, "*B N"]) -> Float[Array, "*B N"]:
-    """Occlusion if the objects in `is_taken` hid nothing."""
-    return occlusion_by(belief.hides, belief.is_on_table & ~is_taken)
 
 
 def dirty_after_label(

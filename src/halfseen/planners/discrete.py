@@ -18,12 +18,11 @@ R_a        ``reward[a]``, shape (s,): expected reward
 =========  =======================================================
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
-from scipy.optimize import linprog
 
 from halfseen.errors import ArgumentError
 
@@ -125,18 +124,21 @@ def solve_discrete(
     >>> [round(solve_discrete(T, O, R, 0.95, h, [0.5, 0.5]).value, 4) for h in (1, 2, 3)]
     [-1.0, -1.95, 2.3098]
     """
-    transition, observation, reward, belief = _checked(T, O, R, initial_belief)
+    reward = _numbers(R, "R", 2)
+    num_actions, num_states = reward.shape
+    transition = _probabilities(T, "T", reward, (num_actions, num_states, num_states))
+    observation = _probabilities(O, "O", reward, (num_actions, num_states, None))
+    belief = _probabilities(initial_belief, "initial_belief", reward, (num_states,))
     if not 0.0 < discount <= 1.0:
         raise ArgumentError(f"discount is {discount}; it lies in (0, 1]")
     if horizon < 1:
         raise ArgumentError(f"horizon is {horizon}; at least one action is taken")
-    vectors = np.zeros((1, transition.shape[1]))
-    stages = []
+    vectors, stages = np.zeros((1, num_states)), []
     for _ in range(horizon):
         stages.append(_backed_up(vectors, transition, observation, reward, discount))
         vectors = stages[-1].vectors
     solution = DiscreteSolution(0.0, 0, tuple(stages))
-    return DiscreteSolution(solution.value_of(belief), solution.action_of(belief), tuple(stages))
+    return replace(solution, value=solution.value_of(belief), action=solution.action_of(belief))
 
 
 def _backed_up(
@@ -147,17 +149,15 @@ def _backed_up(
     discount: float,
 ) -> Stage:
     """One step of value iteration."""
-    found, actions = [], []
-    for action in range(len(reward)):
-        total = reward[action][None]
-        for seen in observation[action].T:
-            after = discount * (seen * vectors) @ transition[action].T
-            total = pruned((total[:, None] + pruned(after)[None]).reshape(-1, reward.shape[1]))
+    found = []
+    for moves, sees, total in zip(transition, observation, reward[:, None], strict=True):
+        for seen in sees.T:
+            after = pruned(discount * (seen * vectors) @ moves.T)
+            total = pruned((total[:, None] + after[None]).reshape(-1, reward.shape[1]))
         found.append(total)
-        actions.append(np.full(len(total), action))
-    every, of_action = np.concatenate(found), np.concatenate(actions)
+    every, actions = np.concatenate(found), np.repeat(np.arange(len(found)), [len(total) for total in found])
     kept = _best_somewhere(every)
-    return Stage(every[kept], of_action[kept])
+    return Stage(every[kept], actions[kept])
 
 
 def pruned(vectors: Vectors) -> Float[np.ndarray, "k S"]:
@@ -167,29 +167,25 @@ def pruned(vectors: Vectors) -> Float[np.ndarray, "k S"]:
 
 def _best_somewhere(vectors: Vectors) -> Int[np.ndarray, " k"]:
     """Indices of the vectors that are best at some belief, found by witnesses [CassandraLittmanZhang1997]_."""
-    waiting = list(_undominated(vectors))
-    kept: list[int] = []
+    _, first = np.unique(np.round(vectors / _SAME), axis=0, return_index=True)
+    first = np.sort(first)
+    num_as_good = np.count_nonzero(np.all(vectors[first][None] >= vectors[first][:, None], axis=2), axis=1)
+    # Of equal vectors the first, and none that another is at least as good as in every state.
+    waiting, kept = list(first[num_as_good == 1]), []
     while waiting:
         witness = _witness(vectors[waiting[-1]], vectors[kept])
         if witness is None:
             waiting.pop()
             continue
-        best = max(waiting, key=lambda index: float(vectors[index] @ witness))
-        kept.append(best)
-        waiting.remove(best)
+        kept.append(max(waiting, key=lambda index: float(vectors[index] @ witness)))
+        waiting.remove(kept[-1])
     return np.sort(np.array(kept, dtype=np.int64))
-
-
-def _undominated(vectors: Vectors) -> Int[np.ndarray, " k"]:
-    """Indices of the vectors that no other is at least as good as in every state; the first of equal ones."""
-    _, first = np.unique(np.round(vectors / _SAME), axis=0, return_index=True)
-    distinct = vectors[np.sort(first)]
-    num_as_good = np.count_nonzero(np.all(distinct[None] >= distinct[:, None], axis=2), axis=1)
-    return np.sort(first)[num_as_good == 1]
 
 
 def _witness(vector: Belief, others: Float[np.ndarray, "k S"]) -> Belief | None:
     """Find a belief at which `vector` beats all others, or None: maximise d with b·(vector − other) ≥ d."""
+    from scipy.optimize import linprog
+
     size = len(vector)
     if len(others) == 0:
         return np.full(size, 1.0 / size)
@@ -205,43 +201,25 @@ def _witness(vector: Belief, others: Float[np.ndarray, "k S"]) -> Belief | None:
     return found.x[:size] if found.status == 0 and -found.fun > _SAME else None
 
 
-def _checked(
-    T: ArrayLike,
-    O: ArrayLike,  # noqa: E741
-    R: ArrayLike,
-    initial_belief: ArrayLike,
-) -> tuple[Float[np.ndarray, "A S S"], Float[np.ndarray, "A S Z"], Float[np.ndarray, "A S"], Float[np.ndarray, " S"]]:
-    reward = _numbers(R, "R", 2)
-    num_actions, num_states = reward.shape
-    transition, observation = _numbers(T, "T", 3), _numbers(O, "O", 3)
-    belief = _numbers(initial_belief, "initial_belief", 1)
-    for name, values, wanted in (
-        ("T", transition, (num_actions, num_states, num_states)),
-        ("O", observation, (num_actions, num_states, observation.shape[2])),
-        ("initial_belief", belief, (num_states,)),
-    ):
-        if values.shape != wanted:
-            raise ArgumentError(f"{name} has shape {values.shape}; R of shape {reward.shape} asks for {wanted}")
-        _check_probabilities(values, name)
-    return transition, observation, reward, belief
-
-
 def _numbers(values: ArrayLike, name: str, ndim: int) -> np.ndarray:
     array = np.asarray(values, dtype=np.float64)
     if array.ndim != ndim or array.size == 0:
         raise ArgumentError(f"{name} has shape {array.shape}; give {ndim} axes, none of them empty")
-    wrong = np.argwhere(~np.isfinite(array))
-    if len(wrong):
-        raise ArgumentError(f"{name}{wrong[0].tolist()} is {array[tuple(wrong[0])]}; give a finite number")
+    for index in np.argwhere(~np.isfinite(array)):
+        raise ArgumentError(f"{name}{index.tolist()} is {array[tuple(index)]}; give a finite number")
     return array
 
 
-def _check_probabilities(values: np.ndarray, name: str) -> None:
-    wrong = np.argwhere(values < 0.0)
-    if len(wrong):
-        raise ArgumentError(f"{name}{wrong[0].tolist()} is {values[tuple(wrong[0])]}; a probability is ≥ 0")
-    sums = values.sum(axis=-1)
-    wrong = np.argwhere(np.abs(np.atleast_1d(sums) - 1.0) > _ROW_SUM)
-    if len(wrong):
-        where = wrong[0].tolist() if values.ndim > 1 else ""
-        raise ArgumentError(f"{name}{where} sums to {np.atleast_1d(sums)[tuple(wrong[0])]:g}; probabilities sum to 1")
+def _probabilities(values: ArrayLike, name: str, reward: np.ndarray, shape: tuple[int | None, ...]) -> np.ndarray:
+    """Numbers of a shape, None for any, of which each row sums to 1."""
+    array = _numbers(values, name, len(shape))
+    wanted = tuple(size or given for size, given in zip(shape, array.shape, strict=True))
+    if array.shape != wanted:
+        raise ArgumentError(f"{name} has shape {array.shape}; R of shape {reward.shape} asks for {wanted}")
+    for index in np.argwhere(array < 0.0):
+        raise ArgumentError(f"{name}{index.tolist()} is {array[tuple(index)]}; a probability is ≥ 0")
+    sums = array.sum(axis=-1)
+    for index in np.argwhere(np.abs(sums - 1.0) > _ROW_SUM):
+        where = index.tolist() or ""
+        raise ArgumentError(f"{name}{where} sums to {sums[tuple(index)]:g}; probabilities sum to 1")
+    return array

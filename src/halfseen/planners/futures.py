@@ -4,20 +4,18 @@ Where `rollout` moves a belief, a future here moves the world itself, so that al
 times, prices) counts. Nothing that is truly hidden is read: attributes and grips are drawn as `belief` has them, and
 labels by their probabilities given what is known.
 
-Multi-agent rollout: one robot looks for something better than the rule that all follow ever after.
-
-Each action of the robot that decides is tried in futures drawn from what is known (`planners.futures`), in which all
-robots, this one included, go on by the rule; the others' turns to deviate come when they decide. To improve a rule one
-robot at a time costs as many tries as the robots have actions, added up and not multiplied [Bertsekas2021]_.
+Multi-agent rollout: each action of the robot that decides is tried in such futures, in which all robots, this one
+included, go on by a rule; the others' turns to deviate from it come when they decide. To improve a rule one robot at a
+time costs as many tries as the robots have actions, added up and not multiplied [Bertsekas2021]_.
 """
 
 from dataclasses import field, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from halfseen.arrays import STATIC, Array, at, chosen, expit, library_of, mapped, record
+from halfseen.arrays import STATIC, Array, at, chosen, expit, library_of, mapped, record, stacked
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grip_posterior, known_seeing, trait_at
 from halfseen.world import random
@@ -27,11 +25,14 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, Policy
 from halfseen.world.random import Key
 from halfseen.world.seeing import Glimpse, KnownSeeing, Told, label_evidence
-from halfseen.world.state import HiddenState, Pending, TableState, occlusion
+from halfseen.world.state import HiddenState, Pending, Robots, TableState, occlusion
 from halfseen.world.transition import step, until_out_s
 
 NUM_PROPOSALS = 16
 """Attempts drawn for each robot that is at work; one of those that have not yet ended is taken."""
+NUM_FUTURES = 32
+
+Tree = TypeVar("Tree")
 
 
 @record
@@ -61,9 +62,14 @@ class ForeseenSeeing:
         return Told(log_odds + label_evidence(if_dirty, if_clean, says_dirty), seen, None)
 
 
-def foreseen(config: WorldConfig) -> WorldConfig:
-    """The world in which futures are played: its labels come from what is known."""
-    return replace(config, seeing=ForeseenSeeing(known_seeing(config)))
+def spread(tree: Tree, num: int, axis: int) -> Tree:
+    """Records as often as said, along a new axis."""
+
+    def each(leaf: Array) -> Array:
+        xp, shape = library_of(leaf), np.shape(leaf)
+        return xp.broadcast_to(xp.expand_dims(leaf, axis), (*shape[:axis], num, *shape[axis:]))
+
+    return mapped(each, tree)
 
 
 def imagined(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
@@ -78,20 +84,15 @@ def imagined(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
         return _imagined_table(config, state, key)
     table_key, robots_key = random.split(key)
     hidden, robots = _imagined_table(config, state, table_key), state.robots
-    xp, num_robots = library_of(robots.is_busy), config.num_robots
-    each = [_pending(config, state, robot, random.fold_in(robots_key, robot)) for robot in range(num_robots)]
-    pending = mapped(lambda *leaves: _beside(leaves, state.steps_to_go.ndim, xp), *(one[0] for one in each))
-    trait = hidden.grasp_trait
-    for robot, (_, offset) in enumerate(each):
-        is_at_object = robots.is_busy & (robots.verb > 0) & (robots.verb != WAIT)
-        is_its = is_at_object[..., robot, None] & (xp.arange(state.num_objects) == robots.target[..., robot, None])
-        trait = mapped(lambda all_of, own, is_its=is_its: xp.where(is_its, own[..., None], all_of), trait, offset)
-    until_s = until_out_s(config, random.fold_in(robots_key, num_robots))
+    each = [_pending(config, state, robots, k, random.fold_in(robots_key, k)) for k in range(config.num_robots)]
+    pending = stacked([of_robot for of_robot, _ in each], axis=state.steps_to_go.ndim)
+    xp, trait = library_of(robots.is_busy), hidden.grasp_trait
+    is_at_object = robots.is_busy & (robots.verb > 0) & (robots.verb != WAIT)
+    is_its = is_at_object[..., None] & (xp.arange(state.num_objects) == robots.target[..., None])
+    for k, (_, offset) in enumerate(each):
+        trait = mapped(lambda all_of, own, k=k: xp.where(is_its[..., k, :], own[..., None], all_of), trait, offset)
+    until_s = until_out_s(config, random.fold_in(robots_key, config.num_robots))
     return replace(hidden, grasp_trait=trait, pending=pending, until_out_s=until_s)
-
-
-def _beside(leaves: tuple[Array, ...], axis: int, xp: Any) -> Array:
-    return xp.stack(leaves, axis=axis)
 
 
 def _imagined_table(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
@@ -101,26 +102,23 @@ def _imagined_table(config: WorldConfig, state: TableState, key: Key) -> HiddenS
     return HiddenState(is_dirty, trait_at(config, node), None)
 
 
-def _pending(config: WorldConfig, state: TableState, robot: int, key: Key) -> tuple[Pending, Any]:
+def _pending(config: WorldConfig, state: TableState, robots: Robots, robot: int, key: Key) -> tuple[Pending, Any]:
     """How what one robot carries out will end (`Pending` without the axis of robots), and the grip of its object."""
-    world, robots, speed = config.as_robot(robot), state.robots, config.speed[robot]
-    assert robots is not None
     assert state.decider is not None
-    xp, never = library_of(robots.is_busy), np.float32(np.inf)
-    verb, target, since_s = (each[..., robot] for each in (robots.verb, robots.target, robots.since_s))
-    is_busy, is_wait = robots.is_busy[..., robot], verb == WAIT
-    wide = mapped(lambda leaf: leaf[(slice(None),) * verb.ndim + (None,)], replace(state, robots=None, workspace=None))
+    xp, never, num_axes = library_of(robots.is_busy), np.float32(np.inf), state.decider.ndim
+    verb, target, since_s, is_busy = (
+        each[..., robot] for each in (robots.verb, robots.target, robots.since_s, robots.is_busy)
+    )
+    is_wait, occluded = verb == WAIT, occlusion(state)
+    alone = replace(state, robots=None, workspace=None)
+    # To the table, who waits does nothing, as who finishes.
+    begun = (alone, xp.where(is_wait, Verb.FINISH, verb), target, occluded)
+    tables, verbs, targets, occlusions = spread(begun, NUM_PROPOSALS, num_axes)
     grip_key, attempt_key = random.split(random.keys_of(key, NUM_PROPOSALS))
-    wide = _repeated(wide, NUM_PROPOSALS, verb.ndim, xp)
-    drawn = _imagined_table(world, wide, grip_key)
-    occluded, shape = occlusion(state), wide.is_on_table.shape
-    own, verb_of_table = (
-        xp.broadcast_to(each[..., None], shape[:-1]) for each in (target, xp.where(is_wait, Verb.FINISH, verb))
-    )
-    tried = attempted(
-        world, wide, drawn, verb_of_table, own, attempt_key, xp.broadcast_to(occluded[..., None, :], shape)
-    )
-    duration_s = (world.transport_s + tried.duration_s) / speed
+    world = config.as_robot(robot)
+    drawn = _imagined_table(world, tables, grip_key)
+    tried = attempted(world, tables, drawn, verbs, targets, attempt_key, occlusions)
+    duration_s = (world.transport_s + tried.duration_s) / config.speed[robot]
     # Of two that end at once the lower robot ends first, so that a higher one may be at its end.
     is_later = (robot > state.decider)[..., None]
     goes_on = (duration_s > since_s[..., None]) | ((duration_s == since_s[..., None]) & is_later)
@@ -137,16 +135,7 @@ def _pending(config: WorldConfig, state: TableState, robot: int, key: Key) -> tu
         hides=hides,
         is_moved=hides != state.hides,
     )
-    return pending, mapped(lambda offset: at(at(offset, own), first), drawn.grasp_trait)
-
-
-def _repeated(state: TableState, num: int, axis: int, xp: Any) -> TableState:
-    """The same with an axis of 1 repeated."""
-
-    def repeat(leaf: Array) -> Array:
-        return xp.broadcast_to(leaf, (*leaf.shape[:axis], num, *leaf.shape[axis + 1 :]))
-
-    return mapped(repeat, state)
+    return pending, mapped(lambda offset: at(at(offset, targets), first), drawn.grasp_trait)
 
 
 def less_luck(
@@ -187,59 +176,52 @@ def future_rewards(
     """
     xp, is_possible, num_axes = library_of(state.is_on_table), possible_actions(state), state.steps_to_go.ndim
     hidden_key, world_key, policy_key = random.split(random.keys_of(key, num_futures), 3)
-    of_future = mapped(lambda leaf: leaf[(slice(None),) * num_axes + (None,)], state)
-    hidden = imagined(config, _repeated(of_future, num_futures, num_axes, xp), hidden_key)
-    shape = (*is_possible.shape[:-1], num_futures, is_possible.shape[-1])
-    tried = xp.broadcast_to(is_possible[..., None, :], shape)
-    rows = np.nonzero(tried) if xp is np else tuple(xp.indices(shape).reshape(len(shape), -1))
-    table, future = rows[:num_axes], rows[:-1]
-    state = mapped(lambda leaf: leaf[table], state) if num_axes else _tiled(state, len(rows[0]), xp)
-    hidden, keys = mapped(lambda leaf: leaf[future], hidden), (world_key[future], policy_key[future])
-    total = _played(foreseen(config), state, hidden, rows[-1].astype(np.int32), policy, *keys)
+    states, is_tried = spread((state, is_possible), num_futures, num_axes)
+    hidden = imagined(config, states, hidden_key)
+    rows = np.nonzero(is_tried) if xp is np else tuple(xp.indices(is_tried.shape).reshape(is_tried.ndim, -1))
+    begin = mapped(lambda leaf: leaf[rows[:-1]], (states, hidden, world_key, policy_key))
+    # Labels come from what is known, and no longer from what is hidden.
+    foreseen = replace(config, seeing=ForeseenSeeing(known_seeing(config)))
+    total = _played(foreseen, *begin, rows[-1].astype(np.int32), policy)
     if xp is not np:
-        return xp.where(tried, total.reshape(shape), np.float32(-np.inf))
-    found = np.full(shape, -np.inf, dtype=np.float32)
+        return xp.where(is_tried, total.reshape(is_tried.shape), np.float32(-np.inf))
+    found = np.full(is_tried.shape, -np.inf, dtype=np.float32)
     found[rows] = total
     return found
-
-
-def _tiled(state: TableState, num: int, xp: Any) -> TableState:
-    return mapped(lambda leaf: xp.broadcast_to(leaf, (num, *xp.shape(leaf))), state)
 
 
 def _played(
     config: WorldConfig,
     state: TableState,
     hidden: HiddenState,
-    action: Int[Array, " R"],
-    policy: Policy,
     world_key: Key,
     policy_key: Key,
+    action: Int[Array, " R"],
+    policy: Policy,
 ) -> Float[Array, " R"]:
     """What each row earns to its end; in NumPy, rows that are over are left out of what is computed."""
     xp = library_of(state.is_on_table)
-    total, is_active, number = xp.zeros(action.shape, dtype=np.float32), xp.ones(action.shape, dtype=bool), None
-    if xp is np:
-        number = np.arange(len(action))
+    total, goes_on, number = (
+        xp.zeros(len(action), dtype=np.float32),
+        xp.ones(len(action), dtype=bool),
+        np.arange(len(action)),
+    )
     for t in range(config.num_stages):
         after, of_hidden, outcome = step(config, state, hidden, action, random.fold_in(world_key, t))
         reward = outcome.reward + less_luck(config, state, after, of_hidden, outcome.is_over)
-        if number is None:
-            total = total + xp.where(is_active, reward, np.float32(0.0))
-            state, hidden = chosen(is_active, (after, of_hidden), (state, hidden))
-            is_active = is_active & ~outcome.is_over
-        else:
+        if xp is np:
             total = total + np.bincount(number, reward, len(total)).astype(np.float32)
-            goes_on = ~outcome.is_over
-            if not goes_on.any():
-                break
             rows = (after, of_hidden, number, world_key, policy_key)
-            state, hidden, number, world_key, policy_key = mapped(lambda leaf, kept=goes_on: leaf[kept], rows)
+            rows = mapped(lambda leaf, kept=~outcome.is_over: leaf[kept], rows)
+            state, hidden, number, world_key, policy_key = rows
+            if not len(number):
+                break
+        else:
+            total = total + xp.where(goes_on, reward, np.float32(0.0))
+            state, hidden = chosen(goes_on, (after, of_hidden), (state, hidden))
+            goes_on = goes_on & ~outcome.is_over
         action = policy.decide(state, random.fold_in(policy_key, t)).action
     return total
-
-
-NUM_FUTURES = 32
 
 
 @record

@@ -35,33 +35,22 @@ def named_policy(
     is_team
         Whether robots with a reach of their own work there; None where several do.
     """
-    is_team = config.num_robots > 1 if is_team is None else is_team
-    # Names are asked for where no world is loaded yet.
-    from halfseen.planners.heuristics import GreedyPolicy
+    # Names are asked for where no world is loaded yet, and each planner is loaded once it is named.
+    from halfseen import planners
     from halfseen.world import UniformPolicy
 
+    is_team = config.num_robots > 1 if is_team is None else is_team
+    policy: Policy
     if name == UNIFORM:
         return UniformPolicy()
-    if name == PLANNER:
-        policy: Policy = _planner(config, is_team)
-    elif not is_team:
-        policy = GreedyPolicy(config, *HEURISTICS[name])
+    if name != PLANNER:
+        rule = planners.GreedyPolicy(config, *HEURISTICS[name])
+        policy = planners.ReservingPolicy(config, rule) if is_team else rule
+    elif is_team:
+        policy = planners.RolloutPolicy(config, planners.MyopicPolicy(config))
     else:
-        from halfseen.planners.rules import ReservingPolicy
-
-        policy = ReservingPolicy(config, GreedyPolicy(config, *HEURISTICS[name]))
+        policy = planners.POMDPPolicy(config, planning_horizon=config.horizon)
     return exploring(policy, random_share)
-
-
-def _planner(config: "WorldConfig", is_team: bool) -> "Policy":
-    if not is_team:
-        from halfseen.planners.pomdp import POMDPPolicy
-
-        return POMDPPolicy(config, planning_horizon=config.horizon)
-    from halfseen.planners.futures import RolloutPolicy
-    from halfseen.planners.myopic import MyopicPolicy
-
-    return RolloutPolicy(config, MyopicPolicy(config))
 
 
 def exploring(policy: "Policy", random_share: float) -> "Policy":

@@ -1,13 +1,17 @@
-"""A closed look one step ahead in the space of beliefs: the rule that searches of the table build upon.
+"""The look one step ahead, for one robot or several: worth of every action above leaving all as it is, in closed form.
 
 What lies beyond the step is valued by a rule of thumb V_0: each object is left, or tried once, whichever is worth more,
-as far as the steps allow. Q_1(b, a) = E[R + V_0(b')] is computed in closed form: the grasp succeeds or not, and each
-label says one thing or the other, object by object (exact unless more tries are wanted than steps remain: then the
-expected number of tries stands for their number).
+as far as the decisions left allow, by whichever robot that is worth the most. Q_1(b, a) = E[R + V_0(b')] is computed in
+closed form: the grasp succeeds or not, and each label says one thing or the other, object by object (exact unless more
+tries are wanted than decisions remain: then the expected number of tries stands for their number).
 
-With unlimited steps that exception falls away: V° is V_0 with more steps than any try could want, and
+With unlimited decisions that exception falls away: V° is V_0 with more of them than any try could want, and
 Q°(b, a) = E[R + V°(b')] is exact, for any steps to go but the last. It is no good rule near the end, but takes noise
-out of rollouts (`rollout`). Both are read off one `Outlook`.
+out of rollouts (`rollout`).
+
+In this file the axes *B of a batch come last. An object may be hidden in M = N + 2 ways: now, without the first, the
+second, … object, and in the hand. What is tried after an attempt stands in two rows of M: once it was held, in each of
+these ways; and after a miss, then as now while each other object is held up, which only shows what is behind it.
 """
 
 from functools import lru_cache
@@ -17,286 +21,275 @@ import numpy as np
 from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, expit, library_of, softmax
-from halfseen.planners.belief import (
-    Belief,
-    grasp_probability,
-    grip_offsets,
-    known_grasping,
-    known_seeing,
-    occlusion_without,
-)
-from halfseen.planners.heuristics import wash_worth
-from halfseen.world.actions import ActionSpace, Verb, possible_actions
+from halfseen.planners.belief import Belief, grip_offsets, known_grasping, known_seeing
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 
 _ZERO, _ONE, _NEVER, _TINY = np.float32(0.0), np.float32(1.0), np.float32(-np.inf), np.finfo(np.float32).tiny
 
-
-class Label(NamedTuple):
-    """What the next label of each object may say."""
-
-    hit: Float[Array, "*S N"]
-    """P(it says dirty, and the object is)."""
-    alarm: Float[Array, "*S N"]
-    """P(it says dirty, and the object is not)."""
+MISSED, HELD, MISSED_THEN_HELD, HELD_TWICE, ATTEMPT_S, NOW = range(6)
+"""Rows of `Setting.attempts`; from the last on, P(it holds) in each of the ways but that in the hand."""
 
 
-class Tries(NamedTuple):
-    """One more try of each object, where it is worth it."""
+class Table(NamedTuple):
+    """What is believed of tables; of what is not there, any finite numbers."""
 
-    gain: Float[Array, "*S N"]
-    number: Float[Array, "*S N"]
-    """Probability that it is worth it."""
-
-    def among(self, is_there: Bool[Array, "*S N"]) -> "Tries":
-        """Sum over objects."""
-        xp = library_of(self.gain)
-        return Tries(*(xp.sum(xp.where(is_there, each, _ZERO), axis=-1) for each in self))
-
-
-def tries_after_label(
-    config: WorldConfig,
-    is_dirty: Float[Array, "*#S N"],
-    label: Label,
-    probability: Float[Array, "*S N"],
-    effort: Any = 0.0,
-) -> Tries:
-    """E (worth of one more try, less the effort of it)₊ over the next label, and P(it is positive)."""
-    xp, missed = library_of(probability), config.reward_wash_failed
-    of_dirty = config.reward_wash_dirty - config.reward_dirty_left - missed
-    of_clean = config.reward_wash_clean - missed
-    # By the probability of what the label says, so that nothing is divided by it.
-    says = label.hit + label.alarm
-    says_not = _ONE - says
-    if_said = of_dirty * label.hit + of_clean * label.alarm
-    if_not = (of_clean + (of_dirty - of_clean) * is_dirty) - if_said
-    worth_said = probability * if_said + (missed - effort) * says
-    worth_not = probability * if_not + (missed - effort) * says_not
-    return Tries(
-        gain=xp.maximum(worth_said, _ZERO) + xp.maximum(worth_not, _ZERO),
-        number=(worth_said > _ZERO) * says + (worth_not > _ZERO) * says_not,
-    )
-
-
-def left_or_tried(left: Float[Array, "*#S"], tries: Tries, steps_to_go: Int[Array, "*#S"]) -> Float[Array, "*S"]:
-    """Value of leaving all, plus the gains of as many tries as there are steps (their mean stands for the best)."""
-    xp = library_of(tries.gain)
-    steps = xp.asarray(steps_to_go).astype(np.float32)
-    return left + xp.minimum(_ONE, steps / xp.maximum(tries.number, _ONE)) * tries.gain
-
-
-def occlusions_of_each(belief: Belief) -> Float[Array, "*B M N"]:
-    """Occlusion of each object in M = N + 2 ways: now, without the first, the second, … object, and in the hand."""
-    xp, num_objects = library_of(belief.hides), belief.is_on_table.shape[-1]
-    # What hides nothing lets all be seen, also where its share is padding (NaN).
-    visible = xp.fmax(_ONE - belief.hides, (~belief.is_on_table).astype(np.float32)[..., None, :])
-    visible = xp.fmax(visible[..., None, :, :], ways_of(num_objects).hides_nothing[:, None, :])
-    return _ONE - visible.prod(axis=-1)
-
-
-class _Ways(NamedTuple):
-    """The ways in which an object may be hidden: now, without each of the others, and in the hand."""
-
-    hides_nothing: Float[np.ndarray, "M N"]
-    """1 for the objects that hide nothing, else 0."""
-    is_in_hand: Bool[np.ndarray, "M 1"]
-    is_other: Bool[np.ndarray, "M N"]
-    """Which objects are tried in each of them, of those that are wanted."""
-
-
-@lru_cache(maxsize=64)
-def ways_of(num_objects: int) -> _Ways:
-    """The M ways of so many objects."""
-    one, each = np.ones((1, num_objects), dtype=bool), ~np.eye(num_objects, dtype=bool)
-    is_in_hand = np.arange(num_objects + 2)[:, None] == num_objects + 1
-    return _Ways(
-        1.0 - np.concatenate([one, each, ~one]).astype(np.float32), is_in_hand, np.concatenate([one, each, one])
-    )
-
-
-def label_in_each(
-    config: WorldConfig, seen: Float[Array, "*B N"], occluded: Float[Array, "*B M N"]
-) -> tuple[Float[Array, "*B M N"], Float[Array, "*B M N"]]:
-    """P(the next label says dirty) of what is dirty, and of what is clean, in each of the ways."""
-    return known_seeing(config).positive(occluded, seen[..., None, :], ways_of(seen.shape[-1]).is_in_hand)
-
-
-def label_of_tries(
-    is_dirty: Float[Array, "*B N"], if_dirty: Float[Array, "*B M N"], if_clean: Float[Array, "*B M N"]
-) -> Label:
-    """What the label before each of the tries of `probabilities_of_tries` may say; axes (B, 1, M, N)."""
-    is_dirty = is_dirty[..., None, None, :]
-    return Label(is_dirty * if_dirty[..., None, :, :], (_ONE - is_dirty) * if_clean[..., None, :, :])
-
-
-def probabilities_of_tries(
-    by_way: Float[Array, "*B V N"], if_held: Float[Array, "*B N"], if_missed: Float[Array, "*B N"]
-) -> Float[Array, "*B 2 M N"]:
-    """P(it succeeds) of the tries that may follow an attempt, by how each object is hidden then.
-
-    First now, without each of the others, which is in the dishwasher, and of what was held; then after a miss, and as
-    now, where the other is held up and only shows what is behind it. `by_way` has no way in the hand.
-    """
-    xp, now = library_of(by_way), by_way[..., :1, :]
-    num_ways, num_objects = by_way.shape[-2] + 1, by_way.shape[-1]
-    each = [by_way, if_held[..., None, :], if_missed[..., None, :], *[now] * (num_ways - 1)]
-    found = xp.concatenate(each, axis=-2)
-    return found.reshape(*found.shape[:-2], 2, num_ways, num_objects)
-
-
-def summed_tries(tries: Tries, is_wanted: Bool[Array, "*B N"]) -> Tries:
-    """All tries of what is wanted after a miss, a WASH and a LIFT of each, by those of `probabilities_of_tries`."""
-    xp, num = library_of(is_wanted), is_wanted.shape[-1]
-    # No more than 0 of what is not, also where it is padding (NaN); of the others as much as there is.
-    most = xp.where(is_wanted[..., None, None, :] & ways_of(num).is_other, -_NEVER, _ZERO)
-    each = xp.fmin(xp.concatenate([each[None] for each in tries]), most)
-    total = each.sum(axis=-1)
-    # After a miss all is as before but the grip of the target.
-    missed = total[..., 0, :1] - each[..., 0, 0, :] + each[..., 1, 0, :]
-    washed, lifted = total[..., 0, 1:-1], total[..., 1, 1:-1] + each[..., 0, -1, :]
-    found = xp.concatenate([each[..., None, :] for each in (missed, washed, lifted)], axis=-2)
-    return Tries(found[0], found[1])
+    is_there: Bool[Array, " N *B"]
+    is_dirty: Float[Array, " N *B"]
+    """P(DIRTY)."""
+    weights: Float[Array, "G N *B"]
+    """Posterior of each grip offset on its nodes."""
+    seen: Float[Array, " N *B"]
+    steps_to_go: Int[Array, "*B"]
+    hides: Float[Array, "N N *B"]
+    grip: Float[Array, " N *B"]
+    """Mean of the grip offset."""
 
 
 class Setting(NamedTuple):
-    """How objects stand, and what follows of that for attempts and labels: the same for the same set of them."""
+    """What follows, for attempts and labels, from how the objects stand."""
 
-    occluded: Float[Array, "*B M N"]
-    """As `occlusions_of_each` has it."""
-    if_dirty: Float[Array, "*B M N"]
-    if_clean: Float[Array, "*B M N"]
-    """As `label_in_each` has them."""
-    failed: Float[Array, "*B N G"]
-    """Log P(an attempt fails) now at each node of the grip offset."""
-    missing: Float[Array, "*B V N G"]
-    """P(an attempt fails) at each node, in each of the ways but that in the hand."""
-    attempt_s: Float[Array, "*B N G"]
-    """Expected duration of an attempt now at each node, without transport [s]."""
-
-
-def setting_of(config: WorldConfig, belief: Belief) -> Setting:
-    """What the objects on a table make of attempts and labels."""
-    law, occluded, offset = known_grasping(config), occlusions_of_each(belief), grip_offsets(config, belief.grip.mean)
-    failed = law.log_failure(occluded[..., :-1, :, None], offset[..., None, :, :])
-    return Setting(
-        occluded,
-        *label_in_each(config, belief.seen, occluded),
-        failed=failed[..., 0, :, :],
-        missing=library_of(failed).exp(failed),
-        attempt_s=law.expected_s(occluded[..., 0, :, None], offset),
-    )
-
-
-class Chances(NamedTuple):
-    """How an attempt now may go, and what is seen then: what a future is drawn by."""
-
-    is_dirty: Float[Array, "*B N"]
-    occluded: Float[Array, "*B M N"]
-    """As `occlusions_of_each` has it."""
-    label: tuple[Float[Array, "*B M N"], Float[Array, "*B M N"]]
-    """As `label_in_each` has it."""
-    failed: Float[Array, "*B N G"]
-    """Log P(an attempt fails) now at each node of the grip offset."""
-    probability: Float[Array, "*B N"]
-    """P(an attempt succeeds) now."""
+    occluded: Float[Array, "M N *B"]
+    label: Float[Array, "2 2 M N *B"]
+    """P(the next label says dirty, or says not) of what is dirty, and of what is clean; 0 of what is not tried."""
+    attempts: tuple[Float[Array, "W G N *B"], ...]
+    """At each node of the grip offset, by the law of the robot that tries next; see `MISSED` and what follows it."""
 
 
 class Outlook(NamedTuple):
-    """What may follow one attempt at each object of a table: what Q_1, Q° and V° are made of."""
+    """What may follow one attempt at each object."""
 
-    chances: Chances
-    worth: Float[Array, "*B N"]
+    occluded: Float[Array, "M N *B"]
+    """As `Setting` has it."""
+    likelihood: Float[Array, "2 G N *B"]
+    """P(an attempt now misses, and holds) at each node of the grip offset."""
+    expected: tuple[Float[Array, "W N *B"], ...]
+    """`Setting.attempts`, the grip offset integrated out."""
+    hit: Float[Array, "2 M N *B"]
+    """P(the next label says dirty, or says not, and the object is dirty)."""
+    says: Float[Array, "2 M N *B"]
+    """P(the next label says dirty, or says not); 0 of what is not there."""
+    worth: Float[Array, " N *B"]
     """Of an attempt to WASH, the penalty that it avoids included."""
-    attempt_s: Float[Array, "*B N"]
-    """Expected duration of an attempt with its transport [s]."""
-    left: Float[Array, "*B"]
-    """Price of leaving all."""
-    tries: Tries
-    """As `summed_tries` has them."""
 
 
-def outlook_of(config: WorldConfig, belief: Belief, setting: Setting | None = None) -> Outlook:
-    """Look one attempt ahead, at each object; by how they stand, where that is known."""
-    setting = setting_of(config, belief) if setting is None else setting
-    is_dirty, weights = expit(belief.log_odds), softmax(belief.grip.log_weights)
-    label = setting.if_dirty, setting.if_clean
-    by_way = _ONE - (weights[..., None, :, :] * setting.missing).sum(axis=-1)
-    probability = by_way[..., 0, :]
-    tries = tries_after_label(
-        config,
-        is_dirty[..., None, None, :],
-        label_of_tries(is_dirty, *label),
-        probabilities_of_tries(by_way, *once_more(weights, _ONE - setting.missing[..., 0, :, :])[1:]),
-    )
-    return Outlook(
-        chances=Chances(is_dirty, setting.occluded, label, setting.failed, probability),
-        worth=wash_worth(config, is_dirty, probability, counts_penalty=True),
-        attempt_s=config.transport_s + (weights * setting.attempt_s).sum(axis=-1),
-        left=_all_left(config, is_dirty, belief.is_on_table),
-        tries=summed_tries(tries, belief.is_on_table),
-    )
+@lru_cache(maxsize=64)
+def _ways(num_objects: int) -> tuple[Float[np.ndarray, "M N"], Float[np.ndarray, "M N"]]:
+    """Which objects hide nothing in each of the ways, and which are tried in them."""
+    none, each = np.zeros((1, num_objects)), np.eye(num_objects)
+    gone = np.concatenate([none, each, none + 1.0])
+    return gone.astype(np.float32), np.concatenate([none + 1.0, 1.0 - each, none + 1.0]).astype(np.float32)
 
 
-def once_more(
-    weights: Float[Array, "*S G"], held: Float[Array, "*S G"], then: Float[Array, "*S G"] | None = None
-) -> tuple[Float[Array, "*S"], Float[Array, "*S"], Float[Array, "*S"]]:
-    """P(an attempt succeeds), and P(the next one does) after a success and after a failure.
+def _pair(one: Float[Array, "*S"], other: Float[Array, "*S"]) -> Float[Array, "2 ..."]:
+    """Two arrays, one after the other; faster than to stack them."""
+    return library_of(one).concatenate([one[None], other[None]])
 
-    `held` and `then` are P(this, and the next attempt succeeds) at each node of the grip offset; one where both are
-    made alike.
+
+def _behind(constants: np.ndarray, num_axes: int) -> np.ndarray:
+    """The same with so many axes of a batch behind."""
+    return constants.reshape(constants.shape + (1,) * num_axes)
+
+
+def table_of(belief: Belief) -> Table:
+    """The same belief, the axes of the batch last, and padding no longer NaN."""
+    xp, num_axes = library_of(belief.hides), belief.is_on_table.ndim - 1
+    is_there = xp.moveaxis(belief.is_on_table, -1, 0)
+    objects = (expit(belief.log_odds), belief.seen, belief.grip.mean)
+    is_dirty, seen, grip = (xp.where(is_there, xp.moveaxis(each, -1, 0), _ZERO) for each in objects)
+    weights = xp.moveaxis(softmax(belief.grip.log_weights), (-1, -2), (0, 1))
+    weights = xp.where(is_there, weights, _ONE)
+    hides = xp.moveaxis(belief.hides, range(num_axes), range(-num_axes, 0))
+    return Table(is_there, is_dirty, weights, seen, belief.steps_to_go, hides, grip)
+
+
+def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, "*B"] | None = None) -> Setting:
+    """What how the objects stand makes of attempts and labels.
+
+    Parameters
+    ----------
+    worlds
+        The world as the robots find it, one for each law of grasping that there is.
+    table
+        What is believed.
+    robot
+        Which robot makes the first attempt, where each has a law of its own.
     """
-    xp = library_of(weights)
-    this = weights * held
-    probability, both = this.sum(axis=-1), (this * (held if then is None else then)).sum(axis=-1)
-    next_one = probability if then is None else (weights * then).sum(axis=-1)
-    if_missed = (next_one - both) / xp.maximum(_ONE - probability, _TINY)
-    return probability, both / xp.maximum(probability, _TINY), if_missed
+    xp, occluded = library_of(table.hides), occlusions_in(table)
+    helds, seconds = [], []
+    for world in worlds:
+        law, offset = known_grasping(world), _offsets(world, table.grip)
+        helds.append(_ONE - xp.exp(law.log_failure(occluded[:-1, None], offset)))
+        seconds.append(law.expected_s(occluded[0], offset))
+    own = helds[0][0]
+    if robot is not None:
+        own = xp.take_along_axis(xp.stack([held[0] for held in helds]), robot[None, None, None], axis=0)[0]
+    missed = _ONE - own
+    attempts = []
+    for held, attempt_s in zip(helds, seconds, strict=True):
+        first = (missed, own, missed * held[0], own * held[0], attempt_s)
+        attempts.append(xp.concatenate([*(each[None] for each in first), held]))
+    return Setting(occluded, labels_in(worlds[0], table, occluded), tuple(attempts))
 
 
-def _all_left(
-    config: WorldConfig, is_dirty: Float[Array, "*B N"], is_on_table: Bool[Array, "*B N"]
-) -> Float[Array, "*B"]:
-    """Expected price of the dirty objects on the table."""
-    xp = library_of(is_dirty)
-    return config.reward_dirty_left * xp.where(is_on_table, is_dirty, _ZERO).sum(axis=-1)
+def _offsets(config: WorldConfig, grip: Float[Array, " N *B"]) -> Float[Array, "G N *B"]:
+    return library_of(grip).moveaxis(grip_offsets(config, grip), -1, 0)
+
+
+def occlusions_in(table: Table) -> Float[Array, "M N *B"]:
+    """Occlusion of each object in each of the ways."""
+    xp, num_axes = library_of(table.hides), table.is_there.ndim - 1
+    # What hides nothing lets all be seen, also where its share is padding (NaN).
+    visible = xp.fmax(_ONE - table.hides, (~table.is_there).astype(np.float32))
+    gone, _ = _ways(len(table.is_there))
+    return _ONE - xp.prod(xp.fmax(visible, _behind(gone[:, None], num_axes)), axis=2)
+
+
+def labels_in(config: WorldConfig, table: Table, occluded: Float[Array, "M N *B"]) -> Float[Array, "2 2 M N *B"]:
+    """`Setting.label`, from the occlusion in each of the ways."""
+    xp, (num_ways, num_objects) = library_of(occluded), occluded.shape[:2]
+    is_in_hand = _behind(np.arange(num_ways)[:, None] == num_ways - 1, table.is_there.ndim - 1)
+    says_dirty = xp.stack(known_seeing(config).positive(occluded, table.seen, is_in_hand))
+    _, is_tried = _ways(num_objects)
+    is_counted = table.is_there * _behind(is_tried, table.is_there.ndim - 1)
+    return (xp.stack([says_dirty, _ONE - says_dirty], axis=1) * is_counted).astype(np.float32)
+
+
+def outlook_of(config: WorldConfig, table: Table, setting: Setting) -> Outlook:
+    """Look one attempt ahead, at each object."""
+    expected = tuple((table.weights * each).sum(axis=1) for each in setting.attempts)
+    hit = table.is_dirty * setting.label[0]
+    says = hit + (_ONE - table.is_dirty) * setting.label[1]
+    washed, missed = wash_rewards(config)
+    worth = (washed[0] * table.is_dirty + washed[1]) * expected[0][HELD] + missed
+    return Outlook(setting.occluded, setting.attempts[0][: HELD + 1], expected, hit, says, worth)
+
+
+def wash_rewards(config: WorldConfig) -> tuple[tuple[Any, Any], Any]:
+    """What a success of WASH pays above a miss, for P(DIRTY) and in any case; and what a miss does.
+
+    The price of a dirty object left behind, which a success avoids, counts too.
+    """
+    missed, of_clean = config.reward_wash_failed, config.reward_wash_clean
+    return (config.reward_wash_dirty - config.reward_dirty_left - of_clean, of_clean - missed), missed
+
+
+def tries_of(
+    config: WorldConfig, look: Outlook, chances: tuple[Array, ...], effort: tuple[Any, ...], way: Any = slice(None)
+) -> Float[Array, "2 ..."]:
+    """E (worth of one more try, less its effort)₊ over the next label, and P(it is positive), by whom that is most.
+
+    Parameters
+    ----------
+    config
+        The world.
+    look
+        What labels may say.
+    chances
+        P(the try holds), under each law of grasping.
+    effort
+        Price of its seconds, likewise.
+    way
+        Those of the ways in which the objects are hidden that the chances are of.
+    """
+    (by_dirt, washed), missed = wash_rewards(config)
+    hit, says = look.hit[:, None, way], look.says[:, None, way]
+    xp, if_held = library_of(says), by_dirt * hit + washed * says
+    # By the probability of what the label says, so that nothing is divided by it.
+    worth, *others = (chance * if_held + (missed - price) * says for chance, price in zip(chances, effort, strict=True))
+    for other in others:
+        is_more = xp.maximum(other, _ZERO).sum(axis=0) > xp.maximum(worth, _ZERO).sum(axis=0)
+        worth = xp.where(is_more, other, worth)
+    gain, number = xp.maximum(worth, _ZERO), (worth > _ZERO) * says
+    return _pair(gain[0] + gain[1], number[0] + number[1])
+
+
+def limited(tries: Float[Array, "2 ..."], num_decisions: Int[Array, "*B"]) -> Float[Array, "..."]:
+    """Gains of as many tries as there are decisions (their mean stands for the best)."""
+    xp = library_of(tries)
+    steps = xp.asarray(num_decisions).astype(np.float32)
+    return xp.minimum(_ONE, steps / xp.maximum(tries[1], _ONE)) * tries[0]
+
+
+def _chances_then(expected: Float[Array, "W N *B"]) -> Float[Array, "2 M N *B"]:
+    """P(it holds) of the tries that may follow an attempt."""
+    xp, num_objects = library_of(expected), expected.shape[1]
+    then = expected[MISSED_THEN_HELD : HELD_TWICE + 1] / xp.maximum(expected[: HELD + 1], _TINY)
+    each = [expected[NOW:], then[1:], then[:1], *[expected[NOW : NOW + 1]] * (num_objects + 1)]
+    return xp.concatenate(each).reshape(2, num_objects + 2, *expected.shape[1:])
+
+
+def tries_after(config: WorldConfig, look: Outlook, effort: tuple[Any, ...]) -> Float[Array, "2 3 N *B"]:
+    """What is to be gained by tries, and their number, after a miss, a WASH and a LIFT of each object."""
+    chances = tuple(_chances_then(each) for each in look.expected)
+    each = tries_of(config, look, chances, effort)
+    total = each.sum(axis=3)
+    # After a miss all is as before but the grip of the target.
+    missed = total[:, 0, :1] - each[:, 0, 0] + each[:, 1, 0]
+    washed, lifted = total[:, 0, 1:-1], total[:, 1, 1:-1] + each[:, 0, -1]
+    return library_of(each).concatenate([of[:, None] for of in (missed, washed, lifted)], axis=1)
+
+
+def attempts_worth(
+    config: WorldConfig,
+    look: Outlook,
+    gains: Float[Array, "L 3 N *B"],
+    own_s: Float[Array, " N *B"],
+    price_per_s: Any = 0.0,
+) -> Float[Array, "L 2 N *B"]:
+    """Worth of WASH and LIFT of each object above leaving all.
+
+    Parameters
+    ----------
+    config
+        The world.
+    look
+        What may follow.
+    gains
+        By tries after a miss, a WASH and a LIFT of each object; in L ways to count them.
+    own_s
+        Expected time of an attempt, its transport included [s].
+    price_per_s
+        Price of a second of it [1/s].
+    """
+    missed, held = look.expected[0][: HELD + 1]
+    wash, lift = look.worth + price_per_s * own_s, (config.reward_lift_per_s + price_per_s) * own_s
+    return _pair(wash, lift) + held * gains[:, 1:] + missed * gains[:, :1]
+
+
+def rule_and_control(config: WorldConfig, table: Table, look: Outlook) -> Float[Array, "2 C *B"]:
+    """Q_1 and Q° of WASH and of LIFT of each object above leaving all, for one robot; −∞ of what is not there.
+
+    With one step to go Q_1 is exact, and Q° is of no meaning.
+    """
+    xp, tries = library_of(look.worth), tries_after(config, look, (0.0,))
+    gains = _pair(limited(tries, table.steps_to_go - 1), tries[0])
+    own_s = config.transport_s + look.expected[0][ATTEMPT_S]
+    values = xp.where(table.is_there, attempts_worth(config, look, gains, own_s), _NEVER)
+    return values.reshape(2, -1, *table.steps_to_go.shape)
+
+
+def control_value(table: Table, look: Outlook) -> Float[Array, "*B"]:
+    """V° above leaving all: every object is left, or tried once if that is worth more, however few steps remain."""
+    xp = library_of(look.worth)
+    return xp.where(table.is_there, xp.maximum(look.worth, _ZERO), _ZERO).sum(axis=0)
+
+
+def left_price(config: WorldConfig, table: Table) -> Float[Array, "*B"]:
+    """Expected price of leaving all."""
+    is_dirty = library_of(table.is_dirty).where(table.is_there, table.is_dirty, _ZERO)
+    return config.reward_dirty_left * is_dirty.sum(axis=0)
+
+
+def laid_out(finish: Float[Array, "*B"], values: Float[Array, "..."]) -> Float[Array, "*B A"]:
+    """Values of FINISH, and of WASH and LIFT of each object, in the order of the actions, the batch first."""
+    wash, lift = library_of(values).moveaxis(values.reshape(2, -1, *finish.shape), 1, -1)
+    return ActionSpace(wash.shape[-1]).join(finish, {Verb.WASH: wash, Verb.LIFT: lift})
 
 
 def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, "*B A"]:
-    """Q_1 of every action, in closed form; −∞ where an action is impossible."""
-    return rule_and_control(config, belief, outlook_of(config, belief))[0]
-
-
-def rule_and_control(
-    config: WorldConfig, belief: Belief, outlook: Outlook
-) -> tuple[Float[Array, "*B A"], Float[Array, "*B A"]]:
-    """Q_1 and Q°; with one step to go, both are Q_1, which is exact there."""
-    xp, steps = library_of(belief.hides), belief.steps_to_go - 1
-    probability, left, gain = outlook.chances.probability, outlook.left, outlook.tries.gain
-    rule = left_or_tried(_ZERO, outlook.tries, steps[..., None, None])
-    control = gain * (steps > 0).astype(np.float32)[..., None, None]
-    gains = xp.concatenate([rule[None], control[None]])
-    after_miss = (_ONE - probability) * gains[..., 0, :] + left[..., None]
-    wash = outlook.worth + probability * gains[..., 1, :] + after_miss
-    look = config.reward_lift_per_s * outlook.attempt_s
-    lift = look + probability * gains[..., 2, :] + after_miss
-    values = ActionSpace(probability.shape[-1]).join(
-        xp.concatenate([left[None]] * 2), {Verb.WASH: wash, Verb.LIFT: lift}
-    )
-    values = xp.where(possible_actions(belief), values, _NEVER)
-    return values[0], values[1]
-
-
-def control_value(belief: Belief, outlook: Outlook) -> Float[Array, "*B"]:
-    """V°: every object is left where it stands, or tried once if that is worth more, however few steps remain."""
-    xp = library_of(outlook.worth)
-    return outlook.left + xp.where(belief.is_on_table, xp.maximum(outlook.worth, _ZERO), _ZERO).sum(axis=-1)
-
-
-def leaf_value(config: WorldConfig, belief: Belief) -> Float[Array, "*B"]:
-    """V_0: every object is left where it stands, or tried once if that is worth more."""
-    xp, is_dirty = library_of(belief.hides), expit(belief.log_odds)
-    occluded = occlusion_without(belief, xp.zeros_like(belief.is_on_table))
-    probability = grasp_probability(config, occluded, belief.grip)
-    worth = wash_worth(config, is_dirty, probability, counts_penalty=True)
-    tries = Tries(xp.maximum(worth, _ZERO), (worth > _ZERO).astype(np.float32)).among(belief.is_on_table)
-    return left_or_tried(_all_left(config, is_dirty, belief.is_on_table), tries, belief.steps_to_go)
+    """Q_1 of every action of one robot, in closed form; −∞ where an action is impossible."""
+    table = table_of(belief)
+    look = outlook_of(config, table, setting_of((config,), table))
+    left = left_price(config, table)
+    return laid_out(left, left + rule_and_control(config, table, look)[0])

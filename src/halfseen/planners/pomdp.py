@@ -4,16 +4,11 @@ Q_1 is the myopic look-ahead of `one_step`. Further ahead, Q_h(b, a) is the wort
 by that look-ahead, the last of them worth Q_1, which stands for all that comes after; by rollouts (`rollout`). With h
 as long as the path, the number of rollouts is all that bounds it.
 
-Its budget is a number of rollouts; `plan` is the same planner against a clock.
-
-One decision at one table within a budget: a number of rollouts, or seconds.
-
-A number of rollouts is spent as `POMDPPolicy` spends it. Seconds are spent on the same rounds of sequential halving
-(`rollout.searched`), each of which ends by the clock. No more is begun than is expected to end in time, by the pace so
-far; so a plan is late by less than the chunk of rollouts that was slower than those before it. Where not even the first
-batch fits, the myopic look-ahead decides, and the plan says so.
-
-Nothing is compiled, so that the first call is as fast as the others, but for what Python loads.
+`POMDPPolicy` has a number of rollouts to spend on each table; `plan`, which decides at one table, that or seconds.
+Seconds are spent on the same rounds of sequential halving, each of which ends by the clock. No more is begun than is
+expected to end in time, by the pace so far; so a plan is late by less than the chunk of rollouts that was slower than
+those before it. Where not even the first batch fits, the myopic look-ahead decides, and the plan says so. Nothing is
+compiled, so that the first call is as fast as the others, but for what Python loads.
 """
 
 import math
@@ -28,18 +23,7 @@ from halfseen.arrays import STATIC, Array, library_of, mapped, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
-from halfseen.planners.rollout import (
-    Search,
-    drawn,
-    halved,
-    most_promising,
-    num_left,
-    num_steps,
-    opened,
-    searched,
-    searched_values,
-    values,
-)
+from halfseen.planners.rollout import Search, drawn, halved, num_steps, opened, searched, searched_values
 from halfseen.planners.trajectories import draws_of
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
@@ -95,7 +79,7 @@ class POMDPPolicy:
         """Q_h of every action; −∞ where an action is impossible."""
         if self.num_simulations == 0:
             return one_step_q(self.config, belief_of(self.config, state))
-        return searched_values(self.config, state, key, self.num_simulations, self.planning_horizon)
+        return searched_values(self.config, state, key, self.num_simulations, int(self.planning_horizon))
 
 
 BATCH = 24
@@ -186,7 +170,10 @@ def plan(
             search = searched(search, key[None], num_simulations or 1, horizon, steps_to_go)
         else:
             search = _timed(search, key, horizon, begin_s, begin_s + seconds)
-    return _read(search, begin_s)
+    count = search.count[0]
+    found = search.values[0] if count.any() else search.rule[0]
+    elapsed_s = time.perf_counter() - begin_s
+    return Plan(int(np.argmax(found)), found.astype(np.float64), count.astype(np.int64), elapsed_s)
 
 
 def _grown(
@@ -198,51 +185,36 @@ def _grown(
     planning_horizon: int,
 ) -> Search:
     """The search after some batches of a round, in which so many of the actions that promise most are left."""
-    left, lane = num_left(search, size), np.arange(BATCH * batches[0], BATCH * batches[1])
-    number = np.arange(lane[0] // left[0], lane[-1] // left[0] + 1)
-    keys = random.fold_in(round_key, number)[None]
-    steps = num_steps(planning_horizon, int(search.belief.steps_to_go[0]))
-    draws = draws_of(keys, steps, search.belief.is_on_table.shape[-1])
+    left, lane = search.num_left(size), np.arange(BATCH * batches[0], BATCH * batches[1])
+    keys = random.fold_in(round_key, np.arange(lane[0] // left[0], lane[-1] // left[0] + 1))[None]
+    steps = num_steps(planning_horizon, int(search.table.steps_to_go[0]))
+    draws = draws_of(keys, steps, len(search.table.is_there))
     return drawn(search, promising, left, lane, draws, planning_horizon)
 
 
 def _timed(search: Search, key: Key, planning_horizon: int, begin_s: float, end_s: float) -> Search:
-    """Halve by the clock: a first batch for the pace, then as many rounds as that leaves time for."""
+    """Halve by the clock: a first batch for the pace, then as many rounds as that leaves time for.
+
+    In each round, rollouts of the actions that are left are drawn until no batch fits.
+    """
     opened_s = time.perf_counter()
-    steps = num_steps(planning_horizon, int(search.belief.steps_to_go[0]))
+    steps = num_steps(planning_horizon, int(search.table.steps_to_go[0]))
     pace_s = LOOKS_PER_STEP * steps * (opened_s - begin_s)
     if opened_s + pace_s > end_s:
         return search
-    search = _grown(search, random.fold_in(key, 0), most_promising(search), 2, (0, 1), planning_horizon)
-    start_s = time.perf_counter()
+    search = _grown(search, random.fold_in(key, 0), search.promising, 2, (0, 1), planning_horizon)
+    now_s = start_s = time.perf_counter()
     pace_s = start_s - opened_s
     sizes = halved(BATCH * max(0, int((end_s - start_s) / pace_s)), search.rule.shape[-1])
     for stage, size in enumerate(sizes, start=1):
+        round_key, promising, done = random.fold_in(key, stage), search.promising, 0
         round_end_s = start_s + (end_s - start_s) * stage / len(sizes)
-        search, pace_s = _round(search, random.fold_in(key, stage), size, planning_horizon, round_end_s, pace_s)
+        while now_s + pace_s <= round_end_s:
+            num = max(1, int(SHARE_OF_TIME_LEFT * (round_end_s - now_s) / pace_s))
+            search = _grown(search, round_key, promising, size, (done, done + num), planning_horizon)
+            done, was_s, now_s = done + num, now_s, time.perf_counter()
+            pace_s = (now_s - was_s) / num
     return search
-
-
-def _round(
-    search: Search, round_key: Key, size: int, planning_horizon: int, end_s: float, pace_s: float
-) -> tuple[Search, float]:
-    """Draw from the actions that are left until no batch fits; the time that one takes."""
-    promising, num_done = most_promising(search), 0
-    begin_s = time.perf_counter()
-    while begin_s + pace_s <= end_s:
-        num_next = num_done + max(1, int(SHARE_OF_TIME_LEFT * (end_s - begin_s) / pace_s))
-        search = _grown(search, round_key, promising, size, (num_done, num_next), planning_horizon)
-        now_s = time.perf_counter()
-        pace_s, begin_s, num_done = (now_s - begin_s) / (num_next - num_done), now_s, num_next
-    return search, pace_s
-
-
-def _read(search: Search, begin_s: float) -> Plan:
-    """The plan: Q of each action, and its number of rollouts; Q_1 where there was none at all."""
-    count = search.count[0]
-    found = values(search)[0] if count.any() else search.rule[0]
-    elapsed_s = time.perf_counter() - begin_s
-    return Plan(int(np.argmax(found)), found.astype(np.float64), count.astype(np.int64), elapsed_s)
 
 
 def _check(state: TableState, num_simulations: int | None, seconds: float | None, planning_horizon: int) -> None:

@@ -1,0 +1,74 @@
+"""Rules, looks ahead and rollouts, of one robot and of teams, say what was recorded of those that came before."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from halfseen.planners import (
+    GreedyPolicy,
+    MyopicPolicy,
+    OneAtATime,
+    POMDPPolicy,
+    ReservingPolicy,
+    RolloutPolicy,
+    RoundRobin,
+    TeamOfRules,
+)
+from halfseen.planners.belief import belief_of
+from halfseen.planners.futures import future_rewards
+from halfseen.planners.heuristics import TrueGrasp
+from halfseen.planners.named import HEURISTICS
+from halfseen.planners.rollout import sampled_values
+from halfseen.world import ExploringPolicy, random
+from halfseen.world.rollout import play
+from picked import picked
+from world.recorded_worlds import scenes, world_of
+
+RECORDED = np.load(Path(__file__).parents[1] / "recorded" / "planners.npz")
+CASES = sorted({name.rsplit("/", 1)[0] for name in RECORDED if not name.startswith("exact")})
+KEY = random.key_of(3)
+pytestmark = pytest.mark.filterwarnings("ignore:.*in no robot's reach")
+
+
+def played(world, policy, at):
+    """States of episodes in which a policy explores, by episode and stage."""
+    layouts, config = world.layouts(scenes()), world.played_config
+    states = play(config, layouts, ExploringPolicy(policy, 0.3), random.key_of(7), 40).states
+    return picked(states, (at[:, 0], at[:, 1]))
+
+
+def of_one(config, states, keys):
+    found = {f"worth {name}": GreedyPolicy(config, *how).worth(states) for name, how in HEURISTICS.items()}
+    found |= {f"pomdp_q {h}": POMDPPolicy(config, h, 128).q_values(states, keys) for h in (2, 10)}
+    found["one_step_q"] = POMDPPolicy(config, 1).q_values(states, keys)
+    found["sampled_values"] = np.stack([sampled_values(config, picked(states, k), KEY, 8) for k in range(8)])
+    found["true_grasp"] = TrueGrasp(config).probability(states)
+    return found | {"grip_log_weights": belief_of(config, states).grip.log_weights}
+
+
+def of_team(config, states, keys):
+    rule = GreedyPolicy(config, uses_history=True, counts_penalty=True)
+    by_rule, some = ReservingPolicy(config, rule), picked(states, np.s_[:30:2])
+    rules = {"TeamOfRules": TeamOfRules(rule), "RoundRobin": RoundRobin(rule), "OneAtATime": OneAtATime(rule)}
+    found = {
+        f"action {name}": policy.decide(states, keys).action
+        for name, policy in (rules | {"ReservingTeam": by_rule}).items()
+    }
+    found["myopic_q"] = MyopicPolicy(config).q_values(states)
+    found["future_rewards"] = future_rewards(config, some, by_rule, keys[:15], 16)
+    return found | {"action RolloutTeam": RolloutPolicy(config, by_rule, 16).decide(some, keys[:15]).action}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_planners_say_what_was_recorded(case):
+    is_team, (*team, law) = case.startswith("team"), case.split("/")[:-1]
+    world, at = world_of(team[0] if is_team else "alone", law), RECORDED[f"{case}/at"]
+    rule = GreedyPolicy(world.played_config, uses_history=True, counts_penalty=True)
+    states = played(world, ReservingPolicy(world.played_config, rule) if is_team else rule, at)
+    found = (of_team if is_team else of_one)(world.played_config, states, np.stack([KEY] * len(at)))
+    for what, values in found.items():
+        expected = RECORDED[f"{case}/{what}"]
+        if what.startswith("worth"):
+            values = np.where(np.isfinite(expected), values, expected)
+        np.testing.assert_allclose(values, expected, rtol=2e-5, atol=3e-5, err_msg=what)
