@@ -17,7 +17,7 @@ from halfseen.planners import (
     solve_discrete,
     solve_table,
 )
-from halfseen.planners.exact_decisions import Reached, drawn
+from halfseen.planners.exact_states import Reached, drawn
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 from halfseen.world.state import TableState, initial_state, pad_scenes
