@@ -9,8 +9,7 @@ from naive_team_optimum import BruteForceTeam
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact import solve_table
-from halfseen.planners.exact import solve_team
+from halfseen.planners.exact import solve_table, solve_team
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.myopic import MyopicPolicy
@@ -104,7 +103,7 @@ def test_what_cannot_be_solved_is_refused():
     space = workspace(2, 2)
     with pytest.raises(ArgumentError, match="AssumedGrasping, whose attempts may take any time"):
         solve_team(TWO, WorldConfig(horizon=1, speed=(1.0, 1.0)), space)
-    with pytest.raises(ArgumentError, match="have more than 100 states .*shorten the horizon"):
+    with pytest.raises(ArgumentError, match=r"have more than 100 states .*shorten the horizon"):
         solve_team(TWO, team_of(2), space, max_states=100)
     with pytest.raises(ArgumentError, match="drop_out_rate is given"):
         solve_team(TWO, team_of(1, drop_out_rate=(0.1, 0.1)), space)

@@ -107,10 +107,7 @@ class Graph:
             return node.choices
         if node.place is None:
             return {GO_ON: self._outcome(node.tally, node.work)}
-        return {
-            action: self._choice(node.tally, work)
-            for action, work in self.team.decisions(node.tally, node.work)
-        }
+        return {action: self._choice(node.tally, work) for action, work in self.team.decisions(node.tally, node.work)}
 
     def _choice(self, tally: Tally, work: Work) -> Choice:
         """What may come of it; of one robot alone that is the next decision, and nobody needs a node between."""
@@ -129,7 +126,7 @@ class Graph:
 
     def _arrival(self, tally: Tally, work: Work, held: Held | None) -> Arrival:
         """Where a look leads, or none if nothing is `held` for it."""
-        if not any(tally) or (held is None and work.is_done):
+        if not any(tally) or (held is None and (self.team.is_alone or work.is_done)):
             left = tuple([told and told.looks for told in tally])
             found = self._ends.get(left)
             if found is None:
@@ -169,10 +166,13 @@ class Graph:
         # A WASH and a LIFT that fail lead to the same.
         arrivals = dict.fromkeys(arrival for choice in choices.values() for arrival in choice.ways)
         worth = {arrival: self.worth(arrival) for arrival in arrivals}
-        return {
-            action: sum((p * worth[arrival] for arrival, p in ways.items()), reward)
-            for action, (reward, ways) in choices.items()
-        }
+        return {action: self._q(choice, worth) for action, choice in choices.items()}
+
+    def _q(self, choice: Choice, worth: dict[Arrival, Grid]) -> Grid:
+        total = np.asarray(choice.reward)
+        for arrival, probability in choice.ways.items():
+            total = total + probability * worth[arrival]
+        return total
 
     def value(self, node: Node) -> Grid:
         """V(n) = max_a Q(n, a)."""

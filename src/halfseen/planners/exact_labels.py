@@ -117,11 +117,9 @@ class RecordedLabels:
         before, view = self.cells(looks[:-1]), looks[-1]
         positive = self._positive(before, view)
         is_news = positive[0] + positive[1] > 0.0
-        if_not, if_said = (
-            Cells(before.log_odds + label_evidence(*positive, is_news & says), self._seen_after(before, view, says))
-            for says in (False, True)
-        )
-        return Cells(*(np.append(clean, dirty[is_news]) for clean, dirty in zip(if_not, if_said, strict=True)))
+        if_not, if_said = (before.log_odds + label_evidence(*positive, is_news & says) for says in (False, True))
+        seen = [self._seen_after(before, view, says) for says in (False, True)]
+        return Cells(np.append(if_not, if_said[is_news]), np.append(seen[0], seen[1][is_news]))
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
     def look(self, looks: Looks, view: int) -> Look | None:
@@ -161,9 +159,7 @@ def _told(seeing: KnownSeeing, is_held: bool) -> list[float]:
     return [float(each) for each in (*seeing.positive(0.0, 0.0, is_held), *after)]
 
 
-def _says_dirty(
-    before: Cells, if_dirty: Grid | float, if_clean: Grid | float
-) -> Float[np.ndarray, " cells"]:
+def _says_dirty(before: Cells, if_dirty: Grid | float, if_clean: Grid | float) -> Float[np.ndarray, " cells"]:
     return before.dirty * if_dirty + (1.0 - before.dirty) * if_clean
 
 

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_labels import Grid, Looks
-from halfseen.planners.exact_model import NOTHING, Counts, GridWorld, Held, Tally, after_attempt
+from halfseen.planners.exact_labels import Grid
+from halfseen.planners.exact_model import NOTHING, Counts, GridWorld, Held, Tally
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.world.actions import FINISH, WAIT, ActionSpace, Verb, wait_of
 from halfseen.world.config import WorldConfig
@@ -27,7 +27,7 @@ from halfseen.world.state import Workspace
 
 FREE, PARKED = -1, -2
 """Verbs of a robot that is at nothing."""
-_LEAVING = (PARKED, Verb.FINISH)
+_LEAVING = (PARKED, int(Verb.FINISH))
 _DIGITS = 6
 _MAX_CACHED = 8192
 
@@ -75,13 +75,12 @@ class Work(NamedTuple):
     @property
     def is_watched(self) -> bool:
         """Whether anybody is still to decide, who does not leave."""
-        return any(to_go for doing, to_go in zip(*self, strict=True) if doing.verb not in _LEAVING)
+        return any(to_go and doing.verb not in _LEAVING for doing, to_go in zip(*self, strict=True))
 
     @property
     def is_done(self) -> bool:
         """Whether no robot will do anything more."""
-        each = zip(*self, strict=True)
-        return all(doing.verb == PARKED or (doing.verb == FREE and to_go == 0) for doing, to_go in each)
+        return not any(doing.verb >= 0 or (doing.verb == FREE and to_go) for doing, to_go in zip(*self, strict=True))
 
 
 class Ending(NamedTuple):
@@ -104,7 +103,7 @@ class Outcome(NamedTuple):
     tally: Tally
     work: Work
     held: Held | None
-    """What is in the air at the look that follows; None where nobody decides any more, and looks tell nothing of use."""
+    """What is in the air at the look that follows; None where nobody decides any more, and it tells nothing of use."""
 
 
 class Meanwhile(NamedTuple):
@@ -262,17 +261,13 @@ class Team:
         if verb == Verb.FINISH:
             return ending.paid, tally, Doing(PARKED), NOTHING
         assert told is not None, "nobody takes what another is at"
-        is_held, leaves, paid = ending.end.is_held, verb == Verb.WASH, ending.paid
-        if is_held and leaves:
-            paid = paid + self._washed(target, told.looks)
-        after = (*tally[:target], after_attempt(told, doing.level, is_held, leaves), *tally[target + 1 :])
-        return paid, after, IDLE, _only(target) if is_held and not leaves else NOTHING
-
-    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def _washed(self, cup: int, looks: Looks) -> Grid:
-        """What it pays to have washed an object."""
-        dirty = self.world.dirty(cup, looks)
-        return dirty * float(self.config.reward_wash_dirty) + (1.0 - dirty) * float(self.config.reward_wash_clean)
+        is_held, paid, after = ending.end.is_held, ending.paid, None
+        if is_held and verb == Verb.WASH:
+            paid = paid + self.world.washed(target, told.looks)
+        else:
+            after = self.world.tried(told, doing.level, is_held)
+        held = _only(target) if is_held and verb == Verb.LIFT else NOTHING
+        return paid, (*tally[:target], after, *tally[target + 1 :]), IDLE, held
 
     def _meanwhile(
         self, tally: Tally, robot: int, doing: Doing, ended: int, passed_s: float, is_watched: bool
@@ -290,11 +285,11 @@ class Team:
         since_s = round(doing.since_s + passed_s, _DIGITS)
         return [
             Meanwhile(
-                sum(each.probability for each in open),
-                doing._replace(since_s=since_s, ends=tuple(each.end for each in open)),
+                sum(each.probability for each in still),
+                doing._replace(since_s=since_s, ends=tuple(each.end for each in still)),
                 _only(doing.target) if is_up else NOTHING,
             )
-            for is_up, open in told.items()
+            for is_up, still in told.items()
         ]
 
 

@@ -1,4 +1,4 @@
-"""Between the states of the world and the cells of a graph: which are reached, what a policy does there, where one lies."""
+"""Between states of the world and cells of a graph: which are reached, what a policy does there, where one lies."""
 
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
 from halfseen.planners.exact_graph import Graph, Node
 from halfseen.planners.exact_labels import Grid
-from halfseen.planners.exact_model import NOTHING, GridWorld, Tally, after_attempt
+from halfseen.planners.exact_model import NOTHING, GridWorld, Tally
 from halfseen.planners.exact_process import IDLE, PARKED, Team, Work
 from halfseen.world import random
 from halfseen.world.actions import FINISH
@@ -194,18 +194,19 @@ def place_of(graph: Graph, state: TableState) -> tuple[Node, tuple[int, ...]]:
 
 def _tally_of(world: GridWorld, state: TableState, num_attempts: int) -> Tally:
     """Looks and attempts along the path; an object that left was washed by the last attempt that grasped it."""
-    targets = np.asarray(state.attempt_object)[:num_attempts].tolist()
+    targets, held = (
+        np.asarray(each)[:num_attempts].tolist() for each in (state.attempt_object, state.attempt_succeeded)
+    )
     last = {target: step for step, target in enumerate(targets)}
     tally, _ = world.looked(world.first, NOTHING)
-    for step, (target, is_held) in enumerate(zip(targets, np.asarray(state.attempt_succeeded).tolist())):
+    for step, (target, is_held) in enumerate(zip(targets, held, strict=True)):
         told = tally[target] if 0 <= target < len(tally) else None
         if told is None:
             raise ArgumentError(f"state's attempt {step + 1}, on object {target}, is not possible on this table")
         is_washed = is_held and not state.is_on_table[target] and last[target] == step
-        after = after_attempt(told, world.levels(tally)[target], is_held, is_washed)
-        is_up = is_held and not is_washed
+        after = None if is_washed else world.tried(told, world.levels(tally)[target], is_held)
         tally = (*tally[:target], after, *tally[target + 1 :])
-        tally, _ = world.looked(tally, frozenset([target]) if is_up else NOTHING)
+        tally, _ = world.looked(tally, frozenset([target]) if is_held and not is_washed else NOTHING)
     return tally
 
 
