@@ -132,9 +132,9 @@ class RecordedLabels:
         if_dirty = np.where(is_news, cells[-1] + np.cumsum(is_news), cells)
         return Look((*looks, view), cells, if_dirty, _says_dirty(before, *positive))
 
-    def _positive(self, before: Cells, view: int) -> list[Float[np.ndarray, " cells"]]:
-        positive = self.seeing.positive(self.views.occluded[view], before.seen, self.views.is_held[view])
-        return [np.broadcast_to(each, before.seen.shape) for each in positive]
+    def _positive(self, before: Cells, view: int) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
+        if_dirty, if_clean = self.seeing.positive(self.views.occluded[view], before.seen, self.views.is_held[view])
+        return np.broadcast_to(if_dirty, before.seen.shape), np.broadcast_to(if_clean, before.seen.shape)
 
     def _seen_after(self, before: Cells, view: int, says_dirty: bool) -> Float[np.ndarray, " cells"]:
         after = self.seeing.after(self.views.occluded[view], before.seen, says_dirty, self.views.is_held[view])
