@@ -109,6 +109,13 @@ class Graph:
             return {GO_ON: self._outcome(node.tally, node.work)}
         return {action: self._choice(node.tally, work) for action, work in self.team.decisions(node.tally, node.work)}
 
+    def choice(self, node: Node, action: int) -> Choice | None:
+        """One of the choices where a robot decides; None where the action is not possible."""
+        if node.choices:
+            return node.choices.get(action)
+        work = dict(self.team.decisions(node.tally, node.work)).get(action)
+        return None if work is None else self._choice(node.tally, work)
+
     def _choice(self, tally: Tally, work: Work) -> Choice:
         """What may come of it; of one robot alone that is the next decision, and nobody needs a node between."""
         if self.team.is_alone:

@@ -216,6 +216,10 @@ class Team:
         for robot, doing in enumerate(work.doings):
             for ending in self._endings(robot, doing, tally):
                 reward, after, done, held = self._ended(tally, doing, ending)
+                if self.is_alone:
+                    then = Work((done,), work.to_go)
+                    yield Outcome(ending.probability, reward, after, then, held if is_watched else None)
+                    continue
                 others = [
                     self._meanwhile(tally, r, other, robot, ending.left_s, is_watched)
                     for r, other in enumerate(work.doings)
