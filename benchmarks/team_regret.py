@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 
-from halfseen.planners.exact_team import TeamOptimum, solve_team
+from halfseen.planners.exact import TeamOptimum, solve_team
 from halfseen.planners.futures import RolloutPolicy
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy

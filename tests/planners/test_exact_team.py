@@ -9,14 +9,14 @@ from naive_team_optimum import BruteForceTeam
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_table import solve_table
-from halfseen.planners.exact_team import solve_team
+from halfseen.planners.exact import solve_table, solve_team
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.planners.rules import ReservingPolicy
-from halfseen.world import Scene, WorldConfig, random
+from halfseen.world import AssumedGrasping, Scene, WorldConfig, random
+from halfseen.world.grasping import GraspingByRobot
 from halfseen.world.policy import UniformPolicy
 from halfseen.world.rollout import evaluate
 from halfseen.world.state import Workspace, pad_scenes
@@ -66,14 +66,38 @@ def test_two_robots_are_worth_what_brute_force_finds(config, hides, space):
     assert solve_team(hides, config, space, num_grip_nodes=2).value == pytest.approx(brute.value(), abs=1e-9)
 
 
-def test_one_robot_is_the_optimum_of_one_robot():
-    config = team_of(3, num_robots=1)
+@pytest.mark.parametrize("law", [GridGrasping(), AssumedGrasping()], ids=["times on a grid", "any time"])
+def test_one_robot_is_the_optimum_of_one_robot(law):
+    config = team_of(3, num_robots=1, grasping=law)
     of_team, of_one = solve_team(TWO, config, workspace(1, 2)), solve_table(TWO, config)
+    assert of_team.num_states == of_one.num_states
     np.testing.assert_allclose(of_team.value, of_one.value, atol=1e-9, rtol=0)
     rule = GreedyPolicy(config, uses_history=True, counts_penalty=True)
     pairs = [(ReservingPolicy(config, rule), rule), (MyopicPolicy(config), POMDPPolicy(config, 1))]
     for team, alone in pairs:
         np.testing.assert_allclose(of_team.policy_value(team), of_one.policy_value(alone), atol=1e-9, rtol=0)
+
+
+def test_one_robot_pays_for_its_time_and_reaches_what_it_reaches():
+    """With one decision and one object in reach: what it earns, less the mean time that it takes; or it leaves."""
+    config = team_of(1, num_robots=1, reward_per_s=-0.5, speed=(2.0,))
+    space = workspace(1, 2, out_of_reach=[(0, 1)])
+    free, paid = (solve_team(TWO, replace(config, reward_per_s=price), space).value for price in (0.0, -0.5))
+    both = solve_team(TWO, replace(config, reward_per_s=0.0), workspace(1, 2)).value
+    # An attempt takes from 1.5 to 3.5 s, and going home .5 s.
+    assert free - 0.5 * 3.5 <= paid <= free - 0.5 * 0.5
+    assert free < both
+
+
+def test_some_states_stand_for_all_and_several_policies_are_worth_what_each_is_by_itself():
+    config, space = team_of(1, grasping=FEW), workspace(2, 2)
+    optimum, rule = solve_team(TWO, config, space, num_grip_nodes=3), GreedyPolicy(config, counts_penalty=True)
+    policies = (ReservingPolicy(config, rule), MyopicPolicy(config), UniformPolicy())
+    alone = [optimum.policy_value(policy) for policy in policies]
+    np.testing.assert_allclose(optimum.policy_values(policies), alone, rtol=1e-12)
+    assert max(alone) <= optimum.value + 1e-9
+    lots = [optimum.policy_value(policies[0], random.key_of(seed), 4) for seed in range(60)]
+    assert np.mean(lots) == pytest.approx(alone[0], abs=float(4 * np.std(lots) / np.sqrt(60)) + 1e-9)
 
 
 @pytest.mark.slow
@@ -100,14 +124,18 @@ def test_the_value_of_a_policy_is_what_it_earns():
         assert abs(earned.mean() - optimum.policy_value(policy)) < 4 * error
 
 
-def test_what_cannot_be_solved_is_refused():
-    space = workspace(2, 2)
-    with pytest.raises(ArgumentError, match="AssumedGrasping, whose attempts may take any time"):
-        solve_team(TWO, WorldConfig(horizon=1, speed=(1.0, 1.0)), space)
-    with pytest.raises(ArgumentError, match="have more than 100 states; shorten the horizon"):
-        solve_team(TWO, team_of(2), space, max_states=100)
-    with pytest.raises(ArgumentError, match="drop_out_rate is given"):
-        solve_team(TWO, team_of(1, drop_out_rate=(0.1, 0.1)), space)
+@pytest.mark.parametrize(
+    ("config", "told"),
+    [
+        (team_of(1, grasping=AssumedGrasping()), "AssumedGrasping, whose attempts may take any time"),
+        (team_of(2), "have more than 100 states .*shorten the horizon"),
+        (team_of(1, drop_out_rate=(0.1, 0.1)), "drop_out_rate is given"),
+        (team_of(1, grasping=GraspingByRobot((GridGrasping(), GridGrasping()))), "laws of grasping of their own"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused(config, told):
+    with pytest.raises(ArgumentError, match=told):
+        solve_team(TWO, config, workspace(2, 2), max_states=100)
 
 
 @pytest.mark.parametrize(

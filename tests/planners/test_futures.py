@@ -7,7 +7,7 @@ import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import futures
-from halfseen.planners.exact_team import solve_team
+from halfseen.planners.exact import solve_team
 from halfseen.planners.futures import RolloutPolicy, future_rewards, imagined
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy

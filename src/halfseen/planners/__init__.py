@@ -5,7 +5,7 @@ that a WASH avoids) → `one_step` (the myopic look-ahead) → `trajectories` (w
 actions are worth then, those looked at most that promise most) → `pomdp` (looking h steps ahead, as a policy, or until
 the time is up), `explanation` (what each action is worth, and how sure that is). Of several robots: `rules` (of thumb),
 `myopic` (the look one step ahead), `futures` (rollouts, one robot at a time). `named` makes those that go by a name.
-What they are measured by: `exact_table` and `exact_team` (the best there is, on small tables), `relaxation` (what
+What they are measured by: `exact` (the best there is, on small tables), `relaxation` (what
 nobody can beat, on any). `discrete` stands apart: any POMDP given as arrays, solved exactly.
 """
 
@@ -15,8 +15,7 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.planners.discrete import DiscreteSolution, solve_discrete
-    from halfseen.planners.exact_table import TableOptimum, solve_table
-    from halfseen.planners.exact_team import TeamOptimum, solve_team
+    from halfseen.planners.exact import TableOptimum, TeamOptimum, solve_table, solve_team
     from halfseen.planners.explanation import explain
     from halfseen.planners.futures import RolloutPolicy
     from halfseen.planners.heuristics import GreedyPolicy
@@ -62,15 +61,15 @@ __getattr__ = lazy_names(
         "ReservingPolicy": "rules",
         "RolloutPolicy": "futures",
         "RoundRobin": "rules",
-        "TableOptimum": "exact_table",
+        "TableOptimum": "exact",
         "TeamOfRules": "rules",
-        "TeamOptimum": "exact_team",
+        "TeamOptimum": "exact",
         "explain": "explanation",
         "information_relaxation_bound": "relaxation",
         "named_policy": "named",
         "plan": "pomdp",
         "solve_discrete": "discrete",
-        "solve_table": "exact_table",
-        "solve_team": "exact_team",
+        "solve_table": "exact",
+        "solve_team": "exact",
     },
 )

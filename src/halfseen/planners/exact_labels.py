@@ -1,16 +1,18 @@
-"""What must be counted of the looks at one object, and what they tell: the axis of its labels.
+"""What must be kept of the looks at one object, and what they tell: the axis of its labels.
 
-An object can be seen in a few ways only (`Views`). Its tally keeps what is needed of the looks so far, and under one
-tally all that they may have said lies side by side as the cells of an axis. Where labels are independent given the
-truth, that is how often the object was looked at in each view, and a cell is how many of the looks in each view said
-DIRTY. Where they are not, it is the sequence of the views that showed something new, and a cell is what was said in
-each: of `PersistentSeeing` "not yet found", and "found at the k-th record".
+An object can be seen in a few ways only (`Views`). Under one record of its looks all that they may have said lies side
+by side as the cells of an axis. Where labels are independent given the truth (`CountedLabels`), the record is how often
+the object was looked at in each view, and a cell is how many of the looks in each view said DIRTY. Where they are not
+(`RecordedLabels`), it is the sequence of the views that showed something new, and a cell is what was said in each: of
+`PersistentSeeing` "not yet found", and "found at the k-th record".
+
+Values of a table are arrays over the grid of its objects' axes, and a look is taken along one axis after the other:
+given the past, the labels of different objects are independent.
 """
 
 from dataclasses import dataclass
 from functools import lru_cache
-from math import prod
-from typing import NamedTuple, Protocol, TypeAlias, runtime_checkable
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -20,9 +22,9 @@ from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
 _MAX_CACHED = 8192
 
 Looks: TypeAlias = tuple[int, ...]
-"""What a tally keeps of the looks at an object."""
-
-Cells: TypeAlias = Float[np.ndarray, " cells"]
+"""What is kept of the looks at an object."""
+Grid: TypeAlias = Float[np.ndarray, "..."]
+"""Over the labels of a table: an axis for each object, of length 1 once that has left."""
 
 
 class Views(NamedTuple):
@@ -37,179 +39,161 @@ class Views(NamedTuple):
         return int(np.argmax(self.is_held)) if self.is_held.any() else 0
 
 
+class Cells(NamedTuple):
+    """What is known of the object in each cell."""
+
+    log_odds: Float[np.ndarray, " cells"]
+    """Of DIRTY."""
+    seen: Float[np.ndarray, " cells"]
+    """Share of the surface that counts as seen."""
+
+    @property
+    def dirty(self) -> Float[np.ndarray, " cells"]:
+        """P(DIRTY)."""
+        return 1.0 / (1.0 + np.exp(-self.log_odds))
+
+
 class Look(NamedTuple):
     """One more label of an object: where each cell of its axis goes, and how likely that is."""
 
+    looks: Looks
+    """What is kept of the looks then."""
     if_clean: Int[np.ndarray, " cells"]
     if_dirty: Int[np.ndarray, " cells"]
-    says_dirty: Cells
-
-
-@runtime_checkable
-class Labels(Protocol):
-    """The labels of one object, by what its tally keeps of the looks."""
-
-    @property
-    def views(self) -> Views:
-        """The ways in which it can be seen."""
-        ...
-
-    @property
-    def nothing(self) -> Looks:
-        """What the tally keeps before the first look."""
-        ...
-
-    def after(self, looks: Looks, view: int) -> Looks:
-        """What it keeps after one more look."""
-        ...
-
-    def num_cells(self, looks: Looks) -> int:
-        """Number of cells of the axis."""
-        ...
-
-    def log_odds(self, looks: Looks) -> Cells:
-        """Log-odds of DIRTY in each cell."""
-        ...
-
-    def seen(self, looks: Looks) -> Cells:
-        """Share of the surface that counts as seen in each cell."""
-        ...
-
-    def look(self, looks: Looks, view: int) -> Look | None:
-        """What one more label does to the cells; None if it tells nothing."""
-        ...
-
-
-def views_of(seeing: KnownSeeing, occlusions: Float[np.ndarray, " levels"]) -> Views:
-    """Return the ways in which an object can be seen: at its occlusions, from 0 up, and held, if that is another."""
-    held = len(occlusions)
-    views = Views(np.append(occlusions, 0.0), np.arange(held + 1) == held)
-    on_table, in_hand = (_told(seeing, 0.0, is_held) for is_held in (False, True))
-    return views if on_table != in_hand else Views(*(of[:held] for of in views))
-
-
-def labels_of(seeing: KnownSeeing, views: Views, prior: float) -> Labels:
-    """Return the labels of an object, with the log-odds of DIRTY before the first."""
-    return (CountedLabels if is_independent(seeing) else RecordedLabels)(seeing, views, prior)
-
-
-def _told(seeing: KnownSeeing, occluded: float, is_held: bool) -> tuple[float, ...]:
-    positive = seeing.positive(occluded, 0.0, is_held)
-    return tuple(map(float, (*positive, *(seeing.after(occluded, 0.0, says, is_held) for says in (False, True)))))
+    says_dirty: Float[np.ndarray, " cells"]
 
 
 @dataclass(frozen=True, eq=False)
 class CountedLabels:
-    """Labels that are independent given the truth: a count of looks for each view (a `Labels`)."""
+    """Labels of one object that are independent given the truth: a count of looks for each view."""
 
     seeing: KnownSeeing
     views: Views
     prior: float
+    """Log-odds of DIRTY before the first label."""
 
     @property
     def nothing(self) -> Looks:
-        """No look in any view."""
+        """What is kept before the first look."""
         return (0,) * len(self.views.occluded)
 
-    def after(self, looks: Looks, view: int) -> Looks:
-        """Count one more."""
-        return (*looks[:view], looks[view] + 1, *looks[view + 1 :])
-
-    def num_cells(self, looks: Looks) -> int:
-        """As many as there are ways to share out labels."""
-        return prod(count + 1 for count in looks)
-
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
-    def log_odds(self, looks: Looks) -> Cells:
-        """Log-odds of DIRTY in each cell."""
+    def cells(self, looks: Looks) -> Cells:
+        """What looks may have told."""
         positive = self.seeing.positive(self.views.occluded, 0.0, self.views.is_held)
         if_said, if_not = (label_evidence(*positive, says_dirty) for says_dirty in (True, False))
-        said_more = 2 * _dirty_labels(looks) - np.array(looks)[:, None]
-        return self.prior + (if_said - if_not) / 2 @ said_more + (if_said + if_not) / 2 @ np.array(looks)
+        said = 2 * _dirty_labels(looks) - np.array(looks)[:, None]
+        log_odds = self.prior + (if_said - if_not) / 2 @ said + (if_said + if_not) / 2 @ np.array(looks)
+        return Cells(log_odds, np.zeros_like(log_odds))
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def seen(self, looks: Looks) -> Cells:
-        """Nothing counts as seen."""
-        return np.zeros(self.num_cells(looks))
-
-    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def look(self, looks: Looks, view: int) -> Look:
-        """One label more."""
-        labels, shape = _dirty_labels(looks), tuple(count + 1 for count in self.after(looks, view))
+    def look(self, looks: Looks, view: int) -> Look | None:
+        """Look once more; None where that tells nothing."""
+        after = (*looks[:view], looks[view] + 1, *looks[view + 1 :])
+        labels, shape = _dirty_labels(looks), [count + 1 for count in after]
         one_more = labels + (np.arange(len(looks)) == view)[:, None]
-        positive = self.seeing.positive(self.views.occluded[view], 0.0, self.views.is_held[view])
         if_clean, if_dirty = (np.asarray(np.ravel_multi_index(tuple(told), shape)) for told in (labels, one_more))
-        return Look(if_clean, if_dirty, _says_dirty(self.log_odds(looks), *positive))
+        positive = self.seeing.positive(self.views.occluded[view], 0.0, self.views.is_held[view])
+        return Look(after, if_clean, if_dirty, _says_dirty(self.cells(looks), *positive))
 
 
 @dataclass(frozen=True, eq=False)
 class RecordedLabels:
-    """Labels that depend on former looks: the views in their order, but for those that showed nothing new."""
+    """Labels of one object that depend on former looks: its views in their order, but for those that told nothing."""
 
     seeing: KnownSeeing
     views: Views
     prior: float
+    """Log-odds of DIRTY before the first label."""
 
     nothing: Looks = ()
-
-    def after(self, looks: Looks, view: int) -> Looks:
-        """Append a view that shows something new."""
-        return looks if self.look(looks, view) is None else (*looks, view)
-
-    def num_cells(self, looks: Looks) -> int:
-        """As many as there are answers."""
-        return len(self.log_odds(looks))
+    """What is kept before the first look."""
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def log_odds(self, looks: Looks) -> Cells:
-        """Log-odds of DIRTY in each cell."""
+    def cells(self, looks: Looks) -> Cells:
+        """What looks may have told: a cell in which a look may say DIRTY gets a cell beside it, behind all others."""
         if not looks:
-            return np.array([self.prior])
-        before, positive = self.log_odds(looks[:-1]), self._positive(looks[:-1], looks[-1])
+            return Cells(np.array([self.prior]), np.zeros(1))
+        before, view = self.cells(looks[:-1]), looks[-1]
+        positive = self._positive(before, view)
         is_news = positive[0] + positive[1] > 0.0
-        if_not, if_said = (before + label_evidence(*positive, is_news & says) for says in (False, True))
-        return np.append(if_not, if_said[is_news])
-
-    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def seen(self, looks: Looks) -> Cells:
-        """Share of the surface that counts as seen in each cell."""
-        if not looks:
-            return np.zeros(1)
-        before, is_news = self.seen(looks[:-1]), np.add(*self._positive(looks[:-1], looks[-1])) > 0.0
-        if_not, if_said = (self._seen_after(before, looks[-1], says_dirty) for says_dirty in (False, True))
-        return np.append(if_not, if_said[is_news])
+        if_not, if_said = (before.log_odds + label_evidence(*positive, is_news & says) for says in (False, True))
+        seen = [self._seen_after(before, view, says) for says in (False, True)]
+        return Cells(np.append(if_not, if_said[is_news]), np.append(seen[0], seen[1][is_news]))
 
     @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
     def look(self, looks: Looks, view: int) -> Look | None:
-        """One label more: a cell in which it may say DIRTY gets a cell beside it, behind all others."""
-        positive, cells = self._positive(looks, view), np.arange(self.num_cells(looks))
+        """Look once more; None where that tells nothing."""
+        before, cells = self.cells(looks), np.arange(len(self.cells(looks).seen))
+        positive = self._positive(before, view)
         is_news = positive[0] + positive[1] > 0.0
-        is_seen_more = self._seen_after(self.seen(looks), view, False) != self.seen(looks)
-        if not (is_news | is_seen_more).any():
+        if not (is_news | (self._seen_after(before, view, False) != before.seen)).any():
             return None
         if_dirty = np.where(is_news, cells[-1] + np.cumsum(is_news), cells)
-        return Look(cells, if_dirty, _says_dirty(self.log_odds(looks), *positive))
+        return Look((*looks, view), cells, if_dirty, _says_dirty(before, *positive))
 
-    def _positive(self, looks: Looks, view: int) -> tuple[Cells, Cells]:
-        seen = self.seen(looks)
-        if_dirty, if_clean = self.seeing.positive(self.views.occluded[view], seen, self.views.is_held[view])
-        return np.broadcast_to(if_dirty, seen.shape), np.broadcast_to(if_clean, seen.shape)
+    def _positive(self, before: Cells, view: int) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
+        if_dirty, if_clean = self.seeing.positive(self.views.occluded[view], before.seen, self.views.is_held[view])
+        return np.broadcast_to(if_dirty, before.seen.shape), np.broadcast_to(if_clean, before.seen.shape)
 
-    def _seen_after(self, seen: Cells, view: int, says_dirty: bool) -> Cells:
-        after = self.seeing.after(self.views.occluded[view], seen, says_dirty, self.views.is_held[view])
-        return np.broadcast_to(after, seen.shape)
-
-
-def dirty_in(log_odds: Cells) -> Cells:
-    """Probability of DIRTY at given log-odds."""
-    return 1.0 / (1.0 + np.exp(-log_odds))
+    def _seen_after(self, before: Cells, view: int, says_dirty: bool) -> Float[np.ndarray, " cells"]:
+        after = self.seeing.after(self.views.occluded[view], before.seen, says_dirty, self.views.is_held[view])
+        return np.broadcast_to(after, before.seen.shape)
 
 
-def _says_dirty(log_odds: Cells, if_dirty: Cells | float, if_clean: Cells | float) -> Cells:
-    dirty = dirty_in(log_odds)
-    return dirty * if_dirty + (1.0 - dirty) * if_clean
+Labels: TypeAlias = CountedLabels | RecordedLabels
+
+
+def labels_of(seeing: KnownSeeing, occlusions: Float[np.ndarray, " levels"], dirty_share: float) -> Labels:
+    """Labels of an object that is seen at its occlusions, from 0 up, and held, if that is another view."""
+    prior = float(np.log(dirty_share) - np.log1p(-dirty_share))
+    views = Views(np.append(occlusions, 0.0), np.arange(len(occlusions) + 1) == len(occlusions))
+    if _told(seeing, False) == _told(seeing, True):
+        views = Views(*(each[:-1] for each in views))
+    return (CountedLabels if is_independent(seeing) else RecordedLabels)(seeing, views, prior)
+
+
+def _told(seeing: KnownSeeing, is_held: bool) -> list[float]:
+    """What a first look tells of an object that nothing hides."""
+    after = [seeing.after(0.0, 0.0, says_dirty, is_held) for says_dirty in (False, True)]
+    return [float(each) for each in (*seeing.positive(0.0, 0.0, is_held), *after)]
+
+
+def _says_dirty(before: Cells, if_dirty: Grid | float, if_clean: Grid | float) -> Float[np.ndarray, " cells"]:
+    return before.dirty * if_dirty + (1.0 - before.dirty) * if_clean
 
 
 def _dirty_labels(looks: Looks) -> Int[np.ndarray, "views cells"]:
     """How many of the looks in each view said DIRTY, cell by cell."""
     return np.indices([count + 1 for count in looks]).reshape(len(looks), -1)
+
+
+def along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Grid:
+    """Lay values along one axis of a grid."""
+    return values.reshape([-1 if at == axis else 1 for at in range(num_axes)])
+
+
+def expected_over_labels(values: Grid, looks: tuple[Look | None, ...]) -> Grid:
+    """Mean of `values`, on the grid after a look, over what the look may say; on the grid before it."""
+    for axis, look in enumerate(looks):
+        if look is not None:
+            if_clean, if_dirty = values.take(look.if_clean, axis), values.take(look.if_dirty, axis)
+            if_dirty -= if_clean
+            if_dirty *= along(look.says_dirty, axis, len(looks))
+            values = np.add(if_clean, if_dirty, out=if_clean)
+    return values
+
+
+def spread_over_labels(mass: Grid, looks: tuple[Look | None, ...], shape: tuple[int, ...]) -> Grid:
+    """Probability of each cell of the grid (of `shape`) after a look, given that of each before it.
+
+    The objects' axes are the last of `mass`; those before them are kept.
+    """
+    for axis, look in enumerate(looks, start=mass.ndim - len(looks)):
+        if look is not None:
+            said_dirty = mass * along(look.says_dirty, axis, mass.ndim)
+            after = np.zeros((*mass.shape[:axis], shape[axis - mass.ndim], *mass.shape[axis + 1 :]))
+            after[(slice(None),) * axis + (look.if_clean,)] += mass - said_dirty
+            after[(slice(None),) * axis + (look.if_dirty,)] += said_dirty
+            mass = after
+    return mass

@@ -1,25 +1,23 @@
 """The table world with grip offsets on a grid, in float64, and what must be counted of a path to know all of it.
 
 Given what is seen, objects are independent, and an object's labels say nothing of its grip. So all that a path tells of
-an object that still stands on the table is counted (`CupTally`): what its labels take of the looks (`exact_labels`),
+an object that still stands on the table is counted (`Told`): what its labels take of the looks (`exact_labels`),
 and how often it was grasped and missed at each occlusion. N objects can be occluded in no more than 2^(N−1) ways each,
-so there are few occlusions to count at. What left the table is forgotten.
-
-The looks and attempts make a `Tally`. Under one tally the labels form a full grid: an axis for each object, along which
-everything that they may have said of it is one cell. Values are arrays over that grid.
+so there are few occlusions to count at. What left the table is forgotten. Under one `Tally` the labels form a grid.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from enum import IntEnum
-from functools import cached_property, lru_cache
-from typing import NamedTuple, TypeAlias
+from functools import cache, cached_property
+from typing import TypeAlias
 
 import numpy as np
 from jaxtyping import Float, Int
 
 from halfseen.arrays import PerObject, mapped
+from halfseen.errors import ArgumentError
 from halfseen.planners.belief import known_grasping, known_seeing
-from halfseen.planners.exact_labels import Cells, Labels, Look, Looks, dirty_in, labels_of, views_of
+from halfseen.planners.exact_labels import Grid, Labels, Look, Looks, along, labels_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import KnownGrasping
 from halfseen.world.number import Number
@@ -27,29 +25,23 @@ from halfseen.world.scene import Scene
 from halfseen.world.seeing import KnownSeeing
 
 _SAME_OCCLUSION_DIGITS = 12
-_MAX_CACHED = 8192
 
 Counts: TypeAlias = tuple[int, ...]
 """One number for each occlusion that an object can have."""
 
 
-class Result(IntEnum):
-    """What came of an attempt; a WASH and a LIFT that fail tell the same."""
+@dataclass(frozen=True, eq=False, slots=True)
+class Told:
+    """All that a path tells of one object on the table; `GridWorld.told` makes each only once, so that it is a key."""
 
-    FAILED = 0
-    LIFTED = 1
-    WASHED = 2
-
-
-class CupTally(NamedTuple):
-    """Looks at one object on the table, and attempts at each occlusion that it can have."""
-
+    cup: int
     looks: Looks
     failures: Counts
+    """Attempts at each occlusion that the object can have."""
     successes: Counts
 
 
-Tally: TypeAlias = tuple[CupTally | None, ...]
+Tally: TypeAlias = tuple[Told | None, ...]
 """One entry for each object; None once it has left the table."""
 Held: TypeAlias = frozenset[int]
 """Objects that are up in the air."""
@@ -123,19 +115,82 @@ class GridWorld:
         return np.round(1.0 - seen, _SAME_OCCLUSION_DIGITS)
 
     @cached_property
+    def _levels(self) -> list[list[int]]:
+        return self.level_by_subset.T.tolist()
+
+    @cached_property
     def labels(self) -> tuple[Labels, ...]:
-        """For each object, what its looks may say."""
-        prior = float(np.log(self.config.dirty_share) - np.log1p(-self.config.dirty_share))
-        return tuple(labels_of(self.seeing, views_of(self.seeing, levels), prior) for levels in self.occlusions)
+        """For each object, what its looks may say.
 
-    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
-    def dirty(self, cup: int, looks: Looks) -> Cells:
-        """P(DIRTY) in each cell of an object's axis."""
-        return dirty_in(self.labels[cup].log_odds(looks))
+        Raises
+        ------
+        ArgumentError
+            The prior or a label leaves nothing in doubt.
+        """
+        dirty_share = float(self.config.dirty_share)
+        _check_between("dirty_share", np.array([dirty_share]))
+        labels = tuple(labels_of(self.seeing, levels, dirty_share) for levels in self.occlusions)
+        for cup, (views, _) in enumerate(each.views for each in labels):
+            positive = np.stack(self.seeing.positive(views, 0.0, labels[cup].views.is_held))
+            # A look that shows nothing never says DIRTY, and leaves all in doubt.
+            _check_between(f"a label's probability of object {cup}", positive[:, (positive != 0.0).any(axis=0)].ravel())
+        return labels
 
-    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
-    def attempt(self, cup: int, failures: Counts, successes: Counts, level: int) -> tuple[float, float]:
-        """P(an attempt succeeds), and its expected time [s], given an object's past attempts."""
+    @cached_property
+    def told(self) -> Callable[[int, Looks, Counts, Counts], Told]:
+        """What a path tells of an object."""
+        return cache(Told)
+
+    @property
+    def first(self) -> Tally:
+        """The tally before anything was seen."""
+        none = [(0,) * len(levels) for levels in self.occlusions]
+        return tuple(self.told(cup, each.nothing, none[cup], none[cup]) for cup, each in enumerate(self.labels))
+
+    def shape(self, tally: Tally) -> tuple[int, ...]:
+        """Length of each object's axis; 1 once it has left."""
+        pairs = zip(self.labels, tally, strict=True)
+        return tuple([1 if told is None else len(labels.cells(told.looks).seen) for labels, told in pairs])
+
+    def levels(self, tally: Tally, held: Held = NOTHING) -> list[int]:
+        """Index of the occlusion of each object now; what is held hides nothing."""
+        return self._levels[sum([1 << told.cup for told in tally if told is not None and told.cup not in held])]
+
+    @cached_property
+    def tried(self) -> Callable[[Told, int, bool], Told]:
+        """What is told of an object after an attempt at one of its occlusions, by whether it held; it stays."""
+        return cache(self._tried)
+
+    def _tried(self, told: Told, level: int, is_held: bool) -> Told:
+        failures, successes = list(told.failures), list(told.successes)
+        (successes if is_held else failures)[level] += 1
+        return self.told(told.cup, told.looks, tuple(failures), tuple(successes))
+
+    def looked(self, tally: Tally, held: Held) -> tuple[Tally, tuple[Look | None, ...]]:
+        """Look once at every object on the table: the tally then, and what that does to each axis, None if nothing."""
+        levels = self.levels(tally, held)
+        seen = [_GONE if told is None else self._seen(told, levels[told.cup], told.cup in held) for told in tally]
+        after, looks = zip(*seen, strict=True)
+        return after, looks
+
+    @cached_property
+    def _seen(self) -> Callable[[Told, int, bool], tuple[Told, Look | None]]:
+        return cache(self._look_at)
+
+    def _look_at(self, told: Told, level: int, is_held: bool) -> tuple[Told, Look | None]:
+        labels = self.labels[told.cup]
+        look = labels.look(told.looks, labels.views.held if is_held else level)
+        return (told, None) if look is None else (self.told(told.cup, look.looks, told.failures, told.successes), look)
+
+    @cached_property
+    def attempt(self) -> Callable[[int, Counts, Counts, int], tuple[float, float]]:
+        """P(an attempt succeeds), and its expected time [s], transport included.
+
+        By object, past failures and successes at each of its occlusions, and index of the occlusion now.
+        """
+        return cache(self._attempt)
+
+    def _attempt(self, cup: int, failures: Counts, successes: Counts, level: int) -> tuple[float, float]:
         occluded = self.occlusions[cup][:, None]
         offsets = self.grip[cup] + self.grip_offsets
         log_failure = self.grasping.log_failure(occluded, offsets)
@@ -146,73 +201,35 @@ class GridWorld:
         expected_s = float(grip @ self.grasping.expected_s(occluded, offsets)[level])
         return float(grip @ caught[level]), float(self.config.transport_s) + expected_s
 
+    @cached_property
+    def washed(self) -> Callable[[int, Looks], Grid]:
+        """What it pays to have washed an object, along its axis of the grid."""
+        if_dirty, if_clean = float(self.config.reward_wash_dirty), float(self.config.reward_wash_clean)
+        return cache(lambda cup, looks: self._by_dirt(cup, looks, if_dirty, if_clean))
+
+    @cached_property
+    def _price(self) -> Callable[[int, Looks], Grid]:
+        return cache(lambda cup, looks: self._by_dirt(cup, looks, float(self.config.reward_dirty_left), 0.0))
+
+    def _by_dirt(self, cup: int, looks: Looks, if_dirty: float, if_clean: float) -> Grid:
+        dirty = along(self.labels[cup].cells(looks).dirty, cup, self.num_objects)
+        return dirty * if_dirty + (1.0 - dirty) * if_clean
+
+    def price_of_left(self, looks: tuple[Looks | None, ...]) -> Grid:
+        """Expected price of what is dirty on the table when the path ends, by the looks at what is left."""
+        prices = [self._price(cup, each) for cup, each in enumerate(looks) if each is not None]
+        return sum(prices[1:], prices[0]) if prices else np.zeros((1,) * self.num_objects)
+
+
+_GONE = None, None
+
 
 def _in_float64(leaf: Number | np.ndarray) -> float | np.ndarray:
     return np.asarray(leaf, dtype=np.float64) if np.ndim(leaf) else float(np.asarray(leaf))
 
 
-def is_there(tally: Tally) -> list[int]:
-    """Return the objects that stand on the table."""
-    return [cup for cup, told in enumerate(tally) if told is not None]
-
-
-def grid_shape(world: GridWorld, tally: Tally) -> tuple[int, ...]:
-    """Return the length of each object's axis; 1 once it has left."""
-    pairs = zip(world.labels, tally, strict=True)
-    return tuple(1 if told is None else labels.num_cells(told.looks) for labels, told in pairs)
-
-
-def first_tally(world: GridWorld) -> Tally:
-    """Return the tally before anything was seen."""
-    pairs = zip(world.labels, world.occlusions, strict=True)
-    return tuple(CupTally(labels.nothing, *[(0,) * len(levels)] * 2) for labels, levels in pairs)
-
-
-def current_levels(world: GridWorld, tally: Tally, held: Held = NOTHING) -> list[int]:
-    """Index of the occlusion of each object now; what is held hides nothing."""
-    subset = sum(1 << cup for cup in is_there(tally) if cup not in held)
-    return world.level_by_subset[:, subset].tolist()
-
-
-def current_views(world: GridWorld, tally: Tally, held: Held = NOTHING) -> list[int]:
-    """How each object is seen now."""
-    views = current_levels(world, tally, held)
-    return [world.labels[cup].views.held if cup in held else view for cup, view in enumerate(views)]
-
-
-def after_attempt(world: GridWorld, tally: Tally, target: int, result: Result) -> Tally:
-    """Return the tally after an attempt, before the look that follows it."""
-    return after_attempt_at(tally, target, result, current_levels(world, tally)[target])
-
-
-def after_attempt_at(tally: Tally, target: int, result: Result, level: int) -> Tally:
-    """Return the tally after an attempt that began at one of its object's occlusions, before the look that follows."""
-    told = tally[target]
-    assert told is not None, "only what stands on the table is attempted"
-    if result is Result.WASHED:
-        after = None
-    elif result is Result.LIFTED:
-        after = told._replace(successes=_counted(told.successes, level))
-    else:
-        after = told._replace(failures=_counted(told.failures, level))
-    return (*tally[:target], after, *tally[target + 1 :])
-
-
-def after_look(world: GridWorld, tally: Tally, held: Held = NOTHING) -> Tally:
-    """Return the tally after every object on the table was looked at once."""
-    return tuple(
-        None if told is None else told._replace(looks=labels.after(told.looks, view))
-        for told, labels, view in zip(tally, world.labels, current_views(world, tally, held), strict=True)
-    )
-
-
-def looks_of(world: GridWorld, tally: Tally, held: Held = NOTHING) -> tuple[Look | None, ...]:
-    """Return what `after_look` does to each axis of the grid; None where nothing new is seen."""
-    return tuple(
-        None if told is None else labels.look(told.looks, view)
-        for told, labels, view in zip(tally, world.labels, current_views(world, tally, held), strict=True)
-    )
-
-
-def _counted(counts: Counts, level: int) -> Counts:
-    return (*counts[:level], counts[level] + 1, *counts[level + 1 :])
+def _check_between(name: str, probabilities: Float[np.ndarray, " k"]) -> None:
+    """Log-odds must be finite."""
+    wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
+    if len(wrong):
+        raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")

@@ -21,7 +21,7 @@ from halfseen.evaluation.estimate import Estimate
 from halfseen.pages.axes import EndLabel, draw_bars
 from halfseen.pages.numbers import MISSING, amount, share
 from halfseen.pages.sentences import Claim
-from halfseen.planners.exact_table import TableOptimum, solve_table
+from halfseen.planners.exact import TableOptimum, solve_table
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import draw_by_cut_share, draw_by_size, draw_level
 from halfseen.study.frames import records, row_of, stacked

@@ -1,0 +1,195 @@
+"""All that may become of a small table, as a graph, and what each of its nodes is worth.
+
+A node holds all states that differ in their labels alone: its values lie on the grid of their labels. The layers of the
+graph are the nodes in which a robot decides, by the number of decisions that were made before.
+"""
+
+from dataclasses import dataclass, field
+from functools import reduce
+from math import prod
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+
+from halfseen.errors import ArgumentError
+from halfseen.planners.exact_labels import Grid, Look, Looks, expected_over_labels
+from halfseen.planners.exact_model import NOTHING, GridWorld, Held, Tally
+from halfseen.planners.exact_process import IDLE, Team, Work
+
+GO_ON = -1
+"""What is chosen where no robot is to decide."""
+
+
+@dataclass(eq=False, slots=True)
+class Arrival:
+    """What the camera sees next, and where that leads."""
+
+    looks: tuple[Look | None, ...]
+    """What the look does to each axis of the grid."""
+    node: "Node | None"
+    """None where the path is over."""
+    left: tuple[Looks | None, ...] = ()
+    """What was kept then of the looks at each object that is left."""
+
+
+class Choice(NamedTuple):
+    """What may come of an action."""
+
+    reward: Grid | float
+    """Expected until the next node, but for the price of what is left at the end."""
+    ways: dict[Arrival, float]
+    """What may come next, and how likely that is."""
+
+
+@dataclass(eq=False, slots=True)
+class Node:
+    """All states that differ in their labels alone."""
+
+    tally: Tally
+    work: Work
+    shape: tuple[int, ...]
+    """Of its grid."""
+    place: int | None
+    """In its layer; None where no robot is to decide."""
+    choices: dict[int, Choice] = field(default_factory=dict)
+    """By action; the only one is `GO_ON` where no robot is to decide."""
+    value: Grid | None = None
+    """Of the best that can be done from here on, once it was asked for."""
+
+
+Key: TypeAlias = tuple[Tally, Work]
+
+
+@dataclass(eq=False)
+class Graph:
+    """What may become of a table: each node once, layer by layer.
+
+    Raises
+    ------
+    ArgumentError
+        The states are more than `max_states`.
+    """
+
+    team: Team
+    max_states: int
+    num_states: int = 0
+    root: Arrival = field(init=False)
+    """The first look."""
+    layers: list[dict[Key, Node]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        config = self.team.config
+        self._begin_layer()
+        work = Work((IDLE,) * config.num_robots, (config.horizon,) * config.num_robots)
+        self.root = self._arrival(self.world.first, work, NOTHING)
+        for _ in range(config.num_stages - 1):
+            self.layers.append(self._following)
+            self._begin_layer()
+            for node in self.layers[-1].values():
+                node.choices = self.choices(node)
+        self.layers.append(self._following)
+        self._begin_layer()
+
+    @property
+    def world(self) -> GridWorld:
+        """The table."""
+        return self.team.world
+
+    def _begin_layer(self) -> None:
+        self._following: dict[Key, Node] = {}
+        self._between: dict[Key, Node] = {}
+        self._arrivals: dict[tuple[Tally, Work, Held | None], Arrival] = {}
+        self._ends: dict[tuple[Looks | None, ...], Arrival] = {}
+
+    def choices(self, node: Node) -> dict[int, Choice]:
+        """What may be done; found anew where it leads to no decision any more, as that is most of what there is."""
+        if node.choices:
+            return node.choices
+        if node.place is None:
+            return {GO_ON: self._outcome(node.tally, node.work)}
+        return {action: self._choice(node.tally, work) for action, work in self.team.decisions(node.tally, node.work)}
+
+    def choice(self, node: Node, action: int) -> Choice | None:
+        """One of the choices where a robot decides; None where the action is not possible."""
+        if node.choices:
+            return node.choices.get(action)
+        work = dict(self.team.decisions(node.tally, node.work)).get(action)
+        return None if work is None else self._choice(node.tally, work)
+
+    def _choice(self, tally: Tally, work: Work) -> Choice:
+        """What may come of it; of one robot alone that is the next decision, and nobody needs a node between."""
+        if self.team.is_alone:
+            return self._outcome(tally, work)
+        return Choice(0.0, {self._arrival(tally, work, None): 1.0})
+
+    def _outcome(self, tally: Tally, work: Work) -> Choice:
+        reward: Grid | float = 0.0
+        ways: dict[Arrival, float] = {}
+        for probability, paid, after, then, held in self.team.outcomes(tally, work):
+            reward = reward + probability * paid
+            arrival = self._arrival(after, then, held)
+            ways[arrival] = ways.get(arrival, 0.0) + probability
+        return Choice(reward, ways)
+
+    def _arrival(self, tally: Tally, work: Work, held: Held | None) -> Arrival:
+        """Where a look leads, or none if nothing is `held` for it."""
+        if not any(tally) or (held is None and (self.team.is_alone or work.is_done)):
+            left = tuple([told and told.looks for told in tally])
+            found = self._ends.get(left)
+            if found is None:
+                found = self._ends[left] = Arrival((), None, left)
+            return found
+        key = tally, work, held
+        found = self._arrivals.get(key)
+        if found is None:
+            after, looks = (tally, ()) if held is None else self.world.looked(tally, held)
+            found = self._arrivals[key] = Arrival(looks, self._node(after, work))
+        return found
+
+    def _node(self, tally: Tally, work: Work) -> Node:
+        is_asked = work.decider is not None
+        known = self._following if is_asked else self._between
+        node = known.get((tally, work))
+        if node is None:
+            shape = self.world.shape(tally)
+            node = known[tally, work] = Node(tally, work, shape, len(self._following) if is_asked else None)
+            self._count(prod(shape))
+            if not is_asked:
+                node.choices = self.choices(node)
+        return node
+
+    def _count(self, num_cells: int) -> None:
+        self.num_states += num_cells
+        if self.num_states > self.max_states:
+            config, num_done = self.team.config, len(self.layers)
+            raise ArgumentError(
+                f"{self.world.num_objects} objects over {config.num_stages} steps have more than {self.max_states:,} "
+                f"states (so many after {num_done} of them); shorten the horizon or take fewer objects"
+            )
+
+    def q(self, node: Node) -> dict[int, Grid]:
+        """Q(n, a) = R(n, a) + Σ P(event | n, a) E_labels V(n') of each possible action."""
+        choices = self.choices(node)
+        # A WASH and a LIFT that fail lead to the same.
+        arrivals = dict.fromkeys(arrival for choice in choices.values() for arrival in choice.ways)
+        worth = {arrival: self.worth(arrival) for arrival in arrivals}
+        return {action: self._q(choice, worth) for action, choice in choices.items()}
+
+    def _q(self, choice: Choice, worth: dict[Arrival, Grid]) -> Grid:
+        total = np.asarray(choice.reward)
+        for arrival, probability in choice.ways.items():
+            total = total + probability * worth[arrival]
+        return total
+
+    def value(self, node: Node) -> Grid:
+        """V(n) = max_a Q(n, a)."""
+        if node.value is None:
+            best = reduce(np.maximum, self.q(node).values())
+            node.value = best if best.shape == node.shape else np.broadcast_to(best, node.shape)
+        return node.value
+
+    def worth(self, arrival: Arrival) -> Grid:
+        """Value before a look."""
+        if arrival.node is None:
+            return self.world.price_of_left(arrival.left)
+        return expected_over_labels(self.value(arrival.node), arrival.looks)
