@@ -1,5 +1,7 @@
 """What the tests of the recorder record, and what must be read of it."""
 
+import json
+
 import numpy as np
 
 from halfseen.errors import LogError
@@ -33,7 +35,7 @@ def record_path(recorder, name=None, num_stages=3, cause=None, given=None, **kno
 
 
 def as_recorded(logs):
-    """Check each number; whether each path finished, the others having crashed."""
+    """Check each number; by path: stages that are completed, and whether it finished, the others having crashed."""
     completed = logs.stages[logs.stages["elapsed_s"].notna()]
     np.testing.assert_array_equal(logs.stages["x"], logs.stages["path"] + logs.stages["stage"] / 10)
     np.testing.assert_array_equal(completed["reward"], completed["path"] * completed["stage"])
@@ -55,3 +57,8 @@ def logs_or_none(folder, *told):
     except LogError as error:
         assert any(words in str(error) for words in ("no stage is recorded yet", *told))  # noqa: PT017
         return None
+
+
+def as_lines(calls):
+    """Calls, or bytes that are none, as a program sends them."""
+    return b"".join(call if isinstance(call, bytes) else json.dumps(call).encode() + b"\n" for call in calls)
