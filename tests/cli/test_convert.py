@@ -1,7 +1,6 @@
 import json
 import os
 import sqlite3
-import sys
 from functools import partial
 from pathlib import Path
 
@@ -13,15 +12,13 @@ import pyarrow.parquet as pq
 import pytest
 import shell
 
+from bags import cloud, number, text, two_paths, write_bag
+from foreign import episodes, write_lerobot
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.formats import MAPPING_TEMPLATE, read_csv
 from halfseen.perception import read_cloud
 from halfseen.scene import table_paths
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
-from bags import cloud, number, text, two_paths, write_bag
-from foreign import episodes, write_lerobot
 
 WITHOUT_CLOUD = MAPPING_TEMPLATE[: MAPPING_TEMPLATE.index("# sensor_msgs/PointCloud2")]
 

@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
@@ -16,9 +15,6 @@ from fuzz.policy_inputs import NUM_COLUMNS, NUM_ROWS, table_cloud
 from halfseen.logs import LogRecorder, Logs
 from small_logs import flat_log, table_log
 from text_logs import text_log
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
-
 
 OF_LEARNING = ("--json", "--in-passes --json", "--censoring cox --q-function kernel --reg 0.1")
 OF_SQL = "--stages 'SELECT * FROM stages' --paths 'SELECT * FROM paths'"
@@ -109,7 +105,6 @@ def minari_foreign(folder: Path) -> None:
 
 def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:
     from bags import cloud, two_paths, write_bag
-
     from halfseen.logs.formats import MAPPING_TEMPLATE
 
     messages = two_paths()

@@ -6,24 +6,15 @@ import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from valid_logs import small_tables, valid_tables
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from valid_logs import assert_same, small_tables, valid_tables
 
 
 @pytest.fixture
 def logs():
     return Logs(**small_tables())
-
-
-def assert_same(left, right):
-    for name in ("stages", "paths", "objects"):
-        ours, theirs = getattr(left, name), getattr(right, name)
-        if ours is None:
-            assert theirs is None
-        else:
-            pd.testing.assert_frame_equal(ours, theirs)
 
 
 def test_knows_its_size(logs):

@@ -5,10 +5,10 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from valid_logs import small_tables
 
 from halfseen.logs import Logs
 from halfseen.logs.inspection.suspicions import suspicions
+from valid_logs import small_tables
 
 
 def sound_tables(num_paths=120, num_stages=4, seed=0):

@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from page_reader import Reader
-from small_report import CAUSE, estimate, evaluation, hostile_log
 
 from halfseen.evaluation.per_hour import PerHour, Rate
 from halfseen.logs import Logs
 from halfseen.report.findings import find
 from halfseen.report.page import page_of
 from halfseen.report.sentences import answer_of, standing, why_no_hours
+from small_report import CAUSE, estimate, evaluation, hostile_log
 
 UNIT = "<i>net</i> picks"
 

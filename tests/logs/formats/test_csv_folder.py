@@ -2,11 +2,11 @@ import json
 
 import numpy as np
 import pytest
-from valid_logs import small_tables
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.formats import read_csv, write_csv
+from valid_logs import small_tables
 
 
 @pytest.fixture

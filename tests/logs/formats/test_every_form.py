@@ -4,9 +4,9 @@ import sqlite3
 from contextlib import closing
 
 import pytest
+
 from bags import WITHOUT_CLOUD, mapping, mixed, two_paths, write_bag, write_mcap
 from foreign import arrays, episodes, rows_of, write_arrays, write_rows
-
 from halfseen.errors import HalfseenError
 from halfseen.logs.formats import (
     Queries,

@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from mcap.writer import CompressionType
+
 from bags import (
     FILES,
     SCHEMAS,
@@ -21,8 +23,6 @@ from bags import (
     write_bag,
     write_mcap,
 )
-from mcap.writer import CompressionType
-
 from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.logs.formats import MAPPING_TEMPLATE, mcap_files, read_bag
 

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from minari.data_collector import EpisodeBuffer
-from test_logs import assert_same
-from valid_logs import small_tables
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
 from halfseen.logs import Logs
 from halfseen.logs.formats import read_minari, write_minari
+from valid_logs import assert_same, small_tables
 
 # Minari would like to know an author, a licence and more.
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:minari.utils")

@@ -4,6 +4,7 @@ import inspect
 
 import numpy as np
 import pytest
+
 from bags import (
     SMALL,
     WITHOUT_CLOUD,
@@ -19,7 +20,6 @@ from bags import (
     write_bag,
     write_bag_of_ros_1,
 )
-
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs.formats import MAPPING_TEMPLATE, read_bag, read_mapping
 

@@ -5,12 +5,12 @@ from pathlib import Path
 
 import pandas as pd
 import pytest
-from valid_logs import small_tables
 
 from halfseen.errors import HalfseenError
 from halfseen.logs import Logs
 from halfseen.logs.formats import Queries, read_queries, read_sql
 from halfseen.logs.formats.sql_rows import shown_url
+from valid_logs import small_tables
 
 ALL = Queries("SELECT * FROM stages", "SELECT * FROM paths", "SELECT * FROM objects")
 TWO = Queries("SELECT * FROM stages", "SELECT * FROM paths")

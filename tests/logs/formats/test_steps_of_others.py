@@ -10,6 +10,9 @@ import pyarrow as pa
 import pyarrow.feather
 import pyarrow.parquet as pq
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
 from foreign import (
     CUT,
     FINISHED,
@@ -24,9 +27,6 @@ from foreign import (
     write_lerobot,
     write_rows,
 )
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
-
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.logs.formats import StepRules, read_lerobot, read_step_arrays, read_steps
 

@@ -10,11 +10,11 @@ import pyarrow as pa
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from valid_logs import small_tables, valid_tables
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.formats import losses, read_csv, read_minari, seen_by_halfseen_alone, write_csv, write_minari
+from valid_logs import small_tables, valid_tables
 
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:minari.utils")
 WORDS = ["", "ä", "007", "true", "[1", '"', ",", "a\r\nb", "nan"]

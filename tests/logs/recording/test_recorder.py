@@ -9,13 +9,12 @@ import pandas as pd
 import pytest
 from hypothesis import example, given
 from recordings import begin, record_path, step
-from test_logs import assert_same
-from valid_logs import small_tables, valid_tables
 
 from halfseen.censoring import stage_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.journal.parts import JOURNAL, PART_BYTES, journal_parts, part_after
+from valid_logs import assert_same, small_tables, valid_tables
 
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
