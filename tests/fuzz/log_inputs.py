@@ -179,7 +179,7 @@ def mcap_of_other_encodings(folder: Path, encoding: str) -> None:
 
     encode = getattr(bags, f"as_{encoding}")
     bags.write_mcap(folder / "cell.mcap", bags.two_paths(), encode)
-    bags.mapping(folder, encode)
+    (folder / "cell.toml").write_text(bags.mapping_for(encode))
 
 
 for _encoding in ("json", "protobuf"):

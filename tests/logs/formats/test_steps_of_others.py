@@ -29,6 +29,7 @@ from foreign import (
 )
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.logs.formats import StepRules, read_lerobot, read_step_arrays, read_steps
+from refusals import refused
 
 IN_ROWS = ["observation_0", "observation_1"]
 IN_ARRAYS = ["observations_0", "observations_1"]
@@ -410,9 +411,8 @@ WRONG = {
 def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
     other, told, *rules = case
     read = make(tmp_path, **other)
-    with pytest.raises(HalfseenError, match=told) as caught:
+    with refused(told):
         read(*rules or [None if make in (with_columns, lerobot_with) else SECONDS])
-    assert "\n" not in str(caught.value)
 
 
 def test_a_table_without_rows_is_told(tmp_path):
@@ -434,9 +434,8 @@ def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):
         (info.unlink, "info.json: it cannot be read"),
     ):
         harm()
-        with pytest.raises(HalfseenError, match=told) as caught:
+        with refused(told):
             read_quietly(tmp_path)
-        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
