@@ -1,7 +1,5 @@
 """What the tests of the recorder record, and what must be read of it."""
 
-import json
-
 import numpy as np
 
 from halfseen.errors import LogError
@@ -57,8 +55,3 @@ def logs_or_none(folder, *told):
     except LogError as error:
         assert any(words in str(error) for words in ("no stage is recorded yet", *told))  # noqa: PT017
         return None
-
-
-def as_lines(calls):
-    """Calls, or bytes that are none, as a program sends them."""
-    return b"".join(call if isinstance(call, bytes) else json.dumps(call).encode() + b"\n" for call in calls)

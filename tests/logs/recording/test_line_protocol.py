@@ -10,12 +10,13 @@ from contextlib import suppress
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from recordings import as_lines, logs_or_none
+from recordings import logs_or_none
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.logs.recording.line_protocol import CALLS, MOST_BYTES, record_lines
 from halfseen.logs.recording.line_socket import listening, record_clients
+from lines import as_lines
 from valid_logs import assert_same
 
 STAGE = {"covariates": {"x": 0.5, "seen": [1, 2]}, "objects": [{"object": 1, "y": 2}]}
