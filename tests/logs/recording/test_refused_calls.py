@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from recordings import begin, step
-from valid_logs import small_tables
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.journal.lines import HEADER, journal_line
 from halfseen.logs.journal.parts import JOURNAL
 from refusals import refused
+from valid_logs import small_tables
 
 NAN, INF = float("nan"), float("inf")
 CUP = {"object": "cup", "occlusion": np.float32(0.5), "hidden_by": np.array([])}
@@ -380,7 +380,7 @@ def test_columns_of_numbers_of_all_sizes_are_read_back_or_refused(tmp_path_facto
 
 
 DECISIONS = st.lists(
-    st.tuples(st.integers(0, 2), st.sampled_from([None, 0, 1, 2]), st.sampled_from([0.0, 1.0, 2.0])), max_size=9
+    st.tuples(st.integers(0, 2), st.sampled_from([None, 0, 1, 2]), st.sampled_from([0.0, 1.0, 2.0])), max_size=6
 )
 
 
