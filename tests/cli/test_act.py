@@ -14,7 +14,6 @@ from drawn_boxes import boxes_cloud
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs
 from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy, table_observation
 from halfseen.policies.folder import write_policy
@@ -22,7 +21,7 @@ from halfseen.policies.observations import read_observation
 from halfseen.scene import table_paths
 from halfseen.world import TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.seeing import label_evidence
-from small_logs import flat_log, table_log
+from small_logs import begun_log, flat_log
 
 TABLE = table_paths()[7]
 FLAT = flat_log()
@@ -58,17 +57,8 @@ def tables(house):
 
 @pytest.fixture(scope="module")
 def begun(tmp_path_factory):
-    """Logs of this table: three paths, and a last one that has come to its first stage without an action."""
-    scene = perceive(read_cloud(TABLE)).scene()
-    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
-    stages, objects, paths = (frame.copy() for frame in (logs.stages, logs.objects, logs.paths))
-    stages, objects = (rows[(rows["path"] < 3) | (rows["stage"] == 1)].copy() for rows in (stages, objects))
-    now = stages["path"] == 3
-    stages.loc[now, ["elapsed_s", "reward"]] = np.nan
-    stages.loc[now, ["action", "object"]] = None
-    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
     folder = tmp_path_factory.mktemp("act") / "history"
-    Logs(stages, paths, objects).write(folder)
+    begun_log(perceive(read_cloud(TABLE)).scene()).write(folder)
     return folder
 
 

@@ -8,33 +8,16 @@ import numpy as np
 import pytest
 import shell
 
+from drawn_cards import TWO_CARDS, K, depth_of_cards
 from halfseen.perception import Cloud, write_pcd
 from halfseen.scene import table_paths
 
 run = partial(shell.run, "look")
 
-K = np.array([[290.0, 0.0, 159.5], [0.0, 290.0, 119.5], [0.0, 0.0, 1.0]])
-
-
-def depth_of_boxes(*boxes: tuple[float, float, float]) -> np.ndarray:
-    """Depth of a table 0.6 m under a level-headed camera, with upright cards (left, right, depth) of 12 cm on it."""
-    row, column = np.mgrid[:240, :320]
-    down, across = (row - K[1, 2]) / K[1, 1], (column - K[0, 2]) / K[0, 0]
-    down = np.tan(np.arctan(down) + 0.6)
-    scale = np.cos(0.6) - np.sin(0.6) * (row - K[1, 2]) / K[1, 1]
-    forward = np.where(down > 0.01, 0.6 / np.maximum(down, 0.01), np.inf)
-    forward[(forward > 1.6) | (forward < 0.3)] = np.nan
-    for left, right, ahead in boxes:
-        aside = across / scale * ahead
-        drop = down * ahead
-        is_card = (aside > left) & (aside < right) & (drop > 0.48) & (drop < 0.6)
-        forward = np.where(is_card & ~(forward < ahead), ahead, forward)
-    return np.where(np.isfinite(forward), forward / scale, np.nan)
-
 
 @pytest.fixture
 def table(tmp_path) -> Path:
-    depth = depth_of_boxes((-0.05, 0.06, 0.8), (0.0, 0.12, 0.95))
+    depth = depth_of_cards(*TWO_CARDS)
     write_pcd(Cloud.from_depth(depth, K, "table"), tmp_path / "table.pcd")
     return tmp_path / "table.pcd"
 
@@ -71,7 +54,7 @@ def test_json_has_exactly_the_promised_keys(table):
 @pytest.fixture
 def stained(tmp_path) -> Path:
     """White cards; the nearer one has a brown patch of 20 by 20 pixels."""
-    depth = depth_of_boxes((-0.05, 0.06, 0.8), (0.0, 0.12, 0.95))
+    depth = depth_of_cards(*TWO_CARDS)
     colours = np.full((240, 320, 3), (238, 236, 230), dtype=np.uint8)
     row, column = np.argwhere(np.isclose(depth, depth[120, 160], atol=0.05)).mean(axis=0).astype(int)
     colours[row - 10 : row + 10, column - 10 : column + 10] = (98, 62, 30)
@@ -110,7 +93,7 @@ def test_a_picture_takes_the_place_of_a_file_where_that_is_said_and_of_no_pipe(r
 
 
 def test_an_empty_table_is_refused_with_status_2(refused, tmp_path):
-    write_pcd(Cloud.from_depth(depth_of_boxes(), K, "empty"), tmp_path / "empty.pcd")
+    write_pcd(Cloud.from_depth(depth_of_cards(), K, "empty"), tmp_path / "empty.pcd")
     assert "no objects on the table" in refused("look", tmp_path / "empty.pcd", "--json")
 
 
