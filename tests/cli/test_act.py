@@ -2,8 +2,6 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -15,7 +13,7 @@ from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.learning import CensoredQLearner
 from halfseen.perception import perceive, read_cloud, write_pcd
-from halfseen.policies import read_policy, table_observation
+from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
 from halfseen.policies.observations import read_observation
 from halfseen.scene import table_paths
@@ -34,15 +32,6 @@ def run(*words):
 
 def report_of(*words):
     return json.loads(run(*words, "--json"))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def _each_cloud_is_looked_at_once():
-    with pytest.MonkeyPatch.context() as patch:
-        once = cache(lambda data, file: read_cloud(file))
-        patch.setattr(table_observation, "read_cloud", lambda file: once(Path(file).read_bytes(), file))
-        patch.setattr(table_observation, "perceive", cache(perceive))
-        yield
 
 
 @pytest.fixture
