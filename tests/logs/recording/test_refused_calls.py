@@ -380,7 +380,9 @@ def test_columns_of_numbers_of_all_sizes_are_read_back_or_refused(tmp_path_facto
 
 
 DECISIONS = st.lists(
-    st.tuples(st.integers(0, 2), st.sampled_from([None, 0, 1, 2]), st.sampled_from([0.0, 1.0, 2.0])), max_size=6
+    st.tuples(st.integers(0, 2), st.sampled_from([None, 0, 1, 2]), st.sampled_from([0.0, 1.0, 2.0])),
+    min_size=2,
+    max_size=5,
 )
 
 
@@ -396,7 +398,8 @@ def logs_of(decisions, ending):
     return Logs(stages, {"path": [1], "end_s": [clock[-1] + 1.0], "ending": [ending]}, objects)
 
 
-@given(DECISIONS)
+@settings(max_examples=15)
+@given(st.lists(DECISION, min_size=2, max_size=5))
 def test_a_stage_of_robots_is_refused_where_the_log_with_it_would_not_be_read(tmp_path_factory, decisions):
     folder, taken = tmp_path_factory.mktemp("robots") / "logs", []
     with LogRecorder(folder) as recorder:
