@@ -5,6 +5,9 @@ import numpy as np
 from halfseen.errors import LogError
 from halfseen.logs import read_logs
 
+THREE = {"objects": [{"object": k} for k in range(3)], "object": 0, "robot": 0}
+"""A stage of the first robot, at the first of three objects."""
+
 
 def begin(path, **given):
     path.begin_stage(**({"covariates": {"x": 1.0}, "action": "A"} | given))
@@ -13,6 +16,10 @@ def begin(path, **given):
 def step(path, elapsed_s=None, reward=1.0, **given):
     begin(path, **given)
     path.complete_stage(reward, elapsed_s=elapsed_s)
+
+
+def of_robot(path, robot, target=None):
+    begin(path, **THREE | {"object": target, "robot": robot})
 
 
 def covariates_of(path, stage):

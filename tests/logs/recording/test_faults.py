@@ -1,30 +1,21 @@
-"""Kills, Ctrl-C, and disks that are full, fail or lose power: what was taken is kept, and the recorder goes on."""
+"""Disks that are full, fail or lose power: what was taken is kept, and the recorder says so and goes on."""
 
 import errno
 import os
 import random
 import re
 import resource
-import signal
-import subprocess
-import sys
-import time
 import zlib
 from contextlib import contextmanager, nullcontext
-from pathlib import Path
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pytest
-from recordings import as_recorded, covariates_of, finished, logs_or_none, record_path, reward_of
+from recordings import finished, logs_or_none, record_path
 
-import halfseen.logs
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.journal.parts import JOURNAL, PART_BYTES
-
-# JAX warns of forks where other tests have loaded it; the children here do not touch it.
-pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
+from halfseen.logs.journal.parts import JOURNAL
 
 # A disk that does not take what is written.
 
@@ -286,183 +277,3 @@ def test_zeroed_pages_cost_only_the_paths_at_them(whole, tmp_path, num_faults, s
     rng, content = random.Random(seed), b"".join(whole)
     harmed = (zeroed_pages(content, rng, rng.choice([64, 128, 512])) for _ in range(num_faults))
     assert sum(goes_on(tmp_path, whole, each, warns=quiet) is not None for each in harmed) > fewest_read
-
-
-# Kills.
-
-STAGES_A_PATH, EVENTS_A_PATH = 4, 9
-
-
-def record_at_full_speed(folder, pipe):
-    """Record without end, and report each event once it is returned from."""
-    recorder = LogRecorder(folder, part_bytes=2000)
-    while True:
-        path = recorder.begin_path()
-        for stage in range(1, STAGES_A_PATH + 1):
-            path.begin_stage(covariates_of(path.name, stage), [{"object": 1, "x": 1.0}], "PICK", 1, 0.5)
-            os.write(pipe, b".")
-            path.complete_stage(reward_of(path.name, stage))
-            os.write(pipe, b".")
-        path.finish()
-        os.write(pipe, b".")
-
-
-def taken_after(num_events):
-    """By path: stages completed for good, which they are when the next begins or the path finishes; whether it did."""
-    num_paths, more = divmod(num_events, EVENTS_A_PATH)
-    torn = {num_paths + 1: ((more - 1) // 2, False)} if more else {}
-    return dict.fromkeys(range(1, num_paths + 1), (STAGES_A_PATH, True)) | torn
-
-
-@contextmanager
-def recording_child(folder):
-    """What a child reports that records, and what kills it."""
-    reading, writing = os.pipe()
-    child = os.fork()
-    if child == 0:
-        try:
-            record_at_full_speed(folder, writing)
-        finally:
-            os._exit(1)
-    os.close(writing)
-    with os.fdopen(reading, "rb") as pipe:
-        yield pipe, lambda: os.kill(child, signal.SIGKILL)
-        assert os.WTERMSIG(os.waitpid(child, 0)[1]) == signal.SIGKILL
-
-
-def recovered(folder):
-    logs = logs_or_none(folder, "there is no such folder", "holds no logs")
-    return {} if logs is None else as_recorded(logs)
-
-
-def check_kills(folder, num_kills, longest_s, seed):
-    """Kill children at any time; how many left a path torn."""
-    rng, num_torn = random.Random(seed), 0
-    for kill in range(num_kills):
-        with recording_child(folder / str(kill)) as (pipe, kill_it):
-            # One in four may fall before anything is recorded; how slow the machine is, the others fall after it.
-            told = pipe.read(1) if kill % 4 else b""
-            time.sleep(rng.uniform(0.0, longest_s))
-            kill_it()
-            num_events = len(told + pipe.read())
-        there = recovered(folder / str(kill))
-        # An event may have reached the disk without being reported.
-        assert there in (taken_after(num_events), taken_after(num_events + 1))
-        num_torn += any(not is_finished for _, is_finished in there.values())
-    return num_torn
-
-
-@pytest.mark.parametrize(
-    ("num_kills", "longest_s", "seed", "fewest_torn"),
-    [(16, 0.02, 1, 1), pytest.param(1000, 0.01, 2, 500, marks=pytest.mark.slow)],
-)
-def test_kills_lose_at_most_the_stage_in_progress(tmp_path, num_kills, longest_s, seed, fewest_torn):
-    """In a process with no more loaded than the recorder, which forks fast, whatever other tests have loaded here."""
-    command = [sys.executable, __file__, str(tmp_path), str(num_kills), str(longest_s), str(seed)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert int(done.stdout) > fewest_torn
-
-
-def test_one_folder_outlives_kills_and_another_process_is_refused_until_the_first_is_killed(tmp_path):
-    num_paths = 0
-    for _ in range(3):
-        with recording_child(tmp_path) as (pipe, kill):
-            pipe.read(20)
-            with pytest.raises(ArgumentError, match="another recorder"):
-                LogRecorder(tmp_path)
-            assert set(read_logs(tmp_path).paths["cause"].dropna()) <= {"still-running", "crash"}
-            kill()
-        assert len(recovered(tmp_path)) > num_paths
-        num_paths = len(recovered(tmp_path))
-    with LogRecorder(tmp_path) as recorder:
-        assert recorder.begin_path().name > num_paths
-
-
-# Ctrl-C.
-
-FOLDER = str(Path(halfseen.logs.__file__).parent)
-CHOICE = ([{"object": 1, "y": 0.5}], "PICK", 1, 0.5)
-
-
-class Interrupter:
-    """Raises KeyboardInterrupt at one of the lines that the package of logs runs, counted from 0."""
-
-    def __init__(self, at):
-        self.at, self.count = at, 0
-
-    def __enter__(self):
-        sys.settrace(self._of_call)
-
-    def __exit__(self, *_):
-        sys.settrace(None)
-
-    def _of_call(self, frame, kind, _):
-        return self._of_line if frame.f_code.co_filename.startswith(FOLDER) else None
-
-    def _of_line(self, frame, kind, _):
-        if kind == "line":
-            self.count += 1
-            if self.count - 1 == self.at:
-                sys.settrace(None)
-                raise KeyboardInterrupt
-        return self._of_line
-
-
-def record_stages(recorder, name, elapsed_s):
-    """Record a path of two stages."""
-    path = recorder.begin_path(name, scene=1)
-    for stage in (1, 2):
-        path.begin_stage({"x": stage}, *CHOICE)
-        path.still_running(elapsed_s=elapsed_s and stage - 0.5)
-        path.complete_stage(1.0, elapsed_s=elapsed_s and float(stage))
-    path.finish()
-
-
-def interrupted(folder, at, elapsed_s):
-    """Record with Ctrl-C at one line, and go on; False where there is no such line."""
-    with LogRecorder(folder, part_bytes=PART_BYTES if elapsed_s else 1) as recorder:
-        try:
-            with Interrupter(at):
-                record_stages(recorder, "a", elapsed_s)
-            return False
-        except KeyboardInterrupt:
-            path = recorder.path
-        if path is not None and not path.is_ended:
-            if path.is_in_stage:
-                with pytest.raises(LogError, match="it is in progress"):
-                    path.begin_stage({"x": 9}, *CHOICE)
-            path.cut("operator")
-        record_stages(recorder, "b", None)
-    logs = read_logs(folder)
-    assert logs.path_ids.tolist() in (["b"], ["a", "b"])
-    assert set(logs.paths["cause"].dropna()) <= {"operator"}
-    assert logs.stages["x"].tolist() == logs.stages["stage"].tolist()
-    with LogRecorder(folder) as recorder, pytest.raises(LogError, match="it is in the folder already"):
-        recorder.begin_path(logs.path_ids[-1])
-    return True
-
-
-def left_by(folder, at, elapsed_s):
-    """Leave a with block by Ctrl-C at one line; False where there is no such line."""
-    try:
-        with LogRecorder(folder) as recorder, Interrupter(at):
-            record_stages(recorder, "a", elapsed_s)
-        return False
-    except KeyboardInterrupt:
-        logs = logs_or_none(folder)
-    assert logs is None or logs.paths["cause"].dropna().tolist() in ([], ["operator"])
-    return True
-
-
-@pytest.mark.parametrize(("cut", "elapsed_s"), [(interrupted, None), (interrupted, 1.0), (left_by, None)])
-@pytest.mark.parametrize("lines_apart", [61, pytest.param(1, marks=pytest.mark.slow)])
-def test_ctrl_c_at_any_line_leaves_recorder_and_folder_at_one(tmp_path, lines_apart, cut, elapsed_s):
-    last = 0
-    while cut(tmp_path / str(last), last, elapsed_s):
-        last += lines_apart
-    assert last > 200
-
-
-if __name__ == "__main__":
-    print(check_kills(Path(sys.argv[1]), int(sys.argv[2]), float(sys.argv[3]), int(sys.argv[4])))

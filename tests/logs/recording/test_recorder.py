@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from hypothesis import example, given
-from recordings import begin, record_path, step
+from recordings import THREE, begin, of_robot, record_path, step
 
 from halfseen.censoring import stage_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
@@ -20,7 +20,6 @@ from valid_logs import assert_same, small_tables, valid_tables
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 
-ROBOT = {"objects": [{"object": k} for k in range(3)], "object": 0, "robot": 0}
 OF_THE_END, CHOICE = ("path", "end_s", "ending", "cause"), ("action", "object", "probability")
 in_parts = pytest.mark.parametrize("part_bytes", [1, PART_BYTES], ids=["parts", "one file"])
 
@@ -177,7 +176,7 @@ def test_what_each_robot_brought_is_read_back_and_is_null_where_a_stage_was_cut(
 
 
 @in_parts
-@pytest.mark.parametrize("given", [{}, ROBOT], ids=["one robot", "robots"])
+@pytest.mark.parametrize("given", [{}, THREE], ids=["one robot", "robots"])
 def test_a_folder_is_gone_on_with_after_a_crash(tmp_path, part_bytes, given):
     first = LogRecorder(tmp_path, part_bytes=part_bytes, reward_unit="parts")
     record_path(first, given=given, scene="a")
@@ -315,23 +314,19 @@ def test_a_part_begins_whole_where_another_was_left_behind_in_its_place(tmp_path
 
 
 def do(path, robot, target, elapsed_s, reward=0.0):
-    step(path, elapsed_s, reward, **ROBOT | {"robot": robot, "object": target})
-
-
-def decide(path, robot, target=None):
-    begin(path, **ROBOT | {"robot": robot, "object": target})
+    step(path, elapsed_s, reward, **THREE | {"robot": robot, "object": target})
 
 
 def test_who_drops_out_is_gone_and_the_others_take_what_it_was_at(recorder, wait, tmp_path):
     path = recorder.begin_path()
     do(path, 0, 0, 1.0)
-    decide(path, 1, 1)
+    of_robot(path, 1, 1)
     path.drop_out(np.int64(0), "battery", elapsed_s=1.5)
     path.complete_stage(0.0, elapsed_s=2.0)
     do(path, 1, 0, 3.0)
     path.finish()
     path = recorder.begin_path()
-    decide(path, 0, 0)
+    of_robot(path, 0, 0)
     with refused(r"0_out_s 0\.0 lies outside the path", LogError):
         path.drop_out(0, "battery", elapsed_s=0.0)
     # On its own clock, too, a drop-out has its time.
@@ -351,7 +346,7 @@ def test_a_cut_between_stages_takes_back_all_that_was_completed_just_then(record
     do(path, 0, 0, 1.0, reward=5.0)
     do(path, 1, 1, 2.0)
     do(path, 0, 2, 2.0)
-    decide(path, 1)
+    of_robot(path, 1)
     path.drop_out(0, "battery", elapsed_s=2.0)
     path.complete_stage(0.0, elapsed_s=2.0)
     path.cut("operator", elapsed_s=2.5)
