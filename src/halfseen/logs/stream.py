@@ -321,8 +321,8 @@ def write_stream(
                 schema = writers[name].schema
                 if more := [column for column in table if column not in schema.names]:
                     raise LogError(
-                        f"{name}: column {shown(more[0])} comes with path {shown(part.path_ids[0])}, and parts before it "
-                        "have none; give every part the same columns"
+                        f"{name}: column {shown(more[0])} comes with path {shown(part.path_ids[0])}, and parts before "
+                        "it have none; give every part the same columns"
                     )
                 full = table.reindex(columns=schema.names)
                 writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))
