@@ -28,10 +28,8 @@ def stamped(seed, **columns):
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("text")
     stamped(0).write(folder / "logs")
-    learned = json.loads(
-        run("learn", folder / "logs", "--out", folder / "policy", *QUICK, "--stages", "separate", "--json")
-    )
-    (folder / "learned.json").write_text(json.dumps(learned))
+    words = ("learn", folder / "logs", "--out", folder / "policy", *QUICK, "--stages", "separate", "--json")
+    (folder / "learned.json").write_text(run(*words))
     return folder
 
 
