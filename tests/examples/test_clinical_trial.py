@@ -17,7 +17,7 @@ from trial_optimum import GRID, best_sequence, optimum, policy_value, random_val
 from trial_patients import ACTIONS, TREATMENTS, YEAR_S, follow, trial  # noqa: E402
 from trial_words import standard_error, table  # noqa: E402
 
-NUM_FOLLOWED = 24_000
+NUM_FOLLOWED = 32_000
 
 
 def optimal(covariates, stage):
