@@ -71,3 +71,14 @@ def _table_path(path, horizon, num_objects, hides, rng):
             break
     ending = "finished" if is_seen else "cut"
     return stages, [{"path": path, "end_s": min(clock, cut_s), "ending": ending}], objects
+
+
+def begun_log(scene):
+    """Logs of a table: three paths, and a last one that has come to its first stage without an action."""
+    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
+    stages, objects = (rows[(rows["path"] < 3) | (rows["stage"] == 1)].copy() for rows in (logs.stages, logs.objects))
+    paths, is_now = logs.paths.copy(), stages["path"] == 3
+    stages.loc[is_now, ["elapsed_s", "reward"]] = np.nan
+    stages.loc[is_now, ["action", "object"]] = None
+    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
+    return Logs(stages, paths, objects)

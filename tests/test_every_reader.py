@@ -2,8 +2,6 @@
 
 import json
 import os
-import sys
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -11,6 +9,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from foreign import episodes, write_lerobot
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.errors import HalfseenError
 from halfseen.logs import LogStream, read_logs
@@ -37,9 +36,6 @@ from halfseen.study.store import Store
 from halfseen.watch.recording import read_recording
 from halfseen.world import read_team
 from small_logs import flat_log
-
-sys.path.insert(0, str(Path(__file__).parent / "logs" / "formats"))
-from foreign import episodes, write_lerobot
 
 DEEP = "[" * 100_000
 

@@ -2,6 +2,8 @@
 
 import sys
 import threading
+from functools import cache
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +11,10 @@ import pytest
 import shell
 from shell import BEHIND, LEFT, RIGHT, TABLE
 
-from halfseen import cli, progress
+from halfseen import cli, perception, progress
 from halfseen.learning import CensoredQLearner
+from halfseen.perception import perceive, read_cloud
+from halfseen.policies import table_observation
 from halfseen.policies.folder import write_policy
 from small_logs import HIDES, flat_log, table_log
 
@@ -28,6 +32,23 @@ def _no_lines_of_progress():
     """What is said does not depend on how long a machine takes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(progress, "LINE_S", threading.TIMEOUT_MAX)
+        yield
+
+
+of_content, seen_once = cache(lambda content, file: read_cloud(file)), cache(perceive)
+
+
+def read_once(file):
+    small = Path(file).is_file() and Path(file).stat().st_size < 10**7
+    return of_content(Path(file).read_bytes(), file) if small else read_cloud(file)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _each_cloud_is_looked_at_once():
+    with pytest.MonkeyPatch.context() as patch:
+        for module in (perception, table_observation):
+            patch.setattr(module, "read_cloud", read_once)
+            patch.setattr(module, "perceive", seen_once)
         yield
 
 
@@ -62,11 +83,8 @@ def refused(typed):
 @pytest.fixture(scope="session")
 def house(tmp_path_factory):
     """Logs and policies of named actions, of tables and of a team of two."""
-    folder, flat, tables = (
-        tmp_path_factory.mktemp("house"),
-        flat_log(),
-        table_log(num_objects=3, hides=np.pad(HIDES, (0, 1))),
-    )
+    folder, flat = tmp_path_factory.mktemp("house"), flat_log()
+    tables = table_log(num_objects=3, hides=np.pad(HIDES, (0, 1)))
     flat.write(folder / "logs")
     tables.write(folder / "table-logs")
     learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)

@@ -2,7 +2,6 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -13,7 +12,6 @@ from drawn_boxes import boxes_cloud
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs
 from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
@@ -21,11 +19,19 @@ from halfseen.policies.observations import read_observation
 from halfseen.scene import table_paths
 from halfseen.world import TableWorld, UniformPolicy, WorldConfig
 from halfseen.world.seeing import label_evidence
-from small_logs import flat_log, table_log
-
-run = partial(shell.run, "act")
+from small_logs import begun_log, flat_log
 
 TABLE = table_paths()[7]
+FLAT = flat_log()
+DULL = f"its log: covariate colour is 'red' in all {FLAT.num_stages} rows: a dead sensor, or a column to leave out"
+
+
+def run(*words):
+    return shell.run("act", *words).output
+
+
+def report_of(*words):
+    return json.loads(run(*words, "--json"))
 
 
 @pytest.fixture
@@ -40,33 +46,9 @@ def tables(house):
 
 @pytest.fixture(scope="module")
 def begun(tmp_path_factory):
-    """Logs of this table: three paths, and a last one that has come to its first stage without an action."""
-    scene = perceive(read_cloud(TABLE)).scene()
-    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
-    stages, objects, paths = (frame.copy() for frame in (logs.stages, logs.objects, logs.paths))
-    stages = stages[(stages["path"] < 3) | (stages["stage"] == 1)]
-    objects = objects[(objects["path"] < 3) | (objects["stage"] == 1)]
-    now = stages["path"] == 3
-    stages.loc[now, ["elapsed_s", "reward"]] = np.nan
-    stages.loc[now, ["action", "object"]] = None
-    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
     folder = tmp_path_factory.mktemp("act") / "history"
-    Logs(stages, paths, objects).write(folder)
-    return folder, scene
-
-
-def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, tmp_path):
-    words = ["act", str(flat), str(state(tmp_path)), "--stage", "1"]
-    code = "import sys\nfrom halfseen.cli import main\nmain()\nprint(*sys.modules)"
-    said = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True).stdout
-    loaded = set(said.splitlines()[-1].split())
-    heavy = {"jax", "scipy", "sklearn", "matplotlib", "halfseen.perception.view"}
-    assert loaded & heavy == set()
-
-
-DULL = (
-    f"its log: covariate colour is 'red' in all {flat_log().num_stages} rows: a dead sensor, or a column to leave out"
-)
+    begun_log(perceive(read_cloud(TABLE)).scene()).write(folder)
+    return folder
 
 
 def state(folder, name="state.json", text='{"x1": 0.4, "x2": 1}'):
@@ -74,12 +56,18 @@ def state(folder, name="state.json", text='{"x1": 0.4, "x2": 1}'):
     return folder / name
 
 
+def test_a_decision_on_named_actions_loads_no_compiler_and_no_perception(flat, tmp_path):
+    words = ["act", str(flat), str(state(tmp_path)), "--stage", "1"]
+    code = "import sys\nfrom halfseen.cli import main\nmain()\nprint(*sys.modules)"
+    said = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True).stdout
+    heavy = {"jax", "scipy", "sklearn", "matplotlib", "halfseen.perception.view"}
+    assert set(said.splitlines()[-1].split()) & heavy == set()
+
+
 def test_named_actions_are_decided_as_the_learner_does(flat, tmp_path):
     learner = read_policy(flat).policy
     for stage, x1 in ((1, 0.4), (1, -0.9), (2, 0.3)):
-        report = json.loads(
-            run(flat, state(tmp_path, text=f'{{"x1": {x1}, "x2": 1, "stage": {stage}}}'), "--json").output
-        )
+        report = report_of(flat, state(tmp_path, text=f'{{"x1": {x1}, "x2": 1, "stage": {stage}}}'))
         row = pd.DataFrame({"x1": [x1], "x2": [1]})
         assert report["action"] == learner.decide(row, stage)[0]
         q = dict(zip("ABC", learner.q_values(row, stage)[0].tolist(), strict=True))
@@ -89,33 +77,29 @@ def test_named_actions_are_decided_as_the_learner_does(flat, tmp_path):
 
 
 def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_path):
-    as_json = run(flat, state(tmp_path), "--stage", 2).output
-    assert run(flat, state(tmp_path, "s.csv", "x2,x1\n1,0.4\n"), "--stage", 2).output == as_json
+    as_json = run(flat, state(tmp_path), "--stage", 2)
+    assert run(flat, state(tmp_path, "s.csv", "x2,x1\n1,0.4\n"), "--stage", 2) == as_json
     lines = as_json.splitlines()
     assert lines[0].startswith(("A: worth ", "C: worth "))
     assert lines[1:4] == [f"warning: {DULL}", "", "stage 2 of 2"]
     assert [line.split()[0] for line in lines[5:]] in (["A", "C", "How"], ["C", "A", "How"])
     assert lines[-1].startswith("How sure this is nobody knows: the policy was learned without pessimism")
     assert lines[5].split()[0] == lines[0][0]
-
-
-def test_what_lies_far_outside_is_extrapolated_with_a_warning_where_that_is_asked_for(flat, tmp_path):
     far = state(tmp_path, text='{"x1": 800, "x2": 1}')
-    assert "warning: x1 is 800, outside the logs (" in run(flat, far, "--extrapolate").output
+    assert "warning: x1 is 800, outside the logs (" in run(flat, far, "--extrapolate")
 
 
 def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(tmp_path):
     verdict = {"verdict": "not better", "reason": "it earns 2 less a path than b, between -3 and -1 more"}
-    logs = flat_log()
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(logs)
-    write_policy(learner, logs, tmp_path / "p", verdict=verdict | {"sentence": "Not better: …."})
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(FLAT)
+    write_policy(learner, FLAT, tmp_path / "p", verdict=verdict | {"sentence": "Not better: …."})
     told = f"no evidence that this policy beats the rule that made the logs: {verdict['reason']}"
-    assert run(tmp_path / "p", state(tmp_path)).output.splitlines()[1] == f"warning: {told}"
-    assert json.loads(run(tmp_path / "p", state(tmp_path), "--json").output)["warnings"] == [told, DULL]
+    assert run(tmp_path / "p", state(tmp_path)).splitlines()[1] == f"warning: {told}"
+    assert report_of(tmp_path / "p", state(tmp_path))["warnings"] == [told, DULL]
 
 
 def test_a_table_is_decided_from_its_cloud(tables):
-    report = json.loads(run(tables, TABLE, "--json").output)
+    report = report_of(tables, TABLE)
     assert list(report["intervals"]) == list(report["chance_best"]) == list(report["q_values"])
     assert list(report["q_values"]) == ["FINISH", *(f"{verb} {k}" for verb in ("WASH", "LIFT") for k in range(5))]
     assert report["action"] == max(report["q_values"], key=report["q_values"].get)
@@ -127,17 +111,16 @@ def test_a_table_is_decided_from_its_cloud(tables):
 @pytest.fixture(scope="module")
 def sure(tmp_path_factory):
     """A policy that was learned with pessimism, and so holds how sure its Q is."""
-    folder, logs = tmp_path_factory.mktemp("act") / "sure", flat_log(num_paths=60)
-    actions = {1: ["A", "B"], 2: ["A", "C"]}
-    learner = CensoredQLearner(2, actions, ["x1", "x2"], q_function="linear", stages="separate", reg=0.1).fit(logs)
-    write_policy(learner, logs, folder)
+    folder, actions = tmp_path_factory.mktemp("act") / "sure", {1: ["A", "B"], 2: ["A", "C"]}
+    learner = CensoredQLearner(2, actions, ["x1", "x2"], q_function="linear", stages="separate", reg=0.1).fit(FLAT)
+    write_policy(learner, FLAT, folder)
     return folder
 
 
 def test_how_sure_it_is_stands_beside_each_value(sure, tmp_path):
-    report = json.loads(run(sure, state(tmp_path), "--json").output)
+    report = report_of(sure, state(tmp_path))
     assert list(report["intervals"]) == list(report["chance_best"]) == ["A", "B"]
-    lines = run(sure, state(tmp_path)).output.splitlines()
+    lines = run(sure, state(tmp_path)).splitlines()
     at = next(k for k, line in enumerate(lines) if line.startswith("action"))
     assert lines[at].split() == ["action", "value", "95", "%", "interval", "best"]
     for line in lines[at + 1 :]:
@@ -148,10 +131,10 @@ def test_how_sure_it_is_stands_beside_each_value(sure, tmp_path):
 
 
 def test_a_picture_is_drawn_and_stands_for_nothing_that_is_there(sure, tmp_path):
+    plain = run(sure, state(tmp_path))
     for ending, start in ((".png", b"\x89PNG"), (".svg", b"<?xml")):
         target = tmp_path / "new" / f"decision{ending}"
-        plain = run(sure, state(tmp_path)).output
-        assert run(sure, state(tmp_path), "--picture", target).output == plain
+        assert run(sure, state(tmp_path), "--picture", target) == plain
         drawn = target.read_bytes()
         assert drawn.startswith(start)
         run(sure, state(tmp_path), "--picture", target, "--overwrite")
@@ -160,14 +143,12 @@ def test_a_picture_is_drawn_and_stands_for_nothing_that_is_there(sure, tmp_path)
 
 
 def test_a_table_of_other_things_is_told_of_first(tables, tmp_path):
-    cloud = boxes_cloud()
-    write_pcd(cloud, tmp_path / "boxes.pcd")
-    lines = run(tables, tmp_path / "boxes.pcd").output.splitlines()
+    write_pcd(boxes_cloud(), tmp_path / "boxes.pcd")
+    lines = run(tables, tmp_path / "boxes.pcd").splitlines()
     assert lines[0].startswith("warning: this is no table of cups, and of other things nothing was learned: 0 is ")
     assert lines[1].split()[0] in ("WASH", "LIFT", "FINISH")
-    report = json.loads(run(tables, tmp_path / "boxes.pcd", "--json").output)
-    assert f"warning: {report['warnings'][0]}" == lines[0]
-    assert "table of cups" not in run(tables, TABLE).output
+    assert f"warning: {report_of(tables, tmp_path / 'boxes.pcd')['warnings'][0]}" == lines[0]
+    assert "table of cups" not in run(tables, TABLE)
 
 
 @pytest.fixture(scope="module")
@@ -192,54 +173,47 @@ def test_colour_moves_the_log_odds_by_what_a_label_says(tables, coloured):
     right = 0.5 + 0.3 * (1 - view.scene().occlusion) ** 1.5
     sign = np.array([1.0, -1.0, -1.0, -1.0, -1.0])
     np.testing.assert_allclose(moved, sign * np.log(right / (1 - right)), rtol=1e-4)
-    plain = json.loads(run(tables, TABLE, "--json").output)
-    report = json.loads(run(tables, cloud, "--json").output)
+    plain, report = report_of(tables, TABLE), report_of(tables, cloud)
     sentence = (
         "Labels by colour (dirty: 0; clean: 1, 2, 3, 4) moved the log-odds of DIRTY "
         f"by {moved.min():+.2f} to {moved.max():+.2f}."
     )
-    assert report["seen"] == sentence == run(tables, cloud).output.splitlines()[1]
+    assert report["seen"] == sentence == run(tables, cloud).splitlines()[1]
     assert "seen" not in plain
     assert list(plain) == [key for key in report if key != "seen"]
     assert report["q_values"] != plain["q_values"]
 
 
 def test_labels_of_a_file_stand_before_colour_and_unknown_moves_nothing(tables, coloured, tmp_path):
-    (tmp_path / "labels.csv").write_text("object,label\n0,clean\n1,dirty\n2,unknown\n3,unknown\n4,unknown\n")
+    labels = state(tmp_path, "labels.csv", "object,label\n0,clean\n1,dirty\n2,unknown\n3,unknown\n4,unknown\n")
     for cloud in (coloured[0], TABLE):
-        moved = log_odds_of(tables, cloud, labels=tmp_path / "labels.csv") - log_odds_of(tables, TABLE)
+        moved = log_odds_of(tables, cloud, labels=labels) - log_odds_of(tables, TABLE)
         assert np.sign(moved).tolist() == [-1, 1, 0, 0, 0]
-        result = run(tables, cloud, "--labels", tmp_path / "labels.csv").output
-        assert f"Labels by {tmp_path / 'labels.csv'} (dirty: 1; clean: 0; unknown: 2, 3, 4) moved" in result
+        assert f"Labels by {labels} (dirty: 1; clean: 0; unknown: 2, 3, 4) moved" in run(
+            tables, cloud, "--labels", labels
+        )
 
 
 def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables, coloured, tmp_path):
-    law = read_law(shipped_law()).law
-    cloud, view = coloured
+    law, (cloud, view), policy = read_law(shipped_law()).law, coloured, tmp_path / "counting"
     logs = TableWorld(law.config(WorldConfig(horizon=3))).simulate([law.scene(view)], UniformPolicy(), 40, 0)
-    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, tmp_path / "counting")
-    assert read_policy(tmp_path / "counting").record["schema"]["counts_views"]
-    occluded = view.scene().occlusion
-    expected = label_evidence(*law.seeing.positive(occluded, 0.0), np.array([True, *[False] * 4]))
-    told, plain = (read_observation(read_policy(tmp_path / "counting"), file, law=law).state for file in (cloud, TABLE))
+    write_policy(CensoredQLearner.for_table(3, reg=0.1).fit(logs), logs, policy)
+    assert read_policy(policy).record["schema"]["counts_views"]
+    positive = law.seeing.positive(view.scene().occlusion, 0.0)
+    expected = label_evidence(*positive, np.array([True, *[False] * 4]))
+    told, plain = (read_observation(read_policy(policy), file, law=law).state for file in (cloud, TABLE))
     np.testing.assert_allclose(told.log_odds - plain.log_odds, expected, rtol=1e-4)
     np.testing.assert_allclose(told.grip, law.scene(view).grip, rtol=1e-5)
     by = f"DIRTY by {expected.min():+.2f} to {expected.max():+.2f}."
-    assert by in run(tmp_path / "counting", cloud).output
-    assert by in run(tmp_path / "counting", cloud, "--law", "shipped").output
-    assert by not in run(tmp_path / "counting", cloud, "--law", "assumed").output
+    for words, is_so in (((), True), (("--law", "shipped"), True), (("--law", "assumed"), False)):
+        assert (by in run(policy, cloud, *words)) is is_so
 
 
-def test_what_a_history_holds_is_not_counted_again(tables, begun, coloured):
-    held = log_odds_of(tables, TABLE, history=begun[0])
-    np.testing.assert_array_equal(log_odds_of(tables, coloured[0], history=begun[0]), held)
-    assert "are not counted again: the history holds" in run(tables, coloured[0], "--history", begun[0]).output
-
-
-def test_a_history_tells_what_was_seen_before(refused, tables, begun):
-    folder, _ = begun
-    report = json.loads(run(tables, TABLE, "--history", folder, "--json").output)
-    fresh = json.loads(run(tables, TABLE, "--json").output)
+def test_a_history_tells_what_was_seen_before_and_what_it_holds_is_not_counted_again(refused, tables, begun, coloured):
+    held = log_odds_of(tables, TABLE, history=begun)
+    np.testing.assert_array_equal(log_odds_of(tables, coloured[0], history=begun), held)
+    assert "are not counted again: the history holds" in run(tables, coloured[0], "--history", begun)
+    report, fresh = report_of(tables, TABLE, "--history", begun), report_of(tables, TABLE)
     assert report["stage"] == 1
     assert report["q_values"]["FINISH"] != fresh["q_values"]["FINISH"]
-    assert "leave it out" in refused("act", tables, TABLE, "--history", folder, "--stage", 2)
+    assert "leave it out" in refused("act", tables, TABLE, "--history", begun, "--stage", 2)

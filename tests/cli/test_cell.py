@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from halfseen.cell.calibration.law_folder import read_law, write_law
+from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, write_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cell.campaign import WHAT_FILE
 from halfseen.cli.arms import robot_for
@@ -23,16 +23,25 @@ EXAMPLES = Path(__file__).parents[2] / "examples"
 RUN = ["run", "--policy", "greedy", "--tables", "2"]
 
 
-def test_attempts_of_a_law_are_fitted_again_as_they_were_made(typed, tmp_path):
+def test_attempts_of_a_law_are_fitted_again_as_they_were_made(typed, tmp_path, monkeypatch):
+    fitted = []
+
+    def law_of(logs):
+        """What it is, to the last bit, as is tested beside it."""
+        fitted.append(logs)
+        return read_law(shipped_law()).law
+
+    monkeypatch.setattr("halfseen.cell.calibration.calibrate.law_of", law_of)
     assert typed("cell", "calibrate", "--from", shipped_law(), "--seed", 7, "--out", tmp_path / "law").status == 0
     again, shipped = (read_law(folder).record for folder in (tmp_path / "law", shipped_law()))
     assert again == shipped
     assert {path.name for path in (tmp_path / "law").iterdir()} == {path.name for path in shipped_law().iterdir()}
+    assert fitted[0].stages.equals(read_logs(shipped_law() / ATTEMPTS).stages)
 
 
-def test_a_run_is_not_gone_on_with_under_another_law_of_the_same_name(refused, typed, tmp_path):
+def test_a_run_is_not_gone_on_with_under_another_law_of_the_same_name(refused, tmp_path):
     law, words = tmp_path / "law", [*RUN, "--law", tmp_path / "law", "--out", tmp_path / "logs"]
-    typed("cell", "calibrate", "--from", shipped_law(), "--out", law)
+    write_law(read_law(shipped_law()).law, law, {})
     (tmp_path / "logs.running").mkdir()
     (tmp_path / "logs.running" / WHAT_FILE).write_text("run")
     first = refused("cell", *words)

@@ -30,13 +30,6 @@ def command_of(path):
     return command
 
 
-@pytest.fixture(scope="module")
-def flat(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("typed") / "flat"
-    flat_log().write(folder)
-    return folder
-
-
 @pytest.mark.parametrize("path", VERB_PATHS, ids=" ".join)
 def test_every_verb_takes_quiet_and_shows_an_example(path):
     command = command_of(path)
@@ -52,12 +45,12 @@ def test_every_verb_takes_quiet_and_shows_an_example(path):
         (["inspect", "{}", "-q"], Telling.NOTHING),
     ],
 )
-def test_quiet_goes_before_or_after_the_verb(typed, flat, monkeypatch, arguments, told):
+def test_quiet_goes_before_or_after_the_verb(typed, house, monkeypatch, arguments, told):
     seen, enter = [], Progress.__enter__
     monkeypatch.setattr(Progress, "__enter__", lambda bar: seen.append(_telling.get()) or enter(bar))
-    plain = typed("inspect", flat).out
+    plain = typed("inspect", house / "logs").out
     seen.clear()
-    result = typed(*(argument.format(flat) for argument in arguments))
+    result = typed(*(argument.format(house / "logs") for argument in arguments))
     assert (result.status, result.out, result.err, seen) == (0, plain, "", [told])
     assert _telling.get() is Telling.BARS
 
@@ -114,27 +107,20 @@ def test_a_shell_completes_verbs_options_and_words(shell, words, incomplete, exp
     assert completed(shell, words, incomplete) == expected
 
 
-def test_a_library_that_is_not_there_is_told_with_the_extra_that_brings_it(refused, tmp_path, monkeypatch):
-    def fails(*_):
-        raise ModuleNotFoundError("none", name="skimage.measure")
-
-    monkeypatch.setattr("halfseen.logs.read_logs", fails)
-    assert refused("inspect", tmp_path).startswith("halfseen: skimage is not installed")
-    assert remedy(ModuleNotFoundError("none", name="skimage.measure")).endswith(f"run: {command_for('perception')}")
-    assert remedy(ModuleNotFoundError("none", name="numpy")) is None
-
-
 @pytest.mark.parametrize(
     ("verb", "library", "extra"),
     [
+        (None, "skimage.measure", "perception"),
         ("watch", "skimage", "watch"),
         ("study", "mujoco", "study"),
         ("look", "skimage", "perception"),
         ("study", "distributed", "dask"),
     ],
 )
-def test_an_extra_that_holds_others_is_told_at_once(verb, library, extra):
-    assert remedy(ModuleNotFoundError("none", name=library), verb).endswith(command_for(extra))
+def test_the_extra_that_brings_a_library_is_told_and_one_that_holds_others_at_once(verb, library, extra):
+    told = remedy(ModuleNotFoundError("none", name=library), *filter(None, [verb]))
+    assert told.endswith(f"run: {command_for(extra)}")
+    assert remedy(ModuleNotFoundError("none", name="numpy")) is None
 
 
 def test_the_extras_of_the_command_line_are_those_of_the_package():
@@ -153,6 +139,20 @@ def test_the_extras_of_the_command_line_are_those_of_the_package():
         )
 
 
+@pytest.fixture
+def raising(monkeypatch):
+    """Let reading a log raise this."""
+
+    def let(raised):
+        def fail(*_, **__):
+            raise raised
+
+        for place in ("halfseen.logs.read_logs", "halfseen.logs.stream.opened"):
+            monkeypatch.setattr(place, fail)
+
+    return let
+
+
 @pytest.mark.parametrize(
     ("raised", "told"),
     [
@@ -162,15 +162,19 @@ def test_the_extras_of_the_command_line_are_those_of_the_package():
         (MemoryError("Unable to allocate 8.00 TiB"), "memory does not suffice (Unable to allocate 8.00 TiB)"),
         (RuntimeError("RESOURCE_EXHAUSTED: Out of memory"), "memory does not suffice (RESOURCE_EXHAUSTED"),
         (RecursionError("maximum recursion depth exceeded"), "nested too deeply to be read; write it with fewer"),
+        # A library that is not there is told with the extra that brings it.
+        (ModuleNotFoundError("none", name="skimage.measure"), "halfseen: skimage is not installed"),
     ],
 )
-def test_what_nobody_foresaw_is_one_line(refused, monkeypatch, raised, told):
-    def fail(*_, **__):
-        raise raised
-
-    monkeypatch.setattr("halfseen.logs.read_logs", fail)
-    monkeypatch.setattr("halfseen.logs.stream.opened", fail)
+def test_what_nobody_foresaw_is_one_line(refused, raising, raised, told):
+    raising(raised)
     assert told in refused("inspect", "x")
+
+
+def test_a_defect_of_halfseen_is_told_as_one(typed, raising):
+    raising(RuntimeError("a defect"))
+    with pytest.raises(RuntimeError, match="a defect"):
+        typed("inspect", "x")
 
 
 def test_names_and_values_of_a_log_command_no_terminal(typed, tmp_path):
@@ -201,13 +205,3 @@ def test_what_libraries_warn_each_other_of_is_told_where_it_is_asked_for(typed, 
     monkeypatch.setitem(VERBS, "warn", "Warn.")
     monkeypatch.setitem(sys.modules, "halfseen.cli.warn", SimpleNamespace(warn=warn))
     assert [*typed("warn").err.splitlines(), *shown] == told
-
-
-def test_a_defect_of_halfseen_is_told_as_one(typed, monkeypatch):
-    def fail(*_, **__):
-        raise RuntimeError("a defect")
-
-    monkeypatch.setattr("halfseen.logs.read_logs", fail)
-    monkeypatch.setattr("halfseen.logs.stream.opened", fail)
-    with pytest.raises(RuntimeError, match="a defect"):
-        typed("inspect", "x")

@@ -1,29 +1,23 @@
 import json
 import os
 import sqlite3
-import sys
 from functools import partial
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import shell
 
-from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning, LogError
+from bags import SMALL, WITHOUT_CLOUD, cloud, one_path, tables_of, text, two_paths, write_bag
+from foreign import arrays, episodes, rows_of, write_arrays, write_lerobot, write_rows
+from halfseen.errors import HalfseenWarning
 from halfseen.logs import Logs, read_logs
-from halfseen.logs.formats import MAPPING_TEMPLATE, read_csv
+from halfseen.logs.formats import read_csv
 from halfseen.perception import read_cloud
 from halfseen.scene import table_paths
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
-from bags import cloud, number, text, two_paths, write_bag
-from foreign import episodes, write_lerobot
-
-WITHOUT_CLOUD = MAPPING_TEMPLATE[: MAPPING_TEMPLATE.index("# sensor_msgs/PointCloud2")]
+from refusals import refused
 
 
 @pytest.fixture
@@ -45,12 +39,11 @@ def place(tmp_path, monkeypatch):
 run = partial(shell.run, "convert")
 
 
-def refused(*arguments):
+def refusal(*arguments):
     before = sorted(str(file) for file in Path().rglob("*"))
-    with pytest.raises(HalfseenError) as error:
+    with refused() as error:
         run(*arguments)
     assert sorted(str(file) for file in Path().rglob("*")) == before
-    assert "\n" not in str(error.value)
     return str(error.value)
 
 
@@ -84,17 +77,9 @@ def test_a_bag_by_its_folder_its_file_or_a_folder_of_bags(storage):
 
 def seen_path():
     cloud_file = read_cloud(table_paths()[0])
-    messages = [
-        text(0.0, "/begin", "p"),
-        cloud(0.1, "/points", cloud_file.points_m, cloud_file.shape),
-        text(1.0, "/action", "A"),
-        number(2.0, "/reward", 1.0),
-        text(3.0, "/end", "operator"),
-    ]
-    tables = {"path": "/begin", "action": "/action", "reward": "/reward", "ending": "/end"}
-    mapping = "".join(f'[{key}]\ntopic = "{topic}"\nfield = "data"\n' for key, topic in tables.items())
-    Path("cell.toml").write_text(mapping + '[cloud]\ntopic = "/points"\n')
-    write_bag(Path("bag"), messages, "mcap")
+    look = cloud(0.1, "/points", cloud_file.points_m, cloud_file.shape)
+    Path("cell.toml").write_text(tables_of(SMALL | {"path": "/begin data"}) + '[cloud]\ntopic = "/points"\n')
+    write_bag(Path("bag"), [text(0.0, "/begin", "p"), look, *one_path(ending="operator")], "mcap")
     return cloud_file
 
 
@@ -113,43 +98,35 @@ def test_clouds_become_files_and_objects():
     assert first["hidden_by"].map(len).eq(len(first)).all()
 
 
-def test_no_clouds_are_left_where_the_logs_cannot_be_written():
-    seen_path()
-    Path("file").write_text("")
-    message = refused("bag", "--mapping", "cell.toml", "--out", "file/logs", "--clouds", "clouds")
-    assert "cannot be written" in message
-
-
-def test_a_name_that_is_none_of_minari_is_refused(logs):
-    logs.write("logs")
-    for name in ("x", "x-v0/../../y", ""):
-        assert "it is no name of a dataset" in refused("logs", "--out", f"minari:{name}")
-
-
-@pytest.mark.parametrize(("out", "clouds"), [("x", "x"), ("csv:x", "./x"), ("x/logs", "x"), ("x", "x/clouds")])
-def test_clouds_and_logs_take_no_place_of_one_another(out, clouds):
-    seen_path()
-    message = refused("bag", "--mapping", "cell.toml", "--out", out, "--clouds", clouds)
-    assert "it is --out, or one lies in the other" in message
-    assert not Path("x").exists()
-
-
 def test_what_fits_not_together_is_refused(logs):
     logs.write("a")
-    write_bag(Path("bag"), two_paths())
-    assert "nowhere: there is no such file or folder" in refused("nowhere", "--out", "b")
-    assert "a: it is there already" in refused("a", "--out", "a")
-    assert "a: it is there already" in refused("a", "--out", "csv:a")
-    assert "bag needs --mapping FILE" in refused("bag", "--out", "b")
-    assert "--see is for a source of kind bag; this is parquet" in refused("a", "--out", "b", "--see")
-    assert "--step-s is for a source of kind minari" in refused("a", "--out", "b", "--step-s", "0")
-    assert "cell.toml: it cannot be read" in refused("bag", "--mapping", "cell.toml", "--out", "b")
+    seen_path()
+    Path("file").write_text("")
     Path("empty").mkdir()
-    assert "empty" in refused("empty", "--out", "b")
-    with pytest.raises(LogError, match="nowhere"):
-        run("nowhere", "--out", "b")
-    with pytest.raises(ArgumentError, match="no name of a dataset"):
-        run("a", "--out", "minari:no name")
+    of_bag = ("bag", "--mapping", "cell.toml", "--out")
+    for told, words in (
+        ("nowhere: there is no such file or folder", ("nowhere", "--out", "b")),
+        ("a: it is there already", ("a", "--out", "a")),
+        ("a: it is there already", ("a", "--out", "csv:a")),
+        ("a: it is there already", ("a", "--out", "a", "--check")),
+        ("--check is for one SOURCE", ("a", "a", "--out", "b", "--check")),
+        ("bag needs --mapping FILE", ("bag", "--out", "b")),
+        ("--see is for a source of kind bag; this is parquet", ("a", "--out", "b", "--see")),
+        ("--step-s is for a source of kind minari", ("a", "--out", "b", "--step-s", "0")),
+        ("none.toml: it cannot be read", ("bag", "--mapping", "none.toml", "--out", "b")),
+        ("empty", ("empty", "--out", "b")),
+        *(
+            ("it is no name of a dataset", ("a", "--out", f"minari:{name}"))
+            for name in ("x", "x-v0/../../y", "", "a b")
+        ),
+        # No clouds are left where the logs cannot be written, and neither takes a place of the other.
+        ("cannot be written", (*of_bag, "file/logs", "--clouds", "clouds")),
+        *(
+            ("it is --out, or one lies in the other", (*of_bag, out, "--clouds", clouds))
+            for out, clouds in (("x", "x"), ("csv:x", "./x"), ("x/logs", "x"), ("x", "x/clouds"))
+        ),
+    ):
+        assert told in refusal(*words)
 
 
 @pytest.fixture
@@ -158,24 +135,12 @@ def sources(logs):
     found = episodes(lengths=(2, 3))
     write_lerobot(Path("lerobot"), found, extra={"next.done": [False, True, False, False, False]})
     rows = [
-        {
-            "is_first": k == 0,
-            "is_last": k == len(each["actions"]),
-            "is_terminal": number == 0 and k == len(each["actions"]),
-        }
-        | {"observation": row, "action": [*each["actions"], 0][k], "reward": [*each["rewards"], 0.0][k]}
-        for number, each in enumerate(found)
-        for k, row in enumerate(each["observed"])
+        {name: value for name, value in row.items() if name != "episode_id"} for row in rows_of(found, [True, False])
     ]
     Path("tables").mkdir()
-    pq.write_table(pa.Table.from_pylist(rows[:3]), "tables/0.parquet")
-    pq.write_table(pa.Table.from_pylist(rows[3:]), "tables/1.parquet")
-    with h5py.File("steps.hdf5", "w") as root:
-        root["observations"] = [row for each in found for row in each["observed"][:-1]]
-        root["actions"] = [action for each in found for action in each["actions"]]
-        root["rewards"] = [reward for each in found for reward in each["rewards"]]
-        root["terminals"] = [False, True, False, False, False]
-        root["timeouts"] = [False, False, False, False, True]
+    write_rows(Path("tables") / "0", rows[:3])
+    write_rows(Path("tables") / "1", rows[3:])
+    write_arrays("steps.hdf5", arrays(found, [0], [1], has_next=False))
     with sqlite3.connect("cell.db") as connection:
         for name, table in logs.tables.items():
             table.to_sql(name, connection, index=False)
@@ -210,13 +175,13 @@ def test_others_steps_take_the_same_options(sources):
     for source in ("lerobot", "tables", "steps.hdf5"):
         run(source, "--out", f"{source}.out", "--step-s", "1", "--truncated", "finished")
         assert read_logs(f"{source}.out").is_finished.tolist() == [True, True]
-    assert "--done is for a source of kind lerobot, steps or hdf5; this is sql" in refused(
+    assert "--done is for a source of kind lerobot, steps or hdf5; this is sql" in refusal(
         "sql:sqlite:///cell.db", "--out", "x", "--done", "d"
     )
-    assert "--stages is for a source of kind sql; this is lerobot" in refused(
+    assert "--stages is for a source of kind sql; this is lerobot" in refusal(
         "lerobot", "--out", "x", "--stages", "SELECT 1"
     )
-    assert "step_s 0.0: a step lasts" in refused("lerobot", "--out", "x", "--step-s", "0")
+    assert "step_s 0.0: a step lasts" in refusal("lerobot", "--out", "x", "--step-s", "0")
 
 
 def test_warnings_of_readers_stand_in_the_answer_too(sources):
@@ -230,10 +195,10 @@ def test_a_database_takes_its_queries_from_options_or_a_file(sources, logs):
     Path("cell.toml").write_text('stages = "SELECT * FROM stages"\npaths = "SELECT * FROM paths"\n')
     run("sql:sqlite:///cell.db", "--mapping", "cell.toml", "--out", "out")
     assert same(read_logs("out"), logs)
-    assert "a database needs --stages and --paths" in refused(
+    assert "a database needs --stages and --paths" in refusal(
         "sql:sqlite:///cell.db", "--out", "x", "--stages", "SELECT 1"
     )
-    both = refused("sql:sqlite:///cell.db", "--out", "x", "--mapping", "cell.toml", "--paths", "SELECT 1")
+    both = refusal("sql:sqlite:///cell.db", "--out", "x", "--mapping", "cell.toml", "--paths", "SELECT 1")
     assert "say the same; give one of them" in both
 
 
@@ -272,8 +237,6 @@ def test_check_says_what_is_lost_and_writes_nothing(typed):
     assert "stages: column 'pose' holds" in refusal.err
     assert "paths: column 'raw' holds" in refusal.err
     assert os.listdir() == ["a"]
-    assert "it is there already" in refused("a", "--out", "a", "--check")
-    assert "--check is for one SOURCE" in refused("a", "a", "--out", "b", "--check")
 
 
 def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs):

@@ -81,11 +81,8 @@ def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
         "- Covariate lamp is 'on' in all 20 rows: a dead sensor, or a column to leave out.",
     ]
     report = json.loads(run(tmp_path / "logs", "--json"))
-    assert [doubt["kind"] for doubt in report["suspicions"]] == [
-        "no-exploration",
-        "equal-rewards",
-        "constant-covariate",
-    ]
+    kinds = [doubt["kind"] for doubt in report["suspicions"]]
+    assert kinds == ["no-exploration", "equal-rewards", "constant-covariate"]
     assert report["covariates"] == ["lamp"]
 
 
@@ -115,13 +112,10 @@ def test_reads_what_a_recorder_is_writing(tmp_path):
         assert "still-running      1   100%" in run(tmp_path)
 
 
-def test_says_what_the_weights_rest_on(folder):
+def test_says_what_the_weights_rest_on_and_whose_the_largest_are(folder):
     output = run(folder)
     assert "Too little: 2 finishes have an effective sample size of 1.8." in output
     assert "Largest weights: 2 (path 1, 5 s), 1 (path 3, 2 s)." in output
-
-
-def test_json_tells_whose_the_largest_weights_are(folder):
     positivity = json.loads(run(folder, "--json"))["positivity"]
     assert not positivity["is_sound"]
     assert positivity["heaviest"][0] == {"path": "1", "time_s": 5.0, "weight": 2.0}

@@ -95,25 +95,14 @@ def test_a_table_log_is_learned_as_tables(folder, tmp_path):
         verbs = ["FINISH", "WASH", "WASH", "LIFT", "LIFT"]
         told = {verb: np.mean([verbs[action] == verb for action in taken]) for verb in ("FINISH", "WASH", "LIFT")}
         assert row["shares"] == pytest.approx(told)
-        logged = [
-            verbs.index(verb) + (0 if verb == "FINISH" else int(target))
-            for verb, target in zip(stages["action"], stages["object"], strict=True)
-        ]
+        done = zip(stages["action"], stages["object"], strict=True)
+        logged = [verbs.index(verb) + (0 if verb == "FINISH" else int(target)) for verb, target in done]
         assert row["as_logged"] == pytest.approx(np.mean(np.array(taken) == logged))
 
 
 def test_one_seed_same_policy_and_what_is_there_stays(folder, tmp_path):
-    arguments = [
-        folder / "flat",
-        "--out",
-        tmp_path / "policy",
-        "--covariates",
-        "x1",
-        "--reg",
-        0.1,
-        "--stages",
-        "pooled",
-    ]
+    plain = ("--covariates", "x1", "--reg", 0.1, "--stages", "pooled")
+    arguments = [folder / "flat", "--out", tmp_path / "policy", *plain]
     run(*arguments)
     before = {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()}
     run(*arguments, "--overwrite")

@@ -5,13 +5,13 @@ import signal
 import socket
 import subprocess
 import sys
-import time
 from contextlib import contextmanager
 from subprocess import PIPE
 
 import pytest
 
 from halfseen.logs import read_logs
+from lines import as_lines
 
 LINES = [
     {"call": "begin_path"},
@@ -19,10 +19,6 @@ LINES = [
     {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.0},
     {"call": "finish"},
 ]
-
-
-def as_lines(calls):
-    return b"".join(json.dumps(call).encode() + b"\n" for call in calls)
 
 
 # Where the tests run in the background of a shell, what they start would be deaf to Ctrl-C.
@@ -47,40 +43,27 @@ def test_a_program_speaks_over_a_pipe_and_each_line_is_answered_at_once(tmp_path
             other.stdin.flush()
             assert json.loads(other.stdout.readline()) == {"ok": True, "path": 1}
         assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["still-running"]
-        out, err = other.communicate(as_lines(LINES[3:]) + b"nonsense")
+        out, err = other.communicate(as_lines([LINES[3], b"nonsense"]))
         assert (other.returncode, err) == (0, b"")
     assert [json.loads(line)["ok"] for line in out.splitlines()] == [True, False]
     logs = read_logs(tmp_path / "logs")
     assert (logs.is_finished.tolist(), logs.reward_unit) == ([True], "parts")
 
 
-def test_ctrl_c_cuts_the_path_in_progress_as_the_operator_does(tmp_path):
-    with recording("--out", tmp_path / "logs") as other:
-        other.stdin.write(as_lines(LINES[:2]))
-        other.stdin.flush()
-        other.stdout.readline()
-        other.stdout.readline()
-        other.send_signal(signal.SIGINT)
-        assert other.wait(timeout=120.0) == 130
-    assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["operator"]
-
-
 @pytest.mark.parametrize("is_port", [True, False])
-def test_a_program_speaks_over_a_socket(tmp_path, is_port):
+def test_a_program_speaks_over_a_socket_and_ctrl_c_cuts_the_path_in_progress_as_the_operator_does(tmp_path, is_port):
     with recording("--out", tmp_path / "logs", "--listen", "0" if is_port else tmp_path / "socket") as other:
         where = other.stdout.readline().decode().split()[0]
         host, _, port = where.partition(":")
         with socket.socket(socket.AF_INET if is_port else socket.AF_UNIX) as client:
             client.connect((host, int(port)) if is_port else where)
-            client.sendall(as_lines(LINES))
-            client.shutdown(socket.SHUT_WR)
+            client.sendall(as_lines([*LINES, *LINES[:2]]))
             with client.makefile("rb") as answers:
-                assert [json.loads(line)["ok"] for line in answers] == [True] * len(LINES)
-        time.sleep(0.2)
-        other.send_signal(signal.SIGINT)
-        assert other.wait(timeout=120.0) == 130
+                assert [json.loads(answers.readline())["ok"] for _ in range(6)] == [True] * 6
+                other.send_signal(signal.SIGINT)
+                assert other.wait(timeout=120.0) == 130
     assert host == "127.0.0.1" if is_port else not (tmp_path / "socket").exists()
-    assert read_logs(tmp_path / "logs").is_finished.tolist() == [True]
+    assert read_logs(tmp_path / "logs").paths["cause"].tolist() == [None, "operator"]
 
 
 def test_lines_of_a_file_are_recorded(typed, tmp_path):

@@ -1,18 +1,13 @@
 import html
 import json
 import shlex
-import sys
-from pathlib import Path
+from functools import partial
 
 import pytest
+import shell
 
 from halfseen.learning import CensoredQLearner
 from halfseen.policies.folder import write_policy
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "report"))
-from functools import partial
-
-import shell
 from small_report import ACTIONS, COVARIATES, hostile_log
 
 run = partial(shell.run, "report")

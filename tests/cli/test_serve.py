@@ -1,6 +1,5 @@
 """``halfseen serve`` as a process: on its port, at its signals, and refused where it would be open to others."""
 
-import json
 import os
 import signal
 import socket
@@ -20,16 +19,16 @@ from small_logs import flat_log
 SEEN = {"x1": 0.4, "x2": 1}
 
 
-@pytest.fixture
-def policy(tmp_path):
-    write(tmp_path / "policy", reg=0.1)
-    return tmp_path / "policy"
-
-
 def write(folder, reg, **options):
     logs = flat_log()
     learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg)
     write_policy(learner.fit(logs), logs, folder, **options)
+
+
+@pytest.fixture
+def policy(tmp_path):
+    write(tmp_path / "policy", reg=0.1)
+    return tmp_path / "policy"
 
 
 @contextmanager
@@ -69,26 +68,17 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
     assert logs.stages["reward"].dropna().tolist() == [2.0]
 
 
-def test_ctrl_c_ends_it_without_a_word(policy):
-    with served(policy) as (process, client):
-        assert client.get("/health").status_code == 200
-        process.send_signal(signal.SIGINT)
-        assert process.wait(120) == 0
-        assert process.stderr.read() == ""
-
-
-def test_what_is_no_http_harms_nobody(policy):
-    with served(policy) as (_, client):
+def test_a_token_comes_from_the_environment_what_is_no_http_harms_nobody_and_ctrl_c_ends_it_without_a_word(policy):
+    with served(policy, HALFSEEN_TOKEN="a-token-that-is-long") as (process, client):
+        assert client.get("/health").status_code == 401
+        client.headers["authorization"] = "Bearer a-token-that-is-long"
+        assert client.get("/health").json()["status"] == "ok"
         for sent in (b"\x16\x03\x01", b"GET / HTTP/1.1\r\nx: " + b"y" * 100_000, b"POST /decide HTTP/9\r\n\r\n"):
             with socket.create_connection((client.base_url.host, client.base_url.port)) as raw:
                 raw.sendall(sent)
                 raw.settimeout(120)
                 assert b"400" in raw.recv(100)
         assert client.post("/decide", json=SEEN).status_code == 200
-
-
-def test_a_token_may_come_from_the_environment(policy):
-    with served(policy, HALFSEEN_TOKEN="a-token-that-is-long") as (_, client):
-        assert client.get("/health").status_code == 401
-        known = {"authorization": "Bearer a-token-that-is-long"}
-        assert json.loads(client.get("/health", headers=known).text)["status"] == "ok"
+        process.send_signal(signal.SIGINT)
+        assert process.wait(120) == 0
+        assert set(process.stderr.read().splitlines()) == {"WARNING:  Invalid HTTP request received."}

@@ -5,9 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from shell import run
+from shell import BEHIND, LEFT, RIGHT, TABLE, run
 
-from conftest import BEHIND, LEFT, RIGHT, TABLE
 from halfseen.cell.calibration.law_folder import read_law, write_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli.cell_policies import team_policy_of
@@ -15,6 +14,7 @@ from halfseen.cli.team import read_robots
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
+from halfseen.perception import perceive, read_cloud
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy
 from halfseen.policies.folder import read_policy
@@ -22,6 +22,7 @@ from halfseen.world import AssumedGrasping, ExploringPolicy, TableWorld, WorldCo
 from halfseen.world.actions import VERB_NAMES, WAIT
 from halfseen.world.log_checks import most_decisions, robots_in
 from halfseen.world.logs import states_of
+from halfseen.world.rollout import evaluate
 from picked import leaves_of, picked
 
 FEW = ["--episodes", 40, "--horizon", 3, "--cut-share", 0.4, "--seed", 3]
@@ -37,8 +38,6 @@ def test_simulate_records_what_the_library_does(house, tmp_path):
     assert (report["team"], report["robots"]) == (str(house / "two.toml"), ["left", "right"])
     assert (robots_in(logs), most_decisions(logs, 2)) == (2, 3)
     assert 0.0 < logs.cut_share < 1.0
-    from halfseen.perception import perceive, read_cloud
-
     rule = GreedyPolicy(world.config, uses_history=True, counts_penalty=True)
     team = ExploringPolicy(ReservingPolicy(world.played_config, rule), 0.5)
     same = world.simulate(perceive(read_cloud(TABLE)).scene(), team, 40, 3, 0.4)
@@ -100,7 +99,7 @@ def test_learn_learns_what_the_library_does_and_counts_what_it_takes(house, lear
     for ours, theirs in zip(leaves_of(stored.policy), leaves_of(by_hand), strict=True):
         np.testing.assert_array_equal(ours, theirs)
     report = json.loads(
-        run("learn", house / "team-logs", "--out", tmp_path / "again-policy", "--reg", "0.1", "--json").stdout
+        run("learn", house / "team-logs", "--out", tmp_path / "again", "--reg", "0.1", "--no-verdict", "--json").stdout
     )
     states, stages = states_of(logs, 6), logs.stages
     for row in report["actions"]:
@@ -124,13 +123,9 @@ def test_evaluate_plays_the_team_beside_the_rules(house, learned):
     assert len(lines) == 9
     report = json.loads(run("evaluate", house / "team-policy", TABLE, "--world", *options, "--json").stdout)
     assert report["robots"] == ["left", "right"]
-    from halfseen.perception import perceive, read_cloud
-
     world = TableWorld.of(read_team(house / "two.toml"), WorldConfig(horizon=3))
     scene, policy = perceive(read_cloud(TABLE)).scene(), read_policy(house / "team-policy").policy
     layouts = world.team.layouts([scene])
-    from halfseen.world.rollout import evaluate
-
     key = random.fold_in(random.key_of(1), 0)
     totals = evaluate(world.played_config, layouts, policy, key, 30)
     assert report["value"]["value"] == pytest.approx(float(np.mean(totals.reward)), rel=1e-5)

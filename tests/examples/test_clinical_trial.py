@@ -17,7 +17,7 @@ from trial_optimum import GRID, best_sequence, optimum, policy_value, random_val
 from trial_patients import ACTIONS, TREATMENTS, YEAR_S, follow, trial  # noqa: E402
 from trial_words import standard_error, table  # noqa: E402
 
-NUM_FOLLOWED = 40_000
+NUM_FOLLOWED = 32_000
 
 
 def optimal(covariates, stage):
@@ -71,25 +71,15 @@ def test_the_log_has_its_cuts_its_actions_and_times_as_rewards(share):
 def test_a_policy_is_learned_and_told():
     found = compare(100, 1, seed=4, cut_shares=(0.5,), methods=("kernel",))
     assert found["ratio"].item() > 0.8
-    assert table(found).split()[-5:] == [
-        "50%",
-        f"{found['measured_share'].item():.1%}",
-        f"{found['ratio'].item():.1%}",
-        "(one",
-        "trial)",
-    ]
+    measured, ratio = (found[name].item() for name in ("measured_share", "ratio"))
+    assert table(found).split()[-5:] == ["50%", f"{measured:.1%}", f"{ratio:.1%}", "(one", "trial)"]
 
 
 @pytest.mark.slow
 def test_the_script_prints_and_draws(tmp_path):
     options = ["--patients", "80", "--trials", "1", "--seed", "4", "--out", str(tmp_path)]
-    done = subprocess.run(
-        [sys.executable, FOLDER / "clinical_trial.py", *options],
-        capture_output=True,
-        text=True,
-        encoding="utf-8",
-        check=False,
-    )
+    command = [sys.executable, FOLDER / "clinical_trial.py", *options]
+    done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
     assert lines[0].startswith("Expected survival in 3 stages [years]: optimum 2.645; best fixed sequence (ABB) 2.303")

@@ -1,6 +1,7 @@
 """Regression of times that were cut: what the examples simulate, estimate, say and draw, each against a reference."""
 
 import re
+import runpy
 import subprocess
 import sys
 from functools import cache
@@ -27,17 +28,14 @@ SETTINGS = [Setting(*way) for way in product(*WAYS)]
 
 
 @pytest.mark.parametrize("setting", SETTINGS)
-def test_the_wanted_share_is_cut_and_times_are_positive(setting):
-    sample = setting.sample(100_000, np.random.default_rng(1))
-    assert sample.cut_share == pytest.approx(setting.cut_share, abs=0.006)
-    assert sample.covariates.shape == (100_000, setting.num_covariates)
-    assert sample.time.min() > 0
-
-
-@pytest.mark.parametrize("setting", [s for s in SETTINGS if s.num_covariates == 1])
-def test_true_weights_recover_the_true_median(setting):
+def test_the_wanted_share_is_cut_and_true_weights_recover_the_true_median(setting):
     """Of the weighted rows half lie below m(z), near any z, and the weights have mean 1 in all."""
-    sample = setting.sample(200_000, np.random.default_rng(2))
+    sample = setting.sample(150_000, np.random.default_rng(2))
+    assert sample.cut_share == pytest.approx(setting.cut_share, abs=0.006)
+    assert sample.covariates.shape == (150_000, setting.num_covariates)
+    assert sample.time.min() > 0
+    if setting.num_covariates > 1:
+        return
     end, is_seen = np.minimum(sample.time, TAU), sample.is_finished | (sample.time >= TAU)
     weights = censoring_weights(end, is_seen, TrueCuts(setting), covariates=sample.covariates)
     assert weights.mean() == pytest.approx(1.0, abs=0.02)
@@ -199,8 +197,9 @@ def test_what_else_is_asked_for_changes_no_number():
     assert (more.sizes, more.num_repetitions) == ([60, 80], 2)
 
 
-def test_tiger_prints_the_exact_optimum_and_listens_until_it_is_sure():
-    lines = run("tiger").splitlines()
+def test_tiger_prints_the_exact_optimum_and_listens_until_it_is_sure(capsys):
+    runpy.run_path(str(EXAMPLES / "tiger.py"), run_name="__main__")
+    lines = capsys.readouterr().out.splitlines()
     assert lines[:3] == [
         "horizon 1: worth -1.0000, first listen",
         "horizon 2: worth -1.9500, first listen",

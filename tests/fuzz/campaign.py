@@ -7,7 +7,7 @@ import tempfile
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -46,26 +46,39 @@ class Result:
 
 
 class Worker:
-    """A process that runs cases, and what is known of it."""
+    """A process that runs cases in a folder of its own, and what is known of it."""
 
-    def __init__(self, place: Path) -> None:
+    def __init__(self, folder: Path, corpus: Path) -> None:
+        self._folders = {"folder": folder, "corpus": corpus}
         cache = TESTS.parent / "runs" / "fuzz" / "cache"
         cache.mkdir(parents=True, exist_ok=True)
-        descriptor, self._log = tempfile.mkstemp(dir=place)
+        descriptor, self._log = tempfile.mkstemp(dir=folder.parent)
         os.close(descriptor)
         self._talk, theirs = SPAWN.Pipe()
-        self._process = SPAWN.Process(target=worker.main, args=(theirs, place, cache, self._log))
+        self._process = SPAWN.Process(target=worker.main, args=(theirs, folder.parent, cache, self._log))
         self._process.start()
         theirs.close()
-        self.num_cases = 0
-        self.said(LOAD_S)
+        self._num_cases, self.is_spent = 0, False
+        self._said(LOAD_S)
 
-    def ask(self, order: Mapping[str, Any]) -> None:
-        self.num_cases += 1
+    def result_of(self, order: Mapping[str, Any], limit_s: float) -> Result:
+        """Run a case."""
+        self._num_cases += 1
         with suppress(OSError):
-            self._talk.send(order)
+            self._talk.send({**order, **self._folders})
+        name, case = str(order.get("number", Path(order.get("file", "")).name)), self._said(LOAD_S)
+        told = self._said(limit_s) if case else ()
+        outcome, answer, self.is_spent = told or (None, None, True)
+        self.is_spent |= self._num_cases >= MOST_CASES
+        if not case:
+            return Result(name, None, "fault: crash", f"in the making: {self.end()}", LOAD_S)
+        outcome = outcome or Outcome(None, seconds=limit_s, death="hang" if told is None else "crash")
+        label, why = judged(case, outcome, answer)
+        if outcome.death == "crash":
+            why = self.end() + worker.last_words(self._folders["folder"]).read_text(errors="replace")[-3000:]
+        return Result(name, case, label, why, outcome.seconds)
 
-    def said(self, limit_s: float) -> Any:
+    def _said(self, limit_s: float) -> Any:
         """What it says next; nothing where the process died, None where the time is up."""
         if not self._talk.poll(limit_s):
             return None
@@ -82,9 +95,11 @@ class Worker:
             os.killpg(self._process.pid, signal.SIGKILL)
         self._process.join()
         self._talk.close()
-        said = Path(self._log).read_text(errors="replace")[-3000:]
-        os.unlink(self._log)
-        return f"exit status {status}: {said}"
+        with suppress(FileNotFoundError):
+            said = Path(self._log).read_text(errors="replace")[-3000:]
+            os.unlink(self._log)
+            return f"exit status {status}: {said}"
+        return ""
 
 
 def run(
@@ -106,20 +121,16 @@ def run(
         waiting.put(order)
 
     def work(number: int) -> None:
-        asked, folder = None, place / f"case-{number}"
-        while not waiting.empty():
-            with suppress(queue.Empty):
+        asked = None
+        with suppress(queue.Empty):
+            while True:
                 order = waiting.get_nowait()
-                asked = asked or Worker(place)
-                asked.ask({**order, "folder": folder, "corpus": corpus})
-                result, is_over = _result_of(asked, order, limit_s)
-                if is_over or asked.num_cases >= MOST_CASES:
-                    said, asked = asked.end(), None
-                    if result.label == "fault: crash":
-                        last = worker.last_words(folder).read_text(errors="replace")[-3000:] if result.case else ""
-                        result = replace(result, why=said + last)
-                results.append(result)
-                on_each(result)
+                asked = asked or Worker(place / f"case-{number}", corpus)
+                results.append(asked.result_of(order, limit_s))
+                on_each(results[-1])
+                if asked.is_spent:
+                    asked.end()
+                    asked = None
         if asked is not None:
             asked.end()
 
@@ -138,16 +149,3 @@ def saved(seed: int, number: int, place: Path, has_heavy: bool = True) -> str:
     with tempfile.TemporaryDirectory(dir=place) as folder:
         case = drawn(seed, number, place / "corpus", Path(folder), has_heavy)
         return kept(case, Path(folder), place / "corpus")
-
-
-def _result_of(asked: Worker, order: Mapping[str, Any], limit_s: float) -> tuple[Result, bool]:
-    """What came of an order, and whether the worker is done for."""
-    name = str(order.get("number", Path(order.get("file", "")).name))
-    case = asked.said(LOAD_S)
-    if not case:
-        return Result(name, None, "fault: crash", "in the making", LOAD_S), True
-    told = asked.said(limit_s)
-    lost = Outcome(None, seconds=limit_s, death="hang" if told is None else "crash")
-    outcome, answer, is_spent = told or (lost, None, True)
-    label, why = judged(case, outcome, answer)
-    return Result(name, case, label, why, outcome.seconds), is_spent

@@ -3,11 +3,11 @@
 import json
 import os
 import shutil
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from fuzz.policy_inputs import NUM_COLUMNS, NUM_ROWS, table_cloud
 from halfseen.logs import LogRecorder, Logs
 from small_logs import flat_log, table_log
 from text_logs import text_log
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "logs" / "formats"))
-
 
 OF_LEARNING = ("--json", "--in-passes --json", "--censoring cox --q-function kernel --reg 0.1")
 OF_SQL = "--stages 'SELECT * FROM stages' --paths 'SELECT * FROM paths'"
@@ -64,16 +61,9 @@ def journal(folder: Path) -> None:
     (folder / "torn").rename(folder / "logs")
 
 
-@contextmanager
-def datasets_in(folder: Path) -> Iterator[None]:
+def datasets_in(folder: Path) -> Any:
     """Minari's datasets are in this folder."""
-    was = os.environ.get("MINARI_DATASETS_PATH")
-    os.environ["MINARI_DATASETS_PATH"] = str(folder)
-    try:
-        yield
-    finally:
-        del os.environ["MINARI_DATASETS_PATH"]
-        os.environ.update({} if was is None else {"MINARI_DATASETS_PATH": was})
+    return patch.dict(os.environ, MINARI_DATASETS_PATH=str(folder))
 
 
 @seed(LOGS, f"convert in/logs/flat-v0 {ONE}")
@@ -90,34 +80,25 @@ def minari_foreign(folder: Path) -> None:
     from gymnasium import spaces
     from minari.data_collector import EpisodeBuffer
 
-    endings = [([False, False, True], [False] * 3), ([False] * 3, [False, False, True])]
-    buffers = [
-        EpisodeBuffer(
-            observations=np.arange(8.0).reshape(4, 2),
-            actions=np.array([0, 1, 0]),
-            rewards=[1.0, 2.0, 3.0],
-            terminations=terminated,
-            truncations=truncated,
-            infos={"t": np.array([5.0, 5.5, 7.0, 9.0])},
-        )
-        for terminated, truncated in endings
-    ]
+    no, last = [False, False, False], [False, False, True]
+    seen = {"observations": np.arange(8.0).reshape(4, 2), "infos": {"t": np.array([5.0, 5.5, 7.0, 9.0])}}
+    done = {"actions": np.array([0, 1, 0]), "rewards": [1.0, 2.0, 3.0]}
+    ends = ({"terminations": last, "truncations": no}, {"terminations": no, "truncations": last})
+    buffers = [EpisodeBuffer(**seen, **done, **each) for each in ends]
     box = spaces.Box(-9, 9, (2,), np.float64)
     with datasets_in(folder):
         library.create_dataset_from_buffers("hand-v0", buffers, action_space=spaces.Discrete(2), observation_space=box)
 
 
 def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:
-    from bags import cloud, two_paths, write_bag
-
+    from bags import WITHOUT_CLOUD, cloud, two_paths, write_bag
     from halfseen.logs.formats import MAPPING_TEMPLATE
 
     messages = two_paths()
     if with_cloud:
         points = table_cloud(False).points_m
         messages += [cloud(at, "/camera/points", points, (NUM_ROWS, NUM_COLUMNS)) for at in (1.2, 3.2, 11.3, 13.6)]
-    mapping = MAPPING_TEMPLATE
-    (folder / "cell.toml").write_text(mapping if with_cloud else mapping[: mapping.index("# sensor_msgs/PointCloud2")])
+    (folder / "cell.toml").write_text(MAPPING_TEMPLATE if with_cloud else WITHOUT_CLOUD)
     write_bag(folder / "bag", sorted(messages, key=lambda one: one[0]), storage)
 
 
@@ -184,7 +165,7 @@ def mcap_of_other_encodings(folder: Path, encoding: str) -> None:
 
     encode = getattr(bags, f"as_{encoding}")
     bags.write_mcap(folder / "cell.mcap", bags.two_paths(), encode)
-    bags.mapping(folder, encode)
+    (folder / "cell.toml").write_text(bags.mapping_for(encode))
 
 
 for _encoding in ("json", "protobuf"):

@@ -51,22 +51,16 @@ def npz_packed_otherwise(rng: Rng, file: Path) -> None:
     zip_members(file, members, pick(rng, (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED, zipfile.ZIP_LZMA)))
 
 
-def pcd_commented(rng: Rng, file: Path) -> None:
-    first, rest = file.read_bytes().split(b"\n", 1)
-    file.write_bytes(first + b"\n# of no matter\n" + rest)
-
-
-def ply_commented(rng: Rng, file: Path) -> None:
-    kind, form, rest = file.read_bytes().split(b"\n", 2)
-    file.write_bytes(b"\n".join([kind, form, b"comment of no matter", rest]))
+def cloud_commented(rng: Rng, file: Path) -> None:
+    first, second, rest = file.read_bytes().split(b"\n", 2)
+    head = [first, second, b"comment of no matter"] if file.suffix == ".ply" else [first, b"# of no matter", second]
+    file.write_bytes(b"\n".join([*head, rest]))
 
 
 def torn_tail(rng: Rng, file: Path) -> None:
     """What a kill leaves of a line of a journal."""
-    if file.name != "journal.jsonl":
-        return
-    with file.open("ab") as journal:
-        journal.write(b'["9f3c2a11",{"event":"do'[: int(rng.integers(1, 24))])
+    if file.name == "journal.jsonl":
+        file.write_bytes(file.read_bytes() + b'["9f3c2a11",{"event":"do'[: int(rng.integers(1, 24))])
 
 
 NEUTRAL: dict[str, tuple[Any, ...]] = {
@@ -75,7 +69,7 @@ NEUTRAL: dict[str, tuple[Any, ...]] = {
     ".csv": (csv_quoted,),
     ".toml": (toml_commented,),
     ".npz": (npz_packed_otherwise,),
-    ".pcd": (pcd_commented,),
-    ".ply": (ply_commented,),
+    ".pcd": (cloud_commented,),
+    ".ply": (cloud_commented,),
     ".jsonl": (torn_tail,),
 }

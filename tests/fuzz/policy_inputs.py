@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
+from drawn_cards import TWO_CARDS, depth_of_cards
 from fuzz.corpus import CLOUDS, HEAVY, LEARN, ONE, OTHERS, seed
 from halfseen.logs import Logs
-from small_logs import flat_log, table_log
+from small_logs import begun_log, flat_log, table_log
 
 EVALUATE = "evaluate in/policy --logs in/logs --propensity estimated"
 SIMULATE = "simulate in/table.npz --episodes 4 --out out --json"
@@ -37,17 +38,7 @@ RULE = '[[rule]]\nwhen = { x1 = "> 0.5" }\naction = "A"\n\n[[rule]]\naction = "A
 
 def depth_image() -> np.ndarray:
     """Depth of two upright cards on a table, the one before the other [m]."""
-    row, column = np.mgrid[:NUM_ROWS, :NUM_COLUMNS]
-    down, across = (row - K[1, 2]) / K[1, 1], (column - K[0, 2]) / K[0, 0]
-    down = np.tan(np.arctan(down) + 0.6)
-    scale = np.cos(0.6) - np.sin(0.6) * (row - K[1, 2]) / K[1, 1]
-    forward = np.where(down > 0.01, 0.6 / np.maximum(down, 0.01), np.inf)
-    forward[(forward > 1.6) | (forward < 0.3)] = np.nan
-    for left, right, ahead in ((-0.05, 0.06, 0.8), (0.0, 0.12, 0.95)):
-        aside, drop = across / scale * ahead, down * ahead
-        is_card = (aside > left) & (aside < right) & (drop > 0.48) & (drop < 0.6)
-        forward = np.where(is_card & ~(forward < ahead), ahead, forward)
-    return np.where(np.isfinite(forward), forward / scale, np.nan)
+    return depth_of_cards(*TWO_CARDS, shape=(NUM_ROWS, NUM_COLUMNS), k=K)
 
 
 def colours() -> np.ndarray:
@@ -172,14 +163,7 @@ def begun(folder: Path) -> None:
 
     table_policy(folder)
     scene = perceive(read_cloud(folder / "table.npz")).scene()
-    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
-    stages, objects, paths = (frame.copy() for frame in (logs.stages, logs.objects, logs.paths))
-    stages, objects = (rows[(rows["path"] < 3) | (rows["stage"] == 1)] for rows in (stages, objects))
-    is_now = stages["path"] == 3
-    stages.loc[is_now, ["elapsed_s", "reward"]] = np.nan
-    stages.loc[is_now, ["action", "object"]] = None
-    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
-    Logs(stages, paths, objects).write(folder / "history")
+    begun_log(scene).write(folder / "history")
 
 
 @seed(HEAVY, f"cell calibrate --from in/attempts --workers 1 {ONE}")

@@ -13,6 +13,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 from fuzz.cases import INPUT, Case, drawn, remade
 from fuzz.corpus import SEEDS, made
@@ -96,7 +97,8 @@ def ran(words: Any, folder: Path) -> Outcome:
     raised, began = "", time.monotonic()
     # Where the process dies, what it said last is read by who asked.
     with tempfile.TemporaryFile() as out, last_words(folder).open("w+b") as err:
-        with _into(1, out), _into(2, err), _set(tempfile, "tempdir", str(folder)), _set(cli, "unforeseen", noted):
+        patches = patch.object(tempfile, "tempdir", str(folder)), patch.object(cli, "unforeseen", noted)
+        with _into(1, out), _into(2, err), patches[0], patches[1]:
             try:
                 cli.main()
             except SystemExit as stop:
@@ -117,16 +119,6 @@ def ran(words: Any, folder: Path) -> Outcome:
         traceback=raised,
         netted="".join(caught)[-3000:],
     )
-
-
-@contextmanager
-def _set(module: Any, name: str, value: Any) -> Iterator[None]:
-    was = getattr(module, name)
-    setattr(module, name, value)
-    try:
-        yield
-    finally:
-        setattr(module, name, was)
 
 
 @contextmanager

@@ -16,40 +16,36 @@ from release.every_verb import LINES, Ended
 from release.walk import WITHOUT_EXTRAS, engineers_path, faults_without_extras
 
 
-@pytest.fixture
-def pip_here(monkeypatch):
-    monkeypatch.setattr(installation.shutil, "which", lambda name: str(Path(sys.executable).parent / name))
+def not_there(name):
+    raise metadata.PackageNotFoundError(name)
+
+
+CLONE = Path(halfseen.__file__).parents[2]
+HERE = str(Path(sys.executable).parent / "pip")
 
 
 @pytest.mark.parametrize(
-    ("origin", "command"),
+    ("origin", "pip", "command"),
     [
-        (None, "pip install 'halfseen[ros]'"),
-        ({"url": "file:///dist/halfseen.whl", "archive_info": {}}, "pip install 'halfseen[ros]'"),
-        ({"url": "file:///clone", "dir_info": {}}, "pip install 'halfseen[ros]'"),
-        ({"url": "file:///my%20clone", "dir_info": {"editable": True}}, "pip install -e '/my clone[ros]'"),
+        (None, HERE, "pip install 'halfseen[ros]'"),
+        ({"url": "file:///dist/halfseen.whl", "archive_info": {}}, HERE, "pip install 'halfseen[ros]'"),
+        ({"url": "file:///clone", "dir_info": {}}, HERE, "pip install 'halfseen[ros]'"),
+        ({"url": "file:///my%20clone", "dir_info": {"editable": True}}, HERE, "pip install -e '/my clone[ros]'"),
+        # A source folder that was never installed.
+        (not_there, HERE, f"pip install -e '{CLONE}[ros]'"),
+        # A pip that is of another Python, or none.
+        (None, "/usr/bin/pip", f"{sys.executable} -m pip install 'halfseen[ros]'"),
+        (None, None, f"{sys.executable} -m pip install 'halfseen[ros]'"),
     ],
 )
-def test_an_extra_is_added_to_what_is_there(pip_here, monkeypatch, origin, command):
-    told = SimpleNamespace(read_text={"direct_url.json": origin and json.dumps(origin)}.__getitem__)
-    monkeypatch.setattr(metadata, "distribution", lambda _: told)
+def test_an_extra_is_added_to_what_is_there(monkeypatch, origin, pip, command):
+    told = SimpleNamespace(read_text={"direct_url.json": origin and json.dumps(origin, default=str)}.__getitem__)
+    monkeypatch.setattr(metadata, "distribution", origin if origin is not_there else lambda _: told)
+    monkeypatch.setattr(installation.shutil, "which", lambda _: pip)
     assert command_for("ros") == command
-
-
-def test_a_source_folder_that_was_never_installed_is_installed_with_the_extra(pip_here, monkeypatch):
-    def not_there(name):
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "distribution", not_there)
-    monkeypatch.setattr(metadata, "version", not_there)
-    assert command_for("ros") == f"pip install -e '{Path(halfseen.__file__).parents[2]}[ros]'"
-    assert halfseen.__version__ == "0.0.0.dev0"
-
-
-@pytest.mark.parametrize("found", [None, "/usr/bin/pip"])
-def test_a_pip_that_is_of_another_python_is_not_told(monkeypatch, found):
-    monkeypatch.setattr(installation.shutil, "which", lambda _: found)
-    assert command_for("ros").startswith(f"{sys.executable} -m pip install ")
+    if origin is not_there:
+        monkeypatch.setattr(metadata, "version", not_there)
+        assert halfseen.__version__ == "0.0.0.dev0"
 
 
 def test_the_version_is_that_of_the_metadata():

@@ -24,14 +24,11 @@ def named(lines):
     return {Requirement(line).name: Requirement(line).specifier for line in lines}
 
 
-def test_the_recipe_asks_for_what_the_wheel_asks_for_and_builds_as_pip_does():
+def test_the_recipe_asks_for_what_the_wheel_asks_for_builds_as_pip_does_and_describes_the_package():
     run, host = (named(RECIPE["requirements"][part]) for part in ("run", "host"))
     assert str(run.pop("python")) == str(host.pop("python")) == PROJECT["requires-python"]
     assert run == named(PROJECT["dependencies"])
     assert {name: told for name, told in host.items() if name != "pip"} == named(TOLD["build-system"]["requires"])
-
-
-def test_the_recipe_describes_the_package():
     about, (entry_point,) = RECIPE["about"], RECIPE["build"]["python"]["entry_points"]
     assert (RECIPE["package"]["name"], about["summary"]) == (PROJECT["name"], PROJECT["description"])
     assert (about["license"], [about["license_file"]]) == (PROJECT["license"], PROJECT["license-files"])

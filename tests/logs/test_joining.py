@@ -8,13 +8,14 @@ import pytest
 from click.testing import CliRunner
 
 from halfseen.cli.convert import convert
-from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import LogRecorder, Logs, LogStream, compact, compaction, read_logs, write_stream
 from halfseen.logs.formats import read_csv, write_csv
 from halfseen.logs.joining import joined
+from refusals import refused
 from small_logs import flat_log, table_log
 
 OWN = ["path", "run", "run_path"]
@@ -30,44 +31,46 @@ def written(logs, folder):
     return folder
 
 
-def one_path(folder, name="p", **columns):
+def log(path, cause=None, **objects):
     """A log of one path of one stage."""
-    row = {"path": name, "stage": 1, "elapsed_s": 1.0, "action": "A", "reward": 1.0, "x": 0.5} | columns
-    row = {key: [value] for key, value in row.items() if value is not ...}
-    return written(Logs(row, {"path": [name], "end_s": [1.0], "ending": ["finished"]}), folder)
+    clock, reward = ([1.0], [2.0]) if cause is None else ([None], [None])
+    stages = {"path": [path], "stage": [1], "elapsed_s": clock, "action": ["A"], "reward": reward, "x": [0.5]}
+    paths = {"path": [path], "end_s": [1.5], "ending": ["finished" if cause is None else "cut"], "cause": [cause]}
+    table = {"path": [path], "stage": [1], "object": [0], **objects} if objects else None
+    return Logs(stages=stages, paths=paths, objects=table)
 
 
-@pytest.mark.parametrize("log", [flat_log, table_log], ids=["named actions", "tables"])
+def one_path(folder, name="p", **columns):
+    stages = log(name).stages.drop(columns=[column for column, value in columns.items() if value is ...])
+    kept = {column: value for column, value in columns.items() if value is not ...}
+    return written(Logs(stages.assign(**kept), log(name).paths), folder)
+
+
 @pytest.mark.parametrize("paths_at_once", [3, 2_000])
-def test_nothing_is_lost(log, paths_at_once, tmp_path, monkeypatch):
+def test_nothing_is_lost(paths_at_once, tmp_path, monkeypatch):
     monkeypatch.setattr(compaction, "PATHS_AT_ONCE", paths_at_once)
-    folders = [written(half, tmp_path / name) for half, name in zip(halves(log()), "ab", strict=True)]
-    done = compact(folders, tmp_path / "all")
-    found, whole = read_logs(tmp_path / "all"), log()
-    assert (done.num_paths, done.num_stages, done.num_running) == (whole.num_paths, whole.num_stages, 0)
-    assert found.paths["path"].tolist() == list(range(whole.num_paths))
-    assert found.paths["run_path"].tolist() == [str(name) for name in whole.path_ids]
-    assert found.paths["run"].tolist()[0] == str(tmp_path / "a")
-    for name, table in whole.tables.items():
-        ours = found.tables[name].drop(columns=OWN, errors="ignore")
-        pd.testing.assert_frame_equal(ours, table.drop(columns="path"), check_dtype=False)
+    for whole in (flat_log(24), table_log(12)):
+        place = tmp_path / str(whole.num_paths)
+        folders = [written(half, place / name) for half, name in zip(halves(whole), "ab", strict=True)]
+        done, found = compact(folders, place / "all"), read_logs(place / "all")
+        assert (done.num_paths, done.num_stages, done.num_running) == (whole.num_paths, whole.num_stages, 0)
+        assert found.paths["path"].tolist() == list(range(whole.num_paths))
+        assert found.paths["run_path"].tolist() == [str(name) for name in whole.path_ids]
+        assert found.paths["run"].tolist()[0] == str(place / "a")
+        for name, table in whole.tables.items():
+            ours = found.tables[name].drop(columns=OWN, errors="ignore")
+            pd.testing.assert_frame_equal(ours, table.drop(columns="path"), check_dtype=False)
 
 
-def test_what_is_learned_is_the_same(tmp_path):
-    folders = [written(half, tmp_path / name) for half, name in zip(halves(flat_log()), "ab", strict=True)]
-    compact(folders, tmp_path / "all")
+def test_folders_of_other_forms_go_along_and_what_is_learned_is_the_same(tmp_path):
+    first, second = halves(flat_log())
+    write_csv(second, tmp_path / "b")
+    compact([written(first, tmp_path / "a"), tmp_path / "b"], tmp_path / "all")
     learners = [
         CensoredQLearner.of_paper(2, ["A", "B", "C"], ["x1"], reg=0.1).fit(logs)
         for logs in (flat_log(), read_logs(tmp_path / "all"))
     ]
     np.testing.assert_array_equal(*(learner.q_functions_.coefficients for learner in learners))
-
-
-def test_folders_of_other_forms_go_along(tmp_path):
-    first, second = halves(flat_log())
-    write_csv(second, tmp_path / "b")
-    compact([written(first, tmp_path / "a"), tmp_path / "b"], tmp_path / "all")
-    assert read_logs(tmp_path / "all").num_paths == flat_log().num_paths
 
 
 def test_what_was_compacted_goes_along_and_keeps_where_it_came_from(tmp_path):
@@ -79,67 +82,56 @@ def test_what_was_compacted_goes_along_and_keeps_where_it_came_from(tmp_path):
 
 
 def test_columns_take_the_type_that_serves_all(tmp_path):
-    folders = [
-        one_path(tmp_path / "a", x=1),
-        one_path(tmp_path / "b", x=0.5, object=3),
-        one_path(tmp_path / "c", 7, x=2),
-    ]
-    stages = (compact(folders, tmp_path / "all"), read_logs(tmp_path / "all").stages)[1]
+    given = {"a": ("p", {"x": 1}), "b": ("p", {"x": 0.5, "object": 3}), "c": (7, {"x": 2})}
+    folders = [one_path(tmp_path / name, path, **columns) for name, (path, columns) in given.items()]
+    compact(folders, tmp_path / "all")
+    stages = read_logs(tmp_path / "all").stages
     assert stages["x"].tolist() == [1.0, 0.5, 2.0]
     assert stages["object"].isna().tolist() == [True, False, True]
 
 
 def test_paths_that_are_being_recorded_are_left_out(tmp_path):
     with LogRecorder(tmp_path / "live") as recorder:
-        path = recorder.begin_path("p")
-        path.begin_stage(covariates={"x": 0.5}, action="A")
+        recorder.begin_path("p").begin_stage(covariates={"x": 0.5}, action="A")
         done = compact([tmp_path / "live", one_path(tmp_path / "a")], tmp_path / "all")
         assert (done.num_paths, done.num_running) == (1, 1)
-        with pytest.raises(LogError, match="none of the 1 folders has a path that ended"):
+        with refused("none of the 1 folders has a path that ended", LogError):
             compact([tmp_path / "live"], tmp_path / "none")
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({"action": 3}, "stages: column 'action' is int64 in B, and string in those before it; give it one type"),
-        ({"x": "red"}, "stages: column 'x' is string in B, and double in those before it; give it one type"),
-        ({"x": ...}, "stages: A has column 'x' and B has not; drop it, or add what was seen"),
-        ({"probability": 0.5}, "stages: B has column 'probability' and A has not; drop it, or add what was seen"),
-        ({"y": 1.0}, "stages: B has column 'y' and A has not; drop it, or add what was seen"),
-    ],
-)
-def test_columns_that_do_not_agree_are_refused(columns, message, tmp_path):
-    folders = [one_path(tmp_path / "a"), one_path(tmp_path / "b", **columns)]
-    with pytest.raises(LogError) as refusal:
-        compact(folders, tmp_path / "all")
-    told = str(refusal.value).replace(str(folders[0]), "A").replace(str(folders[1]), "B")
-    assert told.replace("large_string", "string") == message
-    assert not (tmp_path / "all").exists()
-
-
 def test_folders_that_do_not_go_together_are_refused(tmp_path):
-    a, tables = one_path(tmp_path / "a"), written(table_log(), tmp_path / "t")
-    with pytest.raises(LogError, match=r"t has objects and .*a has none"):
-        compact([a, tables], tmp_path / "all")
-    with pytest.raises(ArgumentError, match="are the same folder; give it once"):
-        compact([a, tmp_path / "t" / ".." / "a"], tmp_path / "all")
-    with pytest.raises(ArgumentError, match="it is there already"):
-        compact([a], tables)
-    with pytest.raises(LogError, match="there is no such folder"):
-        compact([a, tmp_path / "nowhere"], tmp_path / "all")
-    with pytest.raises(ArgumentError, match="no folder is given"):
-        compact([], tmp_path / "all")
+    a, tables = one_path(tmp_path / "a"), written(table_log(4), tmp_path / "t")
+    for number, (columns, told) in enumerate(
+        [
+            ({"action": 3}, "stages: column 'action' is int64 in B, and string in those before it; give it one type"),
+            ({"x": "red"}, "stages: column 'x' is string in B, and double in those before it; give it one type"),
+            ({"x": ...}, "stages: A has column 'x' and B has not; drop it, or add what was seen"),
+            ({"probability": 0.5}, "stages: B has column 'probability' and A has not; drop it, or add what was seen"),
+            ({"y": 1.0}, "stages: B has column 'y' and A has not; drop it, or add what was seen"),
+        ]
+    ):
+        b = one_path(tmp_path / f"b{number}", **columns)
+        with refused() as caught:
+            compact([a, b], tmp_path / "all")
+        words = str(caught.value).replace(str(a), "A").replace(str(b), "B").replace("large_string", "string")
+        assert words == told
+    for folders, out, told, kind in (
+        ([a, tables], "all", r"t has objects and .*a has none", LogError),
+        ([a, tmp_path / "t" / ".." / "a"], "all", "are the same folder; give it once", ArgumentError),
+        ([a], "t", "it is there already", ArgumentError),
+        ([a, tmp_path / "nowhere"], "all", "there is no such folder", LogError),
+        ([], "all", "no folder is given", ArgumentError),
+    ):
+        with refused(told, kind):
+            compact(folders, tmp_path / out)
     assert not (tmp_path / "all").exists()
 
 
-def test_a_fault_in_the_middle_leaves_nothing(tmp_path, monkeypatch):
-    folders = [one_path(tmp_path / name) for name in "abc"]
-    calls = []
+def test_a_fault_in_the_middle_leaves_nothing(tmp_path):
+    folders, calls = [one_path(tmp_path / name) for name in "abc"], iter(range(5))
 
     def fails():
-        calls.append(None)
-        if len(calls) == 5:
+        if next(calls) == 4:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
@@ -149,40 +141,28 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path, monkeypatch):
 
 def test_the_command_line_tells_how_many(tmp_path):
     folders = [str(one_path(tmp_path / name)) for name in "abc"]
-    result = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "all")], catch_exceptions=False)
-    assert result.stdout == f"{tmp_path / 'all'}: 3 paths with 3 stages from 3 folders\n"
-    result = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "again"), "--json"])
-    assert json.loads(result.stdout)["num_paths"] == 3
-    refused = CliRunner().invoke(convert, [*folders, "--out", "csv:x"])
-    assert isinstance(refused.exception, ArgumentError)
-    refused = CliRunner().invoke(convert, [*folders, "--out", "x", "--step-s", "1"])
-    assert "--step-s is for a source of kind minari" in str(refused.exception)
+    told = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "all")], catch_exceptions=False).stdout
+    assert told == f"{tmp_path / 'all'}: 3 paths with 3 stages from 3 folders\n"
+    told = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "again"), "--json"]).stdout
+    assert json.loads(told)["num_paths"] == 3
+    assert isinstance(CliRunner().invoke(convert, [*folders, "--out", "csv:x"]).exception, ArgumentError)
+    told = str(CliRunner().invoke(convert, [*folders, "--out", "x", "--step-s", "1"]).exception)
+    assert "--step-s is for a source of kind minari" in told
 
 
 # In memory, and whichever way.
 
 
-def log(path, cause=None, **objects):
-    ending = "finished" if cause is None else "cut"
-    clock, reward = ([1.0], [2.0]) if cause is None else ([None], [None])
-    stages = {"path": [path], "stage": [1], "elapsed_s": clock, "action": ["A"], "reward": reward, "x": [0.5]}
-    paths = {"path": [path], "end_s": [1.5], "ending": [ending], "cause": [cause]}
-    table = {"path": [path], "stage": [1], "object": [0], **objects} if objects else None
-    return Logs(stages=stages, paths=paths, objects=table)
-
-
-def test_paths_keep_all_that_is_known_of_them():
-    whole = joined([log(3, tried=[[]]), log(1, "battery", tried=[[0.5, 1.0]])])
-    assert whole.num_paths == 2
-    assert whole.paths["cause"].isna().tolist() == [False, True]
-    assert [list(each) for each in whole.objects["tried"]] == [[0.5, 1.0], []]
-
-
-def test_parts_equal_the_whole_that_they_were_taken_from():
-    whole = joined([log(1), log(2, "operator"), log(5)])
-    again = joined([whole.select([5]), whole.select([1, 2])])
+def test_paths_keep_all_that_is_known_of_them_and_parts_equal_the_whole_that_they_were_taken_from():
+    whole = joined([log(3, tried=[[]]), log(1, "battery", tried=[[0.5, 1.0]]), log(5, tried=[[]])])
+    assert whole.path_ids.tolist() == [1, 3, 5]
+    assert whole.paths["cause"].isna().tolist() == [False, True, True]
+    assert [list(each) for each in whole.objects["tried"]] == [[0.5, 1.0], [], []]
+    again = joined([whole.select([5]), whole.select([1, 3])])
     for name, table in whole.tables.items():
         assert table.equals(again.tables[name])
+    with refused("path 1", LogError):
+        joined([log(1), log(1)])
 
 
 def in_a_stream(logs, folder):
@@ -203,14 +183,9 @@ def in_a_folder(logs, folder):
     ],
 )
 def test_what_does_not_fit_together_is_refused(join, logs, told, tmp_path):
-    with pytest.raises(HalfseenError, match=told):
+    with refused(told):
         join(logs, tmp_path)
     assert not (tmp_path / "all").exists()
-
-
-def test_a_path_is_there_once():
-    with pytest.raises(LogError, match="path 1"):
-        joined([log(1), log(1)])
 
 
 # What rewards are counted in.
@@ -223,10 +198,8 @@ def test_the_unit_goes_where_the_log_goes(tmp_path):
     write_stream([logs], tmp_path / "stream")
     task = NamedActions({1: ["A", "B"], 2: ["A", "C"]}, ["x1"])
     same = [
-        read_logs(tmp_path / "logs"),
+        *(read_logs(tmp_path / name) for name in ("logs", "csv", "stream")),
         read_csv(tmp_path / "csv"),
-        read_logs(tmp_path / "csv"),
-        read_logs(tmp_path / "stream"),
         *LogStream(tmp_path / "logs"),
         logs.select([0, 3]),
         joined([log(1).in_unit("Körbe"), log(2)]),
@@ -237,29 +210,16 @@ def test_the_unit_goes_where_the_log_goes(tmp_path):
 
 
 def test_a_log_without_a_unit_is_what_it_was(tmp_path):
-    logs = flat_log(num_paths=4)
-    logs.write(tmp_path / "logs")
-    assert set(json.loads((tmp_path / "logs" / "logs.json").read_text())) == {"format", "version", "rows"}
-    assert read_logs(tmp_path / "logs").reward_unit is None
+    logs = log(1)
+    manifest = written(logs, tmp_path / "logs") / "logs.json"
+    assert set(json.loads(manifest.read_text())) == {"format", "version", "rows"}
+    assert read_logs(tmp_path / "logs").reward_unit is logs.reward_unit is None
     assert logs.in_unit(" parts ").reward_unit == "parts"
     assert logs.in_unit(" parts ").in_unit(None).reward_unit is None
-    assert logs.reward_unit is None
-
-
-TEXTS = ["", "  ", "two\nlines", "x" * 25]
-
-
-@pytest.mark.parametrize("unit", TEXTS)
-def test_what_is_no_short_text_is_refused_in_one_line(unit):
-    with pytest.raises(LogError, match=r"reward_unit is .*; give a text of one line") as told:
-        flat_log(num_paths=4).in_unit(unit)
-    assert "\n" not in str(told.value)
-
-
-@pytest.mark.parametrize("unit", [*TEXTS, 3, ["parts"]])
-def test_a_manifest_whose_unit_is_no_short_text_is_refused(unit, tmp_path):
-    flat_log(num_paths=4).write(tmp_path / "logs")
-    manifest = tmp_path / "logs" / "logs.json"
-    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"reward_unit": unit}))
-    with pytest.raises(LogError, match=r"logs.json: reward_unit is"):
-        read_logs(tmp_path / "logs")
+    for unit in ("", "  ", "two\nlines", "x" * 25):
+        with refused(r"reward_unit is .*; give a text of one line", LogError):
+            logs.in_unit(unit)
+    for unit in (3, ["parts"]):
+        manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"reward_unit": unit}))
+        with refused(r"logs.json: reward_unit is", LogError):
+            read_logs(tmp_path / "logs")

@@ -1,15 +1,11 @@
-import io
 import os
-import re
 
-import pandas as pd
 import pytest
-from test_logs import assert_same
-from valid_logs import small_tables
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError
 from halfseen.logs import Logs, read_logs
 from halfseen.logs import folder as on_disk
+from valid_logs import assert_same, small_tables
 
 
 @pytest.fixture
@@ -87,58 +83,3 @@ def test_a_file_where_the_folder_should_go(tmp_path, logs):
         logs.write(tmp_path / "file" / "logs")
     with pytest.raises(ArgumentError, match="it is there already"):
         logs.write(tmp_path / "file")
-
-
-def without_a_page(content):
-    return content[:4] + bytes(196) + content[200:]
-
-
-def with_a_clock_that_goes_back(content):
-    stages = pd.read_parquet(io.BytesIO(content))
-    stages.loc[1, "elapsed_s"] = 1.0
-    return stages.to_parquet()
-
-
-def without_its_last_row(content):
-    return pd.read_parquet(io.BytesIO(content))[:2].to_parquet()
-
-
-OURS = '{"format": "halfseen-logs", %s}'
-
-
-@pytest.mark.parametrize(
-    ("name", "change", "message"),
-    [
-        ("objects.parquet", None, "it is missing; copy the whole folder"),
-        ("logs.json", None, "it is missing, so .* holds no logs"),
-        *(("stages.parquet", slice(size), "it is no whole Parquet file") for size in (0, 3, 100, -1)),
-        ("stages.parquet", without_a_page, ""),
-        ("stages.parquet", with_a_clock_that_goes_back, r"^\S*logs: path 1, stage 2: elapsed_s 1.0 is before"),
-        ("paths.parquet", without_its_last_row, r"it has 2 rows where logs\.json counts 3"),
-        ("logs.json", OURS % '"version": 2', "version 2 is not the 1 that this halfseen reads"),
-        ("logs.json", '{"format": "halfseen-logs"}', "version None is not the 1"),
-        ("logs.json", '{"format": "something else"}', "it does not describe logs"),
-        ("logs.json", "[]", "it does not describe logs"),
-        ("logs.json", "{", "it cannot be read"),
-        ("logs.json", b"\xff\xfe", "it cannot be read"),
-        ("logs.json", OURS % '"version": 1', "rows None does not count stages and paths"),
-        *(
-            ("logs.json", OURS % f'"version": 1, "rows": {rows}', "rows .* does not count")
-            for rows in ('{"stages": "5", "paths": 3}', '{"stages": -1, "paths": 3}', '{"stages": 5e9, "paths": []}')
-        ),
-        ("logs.json", OURS % '"version": 1, "rows": {"stages": 5, "paths": 3, "../x": 1}', "rows .* does not count"),
-    ],
-)
-def test_a_missing_or_broken_file_is_named(folder, name, change, message):
-    file = folder / name
-    content = file.read_bytes()
-    if change is None:
-        file.unlink()
-    elif isinstance(change, slice):
-        file.write_bytes(content[change])
-    elif callable(change):
-        file.write_bytes(change(content))
-    else:
-        file.write_bytes(change if isinstance(change, bytes) else change.encode())
-    with pytest.raises(LogError, match=message if message.startswith("^") else rf"{re.escape(name)}: {message}"):
-        read_logs(folder)

@@ -5,7 +5,6 @@ import re
 import numpy as np
 import pandas as pd
 import pytest
-from valid_logs import small_tables
 
 from halfseen.logs import Logs
 from halfseen.logs.inspection.suspicions import suspicions
@@ -41,11 +40,10 @@ def tables():
     return sound_tables()
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(5))
 def test_sound_logs_raise_none(seed):
     assert found(sound_tables(seed=seed)) == {}
     assert found(sound_tables(num_paths=12, seed=seed)) == {}
-    assert found(small_tables()) == {}
 
 
 @pytest.mark.parametrize("cut_kind", ["independent", "occlusion", "attempt"])
@@ -145,12 +143,11 @@ def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, cha
 
 def test_cuts_in_one_stage(tables):
     cut = tables["paths"].loc[tables["paths"]["ending"] == "cut", "path"]
-    keep = ~tables["stages"]["path"].isin(cut) | (tables["stages"]["stage"] == 1)
-    tables = {"stages": tables["stages"][keep].copy(), "paths": tables["paths"], "objects": None}
-    tables["stages"].loc[tables["stages"]["path"].isin(cut), ["elapsed_s", "reward"]] = np.nan
-    assert found(tables) == {
-        "cuts-in-one-stage": f"all {len(cut)} cuts fall in stage 1: does something of the task itself end paths there?"
-    }
+    stages = tables["stages"]
+    stages = stages[~stages["path"].isin(cut) | (stages["stage"] == 1)].copy()
+    stages.loc[stages["path"].isin(cut), ["elapsed_s", "reward"]] = np.nan
+    told = f"all {len(cut)} cuts fall in stage 1: does something of the task itself end paths there?"
+    assert found({"stages": stages, "paths": tables["paths"]}) == {"cuts-in-one-stage": told}
 
 
 def test_object_covariates_of_mixed_units(tables):
@@ -160,9 +157,8 @@ def test_object_covariates_of_mixed_units(tables):
 
 
 def test_names_that_differ_in_spelling(tables):
-    tables["paths"]["cause"] = tables["paths"]["cause"].where(
-        tables["paths"].index % 2 == 0, tables["paths"]["cause"].str.upper()
-    )
+    causes = tables["paths"]["cause"]
+    tables["paths"]["cause"] = causes.where(causes.index % 2 == 0, causes.str.upper())
     tables["stages"].loc[::3, "action"] = tables["stages"]["action"].str.title() + " "
     spelling = [s.sentence for s in suspicions(Logs(**tables)) if s.kind == "spelling"]
     assert spelling[0] == "causes 'BATTERY', 'battery' differ only in their spelling: count them as one"
@@ -177,20 +173,17 @@ def test_no_exploration(tables):
 
 
 def test_copied_paths(tables):
-    again = {name: frame[frame["path"].isin([3, 5, 8])].copy() for name, frame in tables.items()}
-    for frame in again.values():
-        frame["path"] += 1000
+    again = {name: frame[frame["path"].isin([3, 5, 8])] for name, frame in tables.items()}
+    again = {name: frame.assign(path=frame["path"] + 1000) for name, frame in again.items()}
     told = found({name: pd.concat([frame, again[name]]) for name, frame in tables.items()})
     assert set(told) == {"duplicated-paths"}
-    assert "(such as 3 and 1003)" in told["duplicated-paths"] or "(such as 5 and 1005)" in told["duplicated-paths"]
+    assert re.search(r"\(such as (3 and 1003|5 and 1005)\)", told["duplicated-paths"])
 
 
 def test_paths_of_whole_steps_may_agree(tables):
-    tables["stages"]["elapsed_s"] = tables["stages"]["stage"].where(tables["stages"]["elapsed_s"].notna()).astype(float)
-    tables["stages"]["reward"] = (
-        (tables["stages"]["reward"] > 0).where(tables["stages"]["elapsed_s"].notna()).astype(float)
-    )
-    tables["paths"]["end_s"] = tables["stages"].groupby("path")["stage"].max().to_numpy() - 0.5 * (
-        tables["paths"]["ending"] == "cut"
-    )
+    stages, is_cut = tables["stages"], tables["paths"]["ending"] == "cut"
+    is_completed = stages["elapsed_s"].notna()
+    stages["elapsed_s"] = stages["stage"].where(is_completed).astype(float)
+    stages["reward"] = (stages["reward"] > 0).where(is_completed).astype(float)
+    tables["paths"]["end_s"] = stages.groupby("path")["stage"].max().to_numpy() - 0.5 * is_cut
     assert found(tables) == {}

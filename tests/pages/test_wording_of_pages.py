@@ -12,12 +12,15 @@ from halfseen.pages.palette import GAINS, HUES, INK, learned_shades
 from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, Claim, as_sentence, counted, listed
 
 
-@pytest.mark.parametrize(
-    ("value", "text"),
-    [(0.0, "0"), (-0.0297, "−0.0297"), (12345.6, "12,346"), (1e-9, "1.00e−09"), (None, "–"), (math.inf, "–")],
-)
-def test_amounts_have_three_digits_and_a_true_minus(value, text):
-    assert significant(value) == text
+def test_amounts_shares_lists_and_sentences_read_as_such():
+    amounts = {0.0: "0", -0.0297: "−0.0297", 12345.6: "12,346", 1e-9: "1.00e−09", None: "–", math.inf: "–"}
+    assert {value: significant(value) for value in amounts} == amounts
+    # A share that is not quite none or all does not read so.
+    told = [percent(share).replace("\u00a0", " ") for share in (0.0, 0.001, 0.5, 0.999, 1.0)]
+    assert told == ["0 %", "< 1 %", "50 %", "> 99 %", "100 %"]
+    assert (listed([]), listed(["a"]), listed(["a", "b"])) == ("", "a", "a and b")
+    assert (counted(1, "stage"), counted(1200, "stage")) == ("1 stage", "1,200 stages")
+    assert (as_sentence("is it?"), as_sentence("it is")) == ("Is it?", "It is.")
 
 
 @pytest.mark.parametrize(
@@ -33,17 +36,6 @@ def test_amounts_have_three_digits_and_a_true_minus(value, text):
 )
 def test_a_value_has_as_many_decimals_as_its_interval_makes_worthwhile(numbers, told):
     assert with_interval(*numbers) == told
-
-
-def test_a_share_that_is_not_quite_none_or_all_does_not_read_so():
-    told = [percent(share).replace("\u00a0", " ") for share in (0.0, 0.001, 0.5, 0.999, 1.0)]
-    assert told == ["0 %", "< 1 %", "50 %", "> 99 %", "100 %"]
-
-
-def test_lists_counts_and_sentences_read_as_such():
-    assert (listed([]), listed(["a"]), listed(["a", "b"])) == ("", "a", "a and b")
-    assert (counted(1, "stage"), counted(1200, "stage")) == ("1 stage", "1,200 stages")
-    assert (as_sentence("is it?"), as_sentence("it is")) == ("Is it?", "It is.")
 
 
 def claim(value, reach, **options):

@@ -1,7 +1,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from small_report import ACTIONS, COVARIATES, hostile_log
 
 from halfseen.evaluation.targets import task_of
 from halfseen.learning import CensoredQLearner
@@ -15,6 +14,7 @@ from halfseen.report.table_map import table_map
 from halfseen.report.table_map_figure import draw_table_map
 from halfseen.world import ActionSpace
 from small_logs import table_log
+from small_report import ACTIONS, COVARIATES, hostile_log
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from page_reader import Reader
-from small_report import CAUSE, estimate, evaluation, hostile_log
 
 from halfseen.evaluation.per_hour import PerHour, Rate
 from halfseen.logs import Logs
 from halfseen.report.findings import find
 from halfseen.report.page import page_of
 from halfseen.report.sentences import answer_of, standing, why_no_hours
+from small_report import CAUSE, estimate, evaluation, hostile_log
 
 UNIT = "<i>net</i> picks"
 
@@ -30,12 +30,8 @@ def findings():
 def test_it_tells_of_the_log_and_of_nothing_else(findings):
     page = page_of(findings, "halfseen report logs --seed 0")
     read, words = Reader(page), words_of(page)
-    assert [name for name in read.ids if name in ("value", "log", "weights", "policy", "unknown", "again")] == [
-        "log",
-        "weights",
-        "unknown",
-        "again",
-    ]
+    sections = [name for name in read.ids if name in ("value", "log", "weights", "policy", "unknown", "again")]
+    assert sections == ["log", "weights", "unknown", "again"]
     assert all(link[1:] in read.ids for link in read.links if link.startswith("#"))
     assert read.tags.count("svg") == 5
     assert "<title>What these logs hold</title>" in page
@@ -50,17 +46,10 @@ def test_it_tells_of_the_log_and_of_nothing_else(findings):
 
 def one_stage(ends):
     """Paths of one stage: (end, whether it finished)."""
-    stages = {
-        "path": range(len(ends)),
-        "stage": 1,
-        "elapsed_s": [end_s if is_done else np.nan for end_s, is_done in ends],
-        "action": "A",
-        "reward": [1.0 if is_done else np.nan for _, is_done in ends],
-    }
-    ending = ["finished" if is_done else "cut" for _, is_done in ends]
-    return Logs(
-        pd.DataFrame(stages), pd.DataFrame({"path": range(len(ends)), "end_s": [e for e, _ in ends], "ending": ending})
-    )
+    end_s, is_done = (np.array(each) for each in zip(*ends, strict=True))
+    done = {"elapsed_s": np.where(is_done, end_s, np.nan), "reward": np.where(is_done, 1.0, np.nan)}
+    paths = {"path": range(len(ends)), "end_s": end_s, "ending": np.where(is_done, "finished", "cut")}
+    return Logs(pd.DataFrame({"path": range(len(ends)), "stage": 1, "action": "A", **done}), pd.DataFrame(paths))
 
 
 @pytest.mark.parametrize(
@@ -88,9 +77,8 @@ def rated(value, reach):
 
 
 def test_what_is_earned_is_told_of_today_and_in_an_hour():
-    known = evaluation(
-        reward_unit="parts", share=estimate(1.5, 0.2), per_hour=PerHour(rated(0.1, 0.02), rated(0.05, 0.01))
-    )
+    per_hour = PerHour(rated(0.1, 0.02), rated(0.05, 0.01))
+    known = evaluation(reward_unit="parts", share=estimate(1.5, 0.2), per_hour=per_hour)
     said = standing(known).replace("\u00a0", " ")
     assert said == (
         "The best estimate is 1.50 parts a path: 150 % of today’s (130 to 170 %) and 360 parts an hour (288 to 432), "

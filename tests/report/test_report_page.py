@@ -8,7 +8,6 @@ import pytest
 from click.testing import CliRunner
 from markupsafe import Markup
 from page_reader import Reader
-from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
 from axe import PAGES, faults_of, in_browser
 from halfseen.cli import halfseen
@@ -29,6 +28,7 @@ from halfseen.report.policy_findings import choices, q_curves
 from halfseen.report.sentences import answer
 from halfseen.report.watched_figure import draw_watched
 from small_logs import table_log
+from small_report import ACTIONS, CAUSE, COVARIATES, estimate, evaluation, hostile_log
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "pick_cell"
 SECTIONS = ("value", "log", "weights", "policy", "unknown", "again")

@@ -100,7 +100,9 @@ def test_no_text_of_a_run_ends_the_script_of_its_file(tmp_path):
 def test_nobody_else_is_served():
     with served(0) as page_of:
         port = int(page_of.url.rsplit(":", 1)[1])
-        with socket.create_connection((HERE, port), timeout=60):
-            pass
+        with socket.create_connection((HERE, port), timeout=60) as client, client.makefile("rb") as answer:
+            client.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            # To the end: the server has closed its side, too.
+            assert b" 200 " in answer.read().splitlines()[0]
         with pytest.raises(OSError), socket.create_connection(("127.0.0.2", port), timeout=60):  # noqa: PT011
             pass

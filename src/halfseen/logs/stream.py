@@ -297,7 +297,8 @@ def write_stream(
     ArgumentError
         The folder exists or cannot be written, or there is no part.
     LogError
-        A path comes before one of an earlier part, only some parts have objects, or rewards are in two units.
+        A path comes before one of an earlier part, a part has objects or columns that earlier ones lack, or rewards are
+        in two units.
     """
     with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
         writers: dict[str, pq.ParquetWriter] = {}
@@ -318,6 +319,11 @@ def write_stream(
                     )
                     rows[name] = 0
                 schema = writers[name].schema
+                if more := [column for column in table if column not in schema.names]:
+                    raise LogError(
+                        f"{name}: column {shown(more[0])} comes with path {shown(part.path_ids[0])}, and parts before "
+                        "it have none; give every part the same columns"
+                    )
                 full = table.reindex(columns=schema.names)
                 writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))
                 rows[name] += len(table)

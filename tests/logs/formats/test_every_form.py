@@ -4,9 +4,9 @@ import sqlite3
 from contextlib import closing
 
 import pytest
-from bags import WITHOUT_CLOUD, mapping, mixed, two_paths, write_bag, write_mcap
-from foreign import arrays, episodes, rows_of, write_arrays, write_rows
 
+from bags import WITHOUT_CLOUD, mapping_for, mixed, two_paths, write_bag, write_mcap
+from foreign import arrays, episodes, rows_of, write_arrays, write_rows
 from halfseen.errors import HalfseenError
 from halfseen.logs.formats import (
     Queries,
@@ -19,6 +19,7 @@ from halfseen.logs.formats import (
     read_steps,
     write_minari,
 )
+from refusals import refused
 from small_logs import flat_log
 
 
@@ -46,8 +47,9 @@ def bag(storage, is_folder=False):
 
 
 def mcap(folder):
-    file, cell = write_mcap(folder / "cell.mcap", two_paths() * 3, mixed), mapping(folder, mixed)
-    return file, lambda: read_bag(file, cell)
+    (folder / "cell.toml").write_text(mapping_for(mixed))
+    file = write_mcap(folder / "cell.mcap", two_paths() * 3, mixed)
+    return file, lambda: read_bag(file, folder / "cell.toml")
 
 
 def minari(folder):
@@ -90,13 +92,11 @@ def test_a_file_that_breaks_off_is_refused_in_one_line(tmp_path, monkeypatch, fo
     content = file.read_bytes()
     for share in (0.0, 0.05, 0.1, 0.3, 0.5, 0.6, 0.9, 0.99):
         file.write_bytes(content[: int(share * len(content))])
-        with pytest.raises(HalfseenError, match=told) as caught:
+        with refused(told):
             read()
-        assert "\n" not in str(caught.value)
     file.unlink()
-    with pytest.raises(HalfseenError) as caught:
+    with refused():
         read()
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning:minari.utils")

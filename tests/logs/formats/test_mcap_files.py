@@ -5,6 +5,8 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from mcap.writer import CompressionType
+
 from bags import (
     FILES,
     SCHEMAS,
@@ -14,32 +16,27 @@ from bags import (
     as_protobuf,
     as_ros,
     cloud,
-    mapping,
+    mapping_for,
     mixed,
     tables_of,
     two_paths,
-    write_bag,
     write_mcap,
 )
-from mcap.writer import CompressionType
-
-from halfseen.errors import ArgumentError, HalfseenError
+from halfseen.errors import ArgumentError
 from halfseen.logs.formats import MAPPING_TEMPLATE, mcap_files, read_bag
+from refusals import refused
 
-ENCODINGS = [as_json, as_json_without_schema, as_protobuf, as_ros, mixed]
 
-
-@pytest.mark.parametrize("encode", ENCODINGS)
-def test_each_encoding_is_the_log_of_the_bag_of_ros(tmp_path, encode):
-    wanted = read_bag(write_bag(tmp_path / "bag", two_paths()), mapping(tmp_path, as_ros))
-    logs = read_bag(write_mcap(tmp_path / "cell.mcap", two_paths(), encode), mapping(tmp_path, encode))
+@pytest.mark.parametrize("encode", [as_json, as_json_without_schema, as_protobuf, as_ros, mixed])
+def test_each_encoding_is_the_log_of_the_bag_of_ros(read, read_mcap, encode):
+    wanted, logs = read(two_paths()), read_mcap(two_paths(), encode)
     pd.testing.assert_frame_equal(logs.stages, wanted.stages)
     pd.testing.assert_frame_equal(logs.paths.drop(columns="bag"), wanted.paths.drop(columns="bag"))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
+def test_each_way_to_write_it_is_the_same_log(read_mcap):
+    wanted = read_mcap(two_paths(), mixed)
+    for options in (
         {"compression": CompressionType.NONE},
         {"compression": CompressionType.LZ4},
         {"use_chunking": False},
@@ -48,27 +45,20 @@ def test_each_encoding_is_the_log_of_the_bag_of_ros(tmp_path, encode):
         {"repeat_channels": False, "repeat_schemas": False, "use_summary_offsets": False},
         {"enable_crcs": False},
         {"enable_data_crcs": True},
-    ],
-)
-def test_each_way_to_write_it_is_the_same_log(tmp_path, options):
-    file = mapping(tmp_path, mixed)
-    wanted = read_bag(write_mcap(tmp_path / "a.mcap", two_paths(), mixed), file)
-    logs = read_bag(write_mcap(tmp_path / "b.mcap", two_paths(), mixed, **options), file)
-    pd.testing.assert_frame_equal(logs.stages, wanted.stages)
+    ):
+        pd.testing.assert_frame_equal(read_mcap(two_paths(), mixed, **options).stages, wanted.stages)
 
 
-def test_the_clock_may_be_when_it_was_sent(tmp_path):
-    wanted = read_bag(write_mcap(tmp_path / "a.mcap", two_paths(), as_json), mapping(tmp_path, as_json))
-    rng = np.random.default_rng(0)
-    file = write_mcap(tmp_path / "b.mcap", two_paths(), as_json, late_ns=lambda: int(rng.integers(10**9)))
-    pd.testing.assert_frame_equal(read_bag(file, mapping(tmp_path, as_json, "publish")).stages, wanted.stages)
-    bag = write_bag(tmp_path / "bag", two_paths())
-    with pytest.raises(ArgumentError, match=r'clock: .* does not say when it was sent; say clock = "log"'):
-        read_bag(bag, mapping(tmp_path, as_ros, "publish"))
+def test_the_clock_may_be_when_it_was_sent(bag, mapping, read_mcap):
+    rng, late = np.random.default_rng(0), mapping_for(as_json, "publish")
+    logs = read_mcap(two_paths(), as_json, late, late_ns=lambda: int(rng.integers(10**9)))
+    pd.testing.assert_frame_equal(logs.stages, read_mcap(two_paths(), as_json).stages)
+    with refused(r'clock: .* does not say when it was sent; say clock = "log"', ArgumentError):
+        read_bag(bag(two_paths(), storage="sqlite3"), mapping(mapping_for(as_ros, "publish")))
 
 
 @pytest.mark.parametrize("encoding", ["json", "protobuf"])
-def test_fields_are_paths_into_messages_and_the_header_may_be_the_clock(tmp_path, encoding):
+def test_fields_of_other_encodings_and_their_header_as_the_clock(read_mcap, encoding):
     def encode(topic, kind, said):
         if encoding == "protobuf":
             return encoding, SCHEMAS[encoding], said.SerializeToString()
@@ -87,70 +77,27 @@ def test_fields_are_paths_into_messages_and_the_header_may_be_the_clock(tmp_path
     ]
     tables = {"action": "/action text", "reward": "/reward number", "ending": "/end text"}
     tables |= {"covariates.count": "/x counts.1", "covariates.share": "/x shares.cup"}
-    text = 'clock = "header"\n' + tables_of(tables)
-    file = tmp_path / "cell.toml"
-    file.write_text(text)
-    logs = read_bag(write_mcap(tmp_path / "a.mcap", messages, encode), file)
-    assert logs.elapsed_s().tolist() == [[2.5]]
-    assert logs.end_s.tolist() == [3.0]
+    told = 'clock = "header"\n' + tables_of(tables)
+    logs = read_mcap(messages, encode, told)
+    assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([[2.5]], [3.0])
     assert logs.stages[["count", "share"]].to_numpy().tolist() == [[2**60, 0.25]]
-    for field, told in (
+    for field, message in (
         ("shares", r"is no single value; name shares\.cup"),
         ("shares.mug", r"has no field 'shares\.mug'; name cup"),
         ("counts.7", "there are 2 entries"),
         ("header", r"name header\.stamp"),
     ):
-        file.write_text(text.replace('"shares.cup"', f'"{field}"'))
-        with pytest.raises(ArgumentError, match=told):
-            read_bag(tmp_path / "a.mcap", file)
+        with refused(message, ArgumentError):
+            read_mcap(messages, encode, told.replace('"shares.cup"', f'"{field}"'))
 
 
-def test_what_is_not_set_in_protobuf_is_told(tmp_path):
-    def encode(topic, kind, message):
-        return "protobuf", SCHEMAS["protobuf"], Said(raw=b"x").SerializeToString()
-
-    file = write_mcap(tmp_path / "a.mcap", two_paths(), encode)
+def test_what_is_not_set_in_protobuf_is_told(read_mcap):
     for field in ("header", "raw"):
-        text = mapping(tmp_path, as_protobuf).read_text().replace('field = "text"', f'field = "{field}"')
-        (tmp_path / "cell.toml").write_text(text)
-        with pytest.raises(ArgumentError, match=rf"field '{field}' is no single value"):
-            read_bag(file, tmp_path / "cell.toml")
-
-
-def test_clouds_of_ros_stand_beside_other_encodings(tmp_path):
-    points = np.arange(18.0).reshape(6, 3)
-    clouds = [cloud(1.2, "/camera/points", points, (2, 3)), cloud(11.3, "/camera/points", points + 1, (2, 3))]
-    messages = sorted([*two_paths(), *clouds], key=lambda message: message[0])
-
-    def encode(topic, kind, message):
-        return (as_ros if topic == "/camera/points" else as_json)(topic, kind, message)
-
-    (tmp_path / "cell.toml").write_text(MAPPING_TEMPLATE)
-    kept = []
-    logs = read_bag(
-        write_mcap(tmp_path / "a.mcap", messages, encode),
-        tmp_path / "cell.toml",
-        keep=lambda points_m, shape, name: kept.append((points_m[0, 0], shape)) or f"{name}.pcd",
-    )
-    assert kept == [(0.0, (2, 3)), (1.0, (2, 3))]
-    assert logs.stages["cloud"].tolist() == ["a-0.pcd", "a-0.pcd", "a-1.pcd", "a-1.pcd"]
-    (tmp_path / "cell.toml").write_text(MAPPING_TEMPLATE.replace("/camera/points", "/camera/occlusion"))
-    with pytest.raises(ArgumentError, match=r"/camera/occlusion carries cell\.Said, not sensor_msgs"):
-        read_bag(tmp_path / "a.mcap", tmp_path / "cell.toml")
-
-
-def refused(source, file, told):
-    with pytest.raises(HalfseenError, match=told) as caught:
-        read_bag(source, file)
-    assert "\n" not in str(caught.value)
-
-
-def test_a_wrong_checksum_is_told(tmp_path):
-    file = write_mcap(tmp_path / "a.mcap", two_paths(), as_json, compression=CompressionType.NONE)
-    content = file.read_bytes()
-    assert content.count(b"monday-2") == 1
-    file.write_bytes(content.replace(b"monday-2", b"monday-3"))
-    refused(file, mapping(tmp_path, as_json), r"a\.mcap: it is no whole bag \(crc validation failed in Chunk")
+        told = mapping_for(as_protobuf).replace('field = "text"', f'field = "{field}"')
+        with refused(rf"field '{field}' is no single value", ArgumentError):
+            read_mcap(
+                two_paths(), lambda *_: ("protobuf", SCHEMAS["protobuf"], Said(raw=b"x").SerializeToString()), told
+            )
 
 
 @pytest.mark.parametrize(
@@ -170,48 +117,63 @@ def test_a_wrong_checksum_is_told(tmp_path):
         ("flatbuffer", None, b"", "messages are of encoding 'flatbuffer', and cdr, json, protobuf are known"),
     ],
 )
-def test_messages_that_are_none_are_told(tmp_path, encoding, schema, content, told):
-    file = write_mcap(tmp_path / "a.mcap", two_paths(), lambda *_: (encoding, schema, content))
-    refused(file, mapping(tmp_path, as_json), told)
+def test_messages_that_are_none_are_told(read_mcap, encoding, schema, content, told):
+    with refused(told):
+        read_mcap(two_paths(), lambda *_: (encoding, schema, content), mapping_for(as_json))
 
 
-def test_channels_that_nobody_names_need_not_be_known(tmp_path):
+def test_channels_that_nobody_names_need_not_be_known_and_those_that_are_named_must_be_there(read_mcap):
     def encode(topic, kind, message):
         return ("flatbuffer", None, b"") if topic == "/other" else as_json(topic, kind, message)
 
     messages = [*two_paths(), (14.0, "/other", "", None)]
-    logs = read_bag(write_mcap(tmp_path / "a.mcap", messages, encode), mapping(tmp_path, as_json))
-    assert logs.num_paths == 2
+    assert read_mcap(messages, encode, mapping_for(as_json)).num_paths == 2
+    with refused(r"no topic '/pick/action' in .*; there are /camera/occlusion, /episode/begin"):
+        read_mcap(two_paths()[:3], as_json)
 
 
-packed = pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_wrong_checksum_is_told(tmp_path, mapping):
+    file = write_mcap(tmp_path / "a.mcap", two_paths(), as_json, compression=CompressionType.NONE)
+    content = file.read_bytes()
+    assert content.count(b"monday-2") == 1
+    file.write_bytes(content.replace(b"monday-2", b"monday-3"))
+    with refused(r"a\.mcap: it is no whole bag \(crc validation failed in Chunk"):
+        read_bag(file, mapping(mapping_for(as_json)))
 
 
-@packed
-def test_a_chunk_of_few_bytes_and_many_is_refused_before_it_is_unpacked(tmp_path, monkeypatch, compression):
-    monkeypatch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**6)
-
+@pytest.mark.parametrize("compression", [CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_chunk_of_few_bytes_and_many_or_of_more_than_it_says_is_refused(read_mcap, monkeypatch, compression):
     def padded(topic, kind, message):
         return "json", None, json.dumps({"data": message.data, "pad": "a" * 3 * 10**5}).encode()
 
-    file = write_mcap(tmp_path / "a.mcap", two_paths(), padded, compression=compression, chunk_size=10**8)
-    refused(file, mapping(tmp_path, as_json), r"unpacked, it has 6 MB, and at most")
-
-
-@packed
-def test_a_chunk_that_has_more_than_it_says_is_refused(tmp_path, monkeypatch, compression):
-    file = write_mcap(tmp_path / "a.mcap", two_paths(), as_json, compression=compression, enable_crcs=False)
-    whole = mcap_files._unpacked
+    with monkeypatch.context() as patch:
+        patch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**6)
+        with refused(r"unpacked, it has 6 MB, and at most"):
+            read_mcap(two_paths(), padded, mapping_for(as_json), compression=compression, chunk_size=10**8)
+    unpacked = mcap_files._unpacked
 
     def less(chunk):
         chunk.uncompressed_size -= 5
-        return whole(chunk)
+        return unpacked(chunk)
 
     monkeypatch.setattr(mcap_files, "_unpacked", less)
-    refused(file, mapping(tmp_path, as_json), "a chunk says that it has .* bytes unpacked, and has other")
+    with refused("a chunk says that it has .* bytes unpacked, and has other"):
+        read_mcap(two_paths(), as_json, compression=compression, enable_crcs=False)
 
 
-def test_a_topic_that_is_not_there_is_told(tmp_path):
-    file = write_mcap(tmp_path / "a.mcap", two_paths()[:3], as_json)
-    told = r"no topic '/pick/action' in .*; there are /camera/occlusion, /episode/begin"
-    refused(file, mapping(tmp_path, as_json), told)
+def test_clouds_of_ros_stand_beside_other_encodings(tmp_path, mapping):
+    points = np.arange(18.0).reshape(6, 3)
+    clouds = [cloud(1.2, "/camera/points", points, (2, 3)), cloud(11.3, "/camera/points", points + 1, (2, 3))]
+    messages = sorted([*two_paths(), *clouds], key=lambda message: message[0])
+    file = write_mcap(tmp_path / "a.mcap", messages, lambda t, *of: (as_ros if "points" in t else as_json)(t, *of))
+    kept = []
+
+    def keep(points_m, shape, name):
+        kept.append((points_m[0, 0], shape))
+        return f"{name}.pcd"
+
+    logs = read_bag(file, mapping(MAPPING_TEMPLATE), keep=keep)
+    assert kept == [(0.0, (2, 3)), (1.0, (2, 3))]
+    assert logs.stages["cloud"].tolist() == ["a-0.pcd", "a-0.pcd", "a-1.pcd", "a-1.pcd"]
+    with refused(r"/camera/occlusion carries cell\.Said, not sensor_msgs", ArgumentError):
+        read_bag(file, mapping(MAPPING_TEMPLATE.replace("/camera/points", "/camera/occlusion")))

@@ -5,6 +5,9 @@ import numpy as np
 from halfseen.errors import LogError
 from halfseen.logs import read_logs
 
+THREE = {"objects": [{"object": k} for k in range(3)], "object": 0, "robot": 0}
+"""A stage of the first robot, at the first of three objects."""
+
 
 def begin(path, **given):
     path.begin_stage(**({"covariates": {"x": 1.0}, "action": "A"} | given))
@@ -13,6 +16,10 @@ def begin(path, **given):
 def step(path, elapsed_s=None, reward=1.0, **given):
     begin(path, **given)
     path.complete_stage(reward, elapsed_s=elapsed_s)
+
+
+def of_robot(path, robot, target=None):
+    begin(path, **THREE | {"object": target, "robot": robot})
 
 
 def covariates_of(path, stage):
@@ -33,7 +40,7 @@ def record_path(recorder, name=None, num_stages=3, cause=None, given=None, **kno
 
 
 def as_recorded(logs):
-    """Check each number; whether each path finished, the others having crashed."""
+    """Check each number; by path: stages that are completed, and whether it finished, the others having crashed."""
     completed = logs.stages[logs.stages["elapsed_s"].notna()]
     np.testing.assert_array_equal(logs.stages["x"], logs.stages["path"] + logs.stages["stage"] / 10)
     np.testing.assert_array_equal(completed["reward"], completed["path"] * completed["stage"])

@@ -8,15 +8,16 @@ import threading
 from contextlib import suppress
 
 import pytest
-from hypothesis import HealthCheck, given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from recordings import logs_or_none
-from test_logs import assert_same
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.logs.recording.line_protocol import CALLS, MOST_BYTES, record_lines
 from halfseen.logs.recording.line_socket import listening, record_clients
+from lines import as_lines
+from valid_logs import assert_same
 
 STAGE = {"covariates": {"x": 0.5, "seen": [1, 2]}, "objects": [{"object": 1, "y": 2}]}
 PATH = [
@@ -26,20 +27,27 @@ PATH = [
     {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5},
     {"call": "finish"},
 ]
+TEAM_STAGE = {"call": "begin_stage", "covariates": {"x": 1}, "action": "WAIT", "robot": 0}
+TEAM = [
+    {"call": "begin_path"},
+    TEAM_STAGE,
+    {"call": "drop_out", "robot": 1, "cause": "battery", "elapsed_s": 1.0},
+    {"call": "complete_stage", "reward": 3, "elapsed_s": 2.0, "own_rewards": [3, 0]},
+    TEAM_STAGE,
+    {"call": "cut", "cause": "operator", "elapsed_s": 3.0},
+]
 
 
-def recorded(folder, lines, **options):
+def recorded(folder, lines):
     """Record lines; their answers."""
     answers = []
-    content = b"".join(line if isinstance(line, bytes) else json.dumps(line).encode() + b"\n" for line in lines)
-    with LogRecorder(folder, **options) as recorder:
-        record_lines(recorder, io.BytesIO(content), lambda text: answers.append(json.loads(text)))
+    with LogRecorder(folder) as recorder:
+        record_lines(recorder, io.BytesIO(as_lines(lines)), lambda text: answers.append(json.loads(text)))
     return answers
 
 
 def test_lines_record_what_the_calls_would(tmp_path):
-    answers = recorded(tmp_path / "lines", PATH)
-    assert answers == [{"ok": True, "path": 1}] * len(PATH)
+    assert recorded(tmp_path / "lines", PATH) == [{"ok": True, "path": 1}] * len(PATH)
     with LogRecorder(tmp_path / "calls") as recorder:
         path = recorder.begin_path(cell="left")
         path.begin_stage(**STAGE, action="PICK", object=1, probability=0.5)
@@ -47,22 +55,12 @@ def test_lines_record_what_the_calls_would(tmp_path):
         path.complete_stage(1.0, elapsed_s=2.5)
         path.finish()
     assert_same(read_logs(tmp_path / "lines"), read_logs(tmp_path / "calls"))
-
-
-def test_lines_record_a_team(tmp_path):
-    stage = {"call": "begin_stage", "covariates": {"x": 1}, "action": "WAIT", "robot": 0}
-    out = {"call": "drop_out", "robot": 1, "cause": "battery", "elapsed_s": 1.0}
-    done = {"call": "complete_stage", "reward": 3, "elapsed_s": 2.0, "own_rewards": [3, 0]}
-    cut = {"call": "cut", "cause": "operator", "elapsed_s": 3.0}
-    assert all(each["ok"] for each in recorded(tmp_path, [{"call": "begin_path"}, stage, out, done, stage, cut]))
-    logs = read_logs(tmp_path)
-    assert logs.paths["1_out_cause"].tolist() == ["battery"]
-    assert logs.stages["0_reward"].tolist()[:1] == [3.0]
-
-
-def test_where_lines_end_the_path_in_progress_is_cut(tmp_path):
-    assert all(answer["ok"] for answer in recorded(tmp_path, PATH[:2]))
-    assert read_logs(tmp_path).paths["cause"].tolist() == ["input-ended"]
+    assert all(each["ok"] for each in recorded(tmp_path / "team", TEAM))
+    logs = read_logs(tmp_path / "team")
+    assert (logs.paths["1_out_cause"].tolist(), logs.stages["0_reward"].tolist()[:1]) == (["battery"], [3.0])
+    # Where lines end, the path in progress is cut.
+    assert all(answer["ok"] for answer in recorded(tmp_path / "short", PATH[:2]))
+    assert read_logs(tmp_path / "short").paths["cause"].tolist() == ["input-ended"]
 
 
 BAD = {
@@ -84,16 +82,23 @@ BAD = {
     "objects is 5": b'{"call": "begin_stage", "covariates": {"x": 0.5, "seen": []}, "objects": 5, "action": "A"}\n',
     "is in progress": b'{"call": "begin_path"}\n',
 }
+PLACE = {"objects is 5": 4, "finish: no path has begun; begin_path first": 0}
+"""Number of lines before a bad one, where it is not 2."""
 
 
-@pytest.mark.parametrize("trouble", BAD)
-def test_a_bad_line_is_told_in_one_and_harms_none_after_it(tmp_path, trouble):
-    number = {"objects is 5": 4, "finish: no path has begun; begin_path first": 0}.get(trouble, 2)
-    answers = recorded(tmp_path, [*PATH[:number], BAD[trouble], b"\n", *PATH[number:]])
-    assert [answer["ok"] for answer in answers] == [True] * number + [False] + [True] * (len(PATH) - number)
-    assert re.search(trouble, answers[number]["error"])
-    assert len(answers[number]["error"]) < 400
-    assert read_logs(tmp_path).is_finished.tolist() == [True]
+def test_bad_lines_are_told_in_one_and_harm_none_after_them(tmp_path):
+    lines = {
+        trouble: [*PATH[: PLACE.get(trouble, 2)], bad, b"\n", *PATH[PLACE.get(trouble, 2) :]]
+        for trouble, bad in BAD.items()
+    }
+    answers = iter(recorded(tmp_path, [line for each in lines.values() for line in each]))
+    for trouble in BAD:
+        number = PLACE.get(trouble, 2)
+        told = [next(answers) for _ in range(len(PATH) + 1)]
+        assert [answer["ok"] for answer in told] == [True] * number + [False] + [True] * (len(PATH) - number), trouble
+        assert re.search(trouble, told[number]["error"])
+        assert len(told[number]["error"]) < 400
+    assert read_logs(tmp_path).is_finished.tolist() == [True] * len(BAD)
 
 
 JSON = st.recursive(
@@ -104,10 +109,10 @@ JSON = st.recursive(
 CALL = st.sampled_from(sorted(CALLS)).flatmap(
     lambda name: st.fixed_dictionaries({"call": st.just(name)}, optional=dict.fromkeys(CALLS[name].names, JSON))
 )
+ODD = st.binary(max_size=9).map(lambda odd: odd.replace(b"\n", b"") + b"\n")
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=list(HealthCheck))
-@given(lines=st.lists(CALL | JSON | st.binary(max_size=9).map(lambda odd: odd.replace(b"\n", b"") + b"\n"), max_size=8))
+@given(lines=st.lists(CALL | JSON | ODD, max_size=8))
 def test_whatever_lines_say_a_whole_path_can_follow(tmp_path_factory, lines):
     folder = tmp_path_factory.mktemp("logs") / "logs"
     answers = recorded(folder, [PATH[0], *lines, {"call": "cut", "cause": "operator"}])
@@ -117,53 +122,50 @@ def test_whatever_lines_say_a_whole_path_can_follow(tmp_path_factory, lines):
 
 @pytest.fixture(params=["port", "file"])
 def served(request, tmp_path):
-    """The address at which a recorder of tmp_path / "logs" takes clients, and what waits until one has gone."""
+    """What connects to a recorder of tmp_path / "logs", and what waits until a client has gone."""
     gone = threading.Semaphore(0)
     address = 0 if request.param == "port" else tmp_path / "socket"
     with LogRecorder(tmp_path / "logs") as recorder, listening(address) as listener:
+        where = listener.getsockname()
 
         def serve():
             with suppress(OSError):  # the listener is closed at the end of a test, perhaps before the next accept
                 record_clients(recorder, listener, gone.release)
 
+        def connected():
+            client = socket.socket(listener.family)
+            client.settimeout(60.0)
+            client.connect(where)
+            return client
+
         threading.Thread(target=serve, daemon=True).start()
-        yield listener.getsockname(), lambda: gone.acquire(timeout=60.0)
-
-
-def connected(where):
-    client = socket.socket(socket.AF_UNIX if isinstance(where, str) else socket.AF_INET)
-    client.settimeout(60.0)
-    client.connect(where)
-    return client
+        yield connected, lambda: gone.acquire(timeout=60.0)
 
 
 def test_clients_record_one_after_the_other(served, tmp_path):
-    where, has_gone = served
+    connected, has_gone = served
     for lines in (PATH, PATH[:2]):
-        with connected(where) as client, client.makefile("rwb") as stream:
+        with connected() as client, client.makefile("rwb") as stream:
             for line in lines:
-                stream.write(json.dumps(line).encode() + b"\n")
+                stream.write(as_lines([line]))
                 stream.flush()
                 assert json.loads(stream.readline())["ok"]
         assert has_gone()
     assert read_logs(tmp_path / "logs").paths["cause"].tolist() == [None, "input-ended"]
-
-
-def test_a_client_that_leaves_without_its_answers_harms_none_after_it(served, tmp_path):
-    where, has_gone = served
+    # One that leaves without its answers harms none after it.
     for _ in range(2):
-        with connected(where) as client:
-            client.sendall(b"".join(json.dumps(line).encode() + b"\n" for line in PATH))
+        with connected() as client:
+            client.sendall(as_lines(PATH))
             client.shutdown(socket.SHUT_WR)
         assert has_gone()
-    assert 0 < read_logs(tmp_path / "logs").num_paths <= 2
+    assert 2 < read_logs(tmp_path / "logs").num_paths <= 4
 
 
 def test_a_browser_is_turned_away_before_what_it_posts_is_read(served, tmp_path):
-    where, has_gone = served
-    posted = json.dumps(PATH[0]) + "\n" + json.dumps({"call": "begin_stage", "action": "A"}) + "\n"
-    with connected(where) as client:
-        client.sendall(f"POST / HTTP/1.1\r\nHost: x\r\n\r\n{posted}".encode())
+    connected, has_gone = served
+    posted = as_lines([PATH[0], {"call": "begin_stage", "action": "A"}])
+    with connected() as client:
+        client.sendall(b"POST / HTTP/1.1\r\nHost: x\r\n\r\n" + posted)
         assert b"is no JSON" in client.recv(1000)
     assert has_gone()
     with pytest.raises(LogError, match="no stage is recorded yet"):
@@ -172,15 +174,18 @@ def test_a_browser_is_turned_away_before_what_it_posts_is_read(served, tmp_path)
 
 def test_a_socket_that_is_taken_is_refused_and_one_left_behind_is_not(tmp_path):
     file = tmp_path / "socket"
-    with listening(file):
-        assert file.stat().st_mode & 0o077 == 0
+
+    def refused():
         with pytest.raises(ArgumentError, match="nobody can listen there"), listening(file):
             pass
+
+    with listening(file):
+        assert file.stat().st_mode & 0o077 == 0
+        refused()
     with socket.socket(socket.AF_UNIX) as left:
         left.bind(str(file))
     with listening(file):
         pass
     file.write_text("mine")
-    with pytest.raises(ArgumentError, match="nobody can listen there"), listening(file):
-        pass
+    refused()
     assert file.read_text() == "mine"

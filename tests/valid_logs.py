@@ -81,3 +81,9 @@ def valid_tables(draw):
     if draw(st.booleans()):
         tables["objects"] = None
     return tables
+
+
+def assert_same(left, right):
+    assert left.tables.keys() == right.tables.keys()
+    for name, table in left.tables.items():
+        pd.testing.assert_frame_equal(table, right.tables[name])

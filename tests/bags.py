@@ -147,19 +147,12 @@ def described():
         (stamp, [("sec", FIELD.TYPE_INT64), ("nsec", FIELD.TYPE_UINT32)]),
         (header, [("stamp", FIELD.TYPE_MESSAGE, ".cell.Stamp")]),
         (entry, [("key", FIELD.TYPE_STRING), ("value", FIELD.TYPE_DOUBLE)]),
-        (
-            said,
-            [
-                ("text", FIELD.TYPE_STRING),
-                ("number", FIELD.TYPE_DOUBLE),
-                ("verb", FIELD.TYPE_ENUM, ".cell.Verb"),
-                ("counts", FIELD.TYPE_INT64, None, MANY),
-                ("header", FIELD.TYPE_MESSAGE, ".cell.Header"),
-                ("shares", FIELD.TYPE_MESSAGE, ".cell.Said.SharesEntry", MANY),
-                ("raw", FIELD.TYPE_BYTES),
-            ],
-        ),
-    ):
+        (said, [
+            ("text", FIELD.TYPE_STRING), ("number", FIELD.TYPE_DOUBLE), ("verb", FIELD.TYPE_ENUM, ".cell.Verb"),
+            ("counts", FIELD.TYPE_INT64, None, MANY), ("header", FIELD.TYPE_MESSAGE, ".cell.Header"),
+            ("shares", FIELD.TYPE_MESSAGE, ".cell.Said.SharesEntry", MANY), ("raw", FIELD.TYPE_BYTES),
+        ]),
+    ):  # fmt: skip
         for number, (name, of, *more) in enumerate(fields, start=1):
             named, label = (*more, *(None, ONE)[len(more) :])
             message.field.add(name=name, number=number, type=of, type_name=named, label=label)
@@ -229,12 +222,11 @@ def tables_of(sources):
     return "".join(f'[{key}]\ntopic = "{topic}"\nfield = "{field}"\n' for key, topic, field in parts)
 
 
-def mapping(tmp_path, encode, clock="log"):
+def mapping_for(encode, clock="log"):
     """The template, with the fields of protobuf where a topic has it."""
     lines, table = [], ""
     for line in WITHOUT_CLOUD.replace('clock = "log"', f'clock = "{clock}"').splitlines():
         table = line.strip("[]") if line.startswith("[") else table
         is_protobuf = encode is as_protobuf or (encode is mixed and table == "reward")
         lines.append(line.replace('"data"', f'"{OF_PROTOBUF.get(table, "text")}"') if is_protobuf else line)
-    (tmp_path / "cell.toml").write_text("\n".join(lines))
-    return tmp_path / "cell.toml"
+    return "\n".join(lines)

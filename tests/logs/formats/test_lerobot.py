@@ -1,0 +1,150 @@
+"""Datasets of LeRobot as logs."""
+
+import json
+import warnings
+from functools import partial
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from foreign import CUT, FINISHED, assert_is, episodes, expected, last_of, times_of, write_lerobot
+from halfseen.errors import HalfseenWarning
+from halfseen.logs.formats import StepRules, read_lerobot
+from refusals import refused
+
+STATE = ["observation.state_0", "observation.state_1"]
+YES, NO, NAN = True, False, float("nan")
+
+
+def read_quietly(folder, rules=None):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HalfseenWarning)
+        return read_lerobot(folder, rules)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rules", "endings"),
+    [
+        (["next.success"], StepRules(), [FINISHED, CUT, CUT]),
+        (["next.done"], StepRules(), [CUT, FINISHED, CUT]),
+        (["next.success", "next.done"], StepRules(), [FINISHED, FINISHED, CUT]),
+        (["next.success", "next.done"], StepRules(done="next.success"), [FINISHED, CUT, CUT]),
+        (["next.done"], StepRules(truncated="finished"), [FINISHED, FINISHED, FINISHED]),
+        (["ok"], StepRules(done="ok"), [CUT, CUT, FINISHED]),
+    ],
+)
+def test_each_ending_is_told_by_a_feature(tmp_path, columns, rules, endings):
+    found = episodes()
+    flags = {"next.success": [YES, NO, NO], "next.done": [NO, YES, NO], "ok": [NO, NO, YES]}
+    write_lerobot(tmp_path, found, extra={name: last_of(found, flags[name]) for name in columns})
+    assert_is(
+        read_lerobot(tmp_path, rules), expected(found, endings, times_of(found, 0.1), STATE, has_last=False), 1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("rules", "ending", "told"),
+    [(StepRules(), CUT, r"each was cut \(truncated\)"), (StepRules(truncated="finished"), FINISHED, "each finished")],
+)
+def test_what_nobody_says_of_endings_is_told(tmp_path, rules, ending, told):
+    found = episodes()
+    write_lerobot(tmp_path, found)
+    with pytest.warns(HalfseenWarning, match=rf"neither next\.done nor next\.success says .*{told}"):
+        logs = read_lerobot(tmp_path, rules)
+    assert_is(logs, expected(found, [ending] * 3, times_of(found, 0.1), STATE, has_last=False), 1e-12)
+
+
+def test_pictures_and_what_came_of_a_step_are_passed_over_and_told_and_tasks_are_words(tmp_path):
+    found = episodes()
+    extra = {"next.done": last_of(found, [True] * 3), "task_index": [1, 1, 1, 0, 1, 1, 1, 1]}
+    extra |= {"observation.image": [b"png"] * 8, "effort": list(range(8)), "observation.lit": [True, False] * 4}
+    pictures = {"observation.image": {"dtype": "image"}, "observation.video": {"dtype": "video"}}
+    write_lerobot(tmp_path, found, extra=extra, features=pictures, tasks=["grasp", "place"])
+    told = r"left out are observation\.image \(pictures\), effort, observation\.video"
+    with pytest.warns(HalfseenWarning, match=told):
+        logs = read_lerobot(tmp_path)
+    assert sorted(logs.stage_covariates) == ["observation.lit", *STATE, "task"]
+    assert logs.stages["task"].tolist() == ["place"] * 3 + ["grasp"] + ["place"] * 4
+    assert logs.stages["observation.lit"].tolist() == [True, False] * 4
+
+
+def test_other_columns_are_named_and_a_clock_goes_its_own_way(tmp_path):
+    found = episodes(lengths=(3, 2))
+    extra = {"next.done": last_of(found, [True, False]), "next.success": [NO, NO, YES, NO, NO]}
+    extra |= {"subtask": ["a", "b", "a", "b", "b"], "t": [5.0, 5.5, 7.0, 1.0, 1.25]}
+    write_lerobot(tmp_path, found, extra=extra)
+    with pytest.warns(HalfseenWarning, match="left out are action, next.reward"):
+        logs = read_lerobot(tmp_path, StepRules(action="subtask", reward="next.success", clock="t"))
+    assert logs.stages["action"].tolist() == extra["subtask"]
+    assert logs.stages["reward"].tolist()[:4] == [0.0, 0.0, 1.0, 0.0]
+    np.testing.assert_allclose(logs.elapsed_s(), [[0.5, 2.0, 2.1], [0.25, np.nan, np.nan]])
+    np.testing.assert_allclose(logs.end_s, [2.1, 0.35])
+    assert read_quietly(tmp_path, StepRules(step_s=2.0)).end_s.tolist() == [6.0, 4.0]
+
+
+# What is wrong.
+
+
+def lerobot_with(folder, **other):
+    return partial(read_quietly, write_lerobot(folder, episodes(), **other))
+
+
+def with_columns(folder, **columns):
+    return lerobot_with(folder, extra={name.replace("__", "."): values for name, values in columns.items()})
+
+
+WRONG = {
+    with_columns: [
+        ({"action": [[0.5, 0.1]] * 8}, r"action holds .* discretise it"),
+        ({"action": [0.5] * 8}, r"action holds float64 .* finitely many"),
+        ({"next__reward": ["a"] * 8}, r"next\.reward holds object .* not a number"),
+        ({"next__reward": [[0.0, 1.0]] * 8}, r"next\.reward holds .* not a number"),
+        ({"next__reward": [NAN] * 8}, r"path 0, stage 1: .*its reward is nan"),
+        ({"observation__state": [[0.1]] * 7 + [[0.1, 0.2]]}, r"row 7: observation\.state has 2 values"),
+        ({"observation__state": [[0.1]] * 7 + [None]}, r"row 7: observation\.state has null"),
+        ({"observation__state": [0.1] * 7 + [None]}, r"stage 4: covariate observation\.state is null"),
+        ({"next__done": [2] * 8}, r"row 0: next\.done is 2, neither true nor false"),
+        ({"ok": [True] * 8}, r"episode 0: step 1 of 3 ends it", StepRules(done="ok")),
+        ({"episode_index": [0, 0, 1, 0, 2, 2, 2, 2]}, r"frames of episode 0 do not stand together"),
+    ],
+    lerobot_with: [
+        ({}, r"no 'push' for the action among observation\.state", StepRules(action="push")),
+        ({}, r"no 't' for the clock", StepRules(clock="t")),
+        ({"lengths": [3, 1, 5]}, r"episode 2: meta/episodes counts 5 frames, and data has 4"),
+        ({"lengths": [3, 1, 4, 2]}, r"episode 3: meta/episodes counts 2 frames, and data has 0"),
+        ({"info": {"total_frames": 9}}, r"total_frames is 9, and data has 8"),
+        ({"info": {"codebase_version": "v2.1"}}, r"codebase_version is 'v2\.1', and v3 is read"),
+        ({"info": {"fps": 0}}, r"fps is 0, no number of frames"),
+        ({"info": {"features": [1]}}, r"features does not describe"),
+        ({"stamps": [0.0, 0.1, 0.9] + [0.0] * 5}, r"frame 2 has the timestamp 0\.9 s, .* it is 0\.2 s"),
+        ({"extra": {"task_index": [7] * 8}, "tasks": ["a"]}, r"there is no task 7"),
+    ],
+}  # fmt: skip
+"""By what writes and reads: what is other, what is said of it, and rules."""
+
+
+@pytest.mark.parametrize(("make", "case"), [(make, case) for make, cases in WRONG.items() for case in cases])
+def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
+    other, told, *rules = case
+    read = make(tmp_path, **other)
+    with refused(told):
+        read(*rules)
+
+
+def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):
+    write_lerobot(tmp_path, episodes())
+    file, info = tmp_path / "data" / "chunk-000" / "file-001.parquet", tmp_path / "meta" / "info.json"
+    content, counted = file.read_bytes(), tmp_path / "meta" / "episodes" / "chunk-000" / "file-000.parquet"
+    for harm, told in (
+        (lambda: file.write_bytes(content[: len(content) // 2]), r"file-001\.parquet: it is no whole table"),
+        (lambda: pq.write_table(pa.table({"other": [1]}), file), r"file-001\.parquet"),
+        (file.unlink, "episode 2: meta/episodes counts 4 frames, and data has 0"),
+        (counted.unlink, r"there is no chunk-\*/file-\*\.parquet"),
+        (lambda: info.write_text(json.dumps([])), "codebase_version is null"),
+        (info.unlink, "info.json: it cannot be read"),
+    ):
+        harm()
+        with refused(told):
+            read_quietly(tmp_path)
