@@ -43,7 +43,8 @@ def six(folder):
 
 @pytest.fixture(scope="module")
 def robots(folder, six):
-    return {"six": robot_of(six), "seven": robot_of(ArmFile(folder / "seven.xml"))}
+    robot = robot_of(six)
+    return {"six": robot, "seven": robot_of(ArmFile(folder / "seven.xml"), stands_m=[robot.base_m])}
 
 
 def put(model, names, angles):
