@@ -301,11 +301,7 @@ CAMERA = Camera(HERE, (160.0, 160.0), (79.5, 59.5), 120, 160)
         (partial(Cup, 0.004, 0.04, 0.04), SceneError, "hollow"),
         (partial(handle_mesh, CUP), SceneError, "handle_m"),
         (partial(Table, (CUP,), (), CAMERA), SceneError, "one pose for every cup"),
-        (
-            partial(capture, Table((CUP,), (Pose((0.0, 0.0, 1.0)),), CAMERA), 3, surfaces=[]),
-            SceneError,
-            "0 surfaces and 1 c",
-        ),
+        (partial(capture, table_with((0.0, 0.0)), 3, surfaces=[]), SceneError, "0 surfaces and 1 cups"),
         (partial(read_truth, -1), ArgumentError, "numbered from 0 to 9"),
         (partial(read_truth, 10), ArgumentError, "numbered from 0 to 9"),
         (partial(getattr, halfseen.scene, "nonsense"), AttributeError, "random_table"),
