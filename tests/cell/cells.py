@@ -16,8 +16,9 @@ ROBOT = Robot()
 HOME = np.array(ROBOT.home_rad)
 ROBOTS = LEFT, RIGHT = [station.robot for station in PAIR]
 HOMES = [np.array(robot.home_rad) for robot in ROBOTS]
-_FULL = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
-CAMERA = Camera(_FULL.world_from_camera, (_FULL.focal_px[0] / 2, _FULL.focal_px[1] / 2), (159.5, 119.5), 240, 320)
+FULL_CAMERA = xtion_at(look_at(np.array([0.0, -0.78, 1.24]), np.array([0.0, 0.0, TABLE_TOP_M])))
+_FOCAL_PX = (FULL_CAMERA.focal_px[0] / 2, FULL_CAMERA.focal_px[1] / 2)
+CAMERA = Camera(FULL_CAMERA.world_from_camera, _FOCAL_PX, (159.5, 119.5), 240, 320)
 """Of half the rows and columns: looks take a quarter of their time."""
 WORLD_FROM_TABLE = Pose((0.0, 0.0, TABLE_TOP_M)).matrix
 DOWN = (0.0, 1.0, 0.0, 0.0)
@@ -34,8 +35,8 @@ def standing(*places_m):
     return tuple(Pose((x_m, y_m, TABLE_TOP_M)) for x_m, y_m in places_m)
 
 
-def one_arm_cell(seed=0, cups=TWO_CUPS, poses=TWO_POSES, **options):
-    return Workcell(Table(tuple(cups), tuple(poses), CAMERA), np.random.default_rng(seed), **options)
+def one_arm_cell(seed=0, cups=TWO_CUPS, poses=TWO_POSES, camera=CAMERA, **options):
+    return Workcell(Table(tuple(cups), tuple(poses), camera), np.random.default_rng(seed), **options)
 
 
 def two_arm_cell(*places_m, seed=0, **options):

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
-from cells import LEFT, SLIM, two_arm_cell
+from cells import CAMERA, FULL_CAMERA, LEFT, SLIM, two_arm_cell
 
 from halfseen.cell.commands import Grip, Move, Reserve, Rest
 from halfseen.cell.several.volumes import Outline
@@ -14,11 +14,16 @@ from halfseen.scene.table import TABLE_TOP_M
 STOOD_M = (-0.26, 0.0, TABLE_TOP_M)
 
 
-@pytest.fixture
-def cell():
-    cell = two_arm_cell(STOOD_M[:2], surfaces=[draw_surface(SLIM, True, np.random.default_rng(2))])
+def looked_at(camera):
+    surface = draw_surface(SLIM, True, np.random.default_rng(2))
+    cell = two_arm_cell(STOOD_M[:2], surfaces=[surface], camera=camera)
     cell.look()
     return cell
+
+
+@pytest.fixture
+def cell():
+    return looked_at(CAMERA)
 
 
 class Asked(NamedTuple):
@@ -119,8 +124,9 @@ def test_who_gives_way_puts_back_what_it_holds_by_the_way_that_it_reserved_and_w
 
 
 @pytest.mark.slow
-def test_what_is_put_back_is_the_same_object_to_whoever_looks_meanwhile(cell):
+def test_what_is_put_back_is_the_same_object_to_whoever_looks_meanwhile():
     """The other arm decides, and so looks, while this one has opened its hand and is on its way home."""
+    cell = looked_at(FULL_CAMERA)
     known, seen = cell.memory.objects[0], []
     cell.cell.watches.append(lambda live: seen.append(cell.look()) if round(live.time_s, 2) % 0.5 == 0 else None)
     told(cell, cell.lifting(0, 0), set())

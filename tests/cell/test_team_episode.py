@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from cells import two_arm_cell
+from cells import FULL_CAMERA, two_arm_cell
 
 from halfseen.arrays import record
 from halfseen.cell.account import Account
@@ -211,7 +211,7 @@ def test_the_same_seed_gives_the_same_bits(cleared, tmp_path):
 
 @pytest.mark.slow
 def test_arms_that_do_anything_at_all_do_not_collide(tmp_path):
-    run, _ = played(two_arm_cell(*PLACES_M, seed=3), tmp_path, UniformPolicy())
+    run, _ = played(two_arm_cell(*PLACES_M, seed=3, camera=FULL_CAMERA), tmp_path, UniformPolicy())
     assert {"WASH", "LIFT"} & set(run.verbs)
     assert (run.num_collisions, run.cause) == (0, None)
 
@@ -237,7 +237,7 @@ def learned():
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", [learned(), MyopicPolicy(PAIR_CONFIG)], ids=["learned", "one step ahead"])
 def test_in_the_cell_a_team_does_what_it_would_do_in_the_states_of_its_log(tmp_path, policy):
-    _, logs = played(two_arm_cell(*THREE_M), tmp_path, policy)
+    _, logs = played(two_arm_cell(*THREE_M, camera=FULL_CAMERA), tmp_path, policy)
     assert len(logs.stages) >= 4
     begun = zip(logs.stages["action"], logs.stages["object"], strict=True)
     recorded = [(action, None if pd.isna(target) else int(target)) for action, target in begun]
@@ -246,5 +246,5 @@ def test_in_the_cell_a_team_does_what_it_would_do_in_the_states_of_its_log(tmp_p
 
 @pytest.mark.slow
 def test_the_planner_of_a_team_clears_the_table(tmp_path):
-    run, _ = played(two_arm_cell(*THREE_M), tmp_path, named_policy(PLANNER, PAIR_CONFIG))
+    run, _ = played(two_arm_cell(*THREE_M, camera=FULL_CAMERA), tmp_path, named_policy(PLANNER, PAIR_CONFIG))
     assert (run.num_washed, run.num_collisions, run.cause) == (3, 0, None)
