@@ -259,7 +259,10 @@ def test_slots_lie_in_the_rack_apart_from_one_another():
 
 
 def test_walls_weigh_nothing_and_are_not_seen():
-    bare, plain = cell_model([MUG], standing((0.0, 0.0)), robots=()), room_model([MUG], standing((0, 0)), is_free=True)
+    bare, plain = (
+        cell_model([MUG], standing((0.0, 0.0)), robots=()),
+        room_model([MUG], standing((0.0, 0.0)), is_free=True),
+    )
     assert (bare.geom_group == UNSEEN_GROUP).sum() == 16 + 1 + 5
     assert bare.body("cup_0").mass == plain.body("cup_0").mass
     np.testing.assert_array_equal(bare.body("cup_0").inertia, plain.body("cup_0").inertia)
@@ -269,7 +272,10 @@ def test_walls_weigh_nothing_and_are_not_seen():
     ("make", "message"),
     [
         (partial(cell_model, [CUP], []), "1 cups and 0 poses; give one for every cup"),
-        (partial(cell_model, [CUP], standing((0, 0)), frictions=[0.5] * 2), "1 cups and 2 frictions; give one for eve"),
+        (
+            partial(cell_model, [CUP], standing((0.0, 0.0)), frictions=[0.5] * 2),
+            "1 cups and 2 frictions; give one for eve",
+        ),
         (partial(cell_model, [], [], [Robot("one")] * 2), "2 robots are called 'one'; give each a name of its own"),
     ],
 )
