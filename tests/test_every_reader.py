@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -102,13 +103,20 @@ READERS = {
 }
 
 
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Folders as they are written, which nobody changes."""
+    folder = tmp_path_factory.mktemp("whole")
+    flat_log().write(folder / "logs")
+    write_csv(flat_log(), folder / "csv")
+    (folder / "lerobot").mkdir()
+    write_lerobot(folder / "lerobot", episodes())
+    return folder
+
+
 @pytest.fixture
-def place(tmp_path):
-    flat_log().write(tmp_path / "logs")
-    write_csv(flat_log(), tmp_path / "csv")
-    (tmp_path / "lerobot").mkdir()
-    write_lerobot(tmp_path / "lerobot", episodes())
-    return tmp_path
+def place(whole, tmp_path):
+    return shutil.copytree(whole, tmp_path, dirs_exist_ok=True)
 
 
 def refused(read, file):

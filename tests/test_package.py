@@ -1,32 +1,35 @@
+"""What an import loads: nothing that a verb which does not need it would wait for."""
+
 import subprocess
 import sys
 
 import pytest
 
+HEAVY = {"gymnasium", "jax", "mujoco", "pandas", "pyarrow", "sklearn", "scipy"}
+LIGHT = ("cli", "evaluation", "learning", "planners", "policies", "tables", "world")
+EVERY_NAME = "[getattr(package, name) for name in package.__all__]"
+LOADS = [
+    *((f"import halfseen{name}", HEAVY) for name in ("", *(f".{each}" for each in LIGHT))),
+    ("import halfseen.scene as s; s.table_paths(); s.read_truth(0); s.read_table(0); s.Cup", {"mujoco"}),
+    (f"import halfseen.censoring as package; {EVERY_NAME}", {"jax", "matplotlib"}),
+    ("import halfseen.perception", {"jax", "mujoco", "matplotlib"}),
+]
+"""One after the other in one process: what loads nothing after others loads nothing alone."""
 
-def run(code):
-    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
+
+def run(code, **options):
+    return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, **options)
 
 
-def loaded_after(statement):
-    return set(run(f"import sys\n{statement}\nprint(' '.join(sys.modules))").split())
-
-
-@pytest.mark.parametrize(
-    "package",
-    [
-        "halfseen",
-        *(f"halfseen.{name}" for name in ("cli", "evaluation", "learning", "planners", "policies", "tables", "world")),
-    ],
-)
-def test_a_package_loads_nothing_heavy(package):
-    heavy = {"gymnasium", "jax", "mujoco", "pandas", "pyarrow", "sklearn", "scipy"}
-    assert not loaded_after(f"import {package}") & heavy
+def test_a_package_loads_nothing_heavy_that_it_does_not_need():
+    code = ["import sys"]
+    for statement, heavy in LOADS:
+        code += [statement, f"print({statement!r}, *sorted({heavy!r} & set(sys.modules)), sep=': loads ')"]
+    assert run("\n".join(code), check=True).stdout.splitlines() == [statement for statement, _ in LOADS]
 
 
 def test_lazy_names_are_listed_and_unknown_ones_are_told():
-    code = "import halfseen.world as world\n[getattr(world, name) for name in world.__all__]\nworld.Wrold"
-    failed = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    failed = run(f"import halfseen.world as package\n{EVERY_NAME}\npackage.Wrold", check=False)
     assert "has no attribute 'Wrold'; it has ActionSpace, " in failed.stderr
     assert "Decision, Explanation, ExploringPolicy, " in failed.stderr
 
@@ -43,18 +46,18 @@ for module in pkgutil.walk_packages(halfseen.__path__, "halfseen."):
         importlib.import_module(module.name)
 print(dict(jax.config.values) == settings, (np.random.get_state()[1] == state).all(), jax.numpy.ones(1).dtype)
 """
-    assert run(code) == "True True float32"
+    assert run(code, check=True).stdout.strip() == "True True float32"
 
 
 @pytest.mark.parametrize(
-    ("first", "env_id"),
+    ("first", "env_ids"),
     [
-        ("import gymnasium; import halfseen", "halfseen/Cups-v0"),
-        ("import halfseen; import gymnasium", "halfseen/Cups-v0"),
-        ("import gymnasium", "halfseen.gym_registration:halfseen/Cups-v0"),
-        ("import gymnasium; import halfseen", "halfseen/TeamCups-v0"),
+        ("import gymnasium; import halfseen", ["halfseen/Cups-v0", "halfseen/TeamCups-v0"]),
+        ("import halfseen; import gymnasium", ["halfseen/Cups-v0"]),
+        ("import gymnasium", ["halfseen.gym_registration:halfseen/Cups-v0"]),
     ],
 )
-def test_gymnasium_knows_the_tables_and_loads_jax_only_to_make_one(first, env_id):
-    code = f"import sys\n{first}\nprint('jax' in sys.modules, gymnasium.make('{env_id}').spec.id)"
-    assert run(code) == f"False {env_id.split(':')[-1]}"
+def test_gymnasium_knows_the_tables_and_loads_no_jax_to_make_one(first, env_ids):
+    made = f"[gymnasium.make(name).spec.id for name in {env_ids}]"
+    told = run(f"import sys\n{first}\nprint(*{made}, 'jax' in sys.modules)", check=True).stdout.split()
+    assert told == [*(name.split(":")[-1] for name in env_ids), "False"]

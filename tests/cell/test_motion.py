@@ -1,21 +1,29 @@
-"""Lines are straight, schedules keep to the speeds, and the live cell follows them."""
+"""One arm in physics: where its hand comes, lines and schedules, plans, what it grips, shows and puts into the rack."""
 
+from functools import partial
+
+import mujoco
 import numpy as np
 import pytest
+from cells import CUP, DOWN, DOWN_AXES, HOME, MUG, ROBOT, WORLD_FROM_TABLE, standing
 
-from halfseen.cell import Robot, cell_model
-from halfseen.cell.kinematics import Kinematics
+from halfseen.cell.grasps import Grasp
+from halfseen.cell.gripper import Gripper
+from halfseen.cell.kinematics import NEAR_M, Kinematics
 from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.model import SLOT_M, Rack, Robot, cell_model
 from halfseen.cell.motion import line, schedule
-from halfseen.errors import PlanError
-from halfseen.scene.cups import Cup
+from halfseen.cell.planning import plan
+from halfseen.cell.showing import NUM_SIDES, SHOWN_AT_M, is_in_hand, turned
+from halfseen.errors import PlanError, SceneError
 from halfseen.scene.poses import Pose
+from halfseen.scene.rays import UNSEEN_GROUP
+from halfseen.scene.room import room_model
 from halfseen.scene.table import TABLE_TOP_M
 
-ROBOT = Robot()
-HOME = np.array(ROBOT.home_rad)
 SPEEDS = ROBOT.arm.speeds_rad_s
-CUP = Cup(0.1, 0.04, 0.035)
+RAISED = np.array([0.0, 3.0, 1.2, 0.0, 0.0, 0.0])
+PLACE_M = (0.05, 0.05)
 
 
 @pytest.fixture(scope="module")
@@ -23,50 +31,167 @@ def kinematics():
     return Kinematics(cell_model([], []), ROBOT)
 
 
-def test_a_line_is_straight_and_does_not_turn_the_hand(kinematics):
+def rng_of(seed=0):
+    return np.random.default_rng(seed)
+
+
+def angles_of(rng):
+    return np.array([rng.uniform(-3, 3), rng.uniform(1.5, 4.5), rng.uniform(0.6, 5.0), *rng.uniform(-3, 3, size=3)])
+
+
+def apart(one, other):
+    """Between two poses: [m], and the angle [rad]."""
+    turn = abs(float(np.dot(one.quaternion, other.quaternion)))
+    return np.linalg.norm(np.subtract(one.position_m, other.position_m)), 2 * np.arccos(min(1.0, turn))
+
+
+def test_where_some_angles_bring_the_hand_angles_are_found(kinematics):
+    rng = rng_of()
+    for _ in range(30):
+        truth = angles_of(rng)
+        target = kinematics.hand(truth)
+        found = kinematics.solve_from(target, [angles_of(rng) for _ in range(8)], truth)
+        assert found is not None
+        distance, angle = apart(kinematics.hand(found), target)
+        assert distance < NEAR_M
+        assert angle < 4e-3
+        assert ((found >= kinematics.limits_rad[:, 0]) & (found <= kinematics.limits_rad[:, 1])).all()
+        assert (np.abs(found - truth)[kinematics.is_endless] <= np.pi + 1e-9).all()
+
+
+def test_most_of_the_table_is_in_reach_from_above_and_what_is_far_away_is_not(kinematics):
+    rng = rng_of(2)
+    begins = [angles_of(rng) for _ in range(8)]
+    places = [(x, y, 0.8) for x in np.linspace(-0.35, 0.35, 5) for y in np.linspace(-0.25, 0.25, 4)]
+    found = [kinematics.solve_from(Pose(place, DOWN), begins, begins[0]) is not None for place in places]
+    assert np.mean(found) >= 0.85
+    assert kinematics.solve_from(Pose((0.0, -1.5, 0.8), DOWN), begins[:4], begins[0]) is None
+
+
+def test_endless_joints_take_the_nearest_turn(kinematics):
+    angles = np.array([4.0, 3.0, 2.0, -4.0, 7.0, 0.1])
+    near = kinematics.nearest_turn(angles, np.zeros(6))
+    np.testing.assert_allclose(near, [4.0 - 2 * np.pi, 3.0, 2.0, -4.0 + 2 * np.pi, 7.0 - 2 * np.pi, 0.1])
+    np.testing.assert_allclose(kinematics.hand(near).position_m, kinematics.hand(angles).position_m, atol=1e-12)
+
+
+def test_a_line_is_straight_does_not_turn_the_hand_and_says_where_it_breaks_off(kinematics):
     begin = kinematics.hand(HOME)
     end_m = np.add(begin.position_m, [0.1, -0.05, -0.15])
     way = line(kinematics, HOME, begin, end_m)
     toward = (end_m - begin.position_m) / np.linalg.norm(end_m - begin.position_m)
     for angles in way:
         pose = kinematics.hand(angles)
-        apart = np.subtract(pose.position_m, begin.position_m)
-        assert np.linalg.norm(apart - (apart @ toward) * toward) < 1e-3
+        gone = np.subtract(pose.position_m, begin.position_m)
+        assert np.linalg.norm(gone - (gone @ toward) * toward) < 1e-3
         assert abs(np.dot(pose.quaternion, begin.quaternion)) > 1 - 1e-5
     np.testing.assert_allclose(kinematics.hand(way[-1]).position_m, end_m, atol=1e-3)
-
-
-def test_a_line_out_of_reach_says_where_it_breaks_off(kinematics):
-    begin = kinematics.hand(HOME)
-    with pytest.raises(
-        PlanError, match=r"the line to \(-0\.4.., -1\.5.., 0\.9..\) m breaks off at .* come from another"
-    ):
+    broken = r"the line to \(-0\.4.., -1\.5.., 0\.9..\) m breaks off at .* come from another"
+    with pytest.raises(PlanError, match=broken):
         line(kinematics, HOME, begin, np.add(begin.position_m, [0.0, -2.1, 0.0]))
 
 
 @pytest.mark.parametrize("turn", [1e-3, 0.05, 1.0])
 def test_a_schedule_begins_and_ends_at_rest_and_keeps_to_the_speeds(turn):
     way = HOME + turn * np.array([[0.5, 0.2, 0, 0, 0, 0], [1.0, -1.0, 0.5, 0.3, 0, -1.0]])
-    plan = schedule(HOME, way, SPEEDS)
-    times = np.linspace(0.0, plan.duration_s, 2001)
-    angles = plan.at(times)
-    np.testing.assert_allclose(angles[0], HOME)
-    np.testing.assert_allclose(angles[-1], way[-1], atol=1e-12)
+    planned = schedule(HOME, way, SPEEDS)
+    times = np.linspace(0.0, planned.duration_s, 2001)
+    angles = planned.at(times)
+    np.testing.assert_allclose(angles[[0, -1]], [HOME, way[-1]], atol=1e-12)
     speed = np.diff(angles, axis=0) / times[1]
     assert (np.abs(speed) <= SPEEDS * 1.001).all()
     assert np.abs(speed[[0, -1]]).max() < 0.02 * SPEEDS.max()
 
 
+def box(x_m, y_m, z_m):
+    return Grasp("box", np.array([x_m, y_m, z_m]), DOWN_AXES, 0.1)
+
+
+def test_a_plan_passes_through_the_places_that_its_grasp_asks_for(kinematics):
+    found = plan([box(0.05, -0.02, 0.06)], WORLD_FROM_TABLE, kinematics, HOME, rng_of())
+    held = np.array([0.05, -0.02, TABLE_TOP_M + 0.06])
+    for angles, up_m in ((found.hover[-1], 0.10), (found.approach[-1], 0.0), (found.lift[-1], 0.20)):
+        pose = kinematics.hand(angles)
+        np.testing.assert_allclose(pose.position_m, np.add(held, [0.0, 0.0, up_m]), atol=2e-3)
+        np.testing.assert_allclose(np.abs(pose.rotation), np.abs(DOWN_AXES), atol=1e-2)
+    np.testing.assert_allclose(found.held.position_m, held)
+
+
+@pytest.mark.parametrize(
+    ("grasps", "message"),
+    [
+        ([box(0.0, -0.9, 0.06)] * 2, r"of 1 that were tried the best: \(0\.000, -0\.900, .* out of reach"),
+        ([box(0.05, -0.02, -0.02)], "would touch furniture"),
+        ([], "no grasp is free"),
+    ],
+)
+def test_a_grasp_out_of_reach_or_through_furniture_says_so(kinematics, grasps, message):
+    with pytest.raises(PlanError, match=message):
+        plan(grasps, WORLD_FROM_TABLE, kinematics, HOME, rng_of())
+
+
+def at_rest(model, angles=RAISED, opening_m=0.0):
+    data = mujoco.MjData(model)
+    names, slides = ROBOT.joint_names, ROBOT.slide_names
+    for name, place in [*zip(names, angles, strict=True), *((name, 0.5 * opening_m) for name in slides)]:
+        data.joint(name).qpos = data.actuator(name).ctrl = place
+    return data
+
+
+def let_run(model, data, seconds, opening_m=None):
+    for name in ROBOT.slide_names if opening_m is not None else ():
+        data.actuator(name).ctrl = 0.5 * opening_m
+    mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
+
+
+def test_fingers_open_and_close_alike():
+    model = cell_model([], [])
+    data = at_rest(model)
+    for wanted in (Gripper().stroke_m, 0.0):
+        let_run(model, data, 1.0, wanted)
+        left, right = (data.geom(ROBOT.of(f"gripper/pad_{side}")).xpos for side in ("left", "right"))
+        assert np.linalg.norm(left - right) - Gripper().pad_thickness_m == pytest.approx(wanted, abs=1e-3)
+
+
+def test_cups_and_arm_stay_where_they_are():
+    places = (0.0, 0.0), (0.2, 0.1)
+    model = cell_model([CUP, MUG], standing(*places))
+    data = at_rest(model)
+    let_run(model, data, 1.0)
+    for number, place in enumerate(places):
+        np.testing.assert_allclose(data.body(f"cup_{number}").xpos, [*place, TABLE_TOP_M], atol=2e-3)
+    np.testing.assert_allclose([data.joint(name).qpos[0] for name in ROBOT.joint_names], RAISED, atol=1e-4)
+
+
+@pytest.mark.parametrize("friction", [0.15, 0.9])
+@pytest.mark.parametrize("cup", [CUP, MUG], ids=["cup", "mug"])
+def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
+    model = cell_model([cup], standing(PLACE_M), frictions=[friction], rack=Rack())
+    kinematics, rng, grip_m = Kinematics(model, ROBOT), rng_of(), TABLE_TOP_M + cup.height_m - 0.02
+    begins = [rng.uniform([-3, 2, 0.6, -3, -3, -3], [3, 4.3, 5, 3, 3, 3]) for _ in range(12)]
+    # It closes along y, past the handle, which points along x.
+    path = [kinematics.solve_from(Pose((*PLACE_M, grip_m), DOWN), begins, begins[0])]
+    assert path[0] is not None
+    for rise_m in np.linspace(0.01, 0.15, 15):
+        path.append(kinematics.solve(Pose((*PLACE_M, grip_m + rise_m), DOWN), path[-1]))
+    data = at_rest(model, path[0], Gripper().stroke_m)
+    let_run(model, data, 0.2)
+    let_run(model, data, 0.7, 0.0)
+    for angles in path:
+        for name, angle in zip(ROBOT.joint_names, angles, strict=True):
+            data.actuator(name).ctrl = angle
+        let_run(model, data, 0.1)
+    let_run(model, data, 0.5)
+    assert data.body("cup_0").xpos[2] - TABLE_TOP_M == pytest.approx(0.15, abs=0.02)
+
+
 def picked(friction=0.6):
     """Fetch a cup: hover, approach, close, lift."""
-    cell = LiveCell(cell_model([CUP], [Pose((0.05, 0.05, TABLE_TOP_M))], frictions=[friction]), [ROBOT])
-    kinematics = cell.kinematics[ROBOT.name]
-    above = Pose((0.05, 0.05, TABLE_TOP_M + CUP.height_m + 0.1), (0.0, 1.0, 0.0, 0.0))
-    begins = HOME + np.random.default_rng(0).uniform(-1.0, 1.0, size=(12, 6))
-    hover = kinematics.solve_from(above, begins, HOME)
+    cell = LiveCell(cell_model([CUP], standing(PLACE_M), frictions=[friction]), [ROBOT])
+    kinematics, above = cell.kinematics[ROBOT.name], Pose((*PLACE_M, TABLE_TOP_M + CUP.height_m + 0.1), DOWN)
+    hover = kinematics.solve_from(above, HOME + rng_of().uniform(-1.0, 1.0, size=(12, 6)), HOME)
     assert hover is not None
-    down_m = np.array([0.05, 0.05, TABLE_TOP_M + CUP.height_m - 0.02])
-    down = line(kinematics, hover, above, down_m)
+    down = line(kinematics, hover, above, np.array([*PLACE_M, TABLE_TOP_M + CUP.height_m - 0.02]))
     cell.grip(ROBOT, 0.11)
     cell.move(ROBOT, hover[None])
     cell.move(ROBOT, down, speed=0.5)
@@ -79,8 +204,7 @@ def test_a_cup_is_fetched_and_the_same_again():
     cell, again = picked(), picked()
     assert cell.cup(0).position_m[2] - TABLE_TOP_M == pytest.approx(0.1, abs=0.02)
     assert 0.06 < cell.opening_m(ROBOT) < 0.085
-    assert cell.time_s == again.time_s
-    assert cell.cup(0) == again.cup(0)
+    assert (cell.time_s, cell.cup(0)) == (again.time_s, again.cup(0))
 
 
 def test_whoever_watches_can_stop_it():
@@ -97,3 +221,64 @@ def test_whoever_watches_can_stop_it():
         cell.move(ROBOT, (HOME + 0.3)[None])
     assert cell.time_s == pytest.approx(0.101, abs=0.002)
     np.testing.assert_allclose(cell.angles_rad(ROBOT), HOME, atol=0.05)
+
+
+def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_told_from_what_stands_below():
+    cell = LiveCell(cell_model([], []), [ROBOT])
+    kinematics, closing = cell.kinematics[ROBOT.name], []
+    grasp = Grasp("around", np.array([0.05, -0.02, 0.08]), DOWN_AXES, 0.1)
+    done = plan([grasp], WORLD_FROM_TABLE, kinematics, HOME, rng_of())
+    cell.move(ROBOT, done.lift)
+
+    def look_at(side):
+        hand = kinematics.hand(cell.angles_rad(ROBOT))
+        assert side == len(closing)
+        np.testing.assert_allclose(hand.position_m, SHOWN_AT_M, atol=0.01)
+        closing.append(hand.rotation[:, 1])
+
+    cell.carry_out(ROBOT, turned(cell, ROBOT, done, rng_of(1), look_at))
+    assert len(closing) == NUM_SIDES
+    np.testing.assert_allclose(closing[0], -closing[1], atol=0.05)
+    np.testing.assert_allclose(cell.angles_rad(ROBOT), done.lift[-1], atol=0.05)
+    # It reaches as far below the hand as it stood above the table.
+    beside_m = [[0.0, 0.0, 0.0], [0.05, 0.0, -0.08], [0.0, 0.0, -0.11], [0.13, 0.0, 0.0], [0.0, 0.0, 0.1], [np.nan] * 3]
+    held = is_in_hand(np.add(SHOWN_AT_M, beside_m), Pose(SHOWN_AT_M, DOWN), done)
+    assert held.tolist() == [True, True, False, False, False, False]
+    # The tallest cup on the table stays below the lowest that is held at its rim.
+    assert SHOWN_AT_M[2] - 0.15 > TABLE_TOP_M + 0.145
+
+
+def test_slots_lie_in_the_rack_apart_from_one_another():
+    rack = Rack()
+    slots_m = rack.slots_m
+    apart_m = np.linalg.norm(slots_m[:, None] - slots_m[None], axis=2) + np.eye(len(slots_m))
+    assert len(slots_m) == 12
+    assert apart_m.min() >= SLOT_M
+    assert all(rack.holds(slot) for slot in slots_m)
+    assert not rack.holds(np.array([0.0, 0.0, TABLE_TOP_M]))
+
+
+def test_walls_weigh_nothing_and_are_not_seen():
+    bare, plain = (
+        cell_model([MUG], standing((0.0, 0.0)), robots=()),
+        room_model([MUG], standing((0.0, 0.0)), is_free=True),
+    )
+    assert (bare.geom_group == UNSEEN_GROUP).sum() == 16 + 1 + 5
+    assert bare.body("cup_0").mass == plain.body("cup_0").mass
+    np.testing.assert_array_equal(bare.body("cup_0").inertia, plain.body("cup_0").inertia)
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (partial(cell_model, [CUP], []), "1 cups and 0 poses; give one for every cup"),
+        (
+            partial(cell_model, [CUP], standing((0.0, 0.0)), frictions=[0.5] * 2),
+            "1 cups and 2 frictions; give one for eve",
+        ),
+        (partial(cell_model, [], [], [Robot("one")] * 2), "2 robots are called 'one'; give each a name of its own"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(make, message):
+    with pytest.raises(SceneError, match=message):
+        make()

@@ -1,13 +1,12 @@
+"""What all models of the cuts have in common: names, habits, and covariates that they refuse."""
+
 import doctest
-import subprocess
-import sys
 
 import numpy as np
 import pandas as pd
 import pytest
 from sklearn.base import clone
 
-from halfseen import censoring
 from halfseen.censoring import (
     CensoringModel,
     Cox,
@@ -24,6 +23,7 @@ from halfseen.errors import ArgumentError
 RNG = np.random.default_rng(0)
 TIME, IS_FINISHED = RNG.integers(1, 20, 80).astype(float), RNG.random(80) < 0.5
 Z = RNG.normal(size=(80, 2))
+NAMED = pd.DataFrame(Z, columns=["clutter", "speed"])
 NAMES = [("kaplan-meier", KaplanMeier), ("cox", Cox), ("kernel", KernelKaplanMeier)]
 
 
@@ -39,13 +39,25 @@ class Own:
 
 
 @pytest.mark.parametrize(("name", "kind"), NAMES)
-def test_a_name_gives_a_fresh_model(name, kind):
+def test_names_unfitted_and_fitted_models_weigh_alike(name, kind):
     model = named_model(name)
     assert type(model) is kind
     assert isinstance(model, CensoringModel)
     assert not is_fitted(model)
     assert named_model(name) is not model
     assert uses_covariates(model) == (name != "kaplan-meier")
+    covariates = NAMED if uses_covariates(model) else None
+    fitted = kind().fit(TIME, IS_FINISHED, covariates)
+    for each in (name, model, fitted):
+        weights = censoring_weights(TIME, IS_FINISHED, each, covariates=covariates)
+        np.testing.assert_allclose(weights, IS_FINISHED / fitted.survival(TIME, covariates), rtol=1e-12)
+    assert not is_fitted(model)
+    # Stages are weighed with the covariates of their path.
+    clock = np.stack([TIME / 2, np.where(IS_FINISHED, TIME, np.nan)], axis=1)
+    by_stage = stage_weights(clock, TIME, IS_FINISHED, name, covariates=covariates)
+    np.testing.assert_allclose(by_stage[:, 1], weights, rtol=1e-12)
+    np.testing.assert_allclose(by_stage[:, 0], 1.0 / fitted.survival(TIME / 2, covariates), rtol=1e-12)
+    assert doctest.DocTestFinder().find(kind)[0].examples
 
 
 def test_a_users_own_model_is_taken_and_taken_not_to_need_covariates():
@@ -55,47 +67,23 @@ def test_a_users_own_model_is_taken_and_taken_not_to_need_covariates():
     assert is_fitted(Own().fit([1.0], [True]))
 
 
-@pytest.mark.parametrize("wrong", ["weibull", "KaplanMeier"])
-def test_refuses_a_name_that_is_none_and_lists_those_that_are(wrong):
-    with pytest.raises(ArgumentError, match=rf"censoring is '{wrong}'; it is 'kaplan-meier', 'cox', 'kernel', or a"):
-        named_model(wrong)
-    with pytest.raises(ArgumentError, match="'kaplan-meier', 'cox', 'kernel'"):
-        censoring_weights(TIME, IS_FINISHED, wrong)
-
-
-@pytest.mark.parametrize(("name", "kind"), NAMES)
-def test_names_unfitted_and_fitted_models_weigh_alike(name, kind):
-    covariates = None if name == "kaplan-meier" else Z
-    unfitted = kind()
-    fitted = kind().fit(TIME, IS_FINISHED, covariates)
-    expected = IS_FINISHED / fitted.survival(TIME, covariates)
-    for model in (name, unfitted, fitted):
-        weights = censoring_weights(TIME, IS_FINISHED, model, covariates=covariates)
-        np.testing.assert_allclose(weights, expected, rtol=1e-12)
-    assert not is_fitted(unfitted)
-
-
-@pytest.mark.parametrize(("name", "kind"), NAMES)
-def test_stages_are_weighed_with_the_covariates_of_their_path(name, kind):
-    covariates = None if name == "kaplan-meier" else pd.DataFrame(Z, columns=["clutter", "speed"])
-    clock = np.stack([TIME / 2, np.where(IS_FINISHED, TIME, np.nan)], axis=1)
-    by_stage = stage_weights(clock, TIME, IS_FINISHED, name, covariates=covariates)
-    by_path = censoring_weights(TIME, IS_FINISHED, kind(), covariates=covariates)
-    np.testing.assert_allclose(by_stage[:, 1], by_path, rtol=1e-12)
-    model = kind().fit(TIME, IS_FINISHED, covariates)
-    np.testing.assert_allclose(by_stage[:, 0], 1.0 / model.survival(TIME / 2, covariates), rtol=1e-12)
-
-
 def test_a_fitted_model_is_not_fitted_again():
     elsewhere = KaplanMeier().fit([1.0, 2.0, 3.0], [False, False, True])
     np.testing.assert_allclose(censoring_weights([3.0], [True], elsewhere), [3.0])
 
 
-def test_covariates_reach_a_model_that_refuses_them():
-    with pytest.raises(ArgumentError, match="KaplanMeier takes no covariates"):
-        censoring_weights(TIME, IS_FINISHED, "kaplan-meier", covariates=Z)
-    with pytest.raises(ArgumentError, match="Cox needs covariates"):
-        censoring_weights(TIME, IS_FINISHED, "cox")
+@pytest.mark.parametrize(
+    ("model", "covariates", "message"),
+    [
+        ("weibull", None, "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel', or a"),
+        ("KaplanMeier", None, "censoring is 'KaplanMeier'; it is 'kaplan-meier', 'cox', 'kernel', or a"),
+        ("kaplan-meier", Z, "KaplanMeier takes no covariates"),
+        ("cox", None, "Cox needs covariates"),
+    ],
+)
+def test_a_name_that_is_none_and_covariates_that_are_not_used_or_lacking_are_refused(model, covariates, message):
+    with pytest.raises(ArgumentError, match=message):
+        censoring_weights(TIME, IS_FINISHED, model, covariates=covariates)
 
 
 MODELS = pytest.mark.parametrize("model", [KaplanMeier(), Cox(), KernelKaplanMeier(bandwidth=0.5)], ids=repr)
@@ -106,22 +94,16 @@ def covariates_of(model, rows=slice(None)):
 
 
 @MODELS
-def test_order_of_paths_is_irrelevant(model):
-    order = np.random.default_rng(0).permutation(len(TIME))
-    survival = [
-        named_model(model)
-        .fit(TIME[rows], IS_FINISHED[rows], covariates_of(model, rows))
-        .survival(TIME, covariates_of(model))
+def test_order_of_paths_is_irrelevant_and_where_nothing_was_cut_survival_is_one(model):
+    asked, order = covariates_of(model), np.random.default_rng(0).permutation(len(TIME))
+    one, other = (
+        named_model(model).fit(TIME[rows], IS_FINISHED[rows], covariates_of(model, rows)).survival(TIME, asked)
         for rows in (slice(None), order)
-    ]
-    np.testing.assert_allclose(*survival, rtol=0, atol=1e-12)
-
-
-@MODELS
-def test_where_nothing_was_cut_survival_is_one(model):
-    fitted = named_model(model).fit(TIME, np.ones(80, dtype=bool), covariates_of(model))
+    )
+    np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+    fitted = named_model(model).fit(TIME, np.ones(80, dtype=bool), asked)
     assert (fitted.num_paths_, fitted.num_cut_, fitted.last_time_) == (80, 0, TIME.max())
-    np.testing.assert_array_equal(fitted.survival(TIME + 5.0, covariates_of(model)), 1.0)
+    np.testing.assert_array_equal(fitted.survival(TIME + 5.0, asked), 1.0)
 
 
 @pytest.mark.parametrize(
@@ -169,10 +151,7 @@ def test_a_question_is_of_a_fitted_model_and_of_a_time(model):
         (KernelKaplanMeier().set_params(kernel="tricube"), "kernel is 'tricube'; it is 'gaussian' or 'epanechnikov'"),
         (KernelKaplanMeier(num_folds=1), "num_folds is 1; cross-validation needs at least 2"),
         *(
-            (
-                KernelKaplanMeier().set_params(bandwidth=width),
-                r"bandwidth is .*; it is a number of",
-            )
+            (KernelKaplanMeier().set_params(bandwidth=width), r"bandwidth is .*; it is a number of")
             for width in (0.0, -1.0, np.nan, "wide", True, None)
         ),
     ],
@@ -183,7 +162,6 @@ def test_parameters_that_do_not_exist_are_refused(model, message):
 
 
 WITH_COVARIATES = pytest.mark.parametrize("model", [Cox(), KernelKaplanMeier(bandwidth=1.0)], ids=repr)
-NAMED = pd.DataFrame(Z, columns=["clutter", "speed"])
 
 
 def missing(value, wrap=np.array):
@@ -225,16 +203,3 @@ def test_questions_whose_covariates_do_not_match_are_refused(model, covariates, 
     fitted = model.fit(TIME, IS_FINISHED, Z)
     with pytest.raises(ArgumentError, match=message):
         fitted.survival(TIME, covariates)
-
-
-@pytest.mark.parametrize("name", ["KaplanMeier", "Cox", "KernelKaplanMeier"])
-def test_every_model_has_an_example(name):
-    assert doctest.DocTestFinder().find(getattr(censoring, name))[0].examples
-
-
-def test_import_loads_neither_jax_nor_matplotlib():
-    code = (
-        "import sys; import halfseen.censoring as c; [getattr(c, n) for n in c.__all__]; print(' '.join(sys.modules))"
-    )
-    loaded = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
-    assert not {"jax", "matplotlib"} & set(loaded)

@@ -1,4 +1,4 @@
-import io
+"""What weights are worth, and what is said of a log in which some have none."""
 
 import numpy as np
 import pytest
@@ -19,29 +19,41 @@ def drawn(n=400, seed=0, scale=3.0):
     return np.minimum(own, cut), own <= cut
 
 
+def thin():
+    """Fifty paths finish early; fifty are cut before the last ten finish, eight of them just before the very last."""
+    time = np.concatenate([np.linspace(1.0, 2.0, 50), np.full(50, 3.0), np.arange(4.0, 14.0)])
+    time[50:58] = 12.5
+    return time, np.repeat([True, False, True], [50, 50, 10])
+
+
 SHORT = KaplanMeier().fit([1.0, 2.0, 5.0], [True, False, False])
+CASES = {
+    "sound": drawn(),
+    "few": drawn(n=12),
+    "thin": thin(),
+    "not identified": ([1.0, 3.0, 6.0], [True] * 3, SHORT),
+    "incomplete": (np.arange(1.0, 41.0), np.arange(40) < 20),
+    "all cut": ([1.0, 2.0], [False, False]),
+    "the only one cut": ([1.0], [False]),
+    "none cut": (np.arange(1.0, 51.0), np.ones(50, dtype=bool)),
+    "one path": ([1.0], [True]),
+}
 
 
-def test_counts_and_worth_are_those_of_the_weights():
+def test_counts_and_worth_are_those_of_the_weights_and_the_tail_is_the_last_quarter_of_the_finishes():
     time, is_finished = drawn()
-    weights = censoring_weights(time, is_finished)
-    report = positivity_report(time, is_finished)
+    weights, report = censoring_weights(time, is_finished), positivity_report(time, is_finished)
     assert (report.num_paths, report.num_finished) == (400, is_finished.sum())
     assert report.overall == weight_diagnostics(weights)
     assert report.mean_weight == pytest.approx(weights.mean())
     np.testing.assert_array_equal(report.weights, weights[is_finished])
     np.testing.assert_array_equal(report.cut_s, time[~is_finished])
-
-
-def test_tail_is_the_last_quarter_of_the_finishes():
-    report = positivity_report(np.arange(1.0, 102.0), np.ones(101, dtype=bool))
-    assert (report.tail_from_s, report.tail.num_seen) == (76.0, 26)
-    time, is_finished = drawn()
-    report = positivity_report(time, is_finished)
     in_tail = time[is_finished] >= report.tail_from_s
     assert in_tail.sum() >= is_finished.sum() / 4 > (time[is_finished] > report.tail_from_s).sum()
-    tail = weight_diagnostics(censoring_weights(time, is_finished)[is_finished][in_tail])
+    tail = weight_diagnostics(weights[is_finished][in_tail])
     assert report.tail.effective_sample_size == pytest.approx(tail.effective_sample_size)
+    even = positivity_report(np.arange(1.0, 102.0), np.ones(101, dtype=bool))
+    assert (even.tail_from_s, even.tail.num_seen) == (76.0, 26)
 
 
 def test_heaviest_paths_are_named_with_time_and_weight():
@@ -53,38 +65,28 @@ def test_heaviest_paths_are_named_with_time_and_weight():
 
 
 def test_paths_without_a_weight_are_named_and_the_bound_gives_them_one():
-    report = positivity_report([1.0, 3.0, 6.0, 7.0], [True] * 4, SHORT)
-    assert [(path.path, path.time_s, path.weight) for path in report.unidentified] == [
-        (2, 6.0, np.inf),
-        (3, 7.0, np.inf),
-    ]
+    ends = [1.0, 3.0, 6.0, 7.0], [True] * 4, SHORT
+    report, bounded = positivity_report(*ends), positivity_report(*ends, truncate_at=10)
+    unidentified = [(path.path, path.time_s, path.weight) for path in report.unidentified]
+    assert unidentified == [(2, 6.0, np.inf), (3, 7.0, np.inf)]
     assert report.identified_until_s == 5.0
     assert all(row.truncate_at is not None and np.isfinite(row.mean) for row in report.truncations)
     assert str(report).startswith("Not identified: 2 paths finished where no path is left uncut (Ĝ = 0), first path 2")
     assert "Shorten the horizon so that it ends before 5 s" in str(report)
-    bounded = positivity_report([1.0, 3.0, 6.0, 7.0], [True] * 4, SHORT, truncate_at=10)
+    assert "90.9%" not in str(report)
     assert bounded.overall == weight_diagnostics([1.0, 2.0, 10.0, 10.0], 10)
     assert "Not identified" not in str(bounded)
-    assert "90.9%" not in str(report)
     assert "87.0% of the weight is truncated" in str(bounded)
-
-
-def test_missing_mass_is_told_where_the_last_path_is_cut():
-    report = positivity_report([1.0, 2.0, 3.0, 4.0], [True, True, True, False])
-    assert report.ends_in_cut
-    assert report.mean_weight == pytest.approx(0.75)
-    assert "The mean weight is 0.750, so some 25.0% of paths finish later than that." in str(report)
 
 
 def test_truncation_moves_from_the_weighted_mean_to_the_plain_one():
     time, is_finished = drawn(scale=1.0)
-    weights = censoring_weights(time, is_finished)
-    rows = positivity_report(time, is_finished).truncations
-    assert rows[0].truncate_at is None
-    assert rows[0].mean == pytest.approx(np.average(time, weights=weights))
-    assert (rows[0].share_removed, rows[-1].truncate_at) == (0.0, 1.0)
-    assert rows[-1].mean == pytest.approx(time[is_finished].mean())
-    assert rows[-1].effective_sample_size == pytest.approx(is_finished.sum())
+    weights, rows = censoring_weights(time, is_finished), positivity_report(time, is_finished).truncations
+    first, last = rows[0], rows[-1]
+    assert (first.truncate_at, first.share_removed, last.truncate_at) == (None, 0.0, 1.0)
+    assert first.mean == pytest.approx(np.average(time, weights=weights))
+    assert last.mean == pytest.approx(time[is_finished].mean())
+    assert last.effective_sample_size == pytest.approx(is_finished.sum())
     for row in rows[1:]:
         bounded = censoring_weights(time, is_finished, truncate_at=row.truncate_at)
         assert row.mean == pytest.approx(np.average(time, weights=bounded))
@@ -102,12 +104,84 @@ def test_the_mean_may_be_of_another_quantity():
     assert "mean finished by 10 s [share]" in str(report)
 
 
-def thin_report():
-    """Fifty paths finish early; fifty are cut before the last ten finish, eight of them just before the very last."""
-    time = np.concatenate([np.linspace(1.0, 2.0, 50), np.full(50, 3.0), np.arange(4.0, 14.0)])
-    is_finished = np.concatenate([np.ones(50), np.zeros(50), np.ones(10)]).astype(bool)
-    time[50:58] = 12.5
-    return positivity_report(time, is_finished)
+@pytest.mark.parametrize(
+    ("case", "is_sound", "begins", "remedy"),
+    [
+        ("sound", True, "Sound: ", ""),
+        ("few", False, "Too little: ", "Record more paths, shorten the horizon to before"),
+        ("thin", False, "Thin at the end: ", ""),
+        (
+            "incomplete",
+            False,
+            "Incomplete: 20 finishes have an effective sample size of 20.0, but stand for 50%",
+            "finish after 40 s: restrict times",
+        ),
+        ("all cut", False, "Nothing to weigh: all 2 paths were cut.\nRecord until some", ""),
+        ("the only one cut", False, "Nothing to weigh: the only path was cut.", ""),
+        ("none cut", True, "Sound: 50 finishes have an", ""),
+        ("one path", False, "Too little: ", "the weights are not what makes them few"),
+    ],
+)
+def test_verdicts(case, is_sound, begins, remedy):
+    report = positivity_report(*CASES[case])
+    assert report.is_sound == is_sound
+    assert str(report).startswith(begins)
+    assert remedy in str(report)
+    if case == "thin":
+        assert report.overall.effective_sample_size > 10 > report.tail.effective_sample_size
+    if case == "incomplete":
+        assert report.mean_weight == pytest.approx(0.5)
+        assert report.is_off
+
+
+class TooWary:
+    """Takes half of all paths to be cut at once."""
+
+    def fit(self, time, is_finished, covariates=None):
+        return self
+
+    def survival(self, u, covariates=None):
+        return np.full(np.shape(u), 0.5)
+
+
+LATE = KaplanMeier().fit([1.0, 2.0, 3.0], [False, True, True])
+
+
+@pytest.mark.parametrize(
+    ("time", "is_finished", "model", "mean_weight", "told"),
+    [
+        ([1.0, 2.0, 3.0, 4.0], [True] * 4, LATE, 1.375, "1 path finished later"),
+        (np.arange(1.0, 41.0), [True] * 40, TooWary(), 2.0, "takes cuts for likelier than they were"),
+        (
+            [1.0, 2.0, 3.0, 4.0],
+            [True, True, True, False],
+            "kaplan-meier",
+            0.75,
+            "The mean weight is 0.750, so some 25.0% of paths finish later than that.",
+        ),
+    ],
+)
+def test_a_mean_weight_other_than_one_is_told(time, is_finished, model, mean_weight, told):
+    report = positivity_report(time, is_finished, model)
+    assert report.mean_weight == pytest.approx(mean_weight)
+    assert told in str(report)
+    assert report.ends_in_cut == (not is_finished[-1])
+
+
+@pytest.mark.parametrize("case", ["sound", "thin", "not identified", "all cut", "none cut", "one path"])
+def test_the_figure_says_the_verdict_and_shows_every_path(case):
+    report = positivity_report(*CASES[case])
+    figure = report.plot()
+    figure.draw_without_rendering()
+    assert figure.get_suptitle() == str(report).splitlines()[0]
+    shown = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
+    assert shown.get("cut", 0) == len(report.cut_s)
+    gone = shown.get("finished, no weight", 0)
+    assert shown.get("finished, at its weight", 0) + gone == report.num_finished
+    if report.truncations:
+        assert all(axes.get_xlabel() and axes.get_ylabel() and axes.get_title("left") for axes in figure.axes)
+        drawn_means = figure.axes[1].lines[-1].get_ydata()
+        np.testing.assert_array_equal(drawn_means, [row.mean for row in report.truncations])
 
 
 @pytest.mark.parametrize(
@@ -124,33 +198,6 @@ def test_refuses_what_does_not_match(options, message):
         positivity_report([1.0, 2.0], [True, False], **options)
 
 
-def reports():
-    return {
-        "sound": positivity_report(*drawn()),
-        "thin": thin_report(),
-        "not identified": positivity_report([1.0, 3.0, 6.0], [True] * 3, SHORT),
-        "all cut": positivity_report([1.0, 2.0], [False, False]),
-        "none cut": positivity_report([1.0, 2.0], [True, True]),
-        "one path": positivity_report([1.0], [True]),
-    }
-
-
-@pytest.mark.parametrize("name", ["sound", "thin", "not identified", "all cut", "none cut", "one path"])
-def test_the_figure_says_the_verdict_and_shows_every_path(name):
-    report = reports()[name]
-    figure = report.plot()
-    figure.savefig(io.BytesIO(), dpi=40)
-    assert figure.get_suptitle() == str(report).splitlines()[0]
-    shown = {line.get_label(): len(line.get_xdata()) for line in figure.axes[0].lines}
-    assert shown.get("cut", 0) == len(report.cut_s)
-    gone = shown.get("finished, no weight", 0)
-    assert shown.get("finished, at its weight", 0) + gone == report.num_finished
-    if report.truncations:
-        assert all(axes.get_xlabel() and axes.get_ylabel() and axes.get_title("left") for axes in figure.axes)
-        drawn_means = figure.axes[1].lines[-1].get_ydata()
-        np.testing.assert_array_equal(drawn_means, [row.mean for row in report.truncations])
-
-
 def test_few_effective_weights_warn_with_a_remedy_and_enough_do_not():
     with pytest.warns(HalfseenWarning, match=r"effective sample size of 9.0.*record more paths.*truncate_at"):
         warn_if_few(weight_diagnostics(np.ones(9)))
@@ -159,90 +206,22 @@ def test_few_effective_weights_warn_with_a_remedy_and_enough_do_not():
     warn_if_few(weight_diagnostics(np.ones(10)))
 
 
-def test_weights_that_stand_for_few_of_the_paths_are_not_called_sound():
-    time, is_finished = np.arange(1.0, 41.0), np.arange(40) < 20
-    report = positivity_report(time, is_finished)
-    assert report.mean_weight == pytest.approx(0.5)
-    assert report.is_off
-    assert not report.is_sound
-    assert str(report).startswith("Incomplete: 20 finishes have an effective sample size of 20.0, but stand for 50%")
-    assert "finish after 40 s: restrict times" in str(report)
-
-
-@pytest.mark.parametrize(
-    ("ends", "is_sound", "begins", "remedy"),
-    [
-        (drawn(), True, "Sound: ", ""),
-        (drawn(n=12), False, "Too little: ", "Record more paths, shorten the horizon to before"),
-        (([1.0, 2.0], [False, False]), False, "Nothing to weigh: all 2 paths were cut.\nRecord until some", ""),
-        (([1.0], [False]), False, "Nothing to weigh: the only path was cut.", ""),
-        (
-            (np.arange(1.0, 51.0), np.ones(50, dtype=bool)),
-            True,
-            "Sound: 50 finishes have an",
-            "",
-        ),
-        (([1.0], [True]), False, "Too little: ", "the weights are not what makes them few"),
-    ],
-)
-def test_verdicts(ends, is_sound, begins, remedy):
-    report = positivity_report(*ends)
-    assert report.is_sound == is_sound
-    assert str(report).startswith(begins)
-    assert remedy in str(report)
-
-
-def test_a_thin_tail_is_told():
-    thin = thin_report()
-    assert thin.overall.effective_sample_size > 10 > thin.tail.effective_sample_size
-    assert str(thin).startswith("Thin at the end: ")
-
-
-class TooWary:
-    """Takes half of all paths to be cut at once."""
-
-    def fit(self, time, is_finished, covariates=None):
-        return self
-
-    def survival(self, u, covariates=None):
-        return np.full(np.shape(u), 0.5)
-
-
-@pytest.mark.parametrize(
-    ("time", "model", "mean_weight", "told"),
-    [
-        (
-            [1.0, 2.0, 3.0, 4.0],
-            KaplanMeier().fit([1.0, 2.0, 3.0], [False, True, True]),
-            1.375,
-            "1 path finished later",
-        ),
-        (np.arange(1.0, 41.0), TooWary(), 2.0, "takes cuts for likelier than they were"),
-    ],
-)
-def test_what_only_the_model_says_is_told(time, model, mean_weight, told):
-    report = positivity_report(time, np.ones(len(time), dtype=bool), model)
-    assert report.mean_weight == pytest.approx(mean_weight)
-    assert told in str(report)
-
-
-def test_equal_weights_are_worth_their_number():
+def test_equal_weights_are_worth_their_number_and_one_heavy_weight_leaves_little():
     worth = weight_diagnostics([2.0, 2.0, 0.0, 2.0])
     assert worth.effective_sample_size == pytest.approx(3.0)
     assert (worth.num_weights, worth.num_seen, worth.largest_weight, worth.largest_at) == (4, 3, 2.0, (0,))
     assert worth.share_truncated == 0.0
-
-
-def test_one_heavy_weight_leaves_little():
     worth = weight_diagnostics([[1.0, 1.0], [98.0, 0.0]])
     assert worth.effective_sample_size == pytest.approx(100**2 / (98**2 + 2))
     assert worth.largest_at == (1, 0)
 
 
-def test_weights_at_the_bound_count_as_truncated():
-    assert weight_diagnostics([1.0, 3.0, 4.0], truncate_at=4).share_truncated == pytest.approx(0.5)
-    assert weight_diagnostics([1.0, 1.0 / (1.0 / 49.0)], truncate_at=49.0).share_truncated == pytest.approx(0.98)
-    assert weight_diagnostics([1.0, 3.0], truncate_at=4).share_truncated == 0.0
+@pytest.mark.parametrize(
+    ("weights", "bound", "share"),
+    [([1.0, 3.0, 4.0], 4, 0.5), ([1.0, 1.0 / (1.0 / 49.0)], 49.0, 0.98), ([1.0, 3.0], 4, 0.0)],
+)
+def test_weights_at_the_bound_count_as_truncated(weights, bound, share):
+    assert weight_diagnostics(weights, truncate_at=bound).share_truncated == pytest.approx(share)
 
 
 @pytest.mark.parametrize("weights", [[0.0, 0.0], [], np.zeros((2, 0))])

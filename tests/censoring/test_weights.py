@@ -1,10 +1,15 @@
+"""Kaplan–Meier of the cuts and the weights made of it: against loops, at ties, and where no weight is to be had."""
+
 import itertools
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from oracles import naive_event_survival, naive_survival, tied_ends
+from sksurv.nonparametric import CensoringDistributionEstimator
 
 from halfseen.censoring import KaplanMeier, censoring_weights, stage_weights
 from halfseen.errors import ArgumentError, PositivityError
@@ -12,81 +17,40 @@ from halfseen.errors import ArgumentError, PositivityError
 SHORT = KaplanMeier().fit([1.0, 2.0], [True, False])
 
 
-class Liar:
-    """A model whose probabilities are none."""
+class Fixed:
+    """A model whose survival does not depend on what it is fitted to."""
+
+    def __init__(self, survival):
+        self._survival = survival
 
     def fit(self, time, is_finished, covariates=None):
         return self
 
     def survival(self, u, covariates=None):
-        return np.full(len(u), 1.5)
+        assert covariates is None or len(u) == len(covariates)
+        return self._survival(u, covariates)
 
 
-class ByCovariate:
-    """A model in which the covariate is the probability of being watched."""
-
-    def fit(self, time, is_finished, covariates=None):
-        return self
-
-    def survival(self, u, covariates=None):
-        assert len(u) == len(covariates)
-        return covariates[:, 0]
+LIAR = Fixed(lambda u, _: np.full(len(u), 1.5))
+BY_COVARIATE = Fixed(lambda u, covariates: covariates[:, 0])
 
 
-def right_continuous_weights(time, is_finished):
-    """The common version, which counts the cuts at the very moment of a completion."""
-    curve = KaplanMeier().fit(time, is_finished)
-    return is_finished / curve.survival(np.nextafter(time, np.inf))
-
-
-def test_twelve_outcomes_of_the_tie_example_give_exactly_one_and_two():
-    own, cut = np.array(list(itertools.product([1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 4.0]))).T
-    time, is_finished = np.minimum(own, cut), own <= cut
-    weights = censoring_weights(time, is_finished)
-    assert weights.mean() == pytest.approx(1.0, rel=1e-15)
-    assert (weights * own).mean() == pytest.approx(2.0, rel=1e-15)
-    late = right_continuous_weights(time, is_finished)
-    assert late.mean() == pytest.approx(23 / 18, rel=1e-15)
-    assert (late * own).mean() == pytest.approx(22 / 9, rel=1e-15)
-
-
-@given(tied_ends())
-def test_weights_add_up_to_one_minus_kaplan_meier_on_tied_ends(ends):
+@given(tied_ends(), st.lists(st.floats(0.1, 8.0), max_size=5), st.floats(1.0, 5.0))
+def test_curve_and_weights_equal_the_double_loops_on_tied_ends(ends, others, bound):
     time, is_finished = ends
+    u = np.concatenate([time, others])
+    expected = np.array([naive_survival(time, is_finished, v) for v in u])
+    np.testing.assert_allclose(KaplanMeier().fit(time, is_finished).survival(u), expected, rtol=0, atol=1e-12)
     weights = censoring_weights(time, is_finished)
+    np.testing.assert_allclose(weights[is_finished], 1.0 / expected[: len(time)][is_finished], rtol=1e-12)
+    assert not weights[~is_finished].any()
+    # They add up to one minus the curve of the ends, a bound is a minimum, and without cuts all weigh exactly one.
     for t in range(1, 7):
         expected = 1.0 - naive_event_survival(time, is_finished, t)
         assert weights[time <= t].sum() / len(time) == pytest.approx(expected, abs=1e-12)
-
-
-@given(tied_ends())
-def test_equals_the_double_loop_and_is_zero_where_cut(ends):
-    time, is_finished = ends
-    expected = [d / naive_survival(time, is_finished, t) if d else 0.0 for t, d in zip(time, is_finished, strict=True)]
-    np.testing.assert_allclose(censoring_weights(time, is_finished), expected, rtol=1e-12)
-
-
-@given(tied_ends())
-def test_no_cuts_weigh_exactly_one(ends):
-    time, _ = ends
+    bounded = censoring_weights(time, is_finished, truncate_at=bound)
+    np.testing.assert_allclose(bounded, np.minimum(weights, bound))
     np.testing.assert_array_equal(censoring_weights(time, np.ones(len(time), dtype=bool)), np.ones(len(time)))
-
-
-def test_unseen_end_is_refused_with_path_and_time():
-    with pytest.raises(PositivityError, match=r"path 1: finished at 3 s.*shorten the horizon.*truncate_at"):
-        censoring_weights([1.0, 3.0], [True, True], SHORT)
-
-
-def test_unseen_stage_is_refused_with_path_stage_and_time():
-    with pytest.raises(PositivityError, match=r"path b, stage 2: completed at 2.5 s.*shorten the horizon.*truncate_at"):
-        stage_weights([[1.0, np.nan], [2.0, 2.5]], [1.0, 2.5], [True, True], SHORT, path_ids=["a", "b"])
-
-
-@given(tied_ends(), st.floats(1.0, 5.0))
-def test_truncation_is_a_minimum(ends, bound):
-    time, is_finished = ends
-    free = censoring_weights(time, is_finished)
-    np.testing.assert_allclose(censoring_weights(time, is_finished, truncate_at=bound), np.minimum(free, bound))
 
 
 @given(tied_ends(), st.integers(1, 4), st.integers(0, 2))
@@ -95,48 +59,127 @@ def test_stage_weights_are_the_inverse_curve_where_completed(ends, num_stages, n
     clock = end_s[:, None] * np.arange(1, num_stages + 1) / num_stages
     clock[~is_finished, -1] = np.nan
     padded = np.pad(clock, ((0, 0), (0, num_padding)), constant_values=np.nan)
-    weights = stage_weights(padded, end_s, is_finished)
     expected = [[1.0 / naive_survival(end_s, is_finished, u) if u == u else 0.0 for u in row] for row in padded]
-    np.testing.assert_allclose(weights, expected, rtol=1e-12)
+    np.testing.assert_allclose(stage_weights(padded, end_s, is_finished), expected, rtol=1e-12)
+
+
+def test_equals_scikit_survival_on_untied_ends():
+    rng = np.random.default_rng(3)
+    own, cut = rng.exponential(10.0, 400), rng.exponential(15.0, 400)
+    time, is_finished = np.minimum(own, cut), own <= cut
+    ends = np.array(list(zip(is_finished, time, strict=True)), dtype=[("event", bool), ("time", float)])
+    expected = CensoringDistributionEstimator().fit(ends).predict_proba(time[is_finished])
+    ours = KaplanMeier().fit(time, is_finished).survival(time[is_finished])
+    np.testing.assert_allclose(ours, expected, rtol=0, atol=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("clock", "message"),
+    ("time", "is_finished", "asked", "expected"),
     [
-        ([[1.0], [np.inf]], r"path 1, stage 1: elapsed_s inf is not in \[0, 2.0\]"),
-        ([[1.0], [-1.0]], "path 1, stage 1: elapsed_s -1.0"),
-        ([[1.0], [2.5]], "path 1, stage 1: elapsed_s 2.5"),
-        ([[1.0]], "elapsed_s has 1 rows and end_s has 2"),
-        ([1.0, 2.0], r"elapsed_s has shape \(2,\)"),
+        # The left limit, which falls only after a cut.
+        (
+            [1.0, 2.0, 2.0, 3.0],
+            [True, False, True, True],
+            [0.5, 1.0, 2.0, np.nextafter(2.0, 3.0), 3.0, 9.0],
+            [1, 1, 1, 0.5, 0.5, 0.5],
+        ),
+        # Nobody is seen beyond the last end when all are cut.
+        ([1.0, 2.0], [False, False], [1.0, 2.0, 2.1], [1.0, 0.5, 0.0]),
     ],
 )
-def test_refuses_a_clock_that_leaves_the_path(clock, message):
-    with pytest.raises(ArgumentError, match=message):
-        stage_weights(clock, [2.0, 2.0], [True, True])
+def test_the_curve_by_hand(time, is_finished, asked, expected):
+    np.testing.assert_array_equal(KaplanMeier().fit(time, is_finished).survival(asked), expected)
 
 
-def test_refuses_probabilities_that_are_none():
-    with pytest.raises(ArgumentError, match=r"path 0: the censoring model gives P\(C ≥ 1 s\) = 1.5"):
-        censoring_weights([1.0], [True], Liar())
+def test_it_takes_lists_numpy_pandas_and_arrow_and_answers_in_the_shape_of_the_question():
+    for wrap in (list, np.array, pd.Series, pa.array):
+        curve = KaplanMeier().fit(wrap([1.0, 2.0, 3.0]), wrap([False, False, True]))
+        np.testing.assert_allclose(curve.survival(wrap([1.0, 2.0, 3.0])), [1.0, 2 / 3, 1 / 3])
+    for shape in ((), (0,), (1,), (2, 3)):
+        assert KaplanMeier().fit([1.0], [True]).survival(np.full(shape, 0.5)).shape == shape
+
+
+def test_twelve_outcomes_of_the_tie_example_give_exactly_one_and_two():
+    own, cut = np.array(list(itertools.product([1.0, 2.0, 3.0], [1.0, 2.0, 3.0, 4.0]))).T
+    time, is_finished = np.minimum(own, cut), own <= cut
+    weights = censoring_weights(time, is_finished)
+    assert (weights.mean(), (weights * own).mean()) == pytest.approx((1.0, 2.0), rel=1e-15)
+    # The common version counts the cuts at the very moment of a completion.
+    late = is_finished / KaplanMeier().fit(time, is_finished).survival(np.nextafter(time, np.inf))
+    assert (late.mean(), (late * own).mean()) == pytest.approx((23 / 18, 22 / 9), rel=1e-15)
 
 
 def test_covariates_follow_their_paths():
     covariates = [[0.5], [0.25], [0.1]]
-    weights = censoring_weights([1.0, 2.0, 3.0], [True, False, True], ByCovariate(), covariates=covariates)
+    weights = censoring_weights([1.0, 2.0, 3.0], [True, False, True], BY_COVARIATE, covariates=covariates)
     np.testing.assert_allclose(weights, [2.0, 0.0, 10.0])
     clock = [[1.0, np.nan], [1.0, 2.0]]
-    by_stage = stage_weights(clock, [1.0, 2.0], [True, True], ByCovariate(), covariates=covariates[:2])
+    by_stage = stage_weights(clock, [1.0, 2.0], [True, True], BY_COVARIATE, covariates=covariates[:2])
     np.testing.assert_allclose(by_stage, [[2.0, 0.0], [4.0, 4.0]])
-
-
-def test_refuses_covariates_and_names_of_other_paths():
-    with pytest.raises(ArgumentError, match="covariates has 1 rows for 2 paths"):
-        censoring_weights([1.0, 2.0], [True, True], ByCovariate(), covariates=[[0.5]])
-    with pytest.raises(ArgumentError, match=r"path_ids has shape \(1,\) for 2 paths"):
-        censoring_weights([1.0, 2.0], [True, True], path_ids=[7])
 
 
 def test_a_stage_of_a_team_that_takes_no_time_weighs_one():
     clock = np.array([[0.0, 1.0], [0.0, np.nan]])
     weights = stage_weights(clock, np.array([1.0, 0.5]), np.array([True, False]))
     np.testing.assert_allclose(weights, [[1.0, 2.0], [1.0, 0.0]])
+
+
+BOTH = [True, True]
+
+
+@pytest.mark.parametrize(
+    ("weigh", "error", "message"),
+    [
+        (
+            lambda: censoring_weights([1.0, 3.0], BOTH, SHORT),
+            PositivityError,
+            r"path 1: finished at 3 s.*shorten the horizon.*truncate_at",
+        ),
+        (
+            lambda: stage_weights([[1.0, np.nan], [2.0, 2.5]], [1.0, 2.5], BOTH, SHORT, path_ids=["a", "b"]),
+            PositivityError,
+            r"path b, stage 2: completed at 2.5 s.*shorten the horizon.*truncate_at",
+        ),
+        (
+            lambda: censoring_weights([1.0], [True], LIAR),
+            ArgumentError,
+            r"path 0: the censoring model gives P\(C ≥ 1 s\) = 1.5",
+        ),
+        (
+            lambda: censoring_weights([1.0, 2.0], BOTH, BY_COVARIATE, covariates=[[0.5]]),
+            ArgumentError,
+            "covariates has 1 rows for 2 paths",
+        ),
+        (
+            lambda: censoring_weights([1.0, 2.0], BOTH, path_ids=[7]),
+            ArgumentError,
+            r"path_ids has shape \(1,\) for 2 paths",
+        ),
+        *(
+            (lambda clock=clock: stage_weights(clock, [2.0, 2.0], BOTH), ArgumentError, message)
+            for clock, message in (
+                ([[1.0], [np.inf]], r"path 1, stage 1: elapsed_s inf is not in \[0, 2.0\]"),
+                ([[1.0], [-1.0]], "path 1, stage 1: elapsed_s -1.0"),
+                ([[1.0], [2.5]], "path 1, stage 1: elapsed_s 2.5"),
+                ([[1.0]], "elapsed_s has 1 rows and end_s has 2"),
+                ([1.0, 2.0], r"elapsed_s has shape \(2,\)"),
+            )
+        ),
+        *(
+            (lambda ends=ends: KaplanMeier().fit(*ends), ArgumentError, message)
+            for ends, message in (
+                (([1.0, 2.0], [True]), "time has 2 rows and is_finished has 1"),
+                (([], []), "time has no rows"),
+                (([[1.0]], [True]), r"time has shape \(1, 1\)"),
+                (([1.0], [[True]]), r"is_finished has shape \(1, 1\)"),
+                ((["soon"], [True]), "time is not made of numbers"),
+                (([1.0, 2.0], [1, 2]), "is_finished, row 1: 2 is neither"),
+                (([1.0, 2.0], [True, None]), "is_finished, row 1: None is neither"),
+                (([1.0, 2.0], ["finished", "cut"]), "is_finished, row 0: 'finished' is neither"),
+            )
+        ),
+    ],
+)
+def test_what_gives_no_weight_is_refused(weigh, error, message):
+    with pytest.raises(error, match=message):
+        weigh()

@@ -1,7 +1,6 @@
 """A policy beside its opponents: differences by hand, exact ties, several at once, and verdicts over all."""
 
 import json
-from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -23,42 +22,41 @@ def contender(name, values, size=50.0, **more):
 def drawn(*means, num_paths=50, seed=0):
     """What paths add to policies whose difference has these means, in standard errors."""
     rng = np.random.default_rng(seed)
-    ours = rng.normal(size=num_paths)
-    noise = rng.normal(size=(len(means), num_paths))
+    ours, noise = rng.normal(size=num_paths), rng.normal(size=(len(means), num_paths))
     noise = (noise - noise.mean(axis=1, keepdims=True)) / noise.std(axis=1, ddof=1, keepdims=True)
     theirs = [ours - each - mean / np.sqrt(num_paths) for each, mean in zip(noise, means, strict=True)]
     return contender("ours", ours), [contender(f"opponent {k}", each) for k, each in enumerate(theirs)]
 
 
+def evaluated(logs, against, policy=TARGET):
+    return evaluate(policy, logs, against=against, **specified())
+
+
 def test_the_difference_is_that_of_what_each_path_adds():
     ours, theirs = np.array([1.0, 4.0, 2.0, 5.0]), np.array([0.5, 3.0, 2.5, 1.0])
     (found,) = compared(contender("ours", ours, 4.0), [contender("theirs", theirs, 3.0)], 0.9)
-    by_hand = [0.5, 1.0, -0.5, 4.0]
-    error = np.std(by_hand, ddof=1) / 2.0
-    reach = stats.t.ppf(0.95, 2.0) * error
-    assert found.difference.value == pytest.approx(1.25)
-    assert (found.difference.low, found.difference.high) == pytest.approx((1.25 - reach, 1.25 + reach))
-    assert found.value.value == pytest.approx(1.75)
+    error = np.std([0.5, 1.0, -0.5, 4.0], ddof=1) / 2.0
+    reach, difference = stats.t.ppf(0.95, 2.0) * error, found.difference
+    assert (difference.value, found.value.value) == pytest.approx((1.25, 1.75))
+    assert (difference.low, difference.high) == pytest.approx((1.25 - reach, 1.25 + reach))
     assert found.p == pytest.approx(2.0 * stats.t.sf(1.25 / error, 2.0))
 
 
 def test_each_opponent_is_worth_what_it_is_worth_alone_and_differences_add_up():
-    logs = trial(0, cut_rate=0.1)
-    others = [StatePolicy((0.5, 0.5)), FixedSequence(("B", "A"))]
-    named = [Opponent(each, f"opponent {k}") for k, each in enumerate(others)]
-    found = evaluate(TARGET, logs, against=["logging", *named], **specified())
-    alone = [evaluate(each, logs, against="logging", **specified()).doubly_robust for each in others]
-    values = [each.value for each in found.comparisons]
-    assert values[0] == found.logging
-    assert [each.value for each in values[1:]] == pytest.approx([each.value for each in alone], rel=1e-12)
-    assert [each.standard_error for each in values[1:]] == pytest.approx([each.standard_error for each in alone])
+    logs, others = trial(0, cut_rate=0.1), [StatePolicy((0.5, 0.5)), FixedSequence(("B", "A"))]
+    found = evaluated(logs, ["logging", *(Opponent(each, f"opponent {k}") for k, each in enumerate(others))])
+    alone = [evaluated(logs, "logging", each).doubly_robust for each in others]
+    first, *values = (each.value for each in found.comparisons)
+    assert first == found.logging
+    assert [each.value for each in values] == pytest.approx([each.value for each in alone], rel=1e-12)
+    assert [each.standard_error for each in values] == pytest.approx([each.standard_error for each in alone])
     for each in found.comparisons:
         assert each.difference.value == pytest.approx(found.doubly_robust.value - each.value.value, abs=1e-12)
         assert each.difference.effective_sample_size <= found.doubly_robust.effective_sample_size
 
 
 def test_a_policy_against_itself_is_exactly_nothing_and_never_better():
-    found = evaluate(TARGET, trial(1, cut_rate=0.1), against=Opponent(TARGET, "itself"), **specified())
+    found = evaluated(trial(1, cut_rate=0.1), Opponent(TARGET, "itself"))
     (itself,) = found.comparisons
     difference = itself.difference
     assert (difference.value, difference.low, difference.high, difference.standard_error) == (0.0, 0.0, 0.0, 0.0)
@@ -66,7 +64,7 @@ def test_a_policy_against_itself_is_exactly_nothing_and_never_better():
     assert "it earns as much a path as itself" in found.sentence
 
 
-def test_better_is_better_than_each():
+def test_better_is_better_than_each_and_among_many_one_small_p_value_is_no_evidence():
     ours, theirs = drawn(2.2, 3.0)
     both = compared(ours, theirs, 0.95)
     assert [each.verdict for each in both] == ["better", "better"]
@@ -77,20 +75,16 @@ def test_better_is_better_than_each():
     assert deciding(one) is one[0]
     assert "more a path than opponent 0, though" in joint_reason(one)
     assert "more than opponent 1" in joint_reason(one).partition("; ")[0]
-
-
-def test_among_many_opponents_one_small_p_value_is_no_evidence():
     ours, theirs = drawn(2.2, 0.1, -0.3, 0.2)
     first, *_ = compared(ours, theirs, 0.95)
     assert first.difference.low > 0
     assert first.p < 0.05 < first.adjusted_p
     assert first.verdict == "cannot be said"
     assert "not enough among so many opponents" in first.reason
-    (alone,) = compared(ours, theirs[:1], 0.95)
-    assert alone.verdict == "better"
+    assert compared(ours, theirs[:1], 0.95)[0].verdict == "better"
 
 
-def test_adjusted_p_values_are_hochbergs():
+def test_adjusted_p_values_are_hochbergs_and_reject_no_more_true_nulls_than_the_level():
     # Rejects, by definition, the k least p-values for the largest k with p_(k) ≤ α / (m − k + 1).
     rng = np.random.default_rng(3)
     for _ in range(200):
@@ -101,10 +95,6 @@ def test_adjusted_p_values_are_hochbergs():
             rejected = p <= (ranked[passed[-1] - 1] if passed else -1.0)
             np.testing.assert_array_equal(hochberg(p) <= level, rejected)
         assert hochberg(p).max() == p.max()
-
-
-def test_under_two_true_nulls_no_more_are_rejected_than_the_level():
-    rng = np.random.default_rng(4)
     for correlation in (-0.9, 0.0, 0.9):
         z = rng.multivariate_normal([0.0, 0.0], [[1.0, correlation], [correlation, 1.0]], size=4_000)
         p = 2.0 * stats.norm.sf(np.abs(z))
@@ -113,21 +103,20 @@ def test_under_two_true_nulls_no_more_are_rejected_than_the_level():
 
 
 def test_an_opponent_of_unseen_actions_spoils_its_own_comparison_alone():
-    found = evaluate(TARGET, trial(2), against=["logging", FixedSequence(("A", "C"))], **specified())
+    found = evaluated(trial(2), ["logging", FixedSequence(("A", "C"))])
     logging, sequence = found.comparisons
-    assert (logging.verdict, sequence.verdict) == ("better", "cannot be said")
+    assert (logging.verdict, sequence.verdict, found.verdict) == ("better", "cannot be said", "cannot be said")
     assert (sequence.value, sequence.difference, sequence.p) == (None, None, None)
     assert "the sequence A, C takes C in stage 2, which no path" in sequence.reason
-    assert found.verdict == "cannot be said"
     assert found.difference == logging.difference
     assert "NaN" not in json.dumps(found.as_dict())
 
 
 def test_the_default_is_the_logging_policy_with_and_without_its_exploration():
     found = evaluate(TARGET, trial(4, num_paths=1000), **specified())
-    names = [each.opponent for each in found.comparisons]
-    assert names == ["the logging policy", "the logging policy without its exploration"]
     logging, rule = found.comparisons
+    assert logging.opponent == "the logging policy"
+    assert rule.opponent == "the logging policy without its exploration"
     assert (logging.verdict, rule.verdict, found.verdict) == ("better", "not better", "not better")
     assert found.sentence.startswith("Not better: it earns ")
     assert "less a path than the logging policy without its exploration" in found.sentence
@@ -142,19 +131,11 @@ def test_every_kind_of_opponent_has_a_name(tmp_path):
     def guess(frame, stage):
         return np.where(frame["x"] == 1, "B", "A")
 
-    against = ["sequence:B, A", tmp_path / "thumb.csv", guess, TARGET, replace(TARGET, chance_b=(0.0, 1.0))]
-    against[-1] = Opponent(against[-1], "the rule in person")
-    found = evaluate(TARGET, trial(5), against=against, **specified())
-    names = [each.opponent for each in found.comparisons]
-    assert names == [
-        "the sequence B, A",
-        "the rule thumb.csv",
-        "the rule guess",
-        "the StatePolicy",
-        "the rule in person",
-    ]
-    rules = [found.comparisons[k] for k in (1, 2, 4)]
-    for one, other in combinations(rules, 2):
+    in_person = Opponent(StatePolicy((0.0, 1.0)), "the rule in person")
+    found = evaluated(trial(5), ["sequence:B, A", tmp_path / "thumb.csv", guess, TARGET, in_person])
+    names = ["the sequence B, A", "the rule thumb.csv", "the rule guess", "the StatePolicy", "the rule in person"]
+    assert [each.opponent for each in found.comparisons] == names
+    for one, other in combinations([found.comparisons[k] for k in (1, 2, 4)], 2):
         assert one.value == other.value
     lines = str(found).splitlines()
     assert lines[0] == found.sentence
@@ -176,28 +157,25 @@ def test_every_kind_of_opponent_has_a_name(tmp_path):
 )
 def test_what_is_no_opponent_is_told_in_one_line(against, message):
     with pytest.raises(ArgumentError, match=message) as refusal:
-        evaluate(TARGET, trial(6), against=against, **specified())
+        evaluated(trial(6, num_paths=40), against)
     assert "\n" not in str(refusal.value)
 
 
-def test_a_verdict_says_what_would_undo_it_and_an_open_one_nothing():
+def test_a_verdict_says_what_would_undo_it_and_an_open_one_or_one_without_cuts_nothing():
     ours, (far, near) = drawn(9.0, 0.5)
     rng = np.random.default_rng(4)
     excess, errors = rng.exponential(size=(50, 2)), rng.normal(size=(50, 2))
-    with_errors = [one._replace(errors=errors * k) for k, one in enumerate((ours, far, near))]
-    clear, unclear = compared(with_errors[0], with_errors[1:], 0.95, excess)
-    assert clear.verdict == "better"
+    first, *others = (one._replace(errors=errors * k) for k, one in enumerate((ours, far, near)))
+    clear, unclear = compared(first, others, 0.95, excess)
+    assert (clear.verdict, unclear.verdict, unclear.gamma) == ("better", "cannot be said", None)
     assert clear.gamma > 1.0
-    assert unclear.verdict == "cannot be said"
-    assert unclear.gamma is None
-    assert compared(with_errors[0], with_errors[1:], 0.95, 0.0 * excess)[0].gamma is None
-
-
-def test_where_paths_were_cut_the_evaluation_says_what_would_undo_it():
-    clear = evaluate(StatePolicy((0.0, 1.0)), trial(8, cut_rate=0.15), against=StatePolicy((1.0, 0.0)))
-    assert clear.verdict == "better"
-    assert clear.comparisons[0].gamma > 1.0
-    assert clear.sensitivity in str(clear).splitlines()[1]
-    assert "To undo this" in clear.sensitivity
-    uncut = evaluate(StatePolicy((0.0, 1.0)), trial(8), against=StatePolicy((1.0, 0.0)))
+    assert compared(first, others, 0.95, 0.0 * excess)[0].gamma is None
+    cut, uncut = (
+        evaluate(StatePolicy((0.0, 1.0)), trial(8, cut_rate=rate), against=StatePolicy((1.0, 0.0)))
+        for rate in (0.15, 0.0)
+    )
+    assert cut.verdict == "better"
+    assert cut.comparisons[0].gamma > 1.0
+    assert cut.sensitivity in str(cut).splitlines()[1]
+    assert "To undo this" in cut.sensitivity
     assert (uncut.verdict, uncut.sensitivity) == ("better", "")

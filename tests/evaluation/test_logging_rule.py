@@ -1,6 +1,7 @@
 """The logging policy without its exploration, found in logs whose rule is known."""
 
 import re
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -8,7 +9,7 @@ import pytest
 from enumerated_trial import StatePolicy, specified, trial
 from scipy import stats
 
-from halfseen.evaluation import Opponent, QSpec, evaluate
+from halfseen.evaluation import Opponent, QSpec, evaluate, off_policy
 from halfseen.evaluation.cross_fitting import nuisances_by_folds, nuisances_of
 from halfseen.evaluation.estimate import estimate_of
 from halfseen.evaluation.logging_rule import logging_rule
@@ -35,11 +36,11 @@ def slanted(frame, stage):
     return np.where(frame["x"] + frame["y"] > 0.2 * stage, "A", np.where(frame["x"] > frame["y"], "B", "C"))
 
 
+@cache
 def logged(rule, num_paths=300, random_share=0.5, seed=0):
     """Two stages; the rule, mixed with an action at random; Q of the task does not look at y, the rule does."""
     rng = np.random.default_rng(seed)
-    path = np.arange(num_paths)
-    parts = []
+    path, parts = np.arange(num_paths), []
     for stage in (1, 2):
         frame = pd.DataFrame(rng.uniform(-1.0, 1.0, size=(num_paths, 2)), columns=["x", "y"])
         says = rule(frame, stage)
@@ -52,8 +53,8 @@ def logged(rule, num_paths=300, random_share=0.5, seed=0):
     return Logs(pd.concat(parts, ignore_index=True), ends)
 
 
-def found_in(logs, task=TASK, has_probability=True):
-    paths = path_arrays(logs, task.encode(logs, 2), None)
+def found_in(logs, task=TASK, has_probability=True, horizon=2):
+    paths = path_arrays(logs, task.encode(logs, horizon), None)
     return logging_rule(logs, paths, task, np.arange(logs.num_paths) % 10, has_probability), paths
 
 
@@ -63,31 +64,24 @@ def agreement(rule, logs, found):
 
 
 @pytest.mark.parametrize(("rule", "least"), [(thresholds, 0.96), (slanted, 0.93)])
-def test_the_model_says_what_the_rule_would_do(rule, least):
+def test_the_model_says_what_the_rule_would_do_and_how_often_it_is_right(rule, least):
     logs = logged(rule)
     found, paths = found_in(logs)
-    assert agreement(rule, logs, found) > least
+    right = agreement(rule, logs, found)
+    assert right > least
     np.testing.assert_array_equal(found.is_taken, paths.probability > 0.5)
     assert "by probabilities above one half" in found.note
-
-
-def test_the_share_that_it_tells_is_the_share_that_is_right():
-    logs = logged(slanted, num_paths=150)
-    found, _ = found_in(logs)
     num_right, num_checked = map(int, re.search(r"right in (\d+) of (\d+) stages", found.note).groups())
-    assert agreement(slanted, logs, found) == pytest.approx(num_right / num_checked, abs=0.05)
+    assert right == pytest.approx(num_right / num_checked, abs=0.05)
 
 
-def test_actions_alone_tell_less():
-    logs = logged(thresholds, num_paths=600)
+def test_actions_alone_tell_less_and_a_rule_that_is_seldom_above_one_half_is_estimated():
+    logs = logged(thresholds)
     found, _ = found_in(logs, has_probability=False)
     assert found.is_taken is None
     assert 0.85 < agreement(thresholds, logs, found) < 1.0
     assert "how often the model is right cannot be checked" in found.note
-
-
-def test_a_rule_that_is_seldom_above_one_half_is_estimated():
-    logs = logged(thresholds, num_paths=600, random_share=0.8)
+    logs = logged(thresholds, 600, random_share=0.8)
     found, _ = found_in(logs)
     assert found.is_taken is None
     assert agreement(thresholds, logs, found) > 0.95
@@ -96,22 +90,21 @@ def test_a_rule_that_is_seldom_above_one_half_is_estimated():
 @pytest.mark.slow
 def test_a_log_of_nothing_but_chance_shows_no_rule():
     logs = logged(thresholds, random_share=1.0)
-    found, _ = found_in(logs)
-    assert found.startswith("the log shows no rule")
-    policy = Rule(thresholds, ACTIONS, 2)
-    default = evaluate(policy, logs)
+    assert found_in(logs)[0].startswith("the log shows no rule")
+    default, asked = (
+        evaluate(Rule(thresholds, ACTIONS, 2), logs, **told) for told in ({}, {"against": "logging-rule"})
+    )
     assert [each.opponent for each in default.comparisons] == ["the logging policy"]
     assert "the logging policy without its exploration: the log shows no rule" in default.notes[0]
-    asked = evaluate(policy, logs, against="logging-rule")
     assert asked.verdict == "cannot be said"
     assert "the log shows no rule" in asked.reason
 
 
 @pytest.mark.slow
 def test_it_is_worth_what_the_rule_itself_is_worth():
-    logs = logged(slanted, num_paths=800, seed=3)
     itself = Opponent(Rule(slanted, ACTIONS, 2), "itself")
-    found = evaluate(Rule(thresholds, ACTIONS, 2), logs, against=["logging-rule", itself])
+    against = ["logging-rule", itself]
+    found = evaluate(Rule(thresholds, ACTIONS, 2), logged(slanted, 800, seed=3), against=against)
     guessed, known = (each.value for each in found.comparisons)
     assert guessed.value == pytest.approx(known.value, abs=0.3 * known.standard_error)
     assert guessed.standard_error == pytest.approx(known.standard_error, rel=0.05)
@@ -119,15 +112,13 @@ def test_it_is_worth_what_the_rule_itself_is_worth():
 
 @pytest.mark.slow
 def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(monkeypatch):
-    from halfseen.evaluation import off_policy
-
     def blind(*given):
         found = logging_rule(*given)
         always_first = np.zeros_like(found.probabilities)
         always_first[..., 0] = found.probabilities.sum(axis=2)
         return found._replace(probabilities=always_first)
 
-    logs = logged(thresholds, num_paths=1000, seed=5)
+    logs = logged(thresholds, 1000, seed=5)
     truth = evaluate(Rule(thresholds, ACTIONS, 2), logs).doubly_robust
     monkeypatch.setattr(off_policy, "logging_rule", blind)
     (wrong,) = evaluate(Rule(slanted, ACTIONS, 2), logs, against="logging-rule").comparisons
@@ -135,42 +126,41 @@ def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(mon
 
 
 def test_on_a_table_the_rule_is_a_choice_among_all_objects():
-    logs = table_log(num_paths=60, horizon=3)
-    task = TableTask()
-    encoded = task.encode(logs, 3)
-    paths = path_arrays(logs, encoded, None)
-    # The rule washes what is most likely dirty; features of WASH hold that probability.
-    found = logging_rule(logs, paths, task, np.arange(60) % 10, has_probability=False)
+    """The rule washes what is most likely dirty; features of WASH hold that probability."""
+    found, paths = found_in(table_log(num_paths=60), TableTask(), False, 3)
     assert not isinstance(found, str)
     assert (found.probabilities.sum(axis=2) == paths.is_begun).all()
     assert not (found.probabilities.astype(bool) & ~paths.is_possible).any()
 
 
-def test_the_seed_is_all_that_it_depends_on():
-    logs = logged(slanted, num_paths=100)
+def test_the_seed_is_all_that_it_depends_on_and_where_one_path_alone_has_a_say_there_is_still_an_answer():
+    logs = logged(slanted, 60)
     first, _ = found_in(logs)
     np.random.seed(3)  # noqa: NPY002
-    again, _ = found_in(logs)
-    np.testing.assert_array_equal(first.probabilities, again.probabilities)
+    np.testing.assert_array_equal(first.probabilities, found_in(logs)[0].probabilities)
+    # Its fold is held out once, and nothing is left to fit to.
+    logs = logged(thresholds, 60)
+    stages = logs.stages.assign(probability=np.where(logs.stages["path"] == 0, 0.9, 0.01))
+    found, _ = found_in(Logs(stages, logs.paths))
+    assert isinstance(found, str) or np.array_equal(found.probabilities.sum(axis=2), np.ones((60, 2)))
 
 
 TARGET = StatePolicy((0.1, 0.8))
 BY_COX = DoublyRobust("cox", by="pooled", truncate_at=10.0)
 
 
-def fitted_by_folds(logs, fold):
-    model, paths = q_model_of(TARGET, logs, BY_COX, QSpec()).fitted(logs)
-    return list(nuisances_by_folds(model, paths, nuisances_of(model, paths), fold))
-
-
 def test_what_is_fitted_without_a_fold_does_not_know_it():
     logs = trial(0, cut_rate=0.15)
     fold = np.arange(logs.num_paths) % 4
     late = fold == 3
-    stages, paths = logs.stages.copy(), logs.paths.copy()
+    stages, ends = logs.stages.copy(), logs.paths.copy()
     stages.loc[np.isin(stages["path"], logs.path_ids[late]), "elapsed_s"] *= 1.25
-    paths.loc[late, "end_s"] *= 1.25
-    one, other = fitted_by_folds(logs, fold), fitted_by_folds(Logs(stages, paths), fold)
+    ends.loc[late, "end_s"] *= 1.25
+    fitted = []
+    for each in (logs, Logs(stages, ends)):
+        model, paths = q_model_of(TARGET, each, BY_COX, QSpec()).fitted(each)
+        fitted.append([*nuisances_by_folds(model, paths, nuisances_of(model, paths), fold)])
+    one, other = fitted
     np.testing.assert_allclose(one[3].uncut[~late], other[3].uncut[~late], rtol=1e-12)
     assert np.abs(one[0].uncut[~late] - other[0].uncut[~late]).max() > 1e-3
 
@@ -188,26 +178,17 @@ def test_the_interval_is_the_wider_of_two():
 
 
 def test_second_order_terms_are_products_of_standardised_covariates():
-    logs = trial(2)
-    rng = np.random.default_rng(0)
+    logs, rng = trial(2), np.random.default_rng(0)
     wide = Logs(logs.stages.assign(v=rng.normal(3.0, 2.0, logs.num_stages)), logs.paths)
     task, widened = with_second_order(NamedActions(["A", "B"], ["x", "v"]), wide)
     assert task.covariates == ["x", "v", "stage", "x*v", "v*v"]
     x, v = ((wide.stages[name] - wide.stages[name].mean()) / wide.stages[name].std(ddof=0) for name in ("x", "v"))
-    np.testing.assert_allclose(widened.stages["x*v"], x * v)
-    np.testing.assert_allclose(widened.stages["v*v"], v * v)
+    np.testing.assert_allclose(widened.stages[["x*v", "v*v"]], np.stack([x * v, v * v], axis=1))
 
 
 def test_cuts_widen_the_interval():
-    logs = trial(1, num_paths=300, cut_rate=0.3)
-    found = evaluate(TARGET, logs, **specified(BY_COX))
-    light = evaluate(TARGET, trial(1, num_paths=300), **specified(BY_COX))
-    assert found.doubly_robust.standard_error > 1.5 * light.doubly_robust.standard_error
-
-
-def test_where_one_path_alone_has_a_say_there_is_still_an_answer():
-    """Its fold is held out once, and nothing is left to fit to."""
-    logs = logged(thresholds, num_paths=60)
-    stages = logs.stages.assign(probability=np.where(logs.stages["path"] == 0, 0.9, 0.01))
-    found, _ = found_in(Logs(stages, logs.paths))
-    assert isinstance(found, str) or np.array_equal(found.probabilities.sum(axis=2), np.ones((60, 2)))
+    cut, uncut = (
+        evaluate(TARGET, trial(1, num_paths=300, cut_rate=rate), against="logging", **specified(BY_COX))
+        for rate in (0.3, 0.0)
+    )
+    assert cut.doubly_robust.standard_error > 1.5 * uncut.doubly_robust.standard_error

@@ -16,7 +16,7 @@ from halfseen.perception.kind import HIGHEST_M, LOWEST_M, other_things, other_th
 from halfseen.perception.labels import share_in_view
 from halfseen.perception.solids import Hull
 from halfseen.scene import Stain, Surface, capture, draw_surface, random_table, read_table, table_paths
-from halfseen.scene.colours import is_within
+from halfseen.scene.colours import colours, is_within
 from halfseen.scene.stains import SURFACES
 from halfseen.scene.view import table_view
 from halfseen.world.seeing import AssumedSeeing
@@ -44,6 +44,23 @@ def seen(table, surfaces):
     return picture, perceive(picture.cloud)
 
 
+@pytest.fixture(scope="module")
+def ideal(table):
+    return table_view(table, BASELINE_M)
+
+
+@pytest.fixture(scope="module")
+def labelled(table, ideal, seen):
+    """Gives the labels of the cups with other surfaces, or noise of another seed, in the same view."""
+    picture, view = seen
+
+    def label(surfaces, seed=1):
+        seen_now = colours(ideal, table.camera, surfaces, table.world_from_cup, np.random.default_rng(seed))
+        return StainCounter()(view, replace(picture.cloud, colours=seen_now.reshape(-1, 3)))
+
+    return label
+
+
 def num_painted(table, ideal, seen_object, cup, discs) -> int:
     """Pixels of an object at which geometry has one of the discs of a cup, in the ideal view of the table."""
     rays = table.camera.pixel_rays() * ideal.depth_m[..., None]
@@ -68,11 +85,11 @@ def test_stains_are_told_from_every_glaze_in_light_and_shade(glaze, stain):
     assert told[~is_stained].sum() <= 2
 
 
-def test_stained_pixels_are_counted_as_geometry_has_them(table, surfaces, seen):
+def test_stained_pixels_are_counted_as_geometry_has_them(table, surfaces, ideal, seen):
     picture, view = seen
     labels, pairs = StainCounter()(view, picture.cloud), matched(view, picture.truth)
     assert len(pairs) == len(labels) == 5
-    ideal, counts = table_view(table, BASELINE_M), []
+    counts = []
     for cup, k in pairs:
         discs = (*surfaces[cup].stains, *surfaces[cup].spots)
         expected = num_painted(table, ideal, view.objects[k], cup, discs)
@@ -82,25 +99,22 @@ def test_stained_pixels_are_counted_as_geometry_has_them(table, surfaces, seen):
     assert max(counts) > 50
 
 
-def test_a_label_is_dirty_from_the_fewest_stained_pixels_on(seen):
+def test_a_label_is_dirty_from_the_fewest_stained_pixels_on_and_a_share_in_view_falls_with_occlusion(seen):
     picture, view = seen
-    most = max(StainCounter()(view, picture.cloud), key=lambda label: label.num_stained_px).num_stained_px
+    labels = StainCounter()(view, picture.cloud)
+    most = max(label.num_stained_px for label in labels)
     dirty = [StainCounter(fewest_px=fewest)(view, picture.cloud) for fewest in (most, most + 1)]
     assert [sum(label.is_dirty is True for label in labels) for labels in dirty] == [1, 0]
-
-
-def test_the_share_in_view_falls_with_occlusion(seen):
-    picture, view = seen
-    shares = [label.share_in_view for label in StainCounter()(view, picture.cloud)]
+    shares = np.array([label.share_in_view for label in labels])
     order = np.argsort([seen.occlusion for seen in view.objects])
-    assert (np.diff(np.array(shares)[order]) <= 0).all()
+    assert (np.diff(shares[order]) <= 0).all()
     assert 0 < min(shares) < max(shares) <= 0.3
+    with pytest.raises(CloudError, match=r"no colour.*labels in a file"):
+        StainCounter()(view, replace(picture.cloud, colours=None))
 
 
-def test_the_same_view_gives_the_same_labels_but_for_noise(table, surfaces, seen):
-    _, view = seen
-    looks = [StainCounter()(view, capture(table, seed, surfaces=surfaces).cloud) for seed in (1, 2, 3)]
-    for labels in zip(*looks, strict=True):
+def test_the_same_view_gives_the_same_labels_but_for_noise(surfaces, labelled):
+    for labels in zip(*(labelled(surfaces, seed) for seed in (1, 2, 3)), strict=True):
         counts = np.array([label.num_stained_px for label in labels])
         assert np.ptp(counts) <= 3 + 0.1 * counts.max()
         if abs(counts.mean() - StainCounter.fewest_px) > 5:
@@ -124,12 +138,6 @@ def test_a_cloud_out_of_order_is_labelled_alike(surfaces, seen):
     assert here.keys() == there.keys()
     for place, count in here.items():
         assert there[place] == pytest.approx(count / 1.3**2, abs=3 + 0.15 * count)
-
-
-def test_a_cloud_without_colour_is_refused(seen):
-    picture, view = seen
-    with pytest.raises(CloudError, match=r"no colour.*labels in a file"):
-        StainCounter()(view, replace(picture.cloud, colours=None))
 
 
 @cache
@@ -210,12 +218,12 @@ def share_of_walls(table, ideal, index) -> float:
     return in_view / whole
 
 
-def test_a_stain_on_the_far_side_is_not_seen(table, seen):
+def test_a_stain_on_the_far_side_is_not_seen(table, labelled):
     told = []
     for angle_rad in (-np.pi, -np.pi / 2, 0.0, np.pi / 2):
         discs = [Stain(angle_rad, 0.5 * cup.height_m, 0.012, False, (98, 62, 30)) for cup in table.cups]
         walls = [Surface(cup, (238, 236, 230), (disc,)) for cup, disc in zip(table.cups, discs, strict=True)]
-        told.append([label.is_dirty for label in StainCounter()(seen[1], capture(table, 1, surfaces=walls).cloud)])
+        told.append([label.is_dirty for label in labelled(walls)])
     share = np.mean(told, axis=0)
     assert ((share > 0) & (share < 1)).all()
 

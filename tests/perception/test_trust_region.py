@@ -41,7 +41,7 @@ def by_scipy(misses, start, bounds):
 
 
 @pytest.mark.parametrize("kind", ["standing", "lying"])
-@settings(deadline=None, max_examples=20)
+@settings(deadline=None, max_examples=10)
 @given(seed=st.integers(0, 2**32 - 1))
 def test_two_fits_side_by_side_are_those_of_scipy_each(kind, seed):
     rng = np.random.default_rng(seed)

@@ -10,21 +10,20 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import NamedObservation, decider_of, read_policy
 from halfseen.policies.certainty import certainty
-from halfseen.policies.folder import write_policy
 from halfseen.policies.folder.stages_left import stage_counts, stages_left
 from small_logs import flat_log
 
-EVERY = np.ones(3, dtype=bool)
+EVERY, BOTH = np.ones(3, dtype=bool), np.ones(2, dtype=bool)
+TWO = np.array([0, 1])
+Z = 1.959963985
 
 
 def naive_chances(q, roots, designs, blocks, num_draws=100_000):
     """Draw the coefficients of every block, one after the other, and count who is best."""
-    rng, won = np.random.default_rng(11), np.zeros(len(q))
+    rng = np.random.default_rng(11)
     centred = {block: rng.normal(size=(num_draws, root.shape[1])) @ root.T for block, root in roots.items()}
     worth = np.stack([q[a] + centred[blocks[a]] @ designs[a] for a in range(len(q))], axis=1)
-    for row in worth:
-        won[int(np.argmax(row))] += 1
-    return won / num_draws
+    return np.bincount(worth.argmax(axis=1), minlength=len(q)) / num_draws
 
 
 def test_actions_of_one_block_err_together():
@@ -35,30 +34,30 @@ def test_actions_of_one_block_err_together():
     deviations = np.stack([roots[block].T @ design for block, design in zip(blocks, designs, strict=True)])
     found = certainty(q, deviations, blocks, EVERY)
     error = [np.sqrt(x @ roots[k] @ roots[k].T @ x) for k, x in zip(blocks, designs, strict=True)]
-    np.testing.assert_allclose(found.high - q, 1.959963985 * np.array(error), rtol=1e-6)
-    np.testing.assert_allclose(q - found.low, 1.959963985 * np.array(error), rtol=1e-6)
+    np.testing.assert_allclose([found.high - q, q - found.low], Z * np.array([error, error]), rtol=1e-6)
     np.testing.assert_allclose(found.chance_best, naive_chances(q, roots, designs, blocks), atol=0.012)
+    # One state has one answer, and the global seed changes nothing.
+    np.random.seed(4)  # noqa: NPY002
+    np.testing.assert_array_equal(found.chance_best, certainty(q, deviations, blocks, EVERY).chance_best)
 
 
 def test_a_common_error_is_no_reason_to_doubt_which_is_best():
     common, better = np.array([[5.0], [5.0]]), np.array([0.1, 0.0])
-    both = np.ones(2, dtype=bool)
-    assert certainty(better, common, np.array([0, 0]), both).chance_best.tolist() == [1.0, 0.0]
-    apart = certainty(better, common, np.array([0, 1]), both).chance_best
+    assert certainty(better, common, np.array([0, 0]), BOTH).chance_best.tolist() == [1.0, 0.0]
+    apart = certainty(better, common, TWO, BOTH).chance_best
     np.testing.assert_allclose(apart[0], norm.cdf(0.1 / np.hypot(5.0, 5.0)), atol=0.012)
 
 
 def test_of_independent_actions_the_chance_is_the_integral():
     q, error = np.array([1.0, 0.5, 0.0]), np.array([0.5, 1.0, 2.0])
     found = certainty(q, error[:, None], np.arange(3), EVERY)
+
+    def is_best(x, a):
+        rivals = np.arange(3) != a
+        return norm.pdf(x, q[a], error[a]) * np.prod(norm.cdf(x, q[rivals], error[rivals]))
+
     for a in range(3):
-        rivals = [b for b in range(3) if b != a]
-        exact, _ = quad(
-            lambda x, a=a, rivals=rivals: norm.pdf(x, q[a], error[a]) * np.prod(norm.cdf(x, q[rivals], error[rivals])),
-            -12.0,
-            12.0,
-        )
-        assert found.chance_best[a] == pytest.approx(exact, abs=0.012)
+        assert found.chance_best[a] == pytest.approx(quad(is_best, -12.0, 12.0, args=(a,))[0], abs=0.012)
 
 
 def test_equals_are_all_the_best_and_the_impossible_never_is():
@@ -69,17 +68,13 @@ def test_equals_are_all_the_best_and_the_impossible_never_is():
     assert list(found.by_name(["a", "b", "c"])[0]) == ["a", "b"]
 
 
-def test_stages_to_come_widen_the_interval_by_their_number_and_the_draws_by_its_root():
-    q, deviations = np.array([1.0, 0.0]), np.array([[1.0], [1.0]])
-    found = certainty(q, deviations, np.array([0, 1]), np.ones(2, dtype=bool), 4.0)
-    np.testing.assert_allclose(found.high, q + 4.0 * 1.959964, rtol=1e-6)
+def test_stages_to_come_widen_by_their_number_draws_by_its_root_and_what_no_log_takes_away_both():
+    q = np.array([1.0, 0.0])
+    found = certainty(q, np.array([[1.0], [1.0]]), TWO, BOTH, 4.0)
+    np.testing.assert_allclose(found.high, q + 4.0 * Z, rtol=1e-6)
     np.testing.assert_allclose(found.chance_best[0], norm.cdf(1.0 / np.hypot(2.0, 2.0)), atol=0.012)
-
-
-def test_an_error_that_no_log_takes_away_widens_both():
-    q, deviations = np.array([1.0, 0.0]), np.array([[0.6], [0.8]])
-    found = certainty(q, deviations, np.array([0, 1]), np.ones(2, dtype=bool), 4.0, 3.0)
-    np.testing.assert_allclose(found.high - q, 1.959964 * np.sqrt([2.4**2 + 9.0, 3.2**2 + 9.0]), rtol=1e-6)
+    found = certainty(q, np.array([[0.6], [0.8]]), TWO, BOTH, 4.0, 3.0)
+    np.testing.assert_allclose(found.high - q, Z * np.sqrt([2.4**2 + 9.0, 3.2**2 + 9.0]), rtol=1e-6)
     together = np.sqrt(4.0 + 9.0 / 0.5) * np.hypot(0.6, 0.8)
     np.testing.assert_allclose(found.chance_best[0], norm.cdf(1.0 / together), atol=0.012)
 
@@ -92,25 +87,25 @@ def test_stages_to_come_are_counted_as_if_nothing_had_been_cut():
         cut_in = int(rng.integers(1, 5)) if rng.random() < 0.5 else 9
         for stage in range(1, min(num, cut_in) + 1):
             done = stage < cut_in
-            row = {"path": path, "stage": stage, "action": "A"}
-            stages.append(row | {"elapsed_s": float(stage) if done else None, "reward": 0.0 if done else None})
+            stages.append((path, stage, "A", float(stage) if done else np.nan, 0.0 if done else np.nan))
         is_cut = cut_in <= num
-        end_s = cut_in - 0.5 if is_cut else float(num)
-        paths.append({"path": path, "end_s": end_s, "ending": "cut" if is_cut else "finished"})
+        paths.append((path, cut_in - 0.5 if is_cut else float(num), "cut" if is_cut else "finished"))
     exact = [1 + 0.6 + 0.36 + 0.216, 1 + 0.6 + 0.36, 1.6, 1.0]
-    np.testing.assert_allclose(
-        stages_left(stage_counts(Logs(pd.DataFrame(stages), pd.DataFrame(paths)))), exact, atol=0.06
+    logs = Logs(
+        pd.DataFrame(stages, columns=["path", "stage", "action", "elapsed_s", "reward"]),
+        pd.DataFrame(paths, columns=["path", "end_s", "ending"]),
     )
+    np.testing.assert_allclose(stages_left(stage_counts(logs)), exact, atol=0.06)
 
 
-def test_what_was_learned_holds_how_sure_it_is(tmp_path):
+SEEN = NamedObservation(pd.DataFrame({"x1": [0.1], "x2": [1]}), 1)
+
+
+def test_what_was_learned_holds_how_sure_it_is(stored):
     logs = flat_log(num_paths=60)
-    learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], q_function="linear", reg=0.1).fit(logs)
-    write_policy(learner, logs, tmp_path / "p")
-    stored = read_policy(tmp_path / "p")
-    row = pd.DataFrame({"x1": [0.1], "x2": [1]})
-    decision = decider_of(stored).decide(NamedObservation(row, 1))
-    known = stored.q_error
+    learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], q_function="linear", reg=0.1)
+    policy = stored(learner, logs)
+    decision, known = decider_of(policy).decide(SEEN), policy.q_error
     assert known is not None
     assert 1.0 < known.stages_left[0] <= 2.0
     assert known.pessimism == pytest.approx(2.0 / np.sqrt(2.0))
@@ -118,26 +113,15 @@ def test_what_was_learned_holds_how_sure_it_is(tmp_path):
     for k, name in enumerate(("A", "B")):
         q = float(learner.policy_.coefficients[0, k] @ design)
         error = np.linalg.norm(learner.policy_.margin[0, k].T @ design) / known.pessimism
-        half = 1.959964 * np.hypot(known.stages_left[0] * error, 0.2 * np.nanstd(logs.stages["reward"].astype(float)))
+        half = Z * np.hypot(known.stages_left[0] * error, 0.2 * np.nanstd(logs.stages["reward"].astype(float)))
         np.testing.assert_allclose(decision.intervals[name], (q - half, q + half), rtol=1e-5)
     assert list(decision.chance_best) == ["A", "B"]
     assert sum(decision.chance_best.values()) == pytest.approx(1.0, abs=1e-3)
     assert f"best with a chance of {decision.chance_best[decision.action]:.0%}" in decision.reason
 
 
-def test_without_pessimism_nobody_knows(tmp_path):
-    logs = flat_log()
-    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(logs)
-    write_policy(learner, logs, tmp_path / "p")
-    stored = read_policy(tmp_path / "p")
-    decision = decider_of(stored).decide(NamedObservation(pd.DataFrame({"x1": [0.1], "x2": [1]}), 1))
-    assert (stored.q_error, decision.intervals, decision.chance_best) == (None, {}, {})
+def test_without_pessimism_nobody_knows(kept):
+    policy = read_policy(kept / "flat")
+    decision = decider_of(policy).decide(SEEN)
+    assert (policy.q_error, decision.intervals, decision.chance_best) == (None, {}, {})
     assert "chance" not in decision.reason
-
-
-def test_one_state_has_one_answer_and_the_global_seed_changes_nothing():
-    q, deviations = np.array([0.0, 0.1, 0.2]), np.eye(3)
-    first = certainty(q, deviations, np.arange(3), EVERY)
-    np.random.seed(4)  # noqa: NPY002
-    again = certainty(q, deviations, np.arange(3), EVERY)
-    np.testing.assert_array_equal(first.chance_best, again.chance_best)

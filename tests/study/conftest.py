@@ -1,7 +1,6 @@
 import pytest
 from tiny import SETTING, TINY
 
-from halfseen.pages.drawing import style
 from halfseen.study.run import run_study
 from halfseen.workers import Workers
 
@@ -12,9 +11,3 @@ def study_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("study") / "new" / "folder"
     run_study(SETTING, folder, TINY, workers=Workers(1))
     return folder
-
-
-@pytest.fixture
-def within_style():
-    with style():
-        yield

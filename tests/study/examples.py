@@ -1,14 +1,26 @@
 """Made-up pieces of every experiment, and what is made of them: for the tests of what is drawn and written."""
 
-import numpy as np
-from example_attempts import example_pieces as attempt_pieces
-from example_map import example_pieces as map_pieces
+from dataclasses import asdict
+from functools import cache
+from typing import NamedTuple
 
-from halfseen.study.experiment import Pieces, Setting
+import numpy as np
+
+from attempt_logs import attempt_log
+from halfseen.cell.calibration.trials import trials
+from halfseen.study.experiment import Pieces, Section, Setting
 from halfseen.study.experiments import EXPERIMENTS
+from halfseen.study.experiments.attempts import Attempts
+from halfseen.study.experiments.attempts.design import COMPLETED, VISIBLE_ONLY
+from halfseen.study.experiments.attempts.design import MODEL_NAMES as ATTEMPT_MODELS
+from halfseen.study.experiments.attempts.sources import source_of
+from halfseen.study.experiments.attempts.splits import split_of
+from halfseen.study.experiments.clutter import Clutter
+from halfseen.study.experiments.clutter.table import table_of
 from halfseen.study.experiments.grasp.design import MODEL_NAMES
 from halfseen.study.pipeline import TREATMENTS, episodes_in_turn
 from halfseen.study.policies import HEURISTICS
+from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 
 REWARDS = dict(zip((each.name for each in HEURISTICS), (3.1, 3.6, 6.2, 6.4), strict=True))
@@ -49,11 +61,21 @@ def example_pieces(experiment, lead=0.0, gain=0.0, repetitions=6):
     return Pieces(prepared, measured, [made[experiment.name](k) for k in range(repetitions)])
 
 
-def example_section(experiment, repetitions=6, **options):
-    setting = example_setting(repetitions)
-    return experiment.section(
-        setting, experiment.tabulate(setting, example_pieces(experiment, repetitions=repetitions, **options))
-    )
+class Example(NamedTuple):
+    """Made-up pieces of an experiment, and all that becomes of them."""
+
+    setting: Setting
+    pieces: Pieces
+    tables: dict
+    section: Section
+
+
+@cache
+def example(experiment, repetitions=6, **options):
+    """What an experiment makes of its example's pieces, once."""
+    setting, pieces = example_setting(repetitions), example_pieces(experiment, repetitions=repetitions, **options)
+    tables = experiment.tabulate(setting, pieces)
+    return Example(setting, pieces, tables, experiment.section(setting, tables))
 
 
 def _means(reward):
@@ -141,3 +163,63 @@ def _regret(rng, index, lead):
             values = (np.maximum(0.0, [60.0 / size - lead, 2.0 * share]) + 0.02 * rng.random()).tolist()
             rows.append({"policy": "censored_q", "num_paths": size, "cut_share": share, "regrets": values})
     return {"index": index, "rows": rows}
+
+
+WORLD = WorldConfig()
+OF_MAP = Setting((), world=WORLD)
+
+
+def map_pieces(gain_share, design=None, repetitions=5, noise=0.01, setting=OF_MAP):
+    """Make pieces in which the learned policy gains a share, by place, of the 12 that the best heuristic earns."""
+    rng = np.random.default_rng(0)
+    pieces = []
+    for index in range(repetitions):
+        rows = []
+        for place in (design or Clutter()).places(setting):
+            best = 12.0 - 3.0 * place.num_objects
+            learned = best + 12.0 * (gain_share(place) + noise * rng.normal())
+            rewards = {"censored_q": learned, "greedy": best - 2, "history": best - 3, "greedy-penalty": best - 1}
+            rows.append(asdict(place) | {"rewards": rewards | {"history-penalty": best}})
+        pieces.append({"index": index, "map": rows})
+    return pieces
+
+
+def map_table(gain_share, design=None, **options):
+    return table_of(design or Clutter(), WORLD, map_pieces(gain_share, design, **options))
+
+
+NUM_TABLES = 30
+ABOVE = {"rate": 0.02, "beta": 0.0, "svm-facts": -0.01, "svm-set": -0.005, "law": -0.012}
+
+
+@cache
+def source(seed=0):
+    """Attempts at some tables, and the regression."""
+    return source_of(trials(attempt_log(NUM_TABLES, seed), 12))
+
+
+def attempt_pieces(gain=0.0, repetitions=8, has_both=True):
+    """Make pieces in which the SVM gains so much over the Beta mean, in each attempt."""
+    design, rng = Attempts(), np.random.default_rng(3)
+    prepared = {COMPLETED: source(), **({VISIBLE_ONLY: source(1)} if has_both else {})}
+    decided = np.flatnonzero(prepared[COMPLETED]["tried"]["is_finished"])
+    path = np.array(prepared[COMPLETED]["tried"]["path"])[decided]
+    hard = rng.normal(0.15, 0.05, NUM_TABLES)
+    pieces = [_attempts(design, index, decided, path, hard, gain, rng) for index in range(repetitions)]
+    return Pieces(prepared, {}, pieces)
+
+
+def _attempts(design, index, decided, path, hard, gain, rng):
+    tables = split_of(design, np.unique(path), 0, index).held_out
+    rows = np.isin(path, tables)
+    weight = np.array([np.sum(path == table) for table in tables], dtype=float)
+    scores = []
+    for size in design.num_tables:
+        for model in ATTEMPT_MODELS:
+            loss = hard[tables] + ABOVE.get(model, -gain) + rng.normal(0.0, 0.002, len(tables))
+            row = {"model": model, "num_tables": size, "stands_in": model == "svm" and size == 25 and index == 0}
+            scores.append(row | {"log_loss": (weight * loss).tolist(), "brier": (weight * loss / 5).tolist()})
+    said = {model: np.full(int(rows.sum()), 0.9).tolist() for model in ATTEMPT_MODELS}
+    said["law"] = rng.uniform(0.6, 1.0, int(rows.sum())).tolist()
+    kept = {"rows": decided[rows].tolist(), "row_weight": np.ones(int(rows.sum())).tolist(), "said": said}
+    return {"index": index, "tables": tables.tolist(), "weight": weight.tolist(), "scores": scores, **kept}

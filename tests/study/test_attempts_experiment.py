@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from example_attempts import example_pieces
 from scipy.stats import t
 
 from attempt_logs import TRUTH, attempt_log
+from examples import attempt_pieces
 from halfseen.study.experiment import Pieces, Setting
 from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.attempts.design import MODEL_NAMES, AttemptsDesign
@@ -24,25 +24,34 @@ from halfseen.study.statistics import holm
 from halfseen.study.store import as_json
 from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
 
-TINY = Attempts(num_tables=(8, 16), num_folds=2)
+TINY = Attempts(num_tables=(6, 12), num_folds=2)
 
 
 @pytest.fixture(scope="module")
-def law_folder(tmp_path_factory):
+def setting(tmp_path_factory):
     folder = tmp_path_factory.mktemp("law")
-    attempt_log(40, truth=np.array([1.5, *TRUTH[1:]])).write(folder / "attempts")
-    return folder
+    attempt_log(30, truth=np.array([1.5, *TRUTH[1:]])).write(folder / "attempts")
+    return Setting((), repetitions=4, seed=5, law=folder)
 
 
-@pytest.fixture(scope="module")
-def setting(law_folder):
-    return Setting((), repetitions=4, seed=5, law=law_folder)
+def repeated(design, setting, prepared, index):
+    return json.loads(as_json(design.repeat(setting, prepared, index)))
 
 
 @pytest.fixture(scope="module")
 def pieces(setting):
     prepared = json.loads(as_json(TINY.prepare(setting)))
-    return Pieces(prepared, {}, [json.loads(as_json(TINY.repeat(setting, prepared, k))) for k in range(4)])
+    return Pieces(prepared, {}, [repeated(TINY, setting, prepared, k) for k in range(4)])
+
+
+@pytest.fixture(scope="module")
+def tables(setting, pieces):
+    return TINY.tabulate(setting, pieces)
+
+
+@pytest.fixture(scope="module")
+def tried(pieces):
+    return frame_of(pieces.prepared["completed"])
 
 
 def test_no_table_is_both_learned_from_and_held_out():
@@ -52,60 +61,56 @@ def test_no_table_is_both_learned_from_and_held_out():
         for split in splits:
             assert not set(split.learned) & set(split.held_out)
             assert set(split.learned) | set(split.held_out) == set(tables)
-        held_out = np.concatenate([split.held_out for split in splits])
-        assert sorted(held_out) == sorted(tables)
+        assert sorted(np.concatenate([split.held_out for split in splits])) == sorted(tables)
     again = split_of(design, tables[::-1], 3, 8)
     np.testing.assert_array_equal(again.learned, splits[0].learned)
     assert list(split_of(design, tables, 4, 8).learned) != list(again.learned)
 
 
-def test_scores_are_those_of_attempts_that_were_held_out(setting, pieces):
-    tried = frame_of(pieces.prepared["completed"])
-    split = split_of(TINY, np.unique(tried["path"]), 5, 1)
-    learned = tried[tried["path"].isin(list(split.learned[:16]))]
+def test_only_sizes_that_every_repetition_has_are_learned_from():
+    design = AttemptsDesign(num_tables=(10, 30, 50), num_folds=4)
+    for num in (40, 41, 43, 67):
+        least = min(len(split_of(design, np.arange(num), 0, index).learned) for index in range(4))
+        assert sizes_of(design, num) == tuple(size for size in (10, 30, 50) if size <= least)
+    assert sizes_of(design, 8) == (6,)
+
+
+def test_scores_are_those_of_attempts_that_were_held_out(pieces, tried):
+    split, piece = split_of(TINY, np.unique(tried["path"]), 5, 1), pieces.repetitions[1]
+    learned = tried[tried["path"].isin(list(split.learned[:12]))]
     held_out = tried[tried["path"].isin(list(split.held_out))]
-    said = predicted("svm-facts", learned, held_out)
     weight = dict(zip(held_out.index[held_out["is_finished"]], checked_attempts(held_out).weight, strict=True))
     sums = dict.fromkeys(split.held_out.tolist(), 0.0)
-    for k, (number, row) in enumerate(held_out.iterrows()):
+    for said, (number, row) in zip(predicted("svm-facts", learned, held_out), held_out.iterrows(), strict=True):
         if row["is_finished"]:
-            sums[row["path"]] -= weight[number] * np.log(said[k] if row["succeeded"] else 1.0 - said[k])
-    (found,) = (
-        row["log_loss"]
-        for row in pieces.repetitions[1]["scores"]
-        if (row["model"], row["num_tables"]) == ("svm-facts", 16)
-    )
-    np.testing.assert_allclose(found, list(sums.values()), rtol=1e-9)
-    assert pieces.repetitions[1]["rows"] == list(weight)
+            sums[row["path"]] -= weight[number] * np.log(said if row["succeeded"] else 1.0 - said)
+    (found,) = (row for row in piece["scores"] if (row["model"], row["num_tables"]) == ("svm-facts", 12))
+    np.testing.assert_allclose(found["log_loss"], list(sums.values()), rtol=1e-9)
+    assert piece["rows"] == list(weight)
 
 
-def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(pieces):
-    tried = frame_of(pieces.prepared["completed"])
-    held = tried[(tried["succeeded"] == True).fillna(False)]  # noqa: E712 - nullable
-    missed = tried[(tried["succeeded"] == False).fillna(False)].head(1)  # noqa: E712
-    few = pd.concat([held, missed])
+def test_one_rate_stands_in_where_an_svm_cannot_be_fitted(tried):
+    outcome = tried["succeeded"].astype("boolean")
+    few = pd.concat([tried[outcome.fillna(False)], tried[(~outcome).fillna(False)].head(1)])
     assert not can_hold_out(few)
     assert can_hold_out(tried)
     np.testing.assert_array_equal(predicted("svm", few, tried), predicted("rate", few, tried))
     assert predicted("rate", few, tried)[0] > 0.95
 
 
-def test_an_attempt_is_the_set_of_itself_and_of_those_before_it_at_the_same_object(pieces):
-    tried = frame_of(pieces.prepared["completed"])
+def test_an_attempt_is_the_set_of_itself_and_of_those_before_it_at_the_same_object(tried):
     order = np.random.default_rng(0).permutation(len(tried))
-    sets = sets_of(tried.iloc[order], np.zeros(4), np.ones(4))
+    sets, rows = sets_of(tried.iloc[order], np.zeros(4), np.ones(4)), tried.to_dict("records")
     for place, number in enumerate(order):
-        row = tried.iloc[number]
-        past = tried[(tried["object"] == row["object"]) & (tried["stage"] < row["stage"])]
-        expected = [[1, 0, 0, *row[list(SEEN)]]]
-        expected += [[0, held, not held, *each] for held, each in zip(past["succeeded"], past[list(SEEN)].values)]  # noqa: B905
+        now = rows[number]
+        past = [row for row in rows if row["object"] == now["object"] and row["stage"] < now["stage"]]
+        expected = [[1, 0, 0, *(now[name] for name in SEEN)]]
+        expected += [[0, row["succeeded"], not row["succeeded"], *(row[name] for name in SEEN)] for row in past]
         np.testing.assert_array_equal(sets[place], np.array(expected, dtype=float))
 
 
 def test_elements_of_two_kinds_have_nothing_in_common():
-    rng = np.random.default_rng(0)
-    kinds = np.eye(3)[[0, 1, 2, 1]]
-    values = rng.normal(size=(4, 2))
+    kinds, values = np.eye(3)[[0, 1, 2, 1]], np.random.default_rng(0).normal(size=(4, 2))
     gram = of_one_kind(*[np.column_stack([kinds, values])] * 2)
     for i in range(4):
         for j in range(4):
@@ -153,31 +158,27 @@ def test_intervals_hold_the_truth_where_tables_and_what_was_learned_vary():
     assert np.mean(inside) > 0.93
 
 
-def test_tables_hold_every_model_and_size(setting, pieces):
-    tables = TINY.tabulate(setting, pieces)
+def test_tables_hold_every_model_and_size(pieces, tables):
     assert len(tables["attempts_scores"]) == len(MODEL_NAMES) * 2
-    tests = tables["attempts_tests"]
-    for _, pair in tests.groupby(["model", "rival"]):
+    for _, pair in tables["attempts_tests"].groupby(["model", "rival"]):
         np.testing.assert_allclose(pair["p_holm"], holm(pair["p_value"].to_numpy()))
         assert len(pair) == 4
     rows = tables["attempts_calibration"].query("by == 'occlusion' and model == 'law'")
-    assert rows["attempts"].sum() == sum(pieces.prepared["completed"]["tried"]["is_finished"])
+    decided = sum(pieces.prepared["completed"]["tried"]["is_finished"])
+    assert rows["attempts"].sum() == tables["attempts_held"]["attempts"].sum() == decided
     assert rows["share_of_attempts"].sum() == pytest.approx(1.0)
-    assert (tables["attempts_held"]["attempts"].sum()) == rows["attempts"].sum()
-    law = tables["attempts_law"].set_index("parameter")
-    fit = fit_of(pieces.prepared["completed"])
+    law, fit = tables["attempts_law"].set_index("parameter"), fit_of(pieces.prepared["completed"])
     assert law.loc["occlusion", "estimate"] == fit.estimate[1]
     assert law.loc["occlusion", "high"] == pytest.approx(fit.estimate[1] + 1.959964 * fit.standard_error[1])
 
 
-def test_an_attempt_that_was_held_out_twice_counts_once(setting, pieces):
-    calibration = TINY.tabulate(setting, pieces)["attempts_calibration"]
+def test_an_attempt_that_was_held_out_twice_counts_once(pieces, tables):
     said = {}
     for piece in pieces.repetitions:
         for row, value in zip(piece["rows"], piece["said"]["beta"], strict=True):
             said.setdefault(row, []).append(value)
     assert {len(each) for each in said.values()} == {2}
-    rows = calibration.query("by == 'prediction' and model == 'beta'")
+    rows = tables["attempts_calibration"].query("by == 'prediction' and model == 'beta'")
     means = np.array([np.mean(each) for each in said.values()])
     assert rows["attempts"].sum() == len(means)
     assert rows["bin_from"].min() == pytest.approx(means.min())
@@ -193,10 +194,8 @@ def test_without_a_law_it_says_that_there_are_no_attempts():
     setting = Setting((), repetitions=2)
     pieces = Pieces(TINY.prepare(setting), {}, [TINY.repeat(setting, {}, k) for k in range(2)])
     section = TINY.section(setting, TINY.tabulate(setting, pieces))
-    assert len(section.sentences) == 1
-    assert section.num_leading == 0
+    assert (len(section.sentences), section.num_leading, section.drawings, section.listings) == (1, 0, (), ())
     assert section.sentences[0].startswith("There are no attempts of a cell to test an SVM")
-    assert (section.drawings, section.listings) == ((), ())
 
 
 @pytest.mark.parametrize(
@@ -209,7 +208,7 @@ def test_without_a_law_it_says_that_there_are_no_attempts():
 )
 def test_the_answer_is_told_either_way(gain, told):
     setting, design = Setting(()), Attempts()
-    section = design.section(setting, design.tabulate(setting, example_pieces(gain)))
+    section = design.section(setting, design.tabulate(setting, attempt_pieces(gain)))
     assert section.sentences[0].startswith("On physical attempts (")
     assert f"the SVM predicts what will hold {told} (" in section.sentences[0]
     assert section.drawings[0].title == f"On physical attempts, the SVM predicts {told}"
@@ -221,13 +220,7 @@ def test_the_answer_is_told_either_way(gain, told):
 def test_the_same_seed_gives_the_same_bytes(setting, pieces):
     again, other = (pickle.loads(pickle.dumps(each)) for each in (TINY, setting))
     np.random.seed(1)  # noqa: NPY002 - nothing may depend on it
-    assert as_json(again.repeat(other, pieces.prepared, 2)) == as_json(pieces.repetitions[2])
-    assert as_json(TINY.repeat(replace(setting, seed=6), pieces.prepared, 2)) != as_json(pieces.repetitions[2])
-
-
-def test_only_sizes_that_every_repetition_has_are_learned_from():
-    design = AttemptsDesign(num_tables=(10, 30, 50), num_folds=4)
-    for num in (40, 41, 43, 67):
-        least = min(len(split_of(design, np.arange(num), 0, index).learned) for index in range(4))
-        assert sizes_of(design, num) == tuple(size for size in (10, 30, 50) if size <= least)
-    assert sizes_of(design, 8) == (6,)
+    assert repeated(again, other, pieces.prepared, 2) == pieces.repetitions[2]
+    small = replace(TINY, num_tables=(6,))
+    one, another = (repeated(small, replace(setting, seed=seed), pieces.prepared, 2) for seed in (5, 6))
+    assert one != another

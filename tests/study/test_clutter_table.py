@@ -1,14 +1,16 @@
+"""The map of tables and costs: its places, its numbers beside paired tests, its verdicts and words."""
+
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
-from example_map import WORLD, example_pieces, example_table
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
+from examples import WORLD, map_pieces, map_table
 from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
 from halfseen.study.experiment import Setting
@@ -32,33 +34,39 @@ COLUMNS = (
     "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high "
     "verdict"
 )
+SHARE = ["gain_share", "gain_share_low", "gain_share_high"]
 
 
-def shares(*values):
-    """Shares of 10 that are gained, repetition by repetition."""
-    return gain_share(10.0 * np.array(values), np.full(len(values), 10.0), 1.0)
+@pytest.fixture(scope="module")
+def of_three():
+    """A map in which learning pays on tables of three objects."""
+    return map_table(lambda place: 0.3 if place.num_objects == 3 else 0.0)
 
 
-def test_the_table_has_a_row_for_each_place_and_its_numbers_fit_together():
-    table = example_table(lambda place: 0.2 if place.num_objects == 3 else 0.0)
+@pytest.fixture(scope="module")
+def of_dear():
+    """A map in which learning pays where washing a clean cup is dear."""
+    return map_table(lambda place: 0.3 if place.reward_wash_clean == -20 else 0.0)
+
+
+def test_the_table_has_a_row_for_each_place_and_its_numbers_fit_together(of_three):
+    table = of_three
     assert list(table.columns) == COLUMNS.split()
     assert len(table) == 99
     assert (table["best_heuristic"] == "history-penalty").all()
     assert (table["finish_reward"] == -3.0 * table["num_objects"]).all()
     np.testing.assert_allclose(table["gain"], table["censored_q"] - table["heuristic_reward"])
-    np.testing.assert_allclose(
-        table["gain_share"], table["gain"] / (table["heuristic_reward"] - table["finish_reward"])
-    )
-    assert (table["gain_share_low"] < table["gain_share"]).all()
-    assert (table["gain_share"] < table["gain_share_high"]).all()
+    scale = table["heuristic_reward"] - table["finish_reward"]
+    np.testing.assert_allclose(table["gain_share"], table["gain"] / scale)
+    assert ((table["gain_share_low"] < table["gain_share"]) & (table["gain_share"] < table["gain_share_high"])).all()
     assert set(table.loc[table["num_objects"] == 3, "verdict"]) == {LEARN}
     assert set(table.loc[table["num_objects"] != 3, "verdict"]) == {ENOUGH}
 
 
 def test_a_constant_scale_gives_the_paired_t_interval():
-    found = shares(0.01, 0.03, 0.08, 0.02)
-    low, high = stats.ttest_1samp([0.01, 0.03, 0.08, 0.02], 0.0).confidence_interval()
-    assert found == pytest.approx((0.035, low, high))
+    values = np.array([0.01, 0.03, 0.08, 0.02])
+    low, high = stats.ttest_1samp(values, 0.0).confidence_interval()
+    assert gain_share(10.0 * values, np.full(4, 10.0), 1.0) == pytest.approx((0.035, low, high))
 
 
 @settings(max_examples=50, deadline=None)
@@ -90,59 +98,48 @@ def test_the_verdict_is_where_the_interval_lies(low, high, expected):
     assert verdict(GainShare((low + high) / 2, low, high), 0.05) == expected
 
 
-def test_what_earns_next_to_nothing_is_no_scale():
-    gain = np.array([1.0, 2.0, 1.5])
-    assert np.isnan(gain_share(gain, np.array([0.1, 0.1, 0.1]), 0.5)).all()
-    assert np.isnan(gain_share(gain, np.array([-2.0, -3.0, -2.5]), 0.5)).all()
-    # Far above on average, but not told from nothing.
-    assert np.isnan(gain_share(gain, np.array([9.0, -3.0, 4.0]), 0.5)).all()
-    assert np.isfinite(gain_share(gain, np.array([3.0, 3.2, 2.9]), 0.5)).all()
+@pytest.mark.parametrize(
+    ("earned", "is_scale"),
+    [
+        ([0.1, 0.1, 0.1], False),
+        ([-2.0, -3.0, -2.5], False),
+        # Far above on average, but not told from nothing.
+        ([9.0, -3.0, 4.0], False),
+        ([3.0, 3.2, 2.9], True),
+    ],
+)
+def test_what_earns_next_to_nothing_is_no_scale(earned, is_scale):
+    found = gain_share(np.array([1.0, 2.0, 1.5]), np.array(earned), 0.5)
+    assert (np.isfinite(found) if is_scale else np.isnan(found)).all()
 
 
-def test_a_place_without_a_scale_says_so_and_keeps_the_gain():
-    pieces = example_pieces(lambda place: 0.0)
-    for piece in pieces:
+def test_a_place_without_a_scale_keeps_the_gain_and_the_best_heuristic_is_the_best_on_average_in_its_place():
+    pieces = map_pieces(lambda place: 0.0, repetitions=2)
+    for piece, greedy in zip(pieces, (100.0, -50.0), strict=True):
         row = piece["map"][0]
         row["rewards"] = dict.fromkeys(row["rewards"], -3.0 * row["num_objects"] + 0.1) | {"censored_q": 4.0}
-    first = table_of(Clutter(), WORLD, pieces).iloc[0]
-    assert first["verdict"] == NO_SCALE
-    assert np.isnan(first[["gain_share", "gain_share_low", "gain_share_high"]].to_numpy(dtype=float)).all()
-    assert first["gain"] == pytest.approx(4.0 + 9.0 - 0.1)
-
-
-def test_the_best_heuristic_is_the_best_on_average_in_its_place():
-    pieces = example_pieces(lambda place: 0.0, repetitions=2)
-    for piece, greedy in zip(pieces, (100.0, -50.0), strict=True):
         piece["map"][4]["rewards"]["greedy"] = greedy
     table = table_of(Clutter(), WORLD, pieces)
-    assert table["best_heuristic"].tolist().count("greedy") == 1
+    assert table["verdict"][0] == NO_SCALE
+    assert table.loc[0, SHARE].isna().all()
+    assert table["gain"][0] == pytest.approx(4.0 + 9.0 - 0.1)
+    assert table["best_heuristic"][1:].tolist().count("greedy") == 1
     assert table["best_heuristic"][4] == "greedy"
 
 
-DEAR = "washing a clean cup costs 4 times what a dirty one earns"
-
-
-def said(share, design=None):
-    table = example_table(share, design)
-    return map_title(table, WORLD), map_sentence(table, design or Clutter(), WORLD)
-
-
-def test_the_factor_that_decides_is_named_with_its_count():
-    title, sentence = said(lambda place: 0.3 if place.reward_wash_clean == -20 else 0.0)
+def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed_for_another(of_dear):
+    title, sentence = map_title(of_dear, WORLD), map_sentence(of_dear, Clutter(), WORLD)
+    dear = "washing a clean cup costs 4 times what a dirty one earns"
     assert title.startswith(
-        f"Learning pays in 27 of 99 places, most often where {DEAR} (27 of 27); the best heuristic is good enough in "
+        f"Learning pays in 27 of 99 places, most often where {dear} (27 of 27); the best heuristic is good enough in "
     )
     assert sentence.startswith(f"{title}. It pays where the policy learned from 200 logged paths, of which about half ")
     assert "gains more than 5 % of what the best heuristic earns above finishing at once" in sentence
-
-
-def test_no_factor_is_blamed_for_another():
     # What is dear is learned; spreads were varied where it is not dear, and so tell nothing apart.
-    table = example_table(lambda place: 0.3 if place.reward_wash_clean == -20 else 0.0)
-    spreads = [level for level in levels(table, LEARN) if level.factor == "grip_offset_std"]
-    assert [(level.num_places, level.num_verdicts) for level in spreads] == [(9, 0)] * 3
-    labels = [level for level in levels(table, LEARN) if level.factor == "labels"]
-    assert [(level.num_places, level.num_verdicts) for level in labels] == [(27, 9)] * 3
+    counts = {"grip_offset_std": [], "labels": []}
+    for level in levels(of_dear, LEARN):
+        counts.get(level.factor, []).append((level.num_places, level.num_verdicts))
+    assert counts == {"grip_offset_std": [(9, 0)] * 3, "labels": [(27, 9)] * 3}
 
 
 @pytest.mark.parametrize(
@@ -159,44 +156,49 @@ def test_levels_in_words(factor, value, words):
     assert factor_words(factor, value, WORLD) == words
 
 
-def test_the_assumed_laws_are_counted_apart():
-    table = example_table(lambda place: 0.3 if place.num_objects == 3 else 0.0)
-    beside = table.head(9).assign(is_assumed=True)
-    alone, both = (map_title(each, WORLD) for each in (table, pd.concat([table, beside])))
+def test_the_assumed_laws_are_counted_apart(of_three):
+    beside = of_three.head(9).assign(is_assumed=True)
+    alone, both = (map_title(each, WORLD) for each in (of_three, pd.concat([of_three, beside])))
     num = int((beside["verdict"] == LEARN).sum())
     assert 0 < num < 9
     assert both == f"{alone}; under the assumed laws, these are {num} and {9 - num} of 9"
+
+
+def tables(num_objects, occlusion, num, seed=0, *grips):
+    return random_tables(num_objects, occlusion, num, np.random.default_rng(seed), *grips)
 
 
 @settings(max_examples=30, deadline=None)
 @given(st.integers(2, 12), st.floats(0.0, 0.99), st.integers(0, 1000))
 def test_every_table_has_the_wanted_mean_occlusion(num_objects, share_of_largest, seed):
     occlusion = share_of_largest * (num_objects - 1) / num_objects
-    tables = random_tables(num_objects, occlusion, 3, np.random.default_rng(seed))
-
-    assert [table.num_objects for table in tables] == [num_objects] * 3
-    for table in tables:
-        assert table.occlusion.mean() == pytest.approx(occlusion, abs=1e-9)
+    made = tables(num_objects, occlusion, 3, seed)
+    assert [table.num_objects for table in made] == [num_objects] * 3
+    assert [table.occlusion.mean() for table in made] == pytest.approx([occlusion] * 3, abs=1e-9)
 
 
-def test_nearer_objects_hide_farther_ones_alone():
-    for table in random_tables(6, 0.4, 20, np.random.default_rng(0)):
+def test_nearer_objects_hide_farther_ones_alone_and_a_seed_gives_the_same_tables_denser_or_looser():
+    for table in tables(6, 0.4, 20):
         assert not np.any((table.hides > 0) & (table.hides.T > 0))
         assert sorted(np.count_nonzero(table.hides, axis=1)) == [0, 1, 2, 3, 4, 5]
-
-
-def test_the_same_seed_gives_the_same_tables_denser_or_looser():
-    loose, dense, again = (random_tables(5, each, 4, np.random.default_rng(7)) for each in (0.2, 0.5, 0.5))
+    loose, dense, again = (tables(5, each, 4, 7) for each in (0.2, 0.5, 0.5))
     for thin, thick, same in zip(loose, dense, again, strict=True):
         assert np.array_equal(thick.hides, same.hides)
         assert np.all((thick.hides > thin.hides) == (thin.hides > 0))
     assert not np.array_equal(dense[0].hides, dense[1].hides)
 
 
+def test_grips_of_random_tables_are_drawn_from_those_of_the_cell():
+    scenes, without = tables(4, 0.3, 50, 0, (-2.0, 0.5)), tables(4, 0.3, 50)
+    assert set(np.array([scene.grip for scene in scenes]).ravel()) == {-2.0, 0.5}
+    assert all(np.array_equal(one.hides, other.hides) for one, other in zip(scenes, without, strict=True))
+    assert not any(scene.grip.any() for scene in without)
+
+
 @pytest.mark.parametrize(("num_objects", "occlusion"), [(1, 0.1), (2, 0.5), (3, 0.7), (3, -0.1), (0, 0.0), (3, np.nan)])
 def test_a_clutter_that_no_table_has_is_refused(num_objects, occlusion):
     with pytest.raises(ArgumentError, match="nearest is in full view"):
-        random_tables(num_objects, occlusion, 1, np.random.default_rng(0))
+        tables(num_objects, occlusion, 1)
     with pytest.raises(ArgumentError, match="nearest is in full view"):
         ClutterDesign(num_objects=(5, num_objects), occlusions=(0.0, occlusion))
 
@@ -204,34 +206,22 @@ def test_a_clutter_that_no_table_has_is_refused(num_objects, occlusion):
 def test_labels_and_costs_are_crossed_and_spreads_vary_the_worlds_own():
     places = ClutterDesign().places(Setting(()))
     assert len(places) == len(set(places)) == 9 * (3 * 3 + 2)
-    crossed = {(place.labels, place.reward_wash_clean) for place in places if place.grip_offset_std == 1.0}
-    assert crossed == {(gain, reward) for gain in (0.15, 0.3, 0.45) for reward in (-5.0, -10.0, -20.0)}
-    assert {(place.labels, place.reward_wash_clean) for place in places if place.grip_offset_std != 1.0} == {
-        (0.3, -10.0)
-    }
+    pairs = {True: set(), False: set()}
+    for place in places:
+        pairs[place.grip_offset_std == 1.0].add((place.labels, place.reward_wash_clean))
+    assert pairs[True] == {(gain, reward) for gain in (0.15, 0.3, 0.45) for reward in (-5.0, -10.0, -20.0)}
+    assert pairs[False] == {(0.3, -10.0)}
     assert len({(place.num_objects, place.occlusion) for place in places}) == 9
 
 
 def test_under_a_law_of_a_cell_the_assumed_laws_are_one_more_row(tmp_path):
-    grasping = replace(GRASPING, offset_std=3.5961921927952466)
+    grasping, design = replace(GRASPING, offset_std=3.5961921927952466), ClutterDesign()
     setting = Setting((), world=WorldConfig(grasping=grasping, seeing=SEEING, transport_s=4.0), law=tmp_path)
-    design = ClutterDesign()
     places = design.places(setting)
     assert len(places) == len(set(places)) == 9 * (3 * 3 + 2 + 1)
     assert [len(column) for column in design.panels(setting)] == [3, 3, 3, 4]
     shown = {place.labels for place in places if not place.is_assumed}
     assert sorted(shown) == pytest.approx([0.5 * SEEING.facing, SEEING.facing, min(1.5 * SEEING.facing, 1.0)])
-    last = places[-1]
-    assert last.is_assumed
-    assert last.world(setting.world) == WorldConfig()
+    assert places[-1].is_assumed
+    assert places[-1].world(setting.world) == WorldConfig()
     assert replace(places[0].world(setting.world), reward_wash_clean=-10.0).grasping == grasping
-
-
-def test_grips_of_random_tables_are_drawn_from_those_of_the_cell():
-    rng = np.random.default_rng(0)
-    scenes = random_tables(4, 0.3, 50, rng, (-2.0, 0.5))
-    grips = np.array([scene.grip for scene in scenes])
-    assert set(grips.ravel()) == {-2.0, 0.5}
-    without = random_tables(4, 0.3, 50, np.random.default_rng(0))
-    assert all(np.array_equal(one.hides, other.hides) for one, other in zip(scenes, without, strict=True))
-    assert not any(scene.grip.any() for scene in without)

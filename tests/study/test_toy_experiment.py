@@ -1,5 +1,6 @@
 """A new experiment is one class: it runs, resumes, tabulates, draws, claims and is reported like all others."""
 
+import shutil
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar
@@ -17,10 +18,12 @@ from halfseen.study.experiment import Drawing, Experiment, Listing, Section, Set
 from halfseen.study.run import run_study
 from halfseen.study.runner import repetition, run_all, store_of
 from halfseen.study.statistics import columns, estimate_in, over_repetitions
+from halfseen.study.store import Store, as_json
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
 
 SETTING = Setting((Scene(np.zeros((2, 2)), name="two <cups>"),), repetitions=4)
+ALONE = Workers(1)
 
 
 @dataclass(frozen=True)
@@ -41,20 +44,15 @@ class Coin:
 
     def tabulate(self, setting, pieces):
         gain = over_repetitions(np.array([piece["heads"] for piece in pieces.repetitions]))
-        return {
-            "coin": pd.DataFrame(
-                [columns(gain, "gain", "se", "low", "high") | {"repetitions": len(pieces.repetitions)}]
-            )
-        }
+        row = columns(gain, "gain", "se", "low", "high") | {"repetitions": len(pieces.repetitions)}
+        return {"coin": pd.DataFrame([row])}
 
     def section(self, setting, tables):
         row = tables["coin"].iloc[0]
-        claim = Claim(
-            "The coin", "beats", "loses to", "a fair one", estimate_in(row, "gain", "se", int(row["repetitions"]))
-        )
-        listing = Listing(
-            "Table C", "Heads.", ("coin", "verdict"), {"": [("this one", claim.verdict)]}, is_folded=False
-        )
+        gain = estimate_in(row, "gain", "se", int(row["repetitions"]))
+        claim = Claim("The coin", "beats", "loses to", "a fair one", gain)
+        cells = {"": [("this one", claim.verdict)]}
+        listing = Listing("Table C", "Heads.", ("coin", "verdict"), cells, is_folded=False)
         drawing = Drawing("coin_figure", "Figure C", claim.title, "One bar.", partial(self.draw, float(row["gain"])))
         return Section("Is the coin fair?", (claim.sentence,), (drawing,), (listing,))
 
@@ -69,7 +67,7 @@ class Coin:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("coin")
-    run_study(SETTING, folder, (Coin(),), workers=Workers(1))
+    run_study(SETTING, folder, (Coin(),), workers=ALONE)
     return folder
 
 
@@ -95,19 +93,16 @@ def test_it_is_run_drawn_claimed_and_reported(folder):
     assert "http" not in page
 
 
-def test_what_is_missing_is_made_again_to_the_same_bytes(folder, tmp_path):
-    run_study(SETTING, tmp_path, (Coin(),), workers=Workers(1))
-    assert outputs(tmp_path) == outputs(folder)
-    (tmp_path / "progress/coin/repetition-00002.json").unlink()
-    run_study(SETTING, tmp_path, (Coin(),), is_resumed=True, workers=Workers(1))
-    assert outputs(tmp_path) == outputs(folder)
-
-
-def test_more_repetitions_add_to_those_that_are_there(folder, tmp_path):
-    run_study(SETTING, tmp_path, (Coin(),), workers=Workers(1))
-    store = store_of(Coin(), SETTING, tmp_path, is_resumed=True)
+def test_what_is_missing_is_made_again_to_the_same_bytes_and_more_repetitions_are_added(folder, tmp_path):
+    run_study(SETTING, tmp_path / "new", (Coin(),), workers=ALONE)
+    assert outputs(tmp_path / "new") == outputs(folder)
+    shutil.copytree(folder / "progress", tmp_path / "again" / "progress")
+    (tmp_path / "again/progress/coin/repetition-00002.json").unlink()
+    run_study(SETTING, tmp_path / "again", (Coin(),), is_resumed=True, workers=ALONE)
+    assert outputs(tmp_path / "again") == outputs(folder)
+    store = store_of(Coin(), SETTING, tmp_path / "again", is_resumed=True)
     store.keep("repetition-00000", {"heads": 7.0, "index": 0})
-    run_study(replace(SETTING, repetitions=6), tmp_path, (Coin(),), is_resumed=True, workers=Workers(1))
+    run_all((Coin(),), replace(SETTING, repetitions=6), [store], ALONE)
     assert len(list(store.folder.glob("repetition-*.json"))) == 6
     assert store.read("repetition-00000")["heads"] == 7.0
 
@@ -116,8 +111,8 @@ def test_more_repetitions_add_to_those_that_are_there(folder, tmp_path):
     "other", [{"hides": np.array([[0.0, 0.1], [0.0, 0.0]])}, {"grip": np.ones(2)}, {"places_m": np.ones((2, 2))}]
 )
 def test_a_scene_of_the_same_name_and_other_content_is_another_study(tmp_path, other):
-    store_of(Coin(), SETTING, tmp_path, is_resumed=False)
-    store_of(Coin(), SETTING, tmp_path, is_resumed=True)
+    for is_resumed in (False, True):
+        store_of(Coin(), SETTING, tmp_path, is_resumed=is_resumed)
     scenes = (replace(SETTING.scenes[0], **other),)
     with pytest.raises(ArgumentError, match="a study of another design"):
         store_of(Coin(), replace(SETTING, scenes=scenes), tmp_path, is_resumed=True)
@@ -131,11 +126,55 @@ def test_before_anything_is_made_no_time_left_is_foretold(tmp_path, monkeypatch,
     stores = [store_of(coin, SETTING, tmp_path, is_resumed=False) for coin in coins]
     for index in range(num_made):
         stores[0].keep(repetition(index), coins[0].repeat(SETTING, coins[0].prepare(SETTING), index))
-    run_all(coins, SETTING, stores, Workers(1))
+    run_all(coins, SETTING, stores, ALONE)
     assert begun[0] == ("study", pytest.approx(num_made / 3, abs=0.0, rel=1e-12))
 
 
 @pytest.mark.parametrize(("bias", "words"), [(0.5, "inconclusive"), (0.1, "not supported")])
 def test_a_claim_that_fails_is_said_to_fail(tmp_path, bias, words):
-    results = run_study(SETTING, tmp_path, (Coin(bias=bias),), workers=Workers(1))
+    results = run_study(SETTING, tmp_path, (Coin(bias=bias),), workers=ALONE)
     assert f"beats a fair one: {words}" in results.answer[0]
+
+
+DESIGN = {"seed": 0}
+
+
+def store(folder, design=DESIGN, *, is_resumed=True):
+    return Store(folder, design, is_resumed=is_resumed)
+
+
+def again():
+    raise AssertionError("it is there already")
+
+
+def test_pieces_come_back_unless_a_study_is_begun_anew_and_are_never_of_another_design(tmp_path):
+    folder = tmp_path / "new" / "study"
+    piece = {"values": [0.1, 1 / 3, 1e-300], "names": ["ö"]}
+    first = store(folder, is_resumed=False)
+    assert first.kept("piece", lambda: piece) == first.kept("piece", again) == piece
+    with pytest.raises(ArgumentError, match=r"--resume: .*belongs to a study of another design, seed or version"):
+        store(folder, {"seed": 1})
+    assert store(folder).kept("piece", again) == piece
+    assert store(folder, is_resumed=False).kept("piece", lambda: [2]) == [2]
+
+
+@pytest.mark.parametrize("change", [("1.5", "1.6"), ('"sha256"', '"sha512"'), ("1.5", ""), ("{", "[")])
+def test_a_piece_that_was_changed_is_not_believed(tmp_path, change):
+    store(tmp_path, is_resumed=False).keep("piece", {"value": 1.5})
+    file = tmp_path / "piece.json"
+    file.write_text(file.read_text().replace(*change, 1))
+    with pytest.raises(ArgumentError, match=r"piece.json cannot be read .*; remove it and go on with --resume"):
+        store(tmp_path).read("piece")
+
+
+def test_the_same_value_gives_the_same_bytes_and_nan_is_refused():
+    assert as_json({"a": 1, "b": 2}) == as_json({"b": 2, "a": 1})
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        as_json(float("nan"))
+
+
+def test_what_no_study_wrote_is_not_removed(tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    with pytest.raises(ArgumentError, match=r"holds no study .design.json is missing., so it is not removed"):
+        store(tmp_path, is_resumed=False)
+    assert (tmp_path / "notes.txt").read_text() == "mine"

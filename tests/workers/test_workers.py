@@ -121,11 +121,9 @@ def test_the_piece_of_a_killed_worker_is_made_again(workers, tmp_path):
 
 @pytest.mark.parametrize("workers", WORKED)
 def test_a_piece_that_kills_every_worker_is_given_up(workers, monkeypatch):
-    # Those of a cluster take long to come back.
-    most = 10 if workers.engine == "processes" else 3
-    monkeypatch.setattr("halfseen.workers.pool.MOST_LOST", most)
-    told = rf"were lost {most} times.* give --workers a smaller"
-    with workers.ready() as pool, pytest.raises(WorkerError, match=told):
+    # They take long to come back.
+    monkeypatch.setattr("halfseen.workers.pool.MOST_LOST", 3)
+    with workers.ready() as pool, pytest.raises(WorkerError, match=r"were lost 3 times.* give --workers a smaller"):
         list(pool.each(always_killed, range(2)))
 
 

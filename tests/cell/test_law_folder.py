@@ -1,0 +1,170 @@
+"""Laws in folders, their pictures and their worlds; the law that ships, beside the attempts that ship with it."""
+
+import json
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from scipy.special import expit
+
+from attempt_logs import attempt_log
+from halfseen.cell.calibration.calibrate import HORIZON, law_of
+from halfseen.cell.calibration.clustered_share import shares_by
+from halfseen.cell.calibration.held_figure import held_shares
+from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, read_law, write_law
+from halfseen.cell.calibration.occlusion_bins import occlusion_bins
+from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.trials import trials
+from halfseen.cell.facts import Facts
+from halfseen.cell.tables_seen import look_again, tables_seen
+from halfseen.cli.scenes import scenes_of
+from halfseen.errors import LogError, PolicyError
+from halfseen.logs import Logs, read_logs
+from halfseen.policies.folder.files import write_files
+from halfseen.scene import table_paths
+from halfseen.tables.grasp.inputs import checked_attempts
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "physical_cell" / "logs"
+"""Logs of 700 tables."""
+PICTURES = {"held.svg", "held.png", "labels.svg", "labels.png"}
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return attempt_log(30)
+
+
+@pytest.fixture(scope="module")
+def law(logs):
+    return law_of(logs)
+
+
+@pytest.fixture(scope="module")
+def folder(law, logs, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("pictures") / "law"
+    write_law(law, folder, {"seed": 3}, logs=logs)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def attempts():
+    """Those that the shipped law is of."""
+    return read_logs(shipped_law() / ATTEMPTS)
+
+
+def test_a_world_under_the_law_holds_what_the_regression_says(law):
+    world = law.config()
+    x = np.array([1.0, 0.4, 1.0, 1.0, -1.0])
+    grip = law.grip(Facts(is_lying=True, width_m=0.095, room_m=0.01))
+    held = 1.0 - np.exp(world.grasping.log_failure(np.float64(0.4), grip + 0.3))
+    assert held == pytest.approx(expit(x @ law.grasp.estimate[:-1] + 0.3))
+    assert world.transport_s == law.time.rest_s
+    assert world.reward_wash_clean == -10.0
+
+
+def test_a_law_is_read_as_it_was_written(law, folder):
+    stored = read_law(folder)
+    assert stored.record["seed"] == 3
+    np.testing.assert_array_equal(stored.law.grasp.estimate, law.grasp.estimate)
+    assert (stored.law.time, stored.law.seeing, stored.law.limit_s) == (law.time, law.seeing, law.limit_s)
+    assert stored.law.grips.tolist() == law.grips.tolist()
+
+
+def test_pictures_lie_beside_the_numbers_and_no_digest_knows_of_them(law, logs, folder, tmp_path):
+    assert {path.name for path in folder.iterdir()} == PICTURES | {"attempts", LAW.record, LAW.arrays, "law.sha256"}
+    for name in ("held.svg", "labels.svg"):
+        assert ElementTree.parse(folder / name).getroot().tag.endswith("svg")
+    write_law(law, tmp_path / "again", {}, logs=logs)
+    for name in PICTURES:
+        assert (tmp_path / "again" / name).read_bytes() == (folder / name).read_bytes()
+        (tmp_path / "again" / name).unlink()
+    np.testing.assert_array_equal(read_law(tmp_path / "again").law.grasp.estimate, law.grasp.estimate)
+
+
+def test_every_grouping_counts_every_decided_attempt(law, logs):
+    tried = trials(logs, HORIZON)
+    panels, decided = held_shares(law.grasp.estimate, tried), tried[tried["is_finished"]]
+    assert set(panels) == {"hidden share", "pose", "width [cm]", "room beside it [cm]"}
+    for shares in panels.values():
+        assert sum(share.num_attempts for share in shares.values()) == len(decided)
+    assert panels["pose"]["lying"].num_attempts == decided["is_lying"].sum()
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"parameters": ["log_odds", "colour"]}, r"law.json: the law tells grasps by .*'colour'\], .* other"),
+        ({"version": 9}, "law.json: version 9 is not 1"),
+        ({"num_decided": "many"}, "law.json: num_decided is 'many', no count of attempts"),
+        (b"[1]", r"law.json: version \[1\] is not 1"),
+        (b"{", "law.json: it cannot be read"),
+        (None, "law.safetensors: no numbers of a law"),
+    ],
+)
+def test_a_law_of_other_objects_or_that_is_none_is_refused(law, tmp_path, changed, message):
+    """Files agree with their digests, and say something else."""
+    write_law(law, tmp_path / "law", {})
+    record, arrays = ((tmp_path / "law" / name).read_bytes() for name in (LAW.record, LAW.arrays))
+    if changed is None:
+        arrays = b"none"
+    else:
+        record = changed if isinstance(changed, bytes) else json.dumps(json.loads(record) | changed).encode()
+    write_files(tmp_path / "law", record, arrays, overwrite=True, kind=LAW)
+    with pytest.raises(PolicyError, match=message) as refused:
+        read_law(tmp_path / "law")
+    assert "make it anew by `halfseen cell calibrate`" in str(refused.value)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_shipped_attempts_give_the_shipped_law_again_to_the_last_bit(attempts, tmp_path):
+    assert len(attempts.stages) >= 6000
+    write_law(law_of(attempts), tmp_path / "again", {})
+    assert (tmp_path / "again" / LAW.arrays).read_bytes() == (shipped_law() / LAW.arrays).read_bytes()
+    law = read_law(shipped_law()).law
+    assert law.grasp.num_decided + law.grasp.num_cut == len(trials(attempts, HORIZON))
+
+
+def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_hundredths(attempts):
+    tried = trials(attempts, HORIZON)
+    decided = checked_attempts(tried)
+    met = tried.iloc[decided.row]
+    bins, nothing = occlusion_bins(met["occlusion"].to_numpy()), np.zeros(len(met))
+    found = shares_by(bins, decided.succeeded, nothing, decided.weight, met["path"].to_numpy())
+    full = [share for share in found.values() if share.num_attempts >= 0.1 * len(met)]
+    assert len(full) == 4
+    assert all((share.high - share.low) / 2 <= 0.03 for share in full)
+
+
+@pytest.mark.parametrize("length_m", [1e300, -1e6])
+def test_what_is_no_length_on_a_table_is_refused(logs, length_m):
+    log = Logs(logs.stages, logs.paths, logs.objects.assign(room_m=length_m))
+    with pytest.raises(LogError, match=r"path .*, stage 1: room_m is (1e\+300|-1e\+06), no length on a table"):
+        trials(log, 10)
+
+
+def test_the_logs_of_the_cell_are_of_700_tables_of_which_some_were_cut():
+    logs = read_logs(EXAMPLE)
+    # At one table no object was in view before it was cut, so that nothing was decided.
+    assert logs.num_paths == 699
+    assert 0.3 < logs.summary().cut_share < 0.6
+    assert set(logs.paths["cause"].dropna()) == {"emergency-stop", "sensor-lost", "time-out"}
+
+
+@pytest.mark.slow
+def test_what_is_kept_is_what_is_seen():
+    for kept, seen in zip(tables_seen(), look_again(), strict=True):
+        assert kept.plain.name == seen.plain.name
+        np.testing.assert_allclose(kept.plain.hides, seen.plain.hides, rtol=0, atol=1e-9)
+        for before, now in zip(kept.facts, seen.facts, strict=True):
+            assert before == pytest.approx(now, abs=1e-9)
+
+
+@pytest.mark.parametrize("is_shipped", [False, True])
+def test_a_table_that_is_kept_is_as_one_that_is_looked_at(is_shipped):
+    law = read_law(shipped_law()).law if is_shipped else None
+    kept, (seen,) = scenes_of([], law)[7], scenes_of([table_paths()[7]], law)
+    assert kept.name == seen.name
+    np.testing.assert_allclose(kept.hides, seen.hides, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(kept.grip, seen.grip, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(kept.places_m, seen.places_m, rtol=0, atol=1e-6)

@@ -1,0 +1,134 @@
+"""Two arms at the ends of a table: mirror images that can touch one another, and spaces that hold every part."""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+import mujoco
+import numpy as np
+import pytest
+from cells import HOMES, LEFT, ROBOTS, live_pair
+from scipy.spatial.transform import Rotation
+
+from halfseen.cell.kinematics import Kinematics
+from halfseen.cell.motion import line
+from halfseen.cell.several.pair import PAIR
+from halfseen.cell.several.volumes import MARGIN_M, Outline
+from halfseen.errors import PlanError
+from halfseen.scene.poses import Pose
+from halfseen.scene.table import TABLE_TOP_M
+
+STAYS = np.zeros((0, 6))
+
+
+@pytest.fixture(scope="module")
+def model():
+    return live_pair().model
+
+
+@pytest.fixture(scope="module")
+def parts(model):
+    """Shapes of each arm."""
+    names = [model.body(model.geom_bodyid[geom]).name for geom in range(model.ngeom)]
+    return [np.flatnonzero([name.startswith(robot.of("")) for name in names]) for robot in ROBOTS]
+
+
+def test_parts_of_an_arm_meet_those_of_the_other_and_none_of_their_own(model, parts):
+    kind, affinity = model.geom_contype, model.geom_conaffinity
+    meets = (kind[:, None] & affinity) | (affinity[:, None] & kind) != 0
+    assert meets[np.ix_(*parts)].all()
+    for own in parts:
+        assert not meets[np.ix_(own, own)].any()
+
+
+def test_the_arms_wait_as_mirror_images_free_of_furniture_and_of_one_another(model):
+    hands_m, spaces = [], []
+    for robot, home in zip(ROBOTS, HOMES, strict=True):
+        kinematics = Kinematics(model, robot)
+        kinematics.refuse_furniture([home])
+        hands_m.append(np.array(kinematics.hand(home).position_m))
+        spaces.append(Outline(model, robot).along(home, STAYS, below_m=0.15))
+    np.testing.assert_allclose(hands_m[0] * [-1.0, 1.0, 1.0], hands_m[1], atol=2e-3)
+    assert not spaces[0].meets(spaces[1], margin_m=0.2)
+
+
+def comes(kinematics, home, place_m, down_m):
+    """Whether the hand comes over a place, and straight down by so much, pointing down."""
+    for turn_rad in np.array([0.0, 0.5, 0.25, -0.25]) * np.pi:
+        above = Pose(tuple(place_m), (0.0, np.cos(0.5 * turn_rad), np.sin(0.5 * turn_rad), 0.0))
+        angles = kinematics.solve(above, home)
+        if angles is None:
+            continue
+        try:
+            line(kinematics, angles, above, np.subtract(place_m, (0.0, 0.0, down_m)))
+        except PlanError:
+            continue
+        return True
+    return False
+
+
+@pytest.mark.parametrize("arm", [0, 1], ids=["left", "right"])
+def test_an_arm_reaches_every_slot_of_its_rack_and_its_half_of_the_table(model, arm):
+    station, home, kinematics = PAIR[arm], HOMES[arm], Kinematics(model, ROBOTS[arm])
+    assert len(station.rack.slots_m) == 9
+    assert all(comes(kinematics, home, np.add(slot_m, [0.0, 0.0, 0.24]), 0.15) for slot_m in station.rack.slots_m)
+    base_m, side = np.array(station.robot.base_m[:2]), np.sign(station.robot.base_m[0])
+    own = [np.array((side * x_m, y_m)) for x_m in (0.3, 0.15, 0.0) for y_m in (-0.2, 0.0, 0.2)]
+    assert all(np.linalg.norm(place_m - base_m) <= station.reach_m for place_m in own)
+    assert all(comes(kinematics, home, (*place_m, TABLE_TOP_M + 0.26), 0.18) for place_m in own)
+
+
+def distance_m(model, parts, angles):
+    """Between the two arms, by MuJoCo, part by part; the oracle."""
+    data = mujoco.MjData(model)
+    for robot, of_arm in zip(ROBOTS, angles, strict=True):
+        for name, angle in zip(robot.joint_names, of_arm, strict=True):
+            data.joint(name).qpos = angle
+        for name in robot.slide_names:
+            data.joint(name).qpos = 0.5 * robot.gripper.stroke_m
+    mujoco.mj_forward(model, data)
+    return min(mujoco.mj_geomDistance(model, data, one, other, 1.0, None) for one in parts[0] for other in parts[1])
+
+
+def drawn(model, rng, arm, num):
+    """Angles with the hand over the middle of the table, anyhow."""
+    kinematics, found = Kinematics(model, ROBOTS[arm]), []
+    while len(found) < num:
+        place_m = rng.uniform((-0.15, -0.15, 0.80), (0.15, 0.15, 1.05)).tolist()
+        tilted = Rotation.from_euler("xyz", [np.pi, *rng.normal(0.0, 0.4, 2)]).as_quat(scalar_first=True).tolist()
+        angles = kinematics.solve(Pose(tuple(place_m), tuple(tilted)), HOMES[arm])
+        found += [] if angles is None else [angles]
+    return found
+
+
+def test_spaces_that_do_not_meet_are_of_arms_that_keep_their_distance(model, parts):
+    outlines, rng, near_m = [Outline(model, robot) for robot in ROBOTS], np.random.default_rng(0), []
+    for angles in zip(drawn(model, rng, 0, 80), drawn(model, rng, 1, 80), strict=True):
+        one, other = (outline.along(place, STAYS) for outline, place in zip(outlines, angles, strict=True))
+        apart_m = distance_m(model, parts, angles)
+        if not one.meets(other):
+            assert apart_m > 0.5 * MARGIN_M
+        elif apart_m < 0.3:
+            near_m.append(apart_m)
+    assert near_m, "some of the arms come near"
+    # Spheres are larger than what they hold, but not by much: a finger is much thinner.
+    assert np.max(near_m) < MARGIN_M + 0.08
+
+
+def test_a_way_takes_the_space_of_all_its_places_and_of_what_lies_between(model):
+    begin, way = HOMES[0], HOMES[0] + np.random.default_rng(1).normal(0.0, 0.8, (2, 6))
+    space = Outline(model, LEFT).along(begin, way)
+    np.testing.assert_array_equal(space.places_rad[[0, -1]], [begin, way[-1]])
+    assert np.abs(np.diff(space.places_rad, axis=0)).max() <= 0.05 + 1e-12
+    assert np.abs(space.places_rad - 0.5 * (begin + way[0])).max(axis=1).min() < 0.05
+    assert len(space.after(3).places_rad) == len(space.places_rad) - 3
+
+
+def test_what_is_held_takes_space_below_the_hand(model):
+    outline, hand_m = Outline(model, LEFT), np.array(Kinematics(model, LEFT).hand(HOMES[0]).position_m)
+    empty, full = (outline.along(HOMES[0], STAYS, below_m) for below_m in (0.0, 0.12))
+    assert not empty.is_held.any()
+    held_m = full.middles_m[0, full.is_held]
+    np.testing.assert_allclose(held_m[:, :2], np.tile(hand_m[:2], (len(held_m), 1)), atol=1e-9)
+    assert held_m[:, 2].max() == pytest.approx(hand_m[2])
+    # With its radius the lowest sphere reaches at least as far as what is held.
+    assert held_m[:, 2].min() - 0.065 <= hand_m[2] - 0.12
