@@ -15,7 +15,7 @@ from halfseen.policies.folder.files import ARRAYS, DIGESTS, RECORD
 from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.team_kind import FEATURES_VERSION
 from halfseen.tables.grasp.grasp_table import GraspTable
-from halfseen.tables.target_probabilities import decisions
+from halfseen.tables.policy import decisions
 from halfseen.tables.team_features import team_features
 from halfseen.world import Robots, TableState, UniformPolicy, Verb, Workspace
 from halfseen.world.actions import VERB_NAMES

@@ -10,7 +10,7 @@ from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
 from halfseen.tables import IndependentPolicies
-from halfseen.tables.target_probabilities import decisions
+from halfseen.tables.policy import decisions
 from halfseen.tables.task import CAUTION
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb, possible_actions

@@ -17,9 +17,6 @@ Its path ends
 A path in which it began nothing that was seen is not in its log.
 """
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from itertools import groupby
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -28,12 +25,13 @@ import pyarrow as pa
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.logs.checks.robots import robots_that_may_drop_out
+from halfseen.logs.checks.robots import is_of_one_robot, robots_that_may_drop_out
 from halfseen.logs.columns import CUT, FINISHED, require_columns
 from halfseen.logs.refusal import refuse
 from halfseen.world.actions import TARGETED, VERB_NAMES, Verb
-from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_objects
+from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_objects, lists_in, robots_in
 from halfseen.world.robot_logs import FREE, OUT, PARKED, told_by
 
 SPENT = "decisions-spent"
@@ -43,6 +41,7 @@ _WAIT, _FINISH = VERB_NAMES[-1], Verb.FINISH.name
 _ATTEMPTS = tuple(VERB_NAMES[verb] for verb in TARGETED)
 _LEAST_S = 1e-6
 """What a wait to the end takes at least, so that the clock of one robot rises [s]."""
+_STAGE = ["path", "stage"]
 
 
 def agent_view(logs: Logs, robot: int) -> Logs:
@@ -66,269 +65,228 @@ def agent_view(logs: Logs, robot: int) -> Logs:
         raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
     require_columns("stages", logs.stages, (f"{robot}_reward",))
     objects, _ = checked_objects(logs, logs.horizon)
-    mine = _objects_in_reach(_own_history(logs, objects, robot), told_by(logs).is_reached[:, robot])
-    has_left = set(mine.loc[mine["location"] == TABLE, ["path", "stage"]].itertuples(index=False, name=None))
-    paths = [_path(each, has_left) for each in _paths(logs, robot)]
-    kept = [path for path in paths if path is not None]
-    if not kept:
+    mine = _in_reach(_with_own_history(logs, objects, robot), told_by(logs).is_reached[:, robot])
+    stages, paths = _own_stages(logs, robot, _is_clear(logs, mine))
+    if not len(stages):
         raise LogError(f"robot {robot} began nothing in any path; there is nothing to learn from it alone")
-    stages = _own_stages(logs, [row for path in kept for row in path.rows])
-    at = stages[["path", "of_team", "stage"]].rename(columns={"of_team": "stage", "stage": "own"})
-    own_objects = mine.merge(at, on=["path", "stage"]).drop(columns="stage").rename(columns={"own": "stage"})
-    ends = pd.DataFrame([path.end for path in kept])
-    known = logs.paths.drop(columns=["end_s", "ending", "cause", *_of_drop_outs(logs)])
-    tables: Any = (stages.drop(columns="of_team"), ends.merge(known, on="path"), _through_arrow(own_objects))
+    at = stages[[*_STAGE, "of_team"]].rename(columns={"of_team": "stage", "stage": "own"})
+    own_objects = mine.merge(at, on=_STAGE).drop(columns="stage").rename(columns={"own": "stage"})
+    of_one = [name for name in logs.paths.columns if is_of_one_robot(name)]
+    known = logs.paths.drop(columns=["end_s", "ending", "cause", *of_one])
+    tables: Any = (stages.drop(columns="of_team"), paths.merge(known, on="path"), _through_arrow(own_objects))
     return Logs(*tables, reward_unit=logs.reward_unit)
 
 
-class _Row(NamedTuple):
-    """A stage of the robot, and where the stage of the team stands in which it decided."""
+class _Team(NamedTuple):
+    """The stages of a team's log, a row each, and what they tell of one robot; and where paths end among the rows."""
 
-    at: int
-    stage: int
-    elapsed_s: float
-    reward: float
-    is_wait: bool
-    """Whether it is a wait: FINISH where it was the last thing, and no known action where it was cut."""
+    path: Int[np.ndarray, " rows"]
+    begin_s: Float[np.ndarray, " rows"]
+    end_s: Float[np.ndarray, " rows"]
+    """NaN of a stage that was not completed [s]."""
+    action: np.ndarray
+    is_mine: Bool[np.ndarray, " rows"]
+    is_over: Bool[np.ndarray, " rows"]
+    """Whether the robot is at its end, or its decisions are spent."""
+    to_go: Int[np.ndarray, " rows"]
+    after: Int[np.ndarray, " paths"]
+    """The first row after each path."""
 
-
-@dataclass(frozen=True)
-class _TeamPath:
-    """One path of a team, and what is told there of the robot."""
-
-    first_row: int
-    stages: pd.DataFrame
-    actions: list[Any]
-    clock_s: Float[np.ndarray, " t"]
-    """At the end of each stage, NaN where it was not completed [s]."""
-    is_mine: Bool[np.ndarray, " t"]
-    does: list[str]
-    to_go: Int[np.ndarray, " t"]
-    reward: Float[np.ndarray, " t"]
-    end: dict[str, Any]
-    out_s: float
-    out_cause: Any
-
-    @property
-    def begin_s(self) -> Float[np.ndarray, " t"]:
-        """Clock at the begin of each stage [s]."""
-        return np.concatenate([[0.0], self.clock_s[:-1]])
-
-
-@dataclass(frozen=True)
-class _OwnPath:
-    rows: list[_Row]
-    end: dict[str, Any]
-
-
-def _of_drop_outs(logs: Logs) -> list[str]:
-    known = {f"{robot}_{what}" for robot in robots_that_may_drop_out(logs.paths) for what in ("out_s", "out_cause")}
-    return [name for name in logs.paths.columns if name in known]
-
-
-def _paths(logs: Logs, robot: int) -> Iterator[_TeamPath]:
-    stages, ends = logs.stages, logs.paths.to_dict("records")
-    clock_s, reward = (stages[name].to_numpy(dtype=np.float64) for name in ("elapsed_s", f"{robot}_reward"))
-    is_mine, to_go = (stages["robot"] == robot).to_numpy(dtype=bool), stages[f"{robot}_decisions_to_go"].to_numpy()
-    actions, does = stages["action"].tolist(), stages[f"{robot}_does"].tolist()
-    begins = np.append(np.flatnonzero(stages["stage"].to_numpy() == 1), len(stages))
-    for end, first, after in zip(ends, begins[:-1].tolist(), begins[1:].tolist(), strict=True):
-        rows = slice(first, after)
-        yield _TeamPath(
-            first_row=first,
-            stages=stages,
-            actions=actions[rows],
-            clock_s=clock_s[rows],
-            is_mine=is_mine[rows],
-            does=does[rows],
-            to_go=to_go[rows],
-            reward=reward[rows],
-            end=end,
-            out_s=float(end.get(f"{robot}_out_s", np.nan)),
-            out_cause=end.get(f"{robot}_out_cause"),
+    @classmethod
+    def of(cls, logs: Logs, robot: int) -> "_Team":
+        stages, (path, stage) = logs.stages, stage_places(logs)
+        end_s = stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
+        does, to_go = stages[f"{robot}_does"].to_numpy(), stages[f"{robot}_decisions_to_go"].to_numpy()
+        return cls(
+            path=path,
+            begin_s=np.where(stage == 0, 0.0, np.roll(end_s, 1)),
+            end_s=end_s,
+            action=stages["action"].to_numpy(),
+            is_mine=(stages["robot"] == robot).to_numpy(dtype=bool),
+            is_over=np.isin(does, (PARKED, OUT)) | ((does == FREE) & (to_go == 0)),
+            to_go=to_go,
+            after=np.searchsorted(path, np.arange(logs.num_paths), side="right"),
         )
 
-
-def _path(path: _TeamPath, has_left: set[tuple[Any, int]]) -> _OwnPath | None:
-    """The robot's own path, or None where it began nothing."""
-    decisions = np.flatnonzero(path.is_mine)
-    is_clear = [(path.end["path"], int(at) + 1) not in has_left for at in decisions]
-    is_cleared = any(is_clear)
-    last = 0 if not len(decisions) else _own_end(path, int(decisions[-1]))
-    if is_cleared:
-        decisions, last = decisions[: is_clear.index(True)], int(decisions[is_clear.index(True)]) - 1
-    if not len(decisions):
-        return None
-    is_out = not np.isnan(path.out_s) and not is_cleared
-    is_seen = not is_out and not np.isnan(path.clock_s[last])
-    runs = _runs(path, decisions, last)
-    return _told(path, runs, is_seen, is_out)
+    def first(self, is_it: Bool[np.ndarray, " rows"]) -> Int[np.ndarray, " paths"]:
+        """The first row of each path where something holds; that after the path where it holds nowhere."""
+        found = self.after.copy()
+        np.minimum.at(found, self.path[is_it], np.flatnonzero(is_it))
+        return found
 
 
-def _own_end(path: _TeamPath, last_decision: int) -> int:
-    """The stage of the team in which the robot came to its end, or in which its log ends."""
-    for at in range(last_decision + 1, len(path.does)):
-        is_spent = path.does[at] == FREE and path.to_go[at] == 0
-        if path.does[at] in (PARKED, OUT) or is_spent:
-            return at - 1
-    return len(path.does) - 1
+class _Spans(NamedTuple):
+    """What the robot did, from a decision to its next one; its waits one after another are one."""
+
+    first: Int[np.ndarray, " spans"]
+    last: Int[np.ndarray, " spans"]
+    """Rows of the team's stages that it lasts from and to."""
+    is_wait: Bool[np.ndarray, " spans"]
+    is_last: Bool[np.ndarray, " spans"]
+    """Whether it is the last of its path."""
 
 
-@dataclass(frozen=True)
-class _Run:
-    """A stage of the robot: the stages of the team from its decision to its next."""
-
-    first: int
-    last: int
-    is_wait: bool
-
-
-def _runs(path: _TeamPath, decisions: Int[np.ndarray, " d"], last: int) -> list[_Run]:
-    """Its stages, those in which it waits one after another taken together."""
-    ends = [*(int(at) - 1 for at in decisions[1:]), last]
-    each = [_Run(int(at), end, path.actions[at] == _WAIT) for at, end in zip(decisions, ends, strict=True)]
-    runs = []
-    for is_wait, members in groupby(each, key=lambda run: run.is_wait):
-        together = list(members)
-        runs += [_Run(together[0].first, together[-1].last, True)] if is_wait else together
-    return runs
+def _spans(team: _Team, cleared: Int[np.ndarray, " paths"]) -> _Spans:
+    """Until what the robot reaches is clear at one of its decisions, or else until it comes to its end."""
+    row = np.arange(len(team.path))
+    last_mine = np.full(len(team.after), -1)
+    np.maximum.at(last_mine, team.path[team.is_mine], row[team.is_mine])
+    over = team.first(team.is_over & (row > last_mine[team.path]))
+    first = row[team.is_mine & (row < cleared[team.path])]
+    path, is_wait = team.path[first], team.action[first] == _WAIT
+    is_first = np.insert((path[1:] != path[:-1]) | ~is_wait[1:] | ~is_wait[:-1], 0, True)[: len(first)]
+    first, path, is_wait = first[is_first], path[is_first], is_wait[is_first]
+    is_last = np.append(path[1:] != path[:-1], True)[: len(first)]
+    until = np.where(cleared < team.after, cleared, over)[path]
+    return _Spans(first, np.where(is_last, until, np.roll(first, -1)) - 1, is_wait, is_last)
 
 
-def _told(path: _TeamPath, runs: list[_Run], is_seen: bool, is_out: bool) -> _OwnPath | None:
-    """Stages and end on the robot's own clock, which stands while it waits for what it does next."""
-    kept = [run for run in runs if not run.is_wait or run is runs[-1]]
-    begin_s, team_end_s = path.begin_s, path.out_s if is_out else path.end["end_s"]
-    elapsed_s, rows = 0.0, []
-    is_spent = is_seen and _is_short(path, runs)
-    for stage, run in enumerate(kept, start=1):
-        is_whole = run is not kept[-1] or is_seen
-        until_s = path.clock_s[run.last] if is_whole else team_end_s
-        takes_s = max(until_s - begin_s[run.first], _LEAST_S if run.is_wait else 0.0)
-        # Cut while it waited: its clock had stood.
-        elapsed_s += takes_s if is_whole or not run.is_wait else 0.0
-        reward = float(np.sum(path.reward[run.first : run.last + 1]))
-        is_told = is_whole and not (is_spent and run is kept[-1])
-        told = (elapsed_s, reward) if is_told else (np.nan, np.nan)
-        rows.append(_Row(path.first_row + run.first, stage, *told, run.is_wait))
-    if elapsed_s <= 0.0:
-        return None
-    return _OwnPath(rows, _ending(path, elapsed_s, is_seen and not is_spent, is_out, is_spent))
-
-
-def _is_short(path: _TeamPath, runs: list[_Run]) -> bool:
-    """Whether an attempt was its last for want of decisions, of which waiting had cost some."""
-    last = runs[-1]
-    is_last_decision = path.actions[last.first] in _ATTEMPTS and path.to_go[last.first] == 1
-    if not (is_last_decision and any(run.is_wait for run in runs)):
-        return False
-    return not (path.end["ending"] == FINISHED and last.last == len(path.does) - 1 and _clears(path))
-
-
-def _clears(path: _TeamPath) -> bool:
-    """Whether the path ended while somebody that does not go home still had decisions: then the table was clear."""
-    last = path.stages.iloc[path.first_row + len(path.does) - 1]
-
-    def goes_on(robot: int) -> bool:
-        decides = last["robot"] == robot
-        does = last["action"] if decides else last[f"{robot}_does"]
-        return bool(last[f"{robot}_decisions_to_go"] > decides) and does not in (PARKED, OUT, _FINISH)
-
-    return any(goes_on(r) for r in range(sum(name.endswith("_does") for name in path.stages.columns)))
-
-
-def _own_stages(logs: Logs, rows: list[_Row]) -> pd.DataFrame:
-    found = logs.stages.iloc[[row.at for row in rows]].reset_index(drop=True)
-    names = [name for name in ("path", "action", "object", "probability") if name in found.columns]
-    own = pd.DataFrame(found[names]).assign(
-        of_team=found["stage"],
-        stage=[row.stage for row in rows],
-        elapsed_s=[row.elapsed_s for row in rows],
-        reward=[row.reward for row in rows],
+def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """Stages, and ends of paths, on the robot's own clock, which stands while it waits for what it does next."""
+    team = _Team.of(logs, robot)
+    cleared = team.first(team.is_mine & is_clear)
+    spans = _spans(team, cleared)
+    out = [f"{robot}_out_s", f"{robot}_out_cause"]
+    path, ends = team.path[spans.first], logs.paths.reindex(columns=list(dict.fromkeys([*logs.paths.columns, *out])))
+    out_s = ends[out[0]].to_numpy(dtype=np.float64, na_value=np.nan)
+    is_out = ~np.isnan(out_s) & (cleared == team.after)
+    is_seen = ~is_out[path] & ~np.isnan(team.end_s[spans.last])
+    is_spent = spans.is_last & is_seen & _is_short(logs, team, spans)
+    is_whole = is_seen | ~spans.is_last
+    until_s = np.where(is_whole, team.end_s[spans.last], np.where(is_out, out_s, ends["end_s"])[path])
+    takes_s = np.maximum(until_s - team.begin_s[spans.first], np.where(spans.is_wait, _LEAST_S, 0.0))
+    # Cut while it waited: its clock had stood.
+    counts = np.where(spans.is_wait, spans.is_last & is_whole, True)
+    elapsed_s = pd.Series(np.where(counts, takes_s, 0.0)).groupby(path).cumsum()
+    reward = np.append(logs.stages[f"{robot}_reward"].to_numpy(dtype=np.float64), 0.0)
+    paid = np.add.reduceat(reward, np.column_stack([spans.first, spans.last + 1]).ravel())[::2]
+    is_told = is_whole & ~is_spent
+    at = logs.stages.iloc[spans.first].reset_index(drop=True)
+    own = pd.DataFrame(at[[name for name in ("path", "action", "object", "probability") if name in at.columns]]).assign(
+        of_team=at["stage"],
+        stage=0,
+        elapsed_s=elapsed_s.where(is_told),
+        reward=np.where(is_told, paid, np.nan),
+        action=at["action"].mask(spans.is_wait & is_told, _FINISH).mask(spans.is_wait & ~is_told, None),
     )
-    is_wait = pd.Series([row.is_wait for row in rows])
-    is_cut = own["elapsed_s"].isna()
-    own["action"] = own["action"].mask(is_wait & ~is_cut, _FINISH).mask(is_wait & is_cut, None)
-    return own
+    begins = elapsed_s.groupby(path).transform("last") > 0.0
+    own = own[begins & (spans.is_last | ~spans.is_wait)].reset_index(drop=True)
+    own["stage"] = own.groupby("path").cumcount() + 1
+    of_path = begins.to_numpy() & spans.is_last
+    ends = ends.iloc[path[of_path]].reset_index(drop=True)
+    is_out, is_spent, is_seen = is_out[path][of_path], is_spent[of_path], is_seen[of_path]
+    cause = ends["cause"].astype(object).mask(is_out, ends[out[1]]).mask(is_spent, SPENT)
+    is_finished = is_seen & ~is_spent
+    return own, pd.DataFrame(
+        {
+            "path": ends["path"],
+            "end_s": elapsed_s[of_path].to_numpy(),
+            "ending": np.where(is_finished, FINISHED, CUT),
+            "cause": cause.mask(is_finished, None),
+        }
+    )
 
 
-def _ending(path: _TeamPath, end_s: float, is_finished: bool, is_out: bool, is_spent: bool) -> dict[str, Any]:
-    cause = SPENT if is_spent else path.out_cause if is_out else path.end["cause"]
-    of_end = {"ending": FINISHED, "cause": None} if is_finished else {"ending": CUT, "cause": cause}
-    return {"path": path.end["path"], "end_s": end_s, **of_end}
+def _is_short(logs: Logs, team: _Team, spans: _Spans) -> Bool[np.ndarray, " spans"]:
+    """Whether an attempt was the last for want of decisions, of which waiting had cost some.
+
+    It was not where it ended a path in which somebody that does not go home still had decisions: the table was clear.
+    """
+    path = team.path[spans.first]
+    is_last_decision = np.isin(team.action[spans.first], _ATTEMPTS) & (team.to_go[spans.first] == 1)
+    has_waited = np.bincount(path, spans.is_wait, len(team.after)) > 0.0
+    last, someone_goes_on = logs.stages.iloc[team.after - 1], np.zeros(logs.num_paths, dtype=bool)
+    for robot in range(robots_in(logs)):
+        decides = (last["robot"] == robot).to_numpy(dtype=bool)
+        does = np.where(decides, last["action"], last[f"{robot}_does"])
+        has_more = last[f"{robot}_decisions_to_go"].to_numpy() > decides
+        someone_goes_on |= has_more & ~np.isin(does, (PARKED, OUT, _FINISH))
+    was_cleared = (logs.is_finished & someone_goes_on)[path] & (spans.last == team.after[path] - 1)
+    return is_last_decision & has_waited[path] & ~was_cleared
 
 
-def _objects_in_reach(objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
+def _is_clear(logs: Logs, mine: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
+    """Whether nothing that the robot has reached so far, and reaches, stands on the table in each stage of the team."""
+    left = pd.MultiIndex.from_frame(mine.loc[mine["location"] == TABLE, _STAGE])
+    return ~pd.MultiIndex.from_frame(logs.stages[_STAGE]).isin(left)
+
+
+def _in_reach(objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
     """What the robot has reached so far, lost where it does not now; what hides it, too, as far as that was reached."""
-    in_stage = objects.groupby(["path", "stage"], sort=False)["object"].transform("size").to_numpy()
-    begin = np.arange(len(objects)) - objects.groupby(["path", "stage"], sort=False).cumcount().to_numpy()
-    of_object = [objects["path"], objects["object"]]
-    was_reached = pd.Series(is_reached, index=objects.index).groupby(of_object).cummax().to_numpy(dtype=bool)
+    begin = np.arange(len(objects)) - objects.groupby(_STAGE, sort=False).cumcount().to_numpy()
+    was_reached = pd.Series(is_reached, index=objects.index).groupby([objects["path"], objects["object"]]).cummax()
+    is_kept = was_reached.to_numpy(dtype=bool)
     is_lost = (objects["location"] == TABLE) & ~is_reached
-    mine = objects.assign(location=objects["location"].mask(is_lost, LOST))[was_reached].reset_index(drop=True)
-    spans = zip(begin[was_reached].tolist(), in_stage[was_reached].tolist(), strict=True)
-    hidden_by = [
-        np.asarray(each)[was_reached[first : first + size]]
-        for each, (first, size) in zip(mine["hidden_by"], spans, strict=True)
-    ]
-    return mine.drop(columns=["reached_by", "near", ATTEMPT_BY], errors="ignore").assign(hidden_by=hidden_by)
+    hidden_by = lists_in(objects, "hidden_by")
+    is_told = is_kept[hidden_by.row] & is_kept[begin[hidden_by.row] + hidden_by.place]
+    shown = _lists(hidden_by.values, hidden_by.row, is_told, len(objects))
+    mine = objects.assign(location=objects["location"].mask(is_lost, LOST), hidden_by=shown)[is_kept]
+    return mine.reset_index(drop=True).drop(columns=["reached_by", "near", ATTEMPT_BY], errors="ignore")
 
 
-def _own_history(logs: Logs, objects: pd.DataFrame, robot: int) -> pd.DataFrame:
+def _with_own_history(logs: Logs, objects: pd.DataFrame, robot: int) -> pd.DataFrame:
     """Of the attempts at each object, those that the robot made; what was lifted was lifted by its last attempt."""
-    made_by = _robots_of_attempts(logs, objects, robot)
-    rows = []
-    for by, at, held in zip(made_by, objects["attempt_occlusions"], objects["attempt_succeeded"], strict=True):
-        occluded, succeeded = np.asarray(at)[by == robot], np.asarray(held, dtype=bool)[by == robot]
-        successes = int(succeeded.sum())
-        rows.append((occluded, succeeded, successes, len(succeeded) - successes))
-    names = ("attempt_occlusions", "attempt_succeeded", "successes", "failures")
-    own = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+    occluded, held = lists_in(objects, "attempt_occlusions"), lists_in(objects, "attempt_succeeded")
+    made_by, num_rows = _robots_of_attempts(logs, objects, robot), len(objects)
+    is_mine = made_by == robot
+    successes, tried = (np.bincount(held.row, is_it, num_rows) for is_it in (is_mine & (held.values > 0), is_mine))
+    is_latest = np.append(held.row[1:] != held.row[:-1], True)[: len(held.row)]
+    is_own_lift = np.bincount(held.row, is_latest & ~is_mine, num_rows) == 0
     of_object = [objects["path"], objects["object"]]
     gained = objects["lifts"].groupby(of_object).diff().fillna(objects["lifts"])
-    is_last = np.array([not len(by) or by[-1] == robot for by in made_by], dtype=bool)
-    return objects.assign(**own, lifts=gained.where(is_last, 0).groupby(of_object).cumsum().astype(np.int64))
+    return objects.assign(
+        attempt_occlusions=_lists(occluded.values, occluded.row, is_mine, num_rows),
+        attempt_succeeded=_lists(held.values.astype(bool), held.row, is_mine, num_rows),
+        successes=successes.astype(np.int64),
+        failures=(tried - successes).astype(np.int64),
+        lifts=gained.where(is_own_lift, 0).groupby(of_object).cumsum().astype(np.int64),
+    )
 
 
-def _robots_of_attempts(logs: Logs, objects: pd.DataFrame, robot: int) -> list[Int[np.ndarray, " attempts"]]:
+def _lists(
+    values: np.ndarray, row: Int[np.ndarray, " k"], is_kept: Bool[np.ndarray, " k"], num_rows: int
+) -> list[np.ndarray]:
+    """A list a row."""
+    return np.split(values[is_kept], np.cumsum(np.bincount(row[is_kept], minlength=num_rows))[:-1])
+
+
+def _through_arrow(objects: pd.DataFrame) -> pa.Table:
+    """Lists of a type of their own, also where each of them is empty."""
+    types = {"hidden_by": pa.float64(), "attempt_occlusions": pa.float64(), "attempt_succeeded": pa.bool_()}
+    table = pa.Table.from_pandas(objects.drop(columns=list(types)), preserve_index=False)
+    for name in filter(types.__contains__, objects.columns):
+        lists = pa.array(objects[name], pa.list_(types[name]))
+        table = table.add_column(objects.columns.get_loc(name), name, lists)
+    return table
+
+
+def _robots_of_attempts(logs: Logs, objects: pd.DataFrame, robot: int) -> Int[np.ndarray, " attempts"]:
     """Who made each past attempt, by attempt_by; without it, who began it, or the robot itself before the path."""
     if ATTEMPT_BY in objects.columns:
-        return [np.asarray(by, dtype=np.int64) for by in objects[ATTEMPT_BY]]
+        return lists_in(objects, ATTEMPT_BY).values.astype(np.int64)
     keys = list(zip(objects["path"], objects["object"], strict=True))
     num_tried, is_first = objects["attempt_occlusions"].map(len).tolist(), (objects["stage"] == 1).tolist()
     before = {key: number for key, number, is_it in zip(keys, num_tried, is_first, strict=True) if is_it}
     begun = _begun_attempts(logs)
     made_by = [
-        np.array(([robot] * before.get(key, 0) + begun.get(key, []))[:number], dtype=np.int64)
+        ([robot] * before.get(key, 0) + begun.get(key, []))[:number]
         for key, number in zip(keys, num_tried, strict=True)
     ]
     unknown = np.array([len(by) < number for by, number in zip(made_by, num_tried, strict=True)], dtype=bool)
     trouble = (
         "it was tried more often than by the WASH and LIFT of the stages; mend its past attempts, or give attempt_by"
     )
-    refuse(objects, unknown, trouble, ("path", "stage", "object"))
-    return made_by
+    refuse(objects, unknown, trouble, (*_STAGE, "object"))
+    return np.array([by for each in made_by for by in each], dtype=np.int64)
 
 
 def _begun_attempts(logs: Logs) -> dict[tuple[Any, Any], list[int]]:
     """Who tried each object of each path, in order; what was abandoned is no attempt."""
-    is_attempt = logs.stages["action"].isin(_ATTEMPTS).to_numpy(dtype=bool)
-    last = ~logs.stages.duplicated(["path", "robot"], keep="last")
-    is_out = np.zeros(len(logs.stages), dtype=bool)
-    path_row = pd.Index(logs.path_ids).get_indexer(logs.stages["path"])
+    stages, (path, _) = logs.stages, stage_places(logs)
+    is_last, is_out = ~stages.duplicated(["path", "robot"], keep="last"), np.zeros(len(stages), dtype=bool)
     for robot in robots_that_may_drop_out(logs.paths):
-        dropped = logs.paths[f"{robot}_out_s"].notna().to_numpy(dtype=bool)[path_row]
-        is_out |= dropped & (logs.stages["robot"] == robot).to_numpy(dtype=bool)
-    begun: Any = logs.stages[is_attempt & ~(is_out & last.to_numpy())]
-    made: dict[tuple[Any, Any], list[int]] = {}
-    for path, target, robot in begun[["path", "object", "robot"]].itertuples(index=False, name=None):
-        made.setdefault((path, target), []).append(robot)
-    return made
-
-
-def _through_arrow(objects: pd.DataFrame) -> pa.Table:
-    """Lists of a type of their own, also where each of them is empty."""
-    table = pa.Table.from_pandas(objects, preserve_index=False)
-    for name, kind in (("hidden_by", pa.float64()), ("attempt_occlusions", pa.float64())):
-        table = table.set_column(table.schema.get_field_index(name), name, pa.array(objects[name], pa.list_(kind)))
-    succeeded = pa.array(objects["attempt_succeeded"], pa.list_(pa.bool_()))
-    return table.set_column(table.schema.get_field_index("attempt_succeeded"), "attempt_succeeded", succeeded)
+        is_out |= logs.paths[f"{robot}_out_s"].notna().to_numpy()[path] & (stages["robot"] == robot).to_numpy(
+            dtype=bool
+        )
+    begun = stages[stages["action"].isin(_ATTEMPTS) & ~(is_out & is_last)]
+    return begun.groupby(["path", "object"])["robot"].agg(list).to_dict()

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.special import expit
 
+from halfseen.arrays import expit
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, require_columns

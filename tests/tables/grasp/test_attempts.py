@@ -6,11 +6,11 @@ import pytest
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.tables.grasp.attempts import attempts, team_attempts
+from halfseen.tables.grasp.attempts import attempts
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import cut, cut_rate
-from halfseen.world.logs import states_of, to_logs
+from halfseen.world.logs import to_logs
 from halfseen.world.rollout import play
 from halfseen.world.state import attempt_counts, occlusion, pad_scenes
 from played_teams import NUM_OBJECTS as TEAM_OBJECTS
@@ -172,17 +172,14 @@ def test_logs_that_do_not_tell_are_refused(spoil, message):
 SPACE = ActionSpace(TEAM_OBJECTS)
 
 
-def tried(logs, paths):
-    states = states_of(logs, paths.action.shape[1])
-    return team_attempts(logs, states, SPACE.verb(paths.action), SPACE.target(paths.action))
-
-
 @pytest.mark.parametrize("cut_share", [0.0, 0.5])
 def test_of_one_robot_they_are_those_of_one_robot(cut_share):
     team = team_of(1)
     paths = played(team, 120, seed=3)
     logs = logged(paths, cut_share)
-    ours, theirs = tried(logs, paths), attempts(logs, 5)
+    of_robots = [name for name in logs.stages if name == "robot" or name.startswith("0_")]
+    alone = Logs(logs.stages.drop(columns=of_robots), logs.paths, logs.objects)
+    ours, theirs = attempts(logs), attempts(alone, 5)
     assert len(theirs) > 100
     assert ours["is_finished"].tolist() == theirs["is_finished"].tolist()
     for name in ("path", "stage", "successes", "failures", "succeeded"):
@@ -203,7 +200,7 @@ def test_each_lasts_until_its_robot_is_free():
     world = WorldConfig(horizon=5, grasping=SureGrasping(), transport_s=1.0, speed=(1.0, 2.0))
     paths = played(world, 60, seed=4)
     logs = logged(paths, 0.0)
-    found = tried(logs, paths)
+    found = attempts(logs)
     at = pd.Index(logs.path_ids).get_indexer(found["path"]), found["stage"].to_numpy() - 1
     speed = np.array([1.0, 2.0])[paths.states.decider[at]]
     target = SPACE.target(paths.action)[at]
@@ -215,7 +212,7 @@ def test_each_lasts_until_its_robot_is_free():
 def test_a_robot_that_drops_out_cuts_its_own_attempt():
     paths = played(team_of(2, drop_out_rate=(0.05, 0.0)), 80, seed=6)
     logs = logged(paths, 0.0)
-    found = tried(logs, paths)
+    found = attempts(logs)
     out_s = logs.paths.set_index("path")["0_out_s"]
     is_cut = ~found["is_finished"].to_numpy()
     assert 5 < is_cut.sum() < len(found)

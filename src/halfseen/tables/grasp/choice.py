@@ -39,6 +39,7 @@ from halfseen.tables.grasp.grasp_table import (
 )
 from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates, kinds
 from halfseen.workers.threads import one_thread
+from halfseen.world.log_checks import robots_in
 from halfseen.world.policy import GraspModel
 
 NUM_FOLDS = 5
@@ -78,9 +79,9 @@ class GraspChoice(NamedTuple):
 
 
 def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
-    """Choose by a log of one robot; the rule of succession where it does not tell what became of its attempts."""
+    """Choose by a log; the rule of succession where it does not tell what became of its attempts."""
     try:
-        return choose_by(attempts(logs, horizon), horizon)
+        return choose_by(attempts(logs, horizon), horizon, robots_in(logs))
     except HalfseenError as error:
         return GraspChoice(None, f"{KEPT}: {error}")
 
