@@ -10,9 +10,9 @@ from halfseen.learning import CensoredQLearner
 from halfseen.planners import GreedyPolicy
 from halfseen.policies.history import present_state
 from halfseen.tables import BetaGrasp, TableTask
+from halfseen.tables.explain import LearnedExplainer
 from halfseen.tables.features import table_columns, table_features, table_q
 from halfseen.tables.grasp.grasp_table import GraspTable
-from halfseen.tables.learned_explanation import LearnedExplainer
 from halfseen.tables.present import first_state
 from halfseen.tables.team_features import NUM_FEATURES, NUM_WASH, team_features
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, random

@@ -5,7 +5,7 @@ import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
-from halfseen.tables.learned_explanation import LearnedExplainer
+from halfseen.tables.explain import LearnedExplainer
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start

@@ -15,12 +15,12 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.tables.agent_logs import agent_view
+    from halfseen.tables.explain import LearnedExplainer
     from halfseen.tables.fitted_world import fit_world
     from halfseen.tables.grasp.attempts import attempts
     from halfseen.tables.grasp.beta_grasp import BetaGrasp
     from halfseen.tables.grasp.svm_grasp import SVMGrasp
     from halfseen.tables.independent import IndependentPolicies
-    from halfseen.tables.learned_explanation import LearnedExplainer
     from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy
     from halfseen.tables.task import TableTask, TeamTask
 
@@ -43,7 +43,7 @@ __getattr__ = lazy_names(
     {
         "BetaGrasp": "grasp.beta_grasp",
         "IndependentPolicies": "independent",
-        "LearnedExplainer": "learned_explanation",
+        "LearnedExplainer": "explain",
         "LinearTablePolicy": "policy",
         "LinearTeamPolicy": "policy",
         "SVMGrasp": "grasp.svm_grasp",

@@ -264,29 +264,26 @@ def _robots_of_attempts(logs: Logs, objects: pd.DataFrame, robot: int) -> Int[np
     """Who made each past attempt, by attempt_by; without it, who began it, or the robot itself before the path."""
     if ATTEMPT_BY in objects.columns:
         return lists_in(objects, ATTEMPT_BY).values.astype(np.int64)
-    keys = list(zip(objects["path"], objects["object"], strict=True))
-    num_tried, is_first = objects["attempt_occlusions"].map(len).tolist(), (objects["stage"] == 1).tolist()
-    before = {key: number for key, number, is_it in zip(keys, num_tried, is_first, strict=True) if is_it}
+    key, tried = ["path", "object"], lists_in(objects, "attempt_occlusions")
+    at_first = pd.Series(np.where(objects["stage"] == 1, tried.lengths, 0))
+    before = at_first.groupby([objects["path"].to_numpy(), objects["object"].to_numpy()]).transform("max").to_numpy()
     begun = _begun_attempts(logs)
-    made_by = [
-        ([robot] * before.get(key, 0) + begun.get(key, []))[:number]
-        for key, number in zip(keys, num_tried, strict=True)
-    ]
-    unknown = np.array([len(by) < number for by, number in zip(made_by, num_tried, strict=True)], dtype=bool)
+    each = pd.DataFrame(objects[key]).iloc[tried.row].assign(number=tried.place - before[tried.row])
+    by = each.merge(begun.assign(number=begun.groupby(key).cumcount()), on=[*key, "number"], how="left")["robot"]
+    made_by = by.where(each["number"].to_numpy() >= 0, robot)
     trouble = (
         "it was tried more often than by the WASH and LIFT of the stages; mend its past attempts, or give attempt_by"
     )
-    refuse(objects, unknown, trouble, (*_STAGE, "object"))
-    return np.array([by for each in made_by for by in each], dtype=np.int64)
+    refuse(objects, tried.rows_with(made_by.isna().to_numpy()), trouble, (*_STAGE, "object"))
+    return made_by.to_numpy(dtype=np.int64)
 
 
-def _begun_attempts(logs: Logs) -> dict[tuple[Any, Any], list[int]]:
-    """Who tried each object of each path, in order; what was abandoned is no attempt."""
+def _begun_attempts(logs: Logs) -> pd.DataFrame:
+    """Who tried which object of which path, in order; what was abandoned is no attempt."""
     stages, (path, _) = logs.stages, stage_places(logs)
     is_last, is_out = ~stages.duplicated(["path", "robot"], keep="last"), np.zeros(len(stages), dtype=bool)
     for robot in robots_that_may_drop_out(logs.paths):
         is_out |= logs.paths[f"{robot}_out_s"].notna().to_numpy()[path] & (stages["robot"] == robot).to_numpy(
             dtype=bool
         )
-    begun = stages[stages["action"].isin(_ATTEMPTS) & ~(is_out & is_last)]
-    return begun.groupby(["path", "object"])["robot"].agg(list).to_dict()
+    return stages.loc[stages["action"].isin(_ATTEMPTS) & ~(is_out & is_last), ["path", "object", "robot"]]

@@ -6,27 +6,12 @@ family the laws are, too.
 """
 
 from dataclasses import replace
-from typing import NamedTuple
 
 from halfseen.logs import Logs
-from halfseen.tables.laws.evidence import Labels, Watched, labels, of_first, watched
+from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.laws.grasping import choose_grasping
 from halfseen.tables.laws.seeing import choose_seeing
-from halfseen.tables.prior import logged_dirty_share
 from halfseen.world.config import WorldConfig
-
-
-class Evidence(NamedTuple):
-    """What a log tells of the laws."""
-
-    tried: Watched
-    told: Labels
-    dirty_share: float
-    """P(DIRTY) of an object before any label."""
-
-    def first(self, num_paths: int) -> "Evidence":
-        """Keep what the first paths tell; the share of dirty objects is the recorder's."""
-        return self._replace(tried=of_first(self.tried, num_paths), told=of_first(self.told, num_paths))
 
 
 def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
@@ -64,12 +49,6 @@ def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
     (6.0, 0.8)
     """
     return fitted_to(evidence_of(logs, known), known)
-
-
-def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
-    """Read from a log what `fitted_to` needs, once for all its sizes."""
-    dirty_share = logged_dirty_share(logs)
-    return Evidence(watched(logs, known), labels(logs, known, dirty_share), dirty_share)
 
 
 def fitted_to(evidence: Evidence, known: WorldConfig) -> WorldConfig:
