@@ -115,8 +115,8 @@ class SVMGrasp(Estimator):
         if len(np.unique(decided.succeeded)) < 2:
             word = "succeeded" if decided.succeeded.all() else "failed"
             raise ArgumentError(
-                f"all {len(decided.succeeded)} decided attempts {word}; an SVM needs both outcomes: record more, or use "
-                "BetaGrasp"
+                f"all {len(decided.succeeded)} decided attempts {word}; an SVM needs both outcomes: record more, or "
+                "use BetaGrasp"
             )
         features = self._features(decided.history, checked_covariates(frame, self.covariates)[decided.row])
         share = decided.weight / decided.weight.sum()
