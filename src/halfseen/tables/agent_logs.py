@@ -17,12 +17,12 @@ Its path ends
 A path in which it began nothing that was seen is not in its log.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Int
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.rows import stage_places
@@ -65,7 +65,8 @@ def agent_view(logs: Logs, robot: int) -> Logs:
         raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
     require_columns("stages", logs.stages, (f"{robot}_reward",))
     objects, _ = checked_objects(logs, logs.horizon)
-    mine = _in_reach(_with_own_history(logs, objects, robot), told_by(logs).is_reached[:, robot])
+    is_reached = told_by(logs).is_reached[:, robot]
+    mine = _in_reach(_with_own_history(logs, objects, robot), is_reached)
     stages, paths = _own_stages(logs, robot, _is_clear(logs, mine))
     if not len(stages):
         raise LogError(f"robot {robot} began nothing in any path; there is nothing to learn from it alone")
@@ -77,132 +78,97 @@ def agent_view(logs: Logs, robot: int) -> Logs:
     return Logs(*tables, reward_unit=logs.reward_unit)
 
 
-class _Team(NamedTuple):
-    """The stages of a team's log, a row each, and what they tell of one robot; and where paths end among the rows."""
-
-    path: Int[np.ndarray, " rows"]
-    begin_s: Float[np.ndarray, " rows"]
-    end_s: Float[np.ndarray, " rows"]
-    """NaN of a stage that was not completed [s]."""
-    action: np.ndarray
-    is_mine: Bool[np.ndarray, " rows"]
-    is_over: Bool[np.ndarray, " rows"]
-    """Whether the robot is at its end, or its decisions are spent."""
-    to_go: Int[np.ndarray, " rows"]
-    after: Int[np.ndarray, " paths"]
-    """The first row after each path."""
-
-    @classmethod
-    def of(cls, logs: Logs, robot: int) -> "_Team":
-        stages, (path, stage) = logs.stages, stage_places(logs)
-        end_s = stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
-        does, to_go = stages[f"{robot}_does"].to_numpy(), stages[f"{robot}_decisions_to_go"].to_numpy()
-        return cls(
-            path=path,
-            begin_s=np.where(stage == 0, 0.0, np.roll(end_s, 1)),
-            end_s=end_s,
-            action=stages["action"].to_numpy(),
-            is_mine=(stages["robot"] == robot).to_numpy(dtype=bool),
-            is_over=np.isin(does, (PARKED, OUT)) | ((does == FREE) & (to_go == 0)),
-            to_go=to_go,
-            after=np.searchsorted(path, np.arange(logs.num_paths), side="right"),
-        )
-
-    def first(self, is_it: Bool[np.ndarray, " rows"]) -> Int[np.ndarray, " paths"]:
-        """The first row of each path where something holds; that after the path where it holds nowhere."""
-        found = self.after.copy()
-        np.minimum.at(found, self.path[is_it], np.flatnonzero(is_it))
-        return found
-
-
-class _Spans(NamedTuple):
-    """What the robot did, from a decision to its next one; its waits one after another are one."""
-
-    first: Int[np.ndarray, " spans"]
-    last: Int[np.ndarray, " spans"]
-    """Rows of the team's stages that it lasts from and to."""
-    is_wait: Bool[np.ndarray, " spans"]
-    is_last: Bool[np.ndarray, " spans"]
-    """Whether it is the last of its path."""
-
-
-def _spans(team: _Team, cleared: Int[np.ndarray, " paths"]) -> _Spans:
-    """Until what the robot reaches is clear at one of its decisions, or else until it comes to its end."""
-    row = np.arange(len(team.path))
-    last_mine = np.full(len(team.after), -1)
-    np.maximum.at(last_mine, team.path[team.is_mine], row[team.is_mine])
-    over = team.first(team.is_over & (row > last_mine[team.path]))
-    first = row[team.is_mine & (row < cleared[team.path])]
-    path, is_wait = team.path[first], team.action[first] == _WAIT
-    is_first = np.insert((path[1:] != path[:-1]) | ~is_wait[1:] | ~is_wait[:-1], 0, True)[: len(first)]
-    first, path, is_wait = first[is_first], path[is_first], is_wait[is_first]
-    is_last = np.append(path[1:] != path[:-1], True)[: len(first)]
-    until = np.where(cleared < team.after, cleared, over)[path]
-    return _Spans(first, np.where(is_last, until, np.roll(first, -1)) - 1, is_wait, is_last)
-
-
 def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Stages, and ends of paths, on the robot's own clock, which stands while it waits for what it does next."""
-    team = _Team.of(logs, robot)
-    cleared = team.first(team.is_mine & is_clear)
-    spans = _spans(team, cleared)
-    out = [f"{robot}_out_s", f"{robot}_out_cause"]
-    path, ends = team.path[spans.first], logs.paths.reindex(columns=list(dict.fromkeys([*logs.paths.columns, *out])))
-    out_s = ends[out[0]].to_numpy(dtype=np.float64, na_value=np.nan)
-    is_out = ~np.isnan(out_s) & (cleared == team.after)
-    is_seen = ~is_out[path] & ~np.isnan(team.end_s[spans.last])
-    is_spent = spans.is_last & is_seen & _is_short(logs, team, spans)
-    is_whole = is_seen | ~spans.is_last
-    until_s = np.where(is_whole, team.end_s[spans.last], np.where(is_out, out_s, ends["end_s"])[path])
-    takes_s = np.maximum(until_s - team.begin_s[spans.first], np.where(spans.is_wait, _LEAST_S, 0.0))
+    rows = _own_rows(logs, robot, is_clear)
+    # A stage lasts from a decision to the next; waits one after another are one.
+    decided = rows[rows["is_mine"]]
+    goes_on = decided["is_wait"] & decided.groupby("path")["is_wait"].shift(fill_value=False)
+    begins = rows["is_mine"] & ~goes_on.reindex(rows.index, fill_value=False)
+    first, last = (rows[at].reset_index(drop=True) for at in (begins, begins.shift(-1, fill_value=True)))
+    paid = np.add.reduceat(rows["reward"].to_numpy(), np.flatnonzero(begins)) if len(rows) else np.zeros(0)
+    ends, is_last, is_wait = (
+        _ends(logs, robot).iloc[first["path"]],
+        ~first["path"].duplicated(keep="last"),
+        first["is_wait"],
+    )
+    is_out = ends["out_s"].notna().to_numpy() & ~first["is_cleared"]
+    is_seen = ~is_out & last["end_s"].notna()
+    is_spent = is_last & is_seen & _is_short(logs, first, last)
+    is_whole = is_seen | ~is_last
+    until_s = last["end_s"].where(is_whole, np.where(is_out, ends["out_s"], ends["end_s"]))
+    takes_s = np.maximum(until_s - first["begin_s"], np.where(is_wait, _LEAST_S, 0.0))
     # Cut while it waited: its clock had stood.
-    counts = np.where(spans.is_wait, spans.is_last & is_whole, True)
-    elapsed_s = pd.Series(np.where(counts, takes_s, 0.0)).groupby(path).cumsum()
-    reward = np.append(logs.stages[f"{robot}_reward"].to_numpy(dtype=np.float64), 0.0)
-    paid = np.add.reduceat(reward, np.column_stack([spans.first, spans.last + 1]).ravel())[::2]
+    elapsed_s = takes_s.where(~is_wait | (is_last & is_whole), 0.0).groupby(first["path"]).cumsum()
     is_told = is_whole & ~is_spent
-    at = logs.stages.iloc[spans.first].reset_index(drop=True)
+    at = logs.stages.iloc[first["at"]].reset_index(drop=True)
     own = pd.DataFrame(at[[name for name in ("path", "action", "object", "probability") if name in at.columns]]).assign(
         of_team=at["stage"],
         stage=0,
         elapsed_s=elapsed_s.where(is_told),
         reward=np.where(is_told, paid, np.nan),
-        action=at["action"].mask(spans.is_wait & is_told, _FINISH).mask(spans.is_wait & ~is_told, None),
+        action=at["action"].mask(is_wait & is_told, _FINISH).mask(is_wait & ~is_told, None),
     )
-    begins = elapsed_s.groupby(path).transform("last") > 0.0
-    own = own[begins & (spans.is_last | ~spans.is_wait)].reset_index(drop=True)
+    has_begun = elapsed_s.groupby(first["path"]).transform("last") > 0.0
+    own = own[has_begun & (is_last | ~is_wait)].reset_index(drop=True)
     own["stage"] = own.groupby("path").cumcount() + 1
-    of_path = begins.to_numpy() & spans.is_last
-    ends = ends.iloc[path[of_path]].reset_index(drop=True)
-    is_out, is_spent, is_seen = is_out[path][of_path], is_spent[of_path], is_seen[of_path]
-    cause = ends["cause"].astype(object).mask(is_out, ends[out[1]]).mask(is_spent, SPENT)
-    is_finished = is_seen & ~is_spent
-    return own, pd.DataFrame(
+    is_finished, ends = is_seen & ~is_spent, ends.reset_index(drop=True)
+    cause = ends["cause"].astype(object).mask(is_out, ends["out_cause"]).mask(is_spent, SPENT).mask(is_finished, None)
+    ending = np.where(is_finished, FINISHED, CUT)
+    paths = pd.DataFrame({"path": ends["path"], "end_s": elapsed_s, "ending": ending, "cause": cause})
+    return own, paths[has_begun & is_last].reset_index(drop=True)
+
+
+def _own_rows(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
+    """The team's stages from the robot's first decision to its end: until it is out of work, or its reach is clear."""
+    stages, (path, _) = logs.stages, stage_places(logs)
+    does, to_go = stages[f"{robot}_does"], stages[f"{robot}_decisions_to_go"]
+    is_mine = stages["robot"] == robot
+
+    def so_far(is_it: pd.Series) -> pd.Series:
+        return is_it.groupby(path).cumsum() > 0
+
+    decides_yet = is_mine[::-1].groupby(path[::-1]).cumsum()[::-1] > 0
+    is_over = does.isin([PARKED, OUT]) | ((does == FREE) & (to_go == 0))
+    found = is_mine & is_clear
+    rows = pd.DataFrame(
         {
-            "path": ends["path"],
-            "end_s": elapsed_s[of_path].to_numpy(),
-            "ending": np.where(is_finished, FINISHED, CUT),
-            "cause": cause.mask(is_finished, None),
+            "at": np.arange(len(stages)),
+            "path": path,
+            "begin_s": stages["elapsed_s"].groupby(path).shift(fill_value=0.0),
+            "end_s": stages["elapsed_s"],
+            "reward": stages[f"{robot}_reward"].astype(np.float64),
+            "action": stages["action"],
+            "is_wait": stages["action"] == _WAIT,
+            "is_mine": is_mine,
+            "is_cleared": found.groupby(path).transform("any"),
+            "to_go": to_go,
         }
     )
+    return rows[so_far(is_mine) & ~so_far(found) & ~so_far(is_over & ~decides_yet)].reset_index(drop=True)
 
 
-def _is_short(logs: Logs, team: _Team, spans: _Spans) -> Bool[np.ndarray, " spans"]:
+def _ends(logs: Logs, robot: int) -> pd.DataFrame:
+    """How each path of the team ended, and whether, when and why the robot dropped out."""
+    named = logs.paths.rename(columns={f"{robot}_out_s": "out_s", f"{robot}_out_cause": "out_cause"})
+    return named.reindex(columns=["path", "end_s", "cause", "out_s", "out_cause"])
+
+
+def _is_short(logs: Logs, first: pd.DataFrame, last: pd.DataFrame) -> pd.Series:
     """Whether an attempt was the last for want of decisions, of which waiting had cost some.
 
     It was not where it ended a path in which somebody that does not go home still had decisions: the table was clear.
     """
-    path = team.path[spans.first]
-    is_last_decision = np.isin(team.action[spans.first], _ATTEMPTS) & (team.to_go[spans.first] == 1)
-    has_waited = np.bincount(path, spans.is_wait, len(team.after)) > 0.0
-    last, someone_goes_on = logs.stages.iloc[team.after - 1], np.zeros(logs.num_paths, dtype=bool)
+    stages, path = logs.stages, first["path"].to_numpy()
+    end = stages.groupby(stage_places(logs)[0]).tail(1)
+    goes_on = np.zeros(logs.num_paths, dtype=bool)
     for robot in range(robots_in(logs)):
-        decides = (last["robot"] == robot).to_numpy(dtype=bool)
-        does = np.where(decides, last["action"], last[f"{robot}_does"])
-        has_more = last[f"{robot}_decisions_to_go"].to_numpy() > decides
-        someone_goes_on |= has_more & ~np.isin(does, (PARKED, OUT, _FINISH))
-    was_cleared = (logs.is_finished & someone_goes_on)[path] & (spans.last == team.after[path] - 1)
-    return is_last_decision & has_waited[path] & ~was_cleared
+        decides = end["robot"] == robot
+        does = end[f"{robot}_does"].mask(decides, end["action"])
+        goes_on |= ((end[f"{robot}_decisions_to_go"] > decides) & ~does.isin([PARKED, OUT, _FINISH])).to_numpy()
+    was_cleared = (logs.is_finished & goes_on)[path] & (last["at"] == end.index.to_numpy()[path])
+    has_waited = first.groupby("path")["is_wait"].transform("any")
+    return first["action"].isin(_ATTEMPTS) & (first["to_go"] == 1) & has_waited & ~was_cleared
 
 
 def _is_clear(logs: Logs, mine: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
