@@ -80,29 +80,26 @@ def agent_view(logs: Logs, robot: int) -> Logs:
 
 def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> tuple[pd.DataFrame, pd.DataFrame]:
     """Stages, and ends of paths, on the robot's own clock, which stands while it waits for what it does next."""
-    rows = _own_rows(logs, robot, is_clear)
+    rows: Any = _own_rows(logs, robot, is_clear)
     # A stage lasts from a decision to the next; waits one after another are one.
     decided = rows[rows["is_mine"]]
     goes_on = decided["is_wait"] & decided.groupby("path")["is_wait"].shift(fill_value=False)
     begins = rows["is_mine"] & ~goes_on.reindex(rows.index, fill_value=False)
     first, last = (rows[at].reset_index(drop=True) for at in (begins, begins.shift(-1, fill_value=True)))
     paid = np.add.reduceat(rows["reward"].to_numpy(), np.flatnonzero(begins)) if len(rows) else np.zeros(0)
-    ends, is_last, is_wait = (
-        _ends(logs, robot).iloc[first["path"]],
-        ~first["path"].duplicated(keep="last"),
-        first["is_wait"],
-    )
-    is_out = ends["out_s"].notna().to_numpy() & ~first["is_cleared"]
+    ends: Any = _ends(logs, robot).iloc[first["path"]].reset_index(drop=True)
+    is_last, is_wait = ~first["path"].duplicated(keep="last"), first["is_wait"]
+    is_out = ends["out_s"].notna() & ~first["is_cleared"]
     is_seen = ~is_out & last["end_s"].notna()
     is_spent = is_last & is_seen & _is_short(logs, first, last)
     is_whole = is_seen | ~is_last
     until_s = last["end_s"].where(is_whole, np.where(is_out, ends["out_s"], ends["end_s"]))
-    takes_s = np.maximum(until_s - first["begin_s"], np.where(is_wait, _LEAST_S, 0.0))
+    takes_s: Any = np.maximum(until_s - first["begin_s"], np.where(is_wait, _LEAST_S, 0.0))
     # Cut while it waited: its clock had stood.
     elapsed_s = takes_s.where(~is_wait | (is_last & is_whole), 0.0).groupby(first["path"]).cumsum()
     is_told = is_whole & ~is_spent
-    at = logs.stages.iloc[first["at"]].reset_index(drop=True)
-    own = pd.DataFrame(at[[name for name in ("path", "action", "object", "probability") if name in at.columns]]).assign(
+    at: Any = logs.stages.iloc[first["at"]].reset_index(drop=True)
+    own = at[[name for name in ("path", "action", "object", "probability") if name in at.columns]].assign(
         of_team=at["stage"],
         stage=0,
         elapsed_s=elapsed_s.where(is_told),
@@ -112,10 +109,10 @@ def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> 
     has_begun = elapsed_s.groupby(first["path"]).transform("last") > 0.0
     own = own[has_begun & (is_last | ~is_wait)].reset_index(drop=True)
     own["stage"] = own.groupby("path").cumcount() + 1
-    is_finished, ends = is_seen & ~is_spent, ends.reset_index(drop=True)
+    is_finished = is_seen & ~is_spent
     cause = ends["cause"].astype(object).mask(is_out, ends["out_cause"]).mask(is_spent, SPENT).mask(is_finished, None)
     ending = np.where(is_finished, FINISHED, CUT)
-    paths = pd.DataFrame({"path": ends["path"], "end_s": elapsed_s, "ending": ending, "cause": cause})
+    paths: Any = pd.DataFrame({"path": ends["path"], "end_s": elapsed_s, "ending": ending, "cause": cause})
     return own, paths[has_begun & is_last].reset_index(drop=True)
 
 
@@ -131,7 +128,7 @@ def _own_rows(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> pd
     decides_yet = is_mine[::-1].groupby(path[::-1]).cumsum()[::-1] > 0
     is_over = does.isin([PARKED, OUT]) | ((does == FREE) & (to_go == 0))
     found = is_mine & is_clear
-    rows = pd.DataFrame(
+    rows: Any = pd.DataFrame(
         {
             "at": np.arange(len(stages)),
             "path": path,
@@ -173,8 +170,8 @@ def _is_short(logs: Logs, first: pd.DataFrame, last: pd.DataFrame) -> pd.Series:
 
 def _is_clear(logs: Logs, mine: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
     """Whether nothing that the robot has reached so far, and reaches, stands on the table in each stage of the team."""
-    left = pd.MultiIndex.from_frame(mine.loc[mine["location"] == TABLE, _STAGE])
-    return ~pd.MultiIndex.from_frame(logs.stages[_STAGE]).isin(left)
+    left = pd.MultiIndex.from_frame(pd.DataFrame(mine.loc[mine["location"] == TABLE, _STAGE]))
+    return ~pd.MultiIndex.from_frame(pd.DataFrame(logs.stages[_STAGE])).isin(left)
 
 
 def _in_reach(objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
@@ -186,7 +183,7 @@ def _in_reach(objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> p
     hidden_by = lists_in(objects, "hidden_by")
     is_told = is_kept[hidden_by.row] & is_kept[begin[hidden_by.row] + hidden_by.place]
     shown = _lists(hidden_by.values, hidden_by.row, is_told, len(objects))
-    mine = objects.assign(location=objects["location"].mask(is_lost, LOST), hidden_by=shown)[is_kept]
+    mine: Any = objects.assign(location=objects["location"].mask(is_lost, LOST), hidden_by=shown)[is_kept]
     return mine.reset_index(drop=True).drop(columns=["reached_by", "near", ATTEMPT_BY], errors="ignore")
 
 
