@@ -36,17 +36,9 @@ def negative_log_posterior(theta, decided):
     return float(value[0]), gradient[0]
 
 
-def penalty(theta):
-    return float(np.sum(np.square((theta - CENTRE) / SPREAD)) / 2)
-
-
-def test_even_prior_of_strength_two_is_laplaces_rule():
+def test_even_prior_of_strength_two_is_laplaces_rule_and_first_attempts_have_the_prior_mean():
     chances = with_theta(0.0, 0.0, 2.0).predict_proba(history([0.3, 0.3, 0.9], [0, 1, 2], [0, 0, 3]))
-
     np.testing.assert_allclose(chances, [[1 / 2, 1 / 2], [1 / 3, 2 / 3], [4 / 7, 3 / 7]], rtol=1e-12)
-
-
-def test_first_attempts_have_the_prior_mean_whatever_its_strength():
     for strength in (0.1, 2.0, 50.0):
         chance = with_theta(1.0, -2.0, strength).predict_proba(history([0.0, 0.5, 1.0], [0] * 3, [0] * 3))[:, 1]
         np.testing.assert_allclose(chance, expit([1.0, 0.0, -1.0]), rtol=1e-12)
@@ -67,10 +59,14 @@ def test_at_constant_occlusion_the_predictives_multiply_to_the_beta_binomial(int
         assert product == pytest.approx(total / comb(num_tries, succeeded.sum()), rel=1e-10)
 
 
-def test_the_gradient_is_that_of_the_objective():
+def test_the_objective_is_the_weighted_likelihood_and_the_prior_and_its_derivatives_are_right():
     decided = checked_attempts(cut_some(beta_attempts(60)))
     rng = np.random.default_rng(1)
     for theta in rng.normal(size=(10, 3)) * [2.0, 3.0, 1.5]:
+        chance = predictive(theta, decided.history)
+        likelihood = decided.weight @ np.log(np.where(decided.succeeded, chance, 1 - chance))
+        penalty = np.sum(np.square((theta - CENTRE) / SPREAD)) / 2
+        assert negative_log_posterior(theta, decided)[0] == pytest.approx(penalty - likelihood)
         numeric = approx_fprime(theta, lambda at: negative_log_posterior(at, decided)[0], 1e-6)
         np.testing.assert_allclose(negative_log_posterior(theta, decided)[1], numeric, rtol=1e-4, atol=1e-3)
         bends = approx_fprime(theta, lambda at: negative_log_posterior(at, decided)[1], 1e-6)
@@ -242,14 +238,6 @@ def test_what_a_cut_attempt_says_of_its_outcome_is_not_read():
 def test_few_attempts_warn():
     with pytest.warns(HalfseenWarning, match="effective sample size of 8.0"):
         BetaGrasp().fit(beta_attempts(2))
-
-
-def test_the_prior_counts_as_stated():
-    decided = checked_attempts(beta_attempts(10))
-    theta = np.array([1.0, -1.0, 0.5])
-    chance = predictive(theta, decided.history)
-    likelihood = np.log(np.where(decided.succeeded, chance, 1 - chance)).sum()
-    assert negative_log_posterior(theta, decided)[0] == pytest.approx(penalty(theta) - likelihood)
 
 
 def test_rows_of_a_kind_are_alike_in_all_columns():
