@@ -1,4 +1,4 @@
-"""The Beta grasp model against closed forms, scipy's Beta-binomial, brute force and simulated parameters."""
+"""The Beta grasp model against closed forms, brute force and simulated parameters; and what both grasp models share."""
 
 import itertools
 
@@ -15,7 +15,7 @@ from tried import beta_attempts, cut_some
 
 from halfseen.censoring import KaplanMeier, censoring_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
-from halfseen.tables import BetaGrasp
+from halfseen.tables import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp.beta_grasp import CENTRE, SPREAD, fitted_thetas, negative_log_posteriors, predictive
 from halfseen.tables.grasp.inputs import checked_attempts, checked_history, kinds
 
@@ -106,16 +106,15 @@ def test_simulated_parameters_come_back():
     assert model.strength_ == pytest.approx(3.0, rel=0.06)
 
 
-def test_cut_attempts_bias_nothing_if_weighted_and_do_if_dropped():
-    frame = beta_attempts(8000, num_tries=2)
-    whole = BetaGrasp().fit(frame).predict_proba(frame)[:, 1].mean()
+@pytest.mark.parametrize(("model", "num_objects"), [(BetaGrasp, 8000), (SVMGrasp, 1500)])
+def test_cut_attempts_bias_nothing_if_weighted_and_do_if_dropped(model, num_objects):
+    frame = beta_attempts(num_objects, num_tries=1)
     cut = cut_some(frame)
     weighted, dropped = (
-        BetaGrasp(censoring=name).fit(cut).predict_proba(frame)[:, 1].mean() for name in ("kaplan-meier", "none")
+        model(censoring=name).fit(cut).predict_proba(frame)[:, 1].mean() for name in ("kaplan-meier", "none")
     )
-
-    assert weighted == pytest.approx(whole, abs=0.01)
-    assert dropped > whole + 0.04
+    assert weighted == pytest.approx(frame["succeeded"].mean(), abs=0.02)
+    assert dropped > frame["succeeded"].mean() + 0.04
 
 
 def test_weights_are_the_left_limits_of_kaplan_meier():
@@ -176,17 +175,26 @@ def test_frames_of_all_kinds_give_the_same():
     assert len({model.intercept_ for model in models}) == 1
 
 
-def test_it_is_an_estimator_as_scikit_learn_knows_them():
-    model = BetaGrasp(truncate_at=3.0)
+@pytest.mark.parametrize(
+    "model", [BetaGrasp(truncate_at=3.0), SVMGrasp(kernel="rbf", gamma=0.5, reg=0.1, num_folds=3, random_state=4)]
+)
+def test_it_is_an_estimator_as_scikit_learn_knows_them_and_the_global_seed_changes_nothing(model):
     assert clone(model).get_params() == model.get_params()
     with pytest.raises(NotFittedError):
         model.predict_proba(history([0.1], [0], [0]))
-    model.fit(cut_some(beta_attempts(50)))
-    assert model.classes_.tolist() == [False, True]
-    assert model.diagnostics_.largest_weight <= 3.0
-    chances = model.predict_proba(history(np.linspace(0, 1, 7), np.arange(7), np.zeros(7)))
-    assert chances.shape == (7, 2)
-    np.testing.assert_allclose(chances.sum(axis=1), 1.0)
+    chances = []
+    for seed in (0, 1):
+        np.random.seed(seed)  # noqa: NPY002
+        fitted = clone(model).fit(cut_some(beta_attempts(50)))
+        chances.append(fitted.predict_proba(history(np.linspace(0, 1, 7), np.arange(7), np.zeros(7))))
+    assert fitted.classes_.tolist() == [False, True]
+    assert chances[0].shape == (7, 2)
+    np.testing.assert_array_equal(*chances)
+    np.testing.assert_allclose(chances[0].sum(axis=1), 1.0)
+    if isinstance(model, SVMGrasp):
+        assert (fitted.svc_.reg_, fitted.svc_.gamma_) == (0.1, 0.5)
+    else:
+        assert fitted.diagnostics_.largest_weight <= 3.0
 
 
 GOOD = cut_some(beta_attempts(40))
