@@ -74,7 +74,8 @@ class _LinearPolicy:
         allowed, to_go = self._allowed(state), self._to_go(state)
         coefficients = library_of(self.coefficients, to_go).take(self.coefficients, to_go, axis=-3)
         if self.margin is None and self.kernel_map is None and state.robots is None:
-            return _where(allowed, table_q(coefficients, state, self.grasp))
+            q = table_q(coefficients, state, self.grasp)
+            return library_of(q).where(allowed, q, np.float32(-np.inf))
         features, blocks = self._features(state), self._blocks(state)
         q = q_values(coefficients, self._mapped(features), blocks)
         if self.margin is not None:
@@ -83,7 +84,7 @@ class _LinearPolicy:
                 lean = leaning(q_values(self.behaviour, features, blocks), allowed)
                 margin = (1.0 - lean).astype(margin.dtype) * margin
             q = q - margin
-        return _where(allowed, q)
+        return library_of(q).where(allowed, q, np.float32(-np.inf))
 
     def estimates(self, state: TableState) -> Float[Array, "*B A"]:
         """Q̂ of every action, without any margin; −∞ where an action is not to be chosen from."""
@@ -178,10 +179,6 @@ def verbs_of(state: TableState) -> Int[np.ndarray, " A"]:
     """Verb of each action; WAIT, which is last, where there are robots."""
     verbs = ActionSpace(state.num_objects).verbs
     return verbs if state.robots is None else np.append(verbs, WAIT)
-
-
-def _where(allowed: Bool[Array, "*B A"], q: Any) -> Any:
-    return library_of(q).where(allowed, q, np.float32(-np.inf))
 
 
 def _by_steps(

@@ -98,7 +98,7 @@ class TableTask:
         LogError
             An action is none that a table knows, or is done to an object that is not on it; several robots decided.
         """
-        states = states_alone(logs, horizon)
+        states = self._states(logs, horizon)
         action = logged_actions(logs, horizon, states.num_objects)
         return encoded_states(states, action, np.any(states.is_on_table, axis=-1), self._model)
 
@@ -136,8 +136,11 @@ class TableTask:
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of a policy of tables in every stage of a log."""
-        return table_probabilities(policy, states_alone(logs, horizon))
+        """π(a | S_t) of a policy of tables, or of teams, in every stage of a log."""
+        return table_probabilities(policy, self._states(logs, horizon))
+
+    def _states(self, logs: Logs, horizon: int) -> TableState:
+        return states_alone(logs, horizon)
 
     @property
     def _model(self) -> GraspModel | None:
@@ -227,7 +230,7 @@ class TeamTask(TableTask):
         LogError
             An action is none of a team's, or a column is missing.
         """
-        states = team_states(logs, horizon, self.num_robots)
+        states = self._states(logs, horizon)
         action = logged_actions(logs, horizon, states.num_objects, is_team=True)
         at, shape = stage_places(logs), action.shape
         is_stage = spread(np.ones(len(logs.stages), dtype=bool), at, shape)
@@ -270,9 +273,8 @@ class TeamTask(TableTask):
         given = {"is_seen": learned.is_seen, "num_robots": self.num_robots, "base": base, "caution": caution}
         return LinearTeamPolicy(**self._in_single_precision(learned), **given)
 
-    def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of a policy of teams in every stage of a log."""
-        return table_probabilities(policy, team_states(logs, horizon, self.num_robots))
+    def _states(self, logs: Logs, horizon: int) -> TableState:
+        return team_states(logs, horizon, self.num_robots)
 
 
 def _outcome(
