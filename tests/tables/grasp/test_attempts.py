@@ -81,21 +81,19 @@ def test_attempts_are_those_of_the_episodes(table, cuts):
     ]
 
 
-def test_every_kind_of_end_is_there(table, cuts):
+def test_every_kind_of_end_is_there_and_objects_are_numbered_within_their_paths(table, cuts):
     """So that the comparison above has compared them."""
     is_cleared = cuts.is_finished & (cuts.is_completed.sum(axis=1) < CONFIG.horizon)
-    action = np.asarray(cuts.episodes.action)[np.arange(200), cuts.is_completed.sum(axis=1) - 1]
-    cleared = np.flatnonzero(is_cleared & (action > 0))
+    action = np.asarray(cuts.episodes.action)
+    last = action[np.arange(200), cuts.is_completed.sum(axis=1) - 1]
+    cleared = np.flatnonzero(is_cleared & (last > 0))
     assert len(cleared) > 0
     assert table[table["path"].isin(cleared)].groupby("path")["succeeded"].last().all()
     assert (~table["is_finished"]).sum() > 20
     assert table["succeeded"].isna().equals(~table["is_finished"])
     assert (table.loc[table["succeeded"].fillna(True), "time_s"] <= 7.0 + 1e-4).all()
     np.testing.assert_allclose(table.loc[~table["succeeded"].fillna(True), "time_s"], 7.0, atol=1e-4)
-
-
-def test_objects_are_numbered_within_their_paths(table, cuts):
-    target = (np.asarray(cuts.episodes.action)[table["path"], table["stage"] - 1] - 1) % NUM_OBJECTS
+    target = (action[table["path"], table["stage"] - 1] - 1) % NUM_OBJECTS
     assert table.groupby(["path", target])["object"].nunique().max() == 1
     assert table["object"].nunique() == len(table.assign(target=target).drop_duplicates(["path", "target"]))
 
@@ -127,22 +125,17 @@ def by_hand():
 
 
 def test_a_log_by_hand():
-    table = attempts(Logs(*by_hand()), horizon=10)
+    stages, paths, objects = by_hand()
+    table = attempts(Logs(stages, paths, objects), horizon=10)
     assert table["object"].tolist() == [0, 1, 2, 3]
     assert table["time_s"].tolist() == [2.0, 7.0, 1.5, 3.0]
     assert table["is_finished"].tolist() == [True, True, False, True]
     assert table["succeeded"].tolist() == [True, False, pd.NA, True]
-
-
-def test_the_horizon_leaves_its_last_stage_out():
-    assert attempts(Logs(*by_hand()))["stage"].tolist() == [1, 2, 1]
-    assert len(attempts(Logs(*by_hand()), horizon=2)) == 2
-
-
-def test_an_attempt_cut_as_it_began_is_left_out():
-    stages, paths, objects = by_hand()
-    paths["end_s"] = [9.0, 3.0]
-    assert attempts(Logs(stages, paths, objects), horizon=10)["is_finished"].all()
+    # The horizon leaves its last stage out, and so is an attempt that was cut as it began.
+    assert attempts(Logs(stages, paths, objects))["stage"].tolist() == [1, 2, 1]
+    assert len(attempts(Logs(stages, paths, objects), horizon=2)) == 2
+    at_once = paths.assign(end_s=[9.0, 3.0])
+    assert attempts(Logs(stages, at_once, objects), horizon=10)["is_finished"].all()
 
 
 @pytest.mark.parametrize(

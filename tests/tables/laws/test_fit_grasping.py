@@ -285,23 +285,19 @@ def test_the_unit_of_time_does_not_choose():
     assert margin(in_ms, 1000.0 * LIMIT_S) == pytest.approx(margin(tried, LIMIT_S), abs=1e-3)
 
 
-def test_one_miss_before_the_limit_is_none_that_the_exponential_family_makes():
+def test_one_miss_before_the_limit_or_steady_durations_choose_the_logistic_family():
     tried = timed_out()
     assert misses_at_limit_alone(tried, LIMIT_S)
     assert isinstance(choose_grasping(tried, LIMIT_S), AssumedGrasping)
+    steady = np.where(tried.is_held, np.random.default_rng(0).normal(3.0, 0.2, 60), LIMIT_S)
+    assert isinstance(choose_grasping(tried._replace(watched_s=steady), LIMIT_S), FittedGrasping)
     tried.watched_s[np.flatnonzero(tried.is_missed)[0]] = 0.9 * LIMIT_S
     assert not misses_at_limit_alone(tried, LIMIT_S)
     assert isinstance(choose_grasping(tried, LIMIT_S), FittedGrasping)
 
 
-def test_durations_alone_may_choose_the_logistic_family():
-    tried = timed_out()
-    steady = tried._replace(watched_s=np.where(tried.is_held, np.random.default_rng(0).normal(3.0, 0.2, 60), LIMIT_S))
-    assert isinstance(choose_grasping(steady, LIMIT_S), FittedGrasping)
-
-
 def test_what_tells_nothing_leaves_the_law_with_fewer_numbers():
-    assert isinstance(choose_grasping(of_first(timed_out(), 0), LIMIT_S), AssumedGrasping)
     no = np.zeros(60, dtype=bool)
     cut = timed_out()._replace(is_held=no, is_missed=no, watched_s=np.full(60, 0.1))
-    assert isinstance(choose_grasping(cut, LIMIT_S), AssumedGrasping)
+    for tried in (cut, of_first(cut, 0)):
+        assert isinstance(choose_grasping(tried, LIMIT_S), AssumedGrasping)

@@ -71,12 +71,6 @@ def test_the_first_paths_tell_what_a_log_of_them_tells():
         np.testing.assert_array_equal(one, other)
 
 
-def test_a_log_without_grips_has_grips_of_0():
-    _, logs = recorded(5)
-    assert "grip" not in logs.objects.columns
-    assert not evidence_of(logs, WorldConfig()).tried.grip.any()
-
-
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(cut_share):
     cuts, logs = recorded(60, cut_share)
@@ -91,6 +85,10 @@ def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(c
     expected = np.where(told.says_dirty, 1.0, -1.0) * (np.log(accuracy) - np.log1p(-accuracy))
     np.testing.assert_allclose(moved[path, stage, target], expected, atol=1e-4)
     assert (told.occlusion == 0.0).any()
+    # To this recorder each look is news, so that no views are counted; and no grip shows.
+    assert not told.is_persistent
+    assert not told.seen.any()
+    assert not evidence_of(logs, WorldConfig()).tried.grip.any()
 
 
 def test_washing_shows_what_an_object_was():
@@ -114,18 +112,14 @@ def num_washed(cuts):
     return int(last.sum())
 
 
-def test_a_look_that_shows_nothing_new_is_no_label():
-    cuts, logs = recorded(60, config=FITTED)
-    told = evidence_of(logs, FITTED).told
-    num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
-    assert 0 < len(told.path) < 0.7 * num_looks
-
-
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut_share):
     cuts, logs = recorded(60, cut_share, config=FITTED)
     told, law = evidence_of(logs, FITTED).told, FITTED.seeing
     assert told.is_persistent
+    # A look that shows nothing new is no label.
+    num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
+    assert 0 < len(told.path) < 0.7 * num_looks
     np.testing.assert_allclose(
         told.seen_after, law.after(told.occlusion, told.seen, told.says_dirty, told.is_held), atol=1e-6
     )
@@ -137,13 +131,6 @@ def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut
     expected = np.where(np.asarray(cuts.episodes.hidden.is_dirty)[told.path, told.object % 5], if_dirty, if_clean)
     excess = told.says_dirty - expected
     assert abs(excess.sum()) < 3.0 * np.sqrt((expected * (1.0 - expected)).sum())
-
-
-def test_a_recorder_to_whom_each_look_is_news_counts_no_views():
-    _, logs = recorded(20)
-    told = evidence_of(logs, WorldConfig()).told
-    assert not told.is_persistent
-    assert not told.seen.any()
 
 
 def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_from_it():
