@@ -9,7 +9,8 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
-from halfseen.tables import IndependentPolicies
+from halfseen.tables import BetaGrasp, IndependentPolicies
+from halfseen.tables.grasp.grasp_table import GraspTable
 from halfseen.tables.policy import decisions
 from halfseen.tables.task import CAUTION
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random
@@ -74,6 +75,16 @@ def test_q_of_a_policy_is_not_lowered(logs):
     best = CensoredQLearner.for_team(2, horizon=5, pessimism=1.0, base=None, reg=0.1).fit(logs)
     assert best.policy_.base is None
     assert best.policy_.margin is not None
+
+
+@pytest.mark.parametrize("given", [{"grasp": BetaGrasp()}, {"q_function": "kernel"}], ids=["grasps", "kernel"])
+def test_a_team_takes_what_one_robot_takes(logs, given):
+    policy = CensoredQLearner.for_team(2, horizon=5, base=None, reg=0.1, **given).fit(logs).policy_
+    assert isinstance(policy.grasp, GraspTable) == ("grasp" in given)
+    states = states_of(logs, 10)
+    q, is_possible = policy.q_values(states), possible_actions(states)
+    assert np.isfinite(q).any(axis=-1).all()
+    assert (q[~is_possible] == -np.inf).all()
 
 
 def test_a_base_that_is_given_is_improved_upon(logs):
