@@ -1,6 +1,6 @@
 """From logs of tables to the dense arrays that the learner runs on, and to what their cuts may depend on."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -53,12 +53,35 @@ def encoded_states(
         What tells the probability of a grasp in the features; None for the rule of succession.
     """
     num_paths, at = len(is_state), np.nonzero(is_state)
-    there = mapped(lambda leaf: leaf[:num_paths][at], states)
-    of_action = (table_features if states.robots is None else team_features)(there, grasp)
-    features = spread(of_action.astype(np.float64), at, is_state.shape)
-    is_possible = spread(worthwhile_actions(there), at, is_state.shape)
-    is_possible[~is_state, FINISH] = True
-    return Encoded(features, is_possible, action)
+    return encoded_at(at, mapped(lambda leaf: leaf[:num_paths][at], states), action, grasp)
+
+
+def encoded_at(
+    at: tuple[np.ndarray, ...],
+    there: TableState,
+    action: Int[np.ndarray, "n T"],
+    grasp: GraspModel | None = None,
+    choices: Callable[[TableState], np.ndarray] = worthwhile_actions,
+) -> Encoded:
+    """Encode the tables of some stages, (path, stage) from 0, of one robot or several.
+
+    Parameters
+    ----------
+    at
+        Where they stand.
+    there
+        The tables, one axis.
+    action
+        What was done.
+    grasp
+        As `encoded_states` takes it.
+    choices
+        Which actions there are to choose from; elsewhere FINISH alone.
+    """
+    of_action = (table_features if there.robots is None else team_features)(there, grasp)
+    is_possible = spread(choices(there), at, action.shape)
+    is_possible[~is_possible.any(axis=-1), FINISH] = True
+    return Encoded(spread(of_action.astype(np.float64), at, action.shape), is_possible, action)
 
 
 def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:

@@ -29,6 +29,7 @@ from halfseen.tables.encoding import (
     NUM_AT_BEGIN,
     TABLE_COVARIATES,
     check_team,
+    encoded_at,
     encoded_states,
     logged_actions,
     spread,
@@ -40,7 +41,16 @@ from halfseen.tables.features import ease_of
 from halfseen.tables.grasp.choice import choose_grasp, grasp_model_of
 from halfseen.tables.independent import IndependentPolicies
 from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy, decisions, table_probabilities
-from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions
+from halfseen.world.actions import (
+    FINISH,
+    TARGETED,
+    VERB_NAMES,
+    WAIT,
+    ActionSpace,
+    Verb,
+    possible_actions,
+    worthwhile_actions,
+)
 from halfseen.world.log_checks import robots_in
 from halfseen.world.policy import GraspModel, Policy, check_decides_for
 from halfseen.world.state import TableState
@@ -232,21 +242,19 @@ class TeamTask(TableTask):
         """
         states = self._states(logs, horizon)
         action = logged_actions(logs, horizon, states.num_objects, is_team=True)
-        at, shape = stage_places(logs), action.shape
-        is_stage = spread(np.ones(len(logs.stages), dtype=bool), at, shape)
-        encoded = encoded_states(states, action, is_stage, self._model)
-        there, is_possible, policy = mapped(lambda leaf: leaf[at], states), encoded.is_possible, None
-        if self.is_evaluating:
-            is_possible = np.where(is_stage[..., None], spread(possible_actions(there), at, shape), is_possible)
+        at, shape, policy = stage_places(logs), action.shape, None
+        there = mapped(lambda leaf: leaf[at], states)
+        choices = possible_actions if self.is_evaluating else worthwhile_actions
+        encoded = encoded_at(at, there, action, self._model, choices)
         # What was done is possible, whatever a policy would choose from.
-        np.put_along_axis(is_possible, action[..., None], True, axis=2)
+        np.put_along_axis(encoded.is_possible, action[..., None], True, axis=2)
         if _unless_auto(self.base) is not None:
-            policy = spread(np.eye(is_possible.shape[-1])[decisions(self.base, there)], at, shape)
-        clock_s = spread(logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan), at, shape)
-        clock_s[~is_stage] = np.nan
+            policy = spread(np.eye(encoded.is_possible.shape[-1])[decisions(self.base, there)], at, shape)
+        clock_s = np.full(shape, np.nan)
+        clock_s[at] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
         ease = spread(ease_of(there, self._model).astype(np.float64), at, shape)
         outcome = _outcome(states, action, np.nan_to_num(np.diff(clock_s, axis=1, prepend=0.0)), ease)
-        return encoded._replace(is_possible=is_possible, outcome=outcome, policy=policy)
+        return encoded._replace(outcome=outcome, policy=policy)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Kind of each action: its verb."""
