@@ -6,7 +6,7 @@ python benchmarks/calibration.py --stored
 
 States are those that the logging policy reaches on random small tables; the truth is the exact optimum. An action is
 best where its exact Q is within 1e-9 of the largest: of actions that are worth the same, all are. `--fit` prints what
-the constants of ``planners.explanation`` and ``tables.learned_explanation`` were chosen by, on tables that the check
+the constants of ``planners.explanation`` and ``tables.explain`` were chosen by, on tables that the check
 never sees. `--stored` checks what `halfseen act` says: 95 % intervals and chances by the margin that a policy's folder
 holds.
 """
@@ -28,8 +28,8 @@ from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, own_error, rollouts_of
 from halfseen.policies import certainty, decider_of
 from halfseen.policies.folder.stages_left import stages_left
-from halfseen.tables import learned_explanation
-from halfseen.tables.learned_explanation import LASTING_ERROR, LearnedExplainer
+from halfseen.tables import explain as explained_tables
+from halfseen.tables.explain import LASTING_ERROR, LearnedExplainer
 from halfseen.tables.present import Present
 from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig, random
 from halfseen.world.actions import ActionSpace
@@ -204,7 +204,7 @@ def compared_stretches(sizes, num_tables, num_states):
         for _, explainer, found in learned(num_objects, horizon, seed, sizes, num_tables, num_states):
             for widened, lasting in STRETCHES:
                 one = replace(explainer, lasting_error=explainer.lasting_error / LASTING_ERROR * lasting)
-                with patch.object(learned_explanation, "WIDENED", widened):
+                with patch.object(explained_tables, "WIDENED", widened):
                     for state, truth in found:
                         tried[widened, lasting].add(one.explain(state), truth)
     for stretch, calibration in tried.items():

@@ -19,8 +19,8 @@ from halfseen.policies.folder.team_kind import FEATURES_VERSION as TEAM_VERSION
 from halfseen.tables import BetaGrasp
 from halfseen.tables.features import FEATURES_VERSION, table_features
 from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.policy import decisions
 from halfseen.tables.present import first_state
-from halfseen.tables.target_probabilities import decisions
 from halfseen.tables.team_features import team_features
 from halfseen.world import Robots, Scene, TableState, Verb, Workspace
 from halfseen.world.actions import VERB_NAMES

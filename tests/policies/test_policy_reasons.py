@@ -8,8 +8,8 @@ import pytest
 from halfseen.learning import FlatPolicy
 from halfseen.policies.flat_reason import flat_reason
 from halfseen.policies.table_reason import table_reason
+from halfseen.tables.explain import Grounds
 from halfseen.tables.present import first_state
-from halfseen.tables.reasons import Grounds
 from halfseen.world import Scene
 
 STATE = first_state(

@@ -7,30 +7,49 @@ import pytest
 
 from fitted_laws import FITTED
 from halfseen.learning import CensoredQLearner
+from halfseen.learning.rows import q_values
 from halfseen.planners import GreedyPolicy
 from halfseen.policies.history import present_state
-from halfseen.tables import BetaGrasp, TableTask
-from halfseen.tables.features import table_columns, table_features, table_q
+from halfseen.tables import BetaGrasp, LinearTablePolicy, TableTask
+from halfseen.tables.explain import LearnedExplainer
+from halfseen.tables.features import (
+    NUM_FEATURES,
+    NUM_TABLE_FEATURES,
+    WASH_DIRTY,
+    WASH_EASE,
+    table_columns,
+    table_features,
+)
 from halfseen.tables.grasp.grasp_table import GraspTable
-from halfseen.tables.learned_explanation import LearnedExplainer
 from halfseen.tables.present import first_state
-from halfseen.tables.team_features import NUM_FEATURES, NUM_WASH, team_features
-from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, random
+from halfseen.tables.team_features import NUM_FEATURES as NUM_TEAM_FEATURES
+from halfseen.tables.team_features import NUM_WASH, team_features
+from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, wait_of, worthwhile_actions
-from halfseen.world.rollout import evaluate
-from halfseen.world.state import pad_scenes
+from halfseen.world.rollout import evaluate, play
+from halfseen.world.state import occlusion, occlusion_by, pad_scenes
 from picked import picked
-from played_teams import NUM_OBJECTS, played, team_of
+from played_teams import NUM_OBJECTS, WashWhatIsDirty, played, team_of
 
 REACH = [[1, 1, 1, 0], [0, 1, 1, 1]]
 SPACE = ActionSpace(NUM_OBJECTS)
+PER_OBJECT = {"is_object": False, "is_on_table": False, "grip": -3.0, "log_odds": 7.0, "seen": 0.4, "lifts": 3}
+"""And what padding holds."""
 
 
 @pytest.fixture(scope="module")
 def states():
     paths = played(team_of(2), 40, seed=5, reach=REACH)
-    at = np.nonzero(paths.is_taken)
-    return picked(paths.states, at)
+    return picked(paths.states, np.nonzero(paths.is_taken))
+
+
+@pytest.fixture(scope="module")
+def of_one():
+    hides = np.zeros((NUM_OBJECTS, NUM_OBJECTS))
+    hides[2, 0], hides[3, 1], hides[3, 2] = 0.7, 0.5, 0.4
+    logger = ExploringPolicy(WashWhatIsDirty(), 0.5)
+    paths = play(WorldConfig(), pad_scenes([Scene(hides)]), logger, random.key_of(0), 60)
+    return picked(paths.states, np.nonzero(paths.is_taken))
 
 
 @pytest.fixture(scope="module")
@@ -38,29 +57,88 @@ def features(states):
     return team_features(states)
 
 
-def test_one_row_for_each_action(features):
-    assert features.shape[1:] == (2 + 2 * NUM_OBJECTS, NUM_FEATURES)
-    assert np.isfinite(features).all()
-
-
-def test_the_order_of_objects_is_irrelevant(states, features):
-    order = np.array([2, 0, 3, 1])
-    new = np.argsort(order)
-    robots, space, tried = states.robots, states.workspace, states.attempt_object
-    is_near = space.is_near[:, order][:, :, order]
+def permuted(states, order):
+    """Object k of the result is object order[k] of the given states."""
+    rank, tried, space = np.argsort(order), states.attempt_object, states.workspace
     turned = replace(
         states,
-        **{
-            name: getattr(states, name)[:, order]
-            for name in ("is_object", "is_on_table", "log_odds", "lifts", "grip", "seen")
-        },
+        **{name: getattr(states, name)[:, order] for name in PER_OBJECT},
         hides=states.hides[:, order][:, :, order],
-        attempt_object=np.where(tried >= 0, new[tried], tried),
-        workspace=replace(space, is_in_reach=space.is_in_reach[:, :, order], is_near=is_near),
-        robots=replace(robots, target=new[robots.target]),
+        attempt_object=np.where(tried >= 0, rank[tried], tried),
     )
-    rows = np.concatenate([[0], 1 + order, 1 + NUM_OBJECTS + order, [wait_of(NUM_OBJECTS)]])
-    np.testing.assert_allclose(team_features(turned), features[:, rows], rtol=2e-5, atol=2e-5)
+    if space is None:
+        return turned
+    space = replace(space, is_in_reach=space.is_in_reach[:, :, order], is_near=space.is_near[:, order][:, :, order])
+    return replace(turned, workspace=space, robots=replace(states.robots, target=rank[states.robots.target]))
+
+
+@pytest.mark.parametrize(
+    ("played_by", "features_of", "num_features"),
+    [("of_one", table_features, NUM_FEATURES), ("states", team_features, NUM_TEAM_FEATURES)],
+)
+def test_each_action_has_a_row_whatever_the_order_of_objects(request, played_by, features_of, num_features):
+    states, order = request.getfixturevalue(played_by), np.array([2, 0, 3, 1])
+    features = features_of(states)
+    waits = [] if states.robots is None else [wait_of(NUM_OBJECTS)]
+    assert features.shape[1:] == (1 + 2 * NUM_OBJECTS + len(waits), num_features)
+    assert np.isfinite(features).all()
+    rows = np.concatenate([[0], 1 + order, 1 + NUM_OBJECTS + order, waits]).astype(int)
+    np.testing.assert_allclose(features_of(permuted(states, order)), features[:, rows], rtol=2e-5, atol=2e-5)
+
+
+def random_policy():
+    coefficients = np.random.default_rng(3).normal(size=(10, 3, NUM_FEATURES + 1))
+    return LinearTablePolicy(coefficients.astype(np.float32))
+
+
+def by_verb(values, num_objects):
+    """Values of WASH and LIFT by object, and of FINISH."""
+    return values[:, 1 : 1 + num_objects], values[:, 1 + num_objects :], values[:, :1]
+
+
+def test_q_does_not_see_padding(of_one):
+    more, q = 7 - NUM_OBJECTS, random_policy().q_values
+    grown = {
+        name: np.pad(getattr(of_one, name), ((0, 0), (0, more)), constant_values=value)
+        for name, value in PER_OBJECT.items()
+    }
+    hides = np.pad(of_one.hides, ((0, 0), (0, more), (0, more)), constant_values=0.9)
+    before, after = by_verb(q(of_one), NUM_OBJECTS), by_verb(q(replace(of_one, hides=hides, **grown)), 7)
+    for left, right in zip(before, after, strict=True):
+        np.testing.assert_allclose(right[:, : left.shape[1]], left, rtol=1e-4, atol=1e-4)
+        assert (right[:, left.shape[1] :] == -np.inf).all()
+    assert (np.ptp(np.where(np.isfinite(before[0]), before[0], 0.0), axis=1) > 0.1).any()
+
+
+def test_a_policy_takes_the_best_possible_action_by_what_was_regressed_on(of_one):
+    policy = random_policy()
+    q, possible = policy.q_values(of_one), possible_actions(of_one)
+    by_features = q_values(policy.coefficients[of_one.steps_to_go - 1], table_features(of_one), SPACE.verbs)
+    np.testing.assert_allclose(q[possible], by_features[possible], rtol=1e-4, atol=1e-4)
+    action = policy.decide(of_one, random.keys_of(random.key_of(0), len(of_one.lifts))).action
+    assert possible[np.arange(len(action)), action].all()
+    assert (q[np.arange(len(action)), action] == np.where(possible, q, -np.inf).max(axis=1)).all()
+    assert not possible.all()
+    empty = possible_actions(replace(of_one, is_on_table=np.zeros_like(of_one.is_on_table)))
+    assert empty[:, 0].all()
+    assert not empty[:, 1:].any()
+
+
+@pytest.mark.parametrize("hidden", [0.7, 1.0])
+def test_what_is_laid_bare_is_the_occlusion_that_goes(of_one, hidden):
+    hides = of_one.hides.copy()
+    hides[:, 2, 0] = hidden
+    states, others = replace(of_one, hides=hides), ~np.eye(NUM_OBJECTS, dtype=bool)
+    for k in range(20):
+        state = picked(states, k)
+        there, features = state.is_on_table, table_features(state)
+        is_dirty = 1.0 / (1.0 + np.exp(-state.log_odds.astype(float)))
+        without = occlusion_by(state.hides, there & others)
+        gone = (occlusion(state) - without) * (there[:, None] & there) * others
+        washed = features[1 : 1 + NUM_OBJECTS]
+        laid_bare = washed[:, WASH_EASE] * (gone @ np.maximum(is_dirty - 0.5, 0.0))
+        np.testing.assert_allclose(washed[there, NUM_TABLE_FEATURES], laid_bare[there], atol=1e-5)
+        np.testing.assert_allclose(washed[there, WASH_DIRTY], is_dirty[there], atol=1e-5)
 
 
 def test_the_names_of_robots_are_irrelevant(states, features):
@@ -143,15 +221,6 @@ def test_where_all_was_seen_nothing_is_gained_by_a_look():
     columns = table_columns(seen)
     is_dirty, ease = columns.table[0], columns.of_verb[Verb.WASH][EASE]
     np.testing.assert_allclose(columns.table[-1], ease * np.maximum(is_dirty - 0.5, 0.0), rtol=1e-6)
-
-
-def test_q_is_the_same_with_and_without_the_features_put_together():
-    state = replace(STATE, grip=np.float32([-2.0, 0.0, 1.0]), seen=np.float32([0.3, 1.0, 0.6]))
-    coefficients = np.random.default_rng(0).normal(size=(3, 23)).astype(np.float32)
-    features = table_features(state)
-    verb = np.repeat([0, 1, 2], [1, 3, 3])
-    expected = coefficients[verb, 0] + np.sum(features * coefficients[verb, 1:], axis=1)
-    np.testing.assert_allclose(table_q(coefficients, state), expected, rtol=1e-4)
 
 
 def test_the_present_takes_grips_from_the_cloud_and_what_was_seen_from_the_log():

@@ -10,7 +10,8 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.planners import POMDPPolicy
 from halfseen.tables import fit_world
-from halfseen.tables.fitted_world import evidence_of, fitted_to
+from halfseen.tables.laws import fitted_to
+from halfseen.tables.laws.evidence import evidence_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.grasping import KnownGrasping
 from halfseen.world.rollout import evaluate
@@ -28,6 +29,7 @@ def logs_of(config, episodes=60, cut_share=0.4):
 def test_what_is_known_stays_and_the_laws_are_of_the_families_that_made_the_log(config):
     known = replace(config, reward_wash_dirty=4.0, transport_s=1.0, horizon=10)
     fitted = fit_world(logs_of(known), known)
+    assert fitted == fit_world(logs_of(known), known), "the same log gives the same bits"
     as_known = replace(fitted, grasping=known.grasping, seeing=known.seeing)
     assert as_known == known
     assert fitted.grasping.limit_s == known.grasping.limit_s
@@ -77,10 +79,6 @@ def test_fits_to_the_first_paths_are_fits_to_a_log_of_them(known):
     logs = logs_of(known)
     some = fitted_to(evidence_of(logs, known).first(20), known)
     assert some == fit_world(logs.select(logs.path_ids[:20]), known)
-
-
-def test_the_same_log_gives_the_same_bits():
-    assert fit_world(logs_of(WorldConfig()), WorldConfig()) == fit_world(logs_of(WorldConfig()), WorldConfig())
 
 
 def test_a_log_without_objects_is_refused():

@@ -9,7 +9,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.encoding import logged_actions
 from halfseen.tables.features import table_features
-from halfseen.tables.laws.evidence import labels
+from halfseen.tables.laws.evidence import evidence_of
 from halfseen.world import ActionSpace, WorldConfig
 from halfseen.world.actions import possible_actions
 from halfseen.world.logs import states_of
@@ -106,7 +106,10 @@ def test_a_policy_is_learned_from_objects_that_come_late():
 
 def test_the_first_label_of_a_late_object_moves_it_from_the_prior():
     logs = late([["cup", "mug"], ["cup", "fork", "mug"]])
-    at_even, high = (labels(logs, WorldConfig(horizon=2), share) for share in (0.5, 0.9999))
+    at_even, high = (
+        evidence_of(Logs(logs.stages, logs.paths.assign(dirty_share=share), logs.objects), WorldConfig(horizon=2)).told
+        for share in (0.5, 0.9999)
+    )
     # Cup and mug, then cup, fork and mug: the log-odds of the fork are 6, and those of a prior of 0.9999 are 9.2.
     assert at_even.object.tolist() == [0, 2, 0, 1, 2]
     assert at_even.says_dirty.tolist() == [True] * 5

@@ -11,7 +11,7 @@ from halfseen.arrays import known_to_jax
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.tables import TableTask, TeamTask, agent_view, fit_world
-from halfseen.tables.encoding import table_states, team_states
+from halfseen.tables.encoding import states_alone, team_states
 from halfseen.tables.features import table_features, table_q
 from halfseen.tables.team_features import team_features
 from halfseen.world import Robots, TableState, Workspace, WorldConfig
@@ -109,7 +109,7 @@ def test_the_view_of_an_agent_is_what_it_was(robot):
 @pytest.mark.parametrize(
     ("learner", "log", "states_of"),
     [
-        (CensoredQLearner.for_table(10), TABLE_LOG, table_states),
+        (CensoredQLearner.for_table(10), TABLE_LOG, states_alone),
         (CensoredQLearner.for_team(2, 10), TEAM_LOG, team_states),
     ],
     ids=["one robot", "beyond independent policies"],

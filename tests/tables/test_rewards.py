@@ -1,5 +1,7 @@
 """Less noise, the same mean: what a WASH pays, what labels say, what ended in a team; and what shaping adds up to."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 
@@ -88,16 +90,16 @@ def test_the_weighted_mean_stays_what_it_was(cuts, encoded, seen, weight):
     assert np.abs(flat - expected).max() > 1e-4, "the weights must matter"
 
 
-def test_without_a_wash_nothing_changes(cuts, encoded, seen, weight):
-    lifted = encoded._replace(action=np.where(encoded.action > 0, SPACE.encode(Verb.LIFT, 0), 0))
-    assert np.array_equal(reduced(RewardedStages(lifted, seen.reward, weight, seen.is_last)), seen.reward)
+def parts_of(stages, *ends):
+    return [mapped(lambda leaf, at=slice(*at): leaf[at], stages) for at in pairwise((0, *ends))]
 
 
-def test_parts_find_what_the_whole_does(encoded, seen, weight):
+def test_parts_find_what_the_whole_does_and_without_a_wash_nothing_changes(encoded, seen, weight):
     stages = RewardedStages(encoded, seen.reward, weight, seen.is_last)
-    parts = [mapped(lambda leaf: leaf[first : first + 90], stages) for first in range(0, len(weight), 90)]  # noqa: B023
-    assert len(parts) > 2
+    parts = parts_of(stages, *range(90, len(weight) + 90, 90))
     np.testing.assert_allclose(wash_pay(parts), wash_pay([stages]), rtol=1e-10)
+    lifted = encoded._replace(action=np.where(encoded.action > 0, SPACE.encode(Verb.LIFT, 0), 0))
+    assert np.array_equal(reduced(stages._replace(encoded=lifted)), seen.reward)
 
 
 @pytest.mark.slow
@@ -172,20 +174,19 @@ def test_what_ended_is_what_the_rewards_say(paths):
     assert (left > 0).sum() > 50
     assert (failed > 0).sum() > 50
     assert (lift_s > 0).sum() > 50
+    is_early = (TEAM_SPACE.verb(action) == Verb.FINISH)[:, :-1] & goes_on
+    assert is_early.sum() > 50, "FINISH of one robot is no end"
 
 
-def test_prices_of_what_is_certain_are_found(paths):
-    pays = pays_of([rewarded(paths)])
+def test_prices_of_what_is_certain_are_found_in_the_whole_and_in_parts(paths):
+    whole = rewarded(paths)
+    pays = pays_of([whole])
     np.testing.assert_allclose(pays.certain, (-1.0, -0.1, PRICE), atol=0.01)
     # An object that left pays 15 p − 10, and one that is left dirty costs 5; up to the coin that each of them is.
     np.testing.assert_allclose(pays.washed, (-10.0, 15.0), atol=4.0)
     np.testing.assert_allclose(pays.left, (-5.0,), atol=1.0)
-
-
-def test_parts_of_a_log_tell_the_same_prices(paths):
-    whole = rewarded(paths)
-    parts = [mapped(lambda leaf, at=at: leaf[at], whole) for at in (slice(0, 90), slice(90, 300))]
-    np.testing.assert_allclose(np.concatenate(pays_of(parts)), np.concatenate(pays_of([whole])), rtol=1e-9, atol=1e-9)
+    in_parts = np.concatenate(pays_of(parts_of(whole, 90, 300)))
+    np.testing.assert_allclose(in_parts, np.concatenate(pays), rtol=1e-9, atol=1e-9)
 
 
 def test_shaped_rewards_add_up_to_what_was_paid_above_leaving_the_table(paths):
@@ -211,8 +212,3 @@ def test_a_stage_that_was_cut_pays_nothing():
     stages = rewarded(paths, 0.5)
     pays, cut = pays_of([stages]), stages._replace(weight=np.zeros_like(stages.weight))
     assert not shaped(cut, pays, expected(cut, pays)).any()
-
-
-def test_finish_of_one_robot_is_no_end(paths):
-    is_early = (TEAM_SPACE.verb(paths.action) == Verb.FINISH)[:, :-1] & paths.is_taken[:, 1:]
-    assert is_early.sum() > 50

@@ -10,7 +10,7 @@ from halfseen.evaluation.held_out import held_out_verdict
 from halfseen.learning import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.tables import IndependentPolicies, TeamTask
-from halfseen.tables.target_probabilities import decisions, table_probabilities
+from halfseen.tables.policy import decisions, table_probabilities
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import possible_actions
 from halfseen.world.cuts import cut, cut_rate

@@ -9,8 +9,9 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
-from halfseen.tables import IndependentPolicies
-from halfseen.tables.target_probabilities import decisions
+from halfseen.tables import BetaGrasp, IndependentPolicies
+from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.policy import decisions
 from halfseen.tables.task import CAUTION
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb, possible_actions
@@ -18,8 +19,9 @@ from halfseen.world.logs import states_of
 from halfseen.world.policy import check_fits
 from halfseen.world.rollout import evaluate, play
 from halfseen.world.state import pad_scenes
-from picked import leaves_of, picked
+from picked import leaves_of
 from played_teams import NUM_OBJECTS, SCENE, layout_of, logged, played, team_of
+from small_logs import table_log
 
 REACH = np.array([[1, 1, 1, 0], [0, 1, 1, 1]], dtype=bool)
 LAYOUT = layout_of(2, REACH)
@@ -37,14 +39,15 @@ def learned(logs):
     return CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(logs)
 
 
-def earned(policy, num_episodes=1000):
+def earned(policy, num_episodes):
     return evaluate(TEAM, LAYOUT, policy, random.key_of(11), num_episodes).reward
 
 
 @pytest.mark.slow
-def test_it_earns_more_than_what_logged_it(learned):
-    gain = earned(learned.policy_) - earned(ExploringPolicy(TeamOfRules(RULE)))
-    assert gain.mean() > 4.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+def test_it_earns_more_than_what_logged_it_and_than_chance(learned):
+    for other, num_episodes, errors in ((ExploringPolicy(TeamOfRules(RULE)), 1000, 4.0), (UniformPolicy(), 4000, 8.0)):
+        gain = earned(learned.policy_, num_episodes) - earned(other, num_episodes)
+        assert gain.mean() > errors * gain.std(ddof=1) / np.sqrt(len(gain))
 
 
 def test_the_same_log_gives_the_same_policy(logs, learned):
@@ -53,25 +56,17 @@ def test_the_same_log_gives_the_same_policy(logs, learned):
         np.testing.assert_array_equal(ours, theirs)
 
 
-def test_it_takes_what_is_possible(logs, learned):
-    states = states_of(logs, 10)
-    some = picked(states, np.nonzero(states.is_on_table.any(axis=-1)))
-    action = learned.policy_.decide(some, random.keys_of(random.key_of(0), len(some.decider))).action
-    assert np.take_along_axis(possible_actions(some), action[:, None], axis=1).all()
-
-
-def test_each_alone_is_left_where_q_promises_more_by_the_caution(logs, learned):
+def test_of_what_is_possible_it_leaves_each_alone_where_q_promises_more_by_the_caution(logs, learned):
     states, policy = states_of(logs, 10), learned.policy_
+    assert policy.caution == pytest.approx(CAUTION * logs.stages["reward"].std(ddof=0), rel=1e-6)
     of_base, of_team = decisions(policy.base, states), decisions(policy, states)
     q = policy.q_values(states)
     best = q.argmax(axis=-1)
     better = np.take_along_axis(q, best[..., None], -1)[..., 0] - np.take_along_axis(q, of_base[..., None], -1)[..., 0]
     np.testing.assert_array_equal(of_team, np.where(better > policy.caution, best, of_base))
     assert 0 < (of_team != of_base).mean() < 0.2
-
-
-def test_caution_is_in_units_of_reward(logs, learned):
-    assert learned.policy_.caution == pytest.approx(CAUTION * logs.stages["reward"].std(ddof=0), rel=1e-6)
+    is_stage = states.is_on_table.any(axis=-1)
+    assert np.take_along_axis(possible_actions(states), of_team[..., None], axis=-1)[is_stage].all()
 
 
 def test_q_of_a_policy_is_not_lowered(logs):
@@ -80,6 +75,16 @@ def test_q_of_a_policy_is_not_lowered(logs):
     best = CensoredQLearner.for_team(2, horizon=5, pessimism=1.0, base=None, reg=0.1).fit(logs)
     assert best.policy_.base is None
     assert best.policy_.margin is not None
+
+
+@pytest.mark.parametrize("given", [{"grasp": BetaGrasp()}, {"q_function": "kernel"}], ids=["grasps", "kernel"])
+def test_a_team_takes_what_one_robot_takes(logs, given):
+    policy = CensoredQLearner.for_team(2, horizon=5, base=None, reg=0.1, **given).fit(logs).policy_
+    assert isinstance(policy.grasp, GraspTable) == ("grasp" in given)
+    states = states_of(logs, 10)
+    q, is_possible = policy.q_values(states), possible_actions(states)
+    assert np.isfinite(q).any(axis=-1).all()
+    assert (q[~is_possible] == -np.inf).all()
 
 
 def test_a_base_that_is_given_is_improved_upon(logs):
@@ -157,27 +162,29 @@ def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
         IndependentPolicies(())
 
 
-@pytest.mark.slow
-def test_it_is_beyond_a_team_that_draws_its_actions(learned):
-    gain = earned(learned.policy_, 4000) - earned(UniformPolicy(), 4000)
-    assert gain.mean() > 8.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+@pytest.mark.parametrize(
+    ("learner", "told"),
+    [
+        (CensoredQLearner.for_team(3, horizon=5), "of 2 robots, and it is to be learned for 3"),
+        (CensoredQLearner.for_table(10), "of 2 robots, and one table's policy decides for one; learn it with"),
+    ],
+    ids=["of another team", "of one robot"],
+)
+def test_a_log_of_another_number_of_robots_is_refused(logs, learner, told):
+    with pytest.raises(LogError, match=told):
+        learner.fit(logs)
 
 
-def test_a_log_of_another_number_of_robots_is_refused(logs):
-    with pytest.raises(LogError, match="of 2 robots, and it is to be learned for 3"):
-        CensoredQLearner.for_team(3, horizon=5).fit(logs)
+def test_the_log_of_one_robot_is_none_of_a_team():
+    with pytest.raises(LogError, match="no column 'robot'"):
+        CensoredQLearner.for_team(2, horizon=5).fit(table_log())
 
 
-def test_a_policy_of_another_number_of_robots_does_not_play(learned):
-    with pytest.raises(PolicyError, match="is for 2 robots, and the team has 3"):
-        check_fits(learned.policy_, team_of(3))
-    with pytest.raises(PolicyError, match="is for 3 robots, and the team has 2"):
-        check_fits(ReservingPolicy(team_of(3), RULE), TEAM)
-
-
-def test_a_team_is_no_robot(logs):
-    with pytest.raises(LogError, match="of 2 robots, and one table's policy decides for one; learn it with"):
-        CensoredQLearner.for_table(10).fit(logs)
+@pytest.mark.parametrize("num_robots", [2, 3])
+def test_a_policy_of_another_number_of_robots_does_not_play(learned, num_robots):
+    policy = learned.policy_ if num_robots == 3 else ReservingPolicy(team_of(3), RULE)
+    with pytest.raises(PolicyError, match=f"is for {5 - num_robots} robots, and the team has {num_robots}"):
+        check_fits(policy, team_of(num_robots))
 
 
 @pytest.mark.parametrize(

@@ -54,7 +54,7 @@ def _incomplete_beta(freedom: float, squared: float) -> float:
 
 
 def _log_gamma_step(a: float) -> float:
-    """ln Γ(a + ½) − ln Γ(a), for large a by its asymptotic series, which loses no digits."""
+    """Ln Γ(a + ½) − ln Γ(a), for large a by its asymptotic series, which loses no digits."""
     if a < 100.0:
         return lgamma(a + 0.5) - lgamma(a)
     return 0.5 * log(a) - 1.0 / (8.0 * a) + 1.0 / (192.0 * a**3) - 1.0 / (640.0 * a**5)

@@ -3,16 +3,20 @@
 `PathArrays` hold a log as it is. `Transitions` add what each stage weighs and what its target is; `sums` packs them.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import library_of, mapped
 from halfseen.censoring import StageClocks
+from halfseen.lazy import Frame
 from halfseen.learning.task import Encoded
-from halfseen.logs import Logs
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # What a policy needs of this module loads no log.
 
 
 class PathArrays(NamedTuple):
@@ -74,7 +78,7 @@ class PathArrays(NamedTuple):
         return PathArrays(self.clocks.take(rows), *rest)
 
 
-def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -> PathArrays:
+def path_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> PathArrays:
     """Lay out a log.
 
     Parameters
@@ -95,8 +99,9 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -
         return filled
 
     def numbers(column: str) -> Float[np.ndarray, " rows"]:
-        given = logs.stages[column] if column in logs.stages.columns else pd.Series(np.nan, index=logs.stages.index)
-        return given.to_numpy(dtype=np.float64, na_value=np.nan)
+        if column not in logs.stages.columns:
+            return np.full(logs.num_stages, np.nan)
+        return logs.stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
 
     known = np.zeros((logs.num_stages, 0)) if covariates is None else covariates.to_numpy(dtype=np.float64)
     clocks = StageClocks(
@@ -119,6 +124,8 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: pd.DataFrame | None) -
 
 def stage_places(logs: Logs) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, " rows"]]:
     """Row of each stage's path in dense arrays, and its column."""
+    import pandas as pd
+
     return pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages["stage"].to_numpy() - 1
 
 

@@ -6,15 +6,19 @@ task of one's own needs the names below and nothing else.
 
 from collections.abc import Iterable, Sequence
 from importlib import import_module
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-import pandas as pd
 from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
+from halfseen.lazy import Frame
 from halfseen.learning.q_space import KernelMap
-from halfseen.logs import Logs
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Policies know what a task is, and load no log.
 
 AUTO: Literal["auto"] = "auto"
 
@@ -116,7 +120,7 @@ class Task(Protocol):
         """1 for each feature that belongs to these covariates, 0 for the others."""
         ...
 
-    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> Frame:
         """What cuts may depend on, a row for each stage of the log; None for all."""
         ...
 

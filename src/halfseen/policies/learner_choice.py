@@ -15,6 +15,7 @@ from halfseen.suggestions import did_you_mean
 TABLE_HORIZON = 10
 """Stages that a path on a table may have, unless the log has longer ones."""
 
+
 @dataclass(frozen=True)
 class LearnerChoice:
     """What is to be learned, and what the user should know of it; of a team, for how many robots."""
@@ -45,8 +46,8 @@ def learner_for(
         Stages after which a path ends by itself; None for those of the longest path, on a table at least 10. Of a team,
         decisions of each robot; None for what the log says.
     grasp
-        What tells the probability of a grasp on a table: ``"auto"``, by the log (as None does); ``"laplace"``, the rule of
-        succession; ``"beta"``, a Beta regression.
+        What tells the probability of a grasp on a table: ``"auto"``, by the log (as None does); ``"laplace"``, the
+        rule of succession; ``"beta"``, a Beta regression.
     parameters
         The others of `CensoredQLearner`.
 

@@ -12,9 +12,9 @@ from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import values_by_name
 from halfseen.policies.table_reason import table_reason
+from halfseen.tables.explain import Grounds, table_grounds
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.present import Present
-from halfseen.tables.reasons import Grounds, table_grounds
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy

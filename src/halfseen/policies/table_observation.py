@@ -4,23 +4,26 @@ from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
 from halfseen.errors import ArgumentError, CloudError, PolicyError, within
-from halfseen.logs import Logs, read_logs
 from halfseen.perception import Label, View, perceive, read_cloud
 from halfseen.perception.kind import other_things_in_words
 from halfseen.perception.label_files import labels_of
 from halfseen.perception.labels import WORDS
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.history import present_state
 from halfseen.policies.named_observation import STATE_FILES
 from halfseen.policies.of_team import refuse_log_of_team
 from halfseen.tables.present import Present, first_state, labelled
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import AssumedSeeing, KnownSeeing
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # A table that is seen for the first time has none.
 
 
 @runtime_checkable
@@ -81,7 +84,11 @@ def read_table(
     HalfseenError
         A file cannot be read, or does not fit the policy.
     """
-    past = None if history is None else Past(read_logs(history), folder=history)
+    past = None
+    if history is not None:
+        from halfseen.logs import read_logs
+
+        past = Past(read_logs(history), folder=history)
     return see_table(stored, file, past, stage, labels, law)
 
 
@@ -134,6 +141,8 @@ def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, 
     dirty_share = stored.record["schema"]["dirty_share"]
     if past is None:
         return first_state(scene, stored.horizon, dirty_share, stage or 1)
+    from halfseen.policies.history import present_state
+
     with nullcontext() if past.folder is None else within(past.folder):
         refuse_log_of_team(stored, past.logs)
         now = present_state(

@@ -7,7 +7,7 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.policies.reasons import lead, next_best
-from halfseen.tables.reasons import Grounds, table_grounds
+from halfseen.tables.explain import Grounds, table_grounds
 from halfseen.world.actions import ActionSpace
 
 

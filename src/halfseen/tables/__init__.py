@@ -2,11 +2,11 @@
 
 Read down: `features` and `team_features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from
 attempts) → `encoding` (logs → features, and what cuts may depend on) → `prior` → `rewards` (less noise in the targets)
-→ `policy` (what was learned) → `target_probabilities` → `task` (all of it behind one seam, for one robot and for
-several) → `learned_explanation` (how sure it may be) → `present` (what is seen now, and what was logged of the path so
-far → the state to decide in). Of several robots: `agent_logs`, `independent` (each for itself).
+→ `policy` (what was learned, and what policies would have done) → `task` (all of it behind one seam, for any number of
+robots) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the path so far
+→ the state to decide in). Of several robots: `agent_logs`, `independent` (each for itself).
 
-Beside them, `laws` → `fitted_world`: a world whose laws were fitted to the same log, for planners that know no law.
+Beside them, `laws`: a world whose laws were fitted to the same log, for planners that know no law.
 """
 
 from typing import TYPE_CHECKING
@@ -15,12 +15,12 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.tables.agent_logs import agent_view
-    from halfseen.tables.fitted_world import fit_world
+    from halfseen.tables.explain import LearnedExplainer
     from halfseen.tables.grasp.attempts import attempts
     from halfseen.tables.grasp.beta_grasp import BetaGrasp
     from halfseen.tables.grasp.svm_grasp import SVMGrasp
     from halfseen.tables.independent import IndependentPolicies
-    from halfseen.tables.learned_explanation import LearnedExplainer
+    from halfseen.tables.laws import fit_world
     from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy
     from halfseen.tables.task import TableTask, TeamTask
 
@@ -43,7 +43,7 @@ __getattr__ = lazy_names(
     {
         "BetaGrasp": "grasp.beta_grasp",
         "IndependentPolicies": "independent",
-        "LearnedExplainer": "learned_explanation",
+        "LearnedExplainer": "explain",
         "LinearTablePolicy": "policy",
         "LinearTeamPolicy": "policy",
         "SVMGrasp": "grasp.svm_grasp",
@@ -51,6 +51,6 @@ __getattr__ = lazy_names(
         "TeamTask": "task",
         "agent_view": "agent_logs",
         "attempts": "grasp.attempts",
-        "fit_world": "fitted_world",
+        "fit_world": "laws",
     },
 )

@@ -1,6 +1,6 @@
 """From logs of tables to the dense arrays that the learner runs on, and to what their cuts may depend on."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -17,7 +17,8 @@ from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.features import table_features
-from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions, wait_of
+from halfseen.tables.team_features import team_features
+from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, wait_of, worthwhile_actions
 from halfseen.world.log_checks import TABLE, checked_tables, robots_in
 from halfseen.world.log_rows import begun_objects
 from halfseen.world.logs import states_of
@@ -52,11 +53,35 @@ def encoded_states(
         What tells the probability of a grasp in the features; None for the rule of succession.
     """
     num_paths, at = len(is_state), np.nonzero(is_state)
-    there = mapped(lambda leaf: leaf[:num_paths][at], states)
-    features = spread(table_features(there, grasp).astype(np.float64), at, is_state.shape)
-    is_possible = spread(possible_actions(there), at, is_state.shape)
-    is_possible[~is_state, FINISH] = True
-    return Encoded(features, is_possible, action)
+    return encoded_at(at, mapped(lambda leaf: leaf[:num_paths][at], states), action, grasp)
+
+
+def encoded_at(
+    at: tuple[np.ndarray, ...],
+    there: TableState,
+    action: Int[np.ndarray, "n T"],
+    grasp: GraspModel | None = None,
+    choices: Callable[[TableState], np.ndarray] = worthwhile_actions,
+) -> Encoded:
+    """Encode the tables of some stages, (path, stage) from 0, of one robot or several.
+
+    Parameters
+    ----------
+    at
+        Where they stand.
+    there
+        The tables, one axis.
+    action
+        What was done.
+    grasp
+        As `encoded_states` takes it.
+    choices
+        Which actions there are to choose from; elsewhere FINISH alone.
+    """
+    of_action = (table_features if there.robots is None else team_features)(there, grasp)
+    is_possible = spread(choices(there), at, action.shape)
+    is_possible[~is_possible.any(axis=-1), FINISH] = True
+    return Encoded(spread(of_action.astype(np.float64), at, action.shape), is_possible, action)
 
 
 def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:
@@ -66,29 +91,7 @@ def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...
     return found
 
 
-def encode_tables(logs: Logs, horizon: int, grasp: GraspModel | None = None) -> Encoded:
-    """Encode every stage of a log of tables.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T.
-    grasp
-        What tells the probability of a grasp in the features; None for the rule of succession.
-
-    Raises
-    ------
-    LogError
-        An action is none that a table knows, or is done to an object that is not on the table; several robots decided.
-    """
-    states = table_states(logs, horizon)
-    action = logged_actions(logs, horizon, states.num_objects)
-    return encoded_states(states, action, np.any(states.is_on_table, axis=-1), grasp)
-
-
-def table_states(logs: Logs, horizon: int) -> TableState:
+def states_alone(logs: Logs, horizon: int) -> TableState:
     """Rebuild S_t of every stage of a log of one robot, axes (n, T), as one that works alone.
 
     Raises
@@ -122,16 +125,26 @@ def team_states(logs: Logs, horizon: int, num_robots: int | None = None) -> Tabl
     LogError
         It is of another number of robots, or breaks a rule of tables or of robots.
     """
-    if not robots_in(logs):
+    check_team(logs, num_robots)
+    return states_of(logs, horizon)
+
+
+def check_team(logs: Logs, num_robots: int | None = None) -> None:
+    """Refuse the log of one robot, and that of another number of robots.
+
+    Raises
+    ------
+    LogError
+        As above.
+    """
+    found = robots_in(logs)
+    if not found:
         # It says which of the columns of robots are missing.
-        checked_tables(logs, horizon, is_team=True)
-    states = states_of(logs, horizon)
-    if num_robots not in (None, states.num_robots):
+        checked_tables(logs, is_team=True)
+    if num_robots not in (None, found):
         raise LogError(
-            f"the log is of {states.num_robots} robots, and it is to be learned for {num_robots}; give "
-            "the number of the log"
+            f"the log is of {found} robots, and it is to be learned for {num_robots}; give the number of the log"
         )
-    return states
 
 
 def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool = False) -> Int[np.ndarray, "n T"]:

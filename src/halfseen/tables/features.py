@@ -93,7 +93,7 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
     win, sure = _above(is_dirty, 0.5), _above(is_dirty, 0.75)
     doubt, unseen = 4.0 * is_dirty * (1.0 - is_dirty), 1.0 - state.seen
     in_sight, laid_bare = _sight(state)
-    ease = in_sight * succession(*attempt_counts(state), state.grip) if grasp is None else grasp.probability(state)
+    ease = ease_of(state, grasp, in_sight)
     soon = ease * _win_after_look(is_dirty, xp.where(state.seen > 0.0, np.float32(0.0), in_sight))
     clearer = ease * (ease * _win_after_look(is_dirty, unseen) - soon)
     best = xp.max(xp.where(state.is_on_table, soon, np.float32(0.0)), axis=-1)
@@ -110,6 +110,14 @@ def table_columns(state: TableState, grasp: GraspModel | None = None) -> Columns
         idle=xp.exp(-8.0 * best),
         of_verb={Verb.WASH: washed, Verb.LIFT: [laid_bare_doubt, *left_to_see, gained]},
     )
+
+
+def ease_of(state: TableState, grasp: GraspModel | None = None, in_sight: Any = None) -> Float[Array, "*B N"]:
+    """How likely a grasp of each object is, by a model; without one by the share in sight, found unless it is given."""
+    if grasp is not None:
+        return grasp.probability(state)
+    in_sight = _sight(state)[0] if in_sight is None else in_sight
+    return in_sight * succession(*attempt_counts(state), state.grip)
 
 
 def table_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "*B A F"]:

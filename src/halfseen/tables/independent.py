@@ -5,9 +5,6 @@ from typing import Any
 
 from halfseen.arrays import library_of, mapped, record
 from halfseen.errors import ArgumentError
-from halfseen.learning.q_learner import CensoredQLearner
-from halfseen.logs import Logs
-from halfseen.tables.agent_logs import agent_view
 from halfseen.world.actions import ActionSpace, Verb, possible_actions
 from halfseen.world.others import is_decider
 from halfseen.world.policy import Decision, Policy
@@ -49,27 +46,6 @@ class IndependentPolicies:
             is_its_turn = state.decider == robot
             found = mapped(lambda new, old, turn=is_its_turn: xp.where(turn, new, old), other, found)
         return found
-
-
-def learned_independently(logs: Logs, num_robots: int, horizon: int) -> IndependentPolicies:
-    """Learn the policy of each robot from its own view of a log, by all defaults.
-
-    Parameters
-    ----------
-    logs
-        Of a team.
-    num_robots
-        K.
-    horizon
-        Decisions of each robot.
-
-    Raises
-    ------
-    ArgumentError, LogError, PositivityError
-        There is not enough to learn from in the view of a robot.
-    """
-    views = (agent_view(logs, robot) for robot in range(num_robots))
-    return IndependentPolicies(tuple(CensoredQLearner.for_table(horizon).fit(view).policy_ for view in views))
 
 
 def own_table(state: TableState) -> TableState:

@@ -1,7 +1,12 @@
-"""A learned Q of tables, or of a team, as a policy: coefficients, and nothing of the learner."""
+"""A learned Q of tables as a policy: coefficients, and nothing of the learner; and what policies would have done.
+
+K robots share one table; a state without robots is of one that works alone. Q is linear in the features of an action
+(`halfseen.tables.features`, or `halfseen.tables.team_features` where there are robots), with one block of coefficients
+for each verb, or one for all.
+"""
 
 from collections.abc import Callable, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,20 +19,29 @@ from halfseen.learning.q_space import KernelMap
 from halfseen.learning.rows import q_values
 from halfseen.tables.features import table_features, table_q
 from halfseen.tables.team_features import team_features
+from halfseen.world import random
 from halfseen.world.actions import WAIT, ActionSpace, possible_actions, worthwhile_actions
-from halfseen.world.policy import Decision, GraspModel, Policy, surely
+from halfseen.world.policy import (
+    Decision,
+    ExploringPolicy,
+    GraspModel,
+    Policy,
+    UniformPolicy,
+    check_decides_for,
+    surely,
+)
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 
 @record
-class LinearTablePolicy:
+class _LinearPolicy:
     """argmax over possible actions of Q̂_h(S, a), with h the steps to go; with pessimism, less a margin.
 
     Parameters
     ----------
     coefficients
-        Of Q_1 … Q_T, by steps to go, verb and feature (offset first). Axes in front are of policies; they come before
+        Of Q_1 … Q_T, by steps to go, block and feature (offset first). Axes in front are of policies; they come before
         those of the states in what is told of these.
     grasp
         What tells the probability of a grasp in the features; None for the rule of succession.
@@ -36,7 +50,7 @@ class LinearTablePolicy:
     is_seen
         Which verbs have a value, by steps to go: those that the log has seen completed; None for all.
     margin
-        M by steps to go and verb: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
+        M by steps to go and block: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
     behaviour
         Coefficients of the behaviour policy on the features of the table, the offset first; None if not known.
     """
@@ -44,33 +58,37 @@ class LinearTablePolicy:
     coefficients: Float[Array, "*P T K F"]
     grasp: GraspModel | None = None
     kernel_map: KernelMap | None = None
-    is_seen: Bool[Array, "T K"] | None = None
+    is_seen: Bool[Array, "T V"] | None = None
     margin: Float[Array, "T K F F"] | None = None
     behaviour: Float[Array, "K G"] | None = None
-
-    num_robots: ClassVar[int] = 1
 
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose; deterministic."""
         return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """Q of every action, −∞ where an action is not possible.
+        """Q of every action, −∞ where an action is not to be chosen from.
 
         With pessimism, less its margin, which counts less, the more the log takes the action anyway.
         """
-        is_possible = self._possible(state)
-        if self.margin is None:
-            return _where_possible(is_possible, self._q(state))
-        raw = table_features(state, self.grasp)
-        features, verbs = self._mapped(raw), self._verbs(state)
-        margin = margins(self.margin, features, self._to_go(state), self._slices(state))
-        margin = _waived(margin, self.behaviour, raw, verbs, is_possible)
-        return _where_possible(is_possible, q_values(self._coefficients(state), features, verbs) - margin)
+        allowed, to_go = self._allowed(state), self._to_go(state)
+        coefficients = library_of(self.coefficients, to_go).take(self.coefficients, to_go, axis=-3)
+        if self.margin is None and self.kernel_map is None and state.robots is None:
+            q = table_q(coefficients, state, self.grasp)
+            return library_of(q).where(allowed, q, np.float32(-np.inf))
+        features, blocks = self._features(state), self._blocks(state)
+        q = q_values(coefficients, self._mapped(features), blocks)
+        if self.margin is not None:
+            margin = _by_steps(_lengths, self.margin, self._mapped(features), to_go, self._slices(state))
+            if self.behaviour is not None:
+                lean = leaning(q_values(self.behaviour, features, blocks), allowed)
+                margin = (1.0 - lean).astype(margin.dtype) * margin
+            q = q - margin
+        return library_of(q).where(allowed, q, np.float32(-np.inf))
 
     def estimates(self, state: TableState) -> Float[Array, "*B A"]:
-        """Q̂ of every action, without any margin; −∞ where an action is not possible."""
-        return _where_possible(self._possible(state), self._q(state))
+        """Q̂ of every action, without any margin; −∞ where an action is not to be chosen from."""
+        return replace(self, margin=None).q_values(state)
 
     def deviations(self, state: TableState) -> Float[Array, "*B A F"]:
         """Mᵀ (1, features) of every action: its length is the margin.
@@ -82,70 +100,53 @@ class LinearTablePolicy:
         """
         if self.margin is None:
             raise ArgumentError("the policy has no margin; learn with pessimism")
-        features = self._mapped(table_features(state, self.grasp))
-        return deviations(self.margin, features, self._to_go(state), self._slices(state))
+        features = self._mapped(self._features(state))
+        return _by_steps(_deviations, self.margin, features, self._to_go(state), self._slices(state))
 
-    def _q(self, state: TableState) -> Float[Array, "*B A"]:
-        coefficients = self._coefficients(state)
-        if self.kernel_map is None:
-            return table_q(coefficients, state, self.grasp)
-        return q_values(coefficients, self._mapped(table_features(state, self.grasp)), self._verbs(state))
-
-    def _coefficients(self, state: TableState) -> Float[Array, "*B K F"]:
-        return library_of(self.coefficients, state.steps_to_go).take(self.coefficients, self._to_go(state), axis=-3)
+    def _features(self, state: TableState) -> Float[Array, "*B A F"]:
+        return (table_features if state.robots is None else team_features)(state, self.grasp)
 
     def _mapped(self, features: Float[Array, "*B A F"]) -> Float[Array, "*B A F1"]:
         return features if self.kernel_map is None else self.kernel_map(features)
 
     def _to_go(self, state: TableState) -> Int[Array, "*B"]:
-        """Where those with so many steps to go stand."""
-        return state.steps_to_go - 1
+        """Which Q of the T: of the steps to go, or of the decisions to go of all robots together."""
+        if state.robots is None:
+            return state.steps_to_go - 1
+        xp, each = library_of(state.robots.decisions_to_go), state.robots.decisions_to_go
+        return xp.clip(xp.sum(each, axis=-1), 1, self.coefficients.shape[-3]) - 1
 
-    def _verbs(self, state: TableState) -> Int[np.ndarray, " A"]:
-        return ActionSpace(state.num_objects).verbs
+    def _blocks(self, state: TableState) -> Int[np.ndarray, " A"]:
+        verbs = verbs_of(state)
+        return verbs if self.coefficients.shape[-2] > 1 else np.zeros_like(verbs)
 
     def _slices(self, state: TableState) -> list[slice]:
-        return ActionSpace(state.num_objects).slices
+        return ActionSpace(state.num_objects).slices if self.coefficients.shape[-2] > 1 else [slice(None)]
 
-    def _possible(self, state: TableState) -> Bool[Array, "*B A"]:
-        allowed = possible_actions(state)
+    def _allowed(self, state: TableState) -> Bool[Array, "*B A"]:
+        allowed = worthwhile_actions(state)
         if self.is_seen is None:
             return allowed
         is_seen = library_of(allowed).take(self.is_seen, self._to_go(state), axis=0)
-        return seen_among(allowed, is_seen[..., self._verbs(state)])
-
-
-def _waived(margin: Any, behaviour: Any, features: Any, blocks: Any, is_possible: Any) -> Any:
-    """Margins, which count less, the more the behaviour policy takes an action anyway."""
-    if behaviour is None:
-        return margin
-    lean = leaning(q_values(behaviour, features, blocks), is_possible)
-    return (1.0 - lean).astype(margin.dtype) * margin
-
-
-def _where_possible(is_possible: Bool[Array, "*B A"], q: Any) -> Any:
-    return library_of(q).where(is_possible, q, np.float32(-np.inf))
+        return seen_among(allowed, is_seen[..., verbs_of(state)])
 
 
 @record
-class LinearTeamPolicy:
-    """argmax over what the robot that decides may do of Q̂_h, with h the decisions to go of all robots together.
+class LinearTablePolicy(_LinearPolicy):
+    """Decides for one robot that works alone; one block of coefficients a verb."""
 
-    Where Q̂ is that of a base policy, the base decides unless that maximum is worth more than the base's own action by
-    more than `caution`: one step of policy iteration, one robot at a time, that Q̂'s errors are not to undo.
+    num_robots: ClassVar[int] = 1
+
+
+@record
+class LinearTeamPolicy(_LinearPolicy):
+    """Decides for the robot of several that is free; one block of coefficients for all verbs.
+
+    Where Q̂ is that of a base policy, the base decides unless the maximum of Q̂ is worth more than the base's own action
+    by more than `caution`: one step of policy iteration, one robot at a time, that Q̂'s errors are not to undo.
 
     Parameters
     ----------
-    coefficients
-        Of Q_1 … Q_T, by decisions to go, for all verbs alike (K = 1), the offset first.
-    grasp
-        What tells the probability of a grasp in the features; None for the rule of succession.
-    is_seen
-        Which verbs have a value, by decisions to go; None for all.
-    margin
-        M by decisions to go; None without pessimism.
-    behaviour
-        Coefficients of the behaviour policy, which waives margins; None if not known.
     num_robots
         For how many robots it was learned; None if nobody said so.
     base
@@ -154,11 +155,6 @@ class LinearTeamPolicy:
         By how much another action must be better than that of `base`, in units of reward.
     """
 
-    coefficients: Float[Array, "T K F"]
-    grasp: GraspModel | None = None
-    is_seen: Bool[Array, "T V"] | None = None
-    margin: Float[Array, "T K F F"] | None = None
-    behaviour: Float[Array, "K G"] | None = None
     num_robots: int | None = field(default=None, metadata=STATIC)
     base: Policy | None = None
     caution: float | Array = 0.0
@@ -167,25 +163,6 @@ class LinearTeamPolicy:
     def num_stages(self) -> int:
         """Decisions of all robots together, for which it was learned."""
         return len(self.coefficients)
-
-    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """Q of every action, less its margin, measured from leaving the table; −∞ where it is not chosen from."""
-        features, allowed = team_features(state, self.grasp), worthwhile_actions(state)
-        xp, one_block = library_of(features), np.zeros(allowed.shape[-1], dtype=np.int32)
-        to_go = self._to_go(state)
-        q = q_values(xp.take(self.coefficients, to_go, axis=0), features, one_block)
-        if self.is_seen is not None:
-            verbs = np.append(ActionSpace(state.num_objects).verbs, WAIT)
-            allowed = seen_among(allowed, xp.take(self.is_seen, to_go, axis=0)[..., verbs])
-        if self.margin is not None:
-            margin = margins(self.margin, features, to_go, [slice(None)])
-            q = q - _waived(margin, self.behaviour, features, one_block, allowed)
-        return _where_possible(allowed, q)
-
-    def _to_go(self, state: TableState) -> Int[Array, "*B"]:
-        assert state.robots is not None
-        xp = library_of(state.robots.decisions_to_go)
-        return xp.clip(xp.sum(state.robots.decisions_to_go, axis=-1), 1, len(self.coefficients)) - 1
 
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose; deterministic."""
@@ -198,58 +175,106 @@ class LinearTeamPolicy:
         return surely(xp.where(at(q, best) - at(q, of_base) > self.caution, best, of_base))
 
 
-def margins(
-    margin: Float[Array, "T K F F"],
-    features: Float[Array, "*B A F1"],
-    to_go: Int[Array, "*B"],
-    blocks: Sequence[slice],
-) -> Float[Array, "*B A"]:
-    """Length of the deviations of every action.
-
-    Parameters
-    ----------
-    margin
-        M.
-    features
-        φ, without the constant.
-    to_go
-        Which M of the T.
-    blocks
-        Where the actions of each of the K blocks stand.
-    """
-
-    def length(each: Any, of: Any) -> Any:
-        return library_of(of).sqrt(library_of(of).sum(_deviations(each, of, blocks) ** 2, axis=-1))
-
-    return _by_steps(length, margin, features, to_go)
-
-
-def deviations(
-    margin: Float[Array, "T K F F"],
-    features: Float[Array, "*B A F1"],
-    to_go: Int[Array, "*B"],
-    blocks: Sequence[slice],
-) -> Float[Array, "*B A F"]:
-    """Mᵀ (1, φ) of every action; parameters as `margins` has them."""
-    return _by_steps(lambda each, of: _deviations(each, of, blocks), margin, features, to_go)
+def verbs_of(state: TableState) -> Int[np.ndarray, " A"]:
+    """Verb of each action; WAIT, which is last, where there are robots."""
+    verbs = ActionSpace(state.num_objects).verbs
+    return verbs if state.robots is None else np.append(verbs, WAIT)
 
 
 def _by_steps(
-    asked: Callable[[Any, Any], Any], margin: Float[Array, "T K F F"], features: Any, to_go: Int[Array, "*B"]
+    asked: Callable[[Any, Any, Sequence[slice]], Any],
+    margin: Float[Array, "T K F F"],
+    features: Any,
+    to_go: Int[Array, "*B"],
+    blocks: Sequence[slice],
 ) -> Any:
     """Ask for the states of each number of steps to go at once: to copy an M for each state takes far longer."""
     xp = library_of(margin, features, to_go)
     if xp is not np:
-        return asked(xp.take(margin, to_go, axis=0), features)
+        return asked(xp.take(margin, to_go, axis=0), features, blocks)
     steps = np.unique(to_go)
     if len(steps) == 1:
-        return asked(margin[steps[0]], features)
+        return asked(margin[steps[0]], features, blocks)
     states, place = features.reshape(-1, *features.shape[-2:]), np.ravel(to_go)
     order = np.argsort(place, kind="stable")
-    found = np.concatenate([asked(margin[step], states[place == step]) for step in steps])
+    found = np.concatenate([asked(margin[step], states[place == step], blocks) for step in steps])
     return found[np.argsort(order)].reshape(*features.shape[:-1], *found.shape[2:])
 
 
 def _deviations(margin: Any, features: Any, blocks: Sequence[slice]) -> Any:
+    """Mᵀ (1, φ) of every action, where the actions of each of the K blocks stand."""
     each = [margin[..., k, :1, :] + features[..., block, :] @ margin[..., k, 1:, :] for k, block in enumerate(blocks)]
     return library_of(features, margin).concatenate(each, axis=-2)
+
+
+def _lengths(margin: Any, features: Any, blocks: Sequence[slice]) -> Any:
+    xp = library_of(features, margin)
+    return xp.sqrt(xp.sum(_deviations(margin, features, blocks) ** 2, axis=-1))
+
+
+def table_probabilities(policy: Any, states: TableState) -> Float[np.ndarray, "n T A"]:
+    """π(a | S_t) of any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
+
+    NaN where the policy draws its actions and does not say how.
+
+    Parameters
+    ----------
+    policy
+        What decides.
+    states
+        Of a log, axes (n, T).
+
+    Raises
+    ------
+    ArgumentError
+        It is no policy.
+    PolicyError
+        It is for another number of robots.
+    """
+    if not isinstance(policy, Policy):
+        raise ArgumentError(f"{type(policy).__name__} decides nothing about tables, which the task is of")
+    _check_number(policy, states)
+    return _probabilities(policy, states)
+
+
+def _probabilities(policy: Any, states: TableState) -> Float[np.ndarray, "*B A"]:
+    is_possible = possible_actions(states)
+    uniform = is_possible / np.sum(is_possible, axis=-1, keepdims=True)
+    if isinstance(policy, UniformPolicy):
+        return uniform
+    if isinstance(policy, ExploringPolicy):
+        return policy.random_share * uniform + (1.0 - policy.random_share) * _probabilities(policy.base, states)
+    decision = _decision(policy, states)
+    is_taken = np.arange(is_possible.shape[-1]) == decision.action[..., None]
+    return np.where(decision.probability[..., None] == 1.0, is_taken.astype(np.float64), np.nan)
+
+
+def decisions(policy: Any, states: TableState) -> Int[np.ndarray, "*B"]:
+    """Action of a policy that draws nothing in each of some states.
+
+    Raises
+    ------
+    ArgumentError
+        The policy draws its actions.
+    PolicyError
+        It is for another number of robots.
+    """
+    _check_number(policy, states)
+    decision = _decision(policy, states)
+    # What chose for certain says so; the probability of a planner's choice is not known, so that it is NaN.
+    if not (decision.probability == 1.0).all():
+        raise ArgumentError(
+            f"{type(policy).__name__} draws its actions, so that a state does not tell what it does; give a policy "
+            "that draws nothing"
+        )
+    return decision.action
+
+
+def _check_number(policy: Any, states: TableState) -> None:
+    if states.robots is not None or getattr(policy, "num_robots", None) not in (None, 1):
+        check_decides_for(policy, states.num_robots)
+
+
+def _decision(policy: Any, states: TableState) -> Decision:
+    keys = np.broadcast_to(random.key_of(0), (*states.is_object.shape[:-1], 2))
+    return policy.decide(states, keys)

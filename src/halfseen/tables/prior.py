@@ -1,14 +1,17 @@
 """P(DIRTY) of an object before any label, as a log tells it."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy.special import expit
 
+from halfseen.arrays import expit
 from halfseen.errors import LogError
-from halfseen.logs import Logs
-from halfseen.logs.columns import as_floats, require_columns
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Who reads a policy loads no log.
 
 COLUMN = "dirty_share"
 
@@ -45,6 +48,8 @@ def prior_facts(logs: Logs) -> PriorFacts:
     LogError
         The log has no objects.
     """
+    from halfseen.logs.columns import as_floats, require_columns
+
     stated = None
     if COLUMN in logs.paths.columns and not logs.paths[COLUMN].isna().to_numpy().any():
         values = logs.paths[COLUMN].to_numpy(dtype=np.float64)

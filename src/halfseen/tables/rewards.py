@@ -52,7 +52,7 @@ from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.others import is_decider
 from halfseen.world.state import TableState
 
-NUM_WASH_OUTCOMES, NUM_OUTCOMES = 3, 6
+NUM_OUTCOMES = 6
 _CERTAIN, _WASHED, _LEFT = slice(0, 3), slice(3, 5), slice(5, 6)
 """Which outcomes tell rewards that are certain, what objects that left pay, and what is left costs."""
 
@@ -73,13 +73,62 @@ def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
     return np.where((verb == Verb.WASH)[..., None], outcome, 0.0)
 
 
+def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
+    """Regress the rewards of WASH on what became of it, weighted: b_0, b_1 and b_2.
+
+    Parameters
+    ----------
+    parts
+        A log, whole or in parts.
+    """
+    kept = np.zeros((0, 4))
+    for stages in parts:
+        outcome = wash_outcomes(stages.encoded)
+        kept = _with_rows(kept, outcome, stages, _is_reduced(stages, outcome))
+    return _least_squares(kept[:, :-1], kept[:, -1])
+
+
+def expected_rewards(stages: RewardedStages, pays: Sequence[float]) -> Float[np.ndarray, "n T"]:
+    """Replace the reward of each WASH by what is expected of it; where its path came to its own end it stays.
+
+    Parameters
+    ----------
+    stages
+        What stages paid.
+    pays
+        The coefficients of `wash_pay`.
+    """
+    outcome = wash_outcomes(stages.encoded)
+    return np.where(_is_reduced(stages, outcome), outcome @ np.array(pays), stages.reward)
+
+
+def _is_reduced(stages: RewardedStages, outcome: Float[np.ndarray, "n T 3"]) -> Bool[np.ndarray, "n T"]:
+    return (stages.weight > 0) & ~stages.is_last & (outcome[..., 0] != 0)
+
+
+def _with_rows(
+    kept: Float[np.ndarray, "K Z1"],
+    outcome: Float[np.ndarray, "n T Z"],
+    stages: RewardedStages,
+    use: Bool[np.ndarray, "n T"],
+) -> Float[np.ndarray, "K2 Z1"]:
+    """Add rows (numbers, reward)·√w to a regression; few of those before are kept, with the same normal equations."""
+    rows = np.column_stack([outcome[use], stages.reward[use]]) * np.sqrt(stages.weight[use])[:, None]
+    return np.vstack([np.linalg.qr(kept, mode="r"), rows]) if len(kept) else rows
+
+
+def _least_squares(numbers: Float[np.ndarray, "K Z"], reward: Float[np.ndarray, " K"]) -> tuple[float, ...]:
+    """0 where there are no rows."""
+    return tuple(np.linalg.lstsq(numbers, reward, rcond=None)[0].tolist())
+
+
 def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
-    """Control variates of a log of tables (`label_moves`).
+    """Control variates of a log of one robot's tables (`label_moves`).
 
     Parameters
     ----------
     encoded
-        A log of tables; what it tells of stages after which no state was seen means nothing.
+        The log; what it tells of stages after which no state was seen means nothing.
     """
     space = _space(encoded)
     washed = encoded.features[:, :, space.of(Verb.WASH)]
@@ -123,79 +172,8 @@ def label_moves(
     return np.stack(of_table + of_target, axis=-1)
 
 
-def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
-    """Regress the rewards of WASH on what became of it, weighted: b_0, b_1 and b_2.
-
-    Parameters
-    ----------
-    parts
-        A log, whole or in parts.
-    """
-    kept = no_rows(NUM_WASH_OUTCOMES)
-    for stages in parts:
-        outcome = wash_outcomes(stages.encoded)
-        use = _is_reduced(stages, outcome)
-        kept = with_rows(kept, outcome[use], stages.reward[use], stages.weight[use])
-    return coefficients_of(kept[:, :-1], kept[:, -1])
-
-
-def no_rows(num_columns: int) -> Float[np.ndarray, "0 Z1"]:
-    """Begin a regression whose rows come in parts."""
-    return np.zeros((0, num_columns + 1))
-
-
-def with_rows(
-    kept: Float[np.ndarray, "K Z1"],
-    numbers: Float[np.ndarray, "R Z"],
-    told: Float[np.ndarray, " R"],
-    weight: Float[np.ndarray, " R"],
-) -> Float[np.ndarray, "K2 Z1"]:
-    """Add rows to a regression, and keep few of those before, with the same normal equations.
-
-    Parameters
-    ----------
-    kept
-        Of the parts before: numbers and, last, what they foretell, weighted.
-    numbers, told, weight
-        Of the rows that are added.
-    """
-    rows = np.column_stack([numbers, told]) * np.sqrt(weight)[:, None]
-    return np.vstack([np.linalg.qr(kept, mode="r"), rows]) if len(kept) else rows
-
-
-def coefficients_of(numbers: Float[np.ndarray, "K Z"], told: Float[np.ndarray, " K"]) -> tuple[float, ...]:
-    """Least squares; 0 where there are no rows."""
-    return tuple(np.linalg.lstsq(numbers, told, rcond=None)[0].tolist())
-
-
-def expected_rewards(stages: RewardedStages, pays: Sequence[float]) -> Float[np.ndarray, "n T"]:
-    """Replace the reward of each WASH by what is expected of it; where its path came to its own end it stays.
-
-    Parameters
-    ----------
-    stages
-        What stages paid.
-    pays
-        The coefficients of `wash_pay`.
-    """
-    outcome = wash_outcomes(stages.encoded)
-    return np.where(_is_reduced(stages, outcome), outcome @ np.array(pays), stages.reward)
-
-
-def _is_reduced(stages: RewardedStages, outcome: Float[np.ndarray, "n T 3"]) -> Bool[np.ndarray, "n T"]:
-    return (stages.weight > 0) & ~stages.is_last & (outcome[..., 0] != 0)
-
-
 def _space(encoded: Encoded) -> ActionSpace:
     return ActionSpace.of_size(encoded.is_possible.shape[-1])
-
-
-class Pays(NamedTuple):
-    """Coefficients of the three regressions."""
-
-    certain: tuple[float, ...]
-    washed: tuple[float, ...]
-    left: tuple[float, ...]
 
 
 def outcomes_of(
@@ -209,7 +187,7 @@ def outcomes_of(
     Parameters
     ----------
     states
-        S_t; what is no state holds no object.
+        S_t of a team; what is no state holds no object.
     verb, target
         What was begun.
     duration_s
@@ -243,56 +221,54 @@ def _next(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
     return np.concatenate([flags[:, 1:], np.zeros_like(flags[:, :1])], axis=1)
 
 
+class Pays(NamedTuple):
+    """Coefficients of a team's three regressions."""
+
+    certain: tuple[float, ...]
+    washed: tuple[float, ...]
+    left: tuple[float, ...]
+
+
+class _Uses(NamedTuple):
+    """Stages whose reward is certain, those in which objects left, and those in which the last robot parked."""
+
+    certain: Bool[np.ndarray, "n T"]
+    washed: Bool[np.ndarray, "n T"]
+    left: Bool[np.ndarray, "n T"]
+
+
+def _told(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Uses]:
+    """What ended in the stages of a team, and what tells what."""
+    assert stages.encoded.outcome is not None, "TeamTask.encode tells what ended"
+    outcome = stages.encoded.outcome[..., :NUM_OUTCOMES]
+    is_whole, has_left = stages.weight > 0, outcome[..., 3] > 0
+    goes_on, parks = is_whole & ~stages.is_last, is_whole & stages.is_last & (stages.encoded.action == 0)
+    return outcome, _Uses(goes_on & ~has_left, goes_on & has_left, parks)
+
+
 def pays_of(parts: Iterable[RewardedStages]) -> Pays:
     """Regress rewards on what ended, weighted, in one pass.
 
     Parameters
     ----------
     parts
-        A log, whole or in parts.
+        A log of a team, whole or in parts.
     """
-    kept = [no_rows(NUM_OUTCOMES)] * 3
+    kept = [np.zeros((0, NUM_OUTCOMES + 1))] * len(_Uses._fields)
     for part in parts:
-        outcome, uses = _outcome(part), (_is_certain(part), _is_washed(part), _is_left(part))
-        kept = [
-            with_rows(rows, outcome[use], part.reward[use], part.weight[use])
-            for rows, use in zip(kept, uses, strict=True)
-        ]
+        outcome, uses = _told(part)
+        kept = [_with_rows(rows, outcome, part, use) for rows, use in zip(kept, uses, strict=True)]
     where_certain, where_washed, where_left = kept
-    certain = coefficients_of(where_certain[:, _CERTAIN], where_certain[:, -1])
+    certain = _least_squares(where_certain[:, _CERTAIN], where_certain[:, -1])
 
     def beside_that(rows: Float[np.ndarray, "K Z"], columns: slice) -> tuple[float, ...]:
-        return coefficients_of(rows[:, columns], rows[:, -1] - rows[:, _CERTAIN] @ np.array(certain))
+        return _least_squares(rows[:, columns], rows[:, -1] - rows[:, _CERTAIN] @ np.array(certain))
 
     return Pays(certain, beside_that(where_washed, _WASHED), beside_that(where_left, _LEFT))
 
 
-def _outcome(part: RewardedStages) -> Float[np.ndarray, "n T 6"]:
-    assert part.encoded.outcome is not None, "TeamTask.encode tells what ended"
-    return part.encoded.outcome[..., :NUM_OUTCOMES]
-
-
-def control_variates_of(stages: RewardedStages) -> Float[np.ndarray, "n T Z"]:
-    """What labels moved (`label_moves`), which follows the outcomes."""
-    assert stages.encoded.outcome is not None, "TeamTask.encode tells what labels moved"
-    return stages.encoded.outcome[..., NUM_OUTCOMES:]
-
-
-def _is_certain(part: RewardedStages) -> Bool[np.ndarray, "n T"]:
-    return (part.weight > 0) & ~part.is_last & (_outcome(part)[..., 3] == 0)
-
-
-def _is_washed(part: RewardedStages) -> Bool[np.ndarray, "n T"]:
-    return (part.weight > 0) & ~part.is_last & (_outcome(part)[..., 3] > 0)
-
-
-def _is_left(part: RewardedStages) -> Bool[np.ndarray, "n T"]:
-    """Stages in which the last robot parked."""
-    return (part.weight > 0) & part.is_last & (part.encoded.action == 0)
-
-
 def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
-    """Rewards, replaced by what is expected of them where that is less noisy.
+    """Rewards of a team, replaced by what is expected of them where that is less noisy.
 
     Parameters
     ----------
@@ -301,10 +277,10 @@ def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
     pays
         As `pays_of` gives them.
     """
-    outcome = _outcome(stages)
+    outcome, uses = _told(stages)
     certain = outcome[..., _CERTAIN] @ np.array(pays.certain)
-    reward = np.where(_is_washed(stages), certain + outcome[..., _WASHED] @ np.array(pays.washed), stages.reward)
-    return np.where(_is_left(stages), certain + outcome[..., _LEFT] @ np.array(pays.left), reward)
+    reward = np.where(uses.washed, certain + outcome[..., _WASHED] @ np.array(pays.washed), stages.reward)
+    return np.where(uses.left, certain + outcome[..., _LEFT] @ np.array(pays.left), reward)
 
 
 def shaped(stages: RewardedStages, pays: Pays, reward: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
@@ -317,6 +293,6 @@ def shaped(stages: RewardedStages, pays: Pays, reward: Float[np.ndarray, "n T"])
     reward
         What is measured.
     """
-    left = _outcome(stages)[..., 5]
+    left = _told(stages)[0][..., 5]
     after = np.where(stages.is_last, 0.0, np.pad(left[:, 1:], ((0, 0), (0, 1))))
     return np.where(stages.weight > 0, reward + pays.left[0] * (after - left), 0.0)

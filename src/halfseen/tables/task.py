@@ -17,40 +17,30 @@ import numpy as np
 import pandas as pd
 from jaxtyping import Float, Int
 
-from halfseen.arrays import mapped
+from halfseen.arrays import expit, mapped
 from halfseen.errors import ArgumentError, LogError, PositivityError
+from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import AUTO, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
+from halfseen.tables import rewards
+from halfseen.tables.agent_logs import agent_view
 from halfseen.tables.encoding import (
     NUM_AT_BEGIN,
     TABLE_COVARIATES,
-    encode_tables,
+    check_team,
+    encoded_at,
+    encoded_states,
     logged_actions,
     spread,
+    states_alone,
     table_covariates,
-    table_states,
     team_states,
 )
-from halfseen.tables.features import table_columns
-from halfseen.tables.grasp.attempts import team_attempts
-from halfseen.tables.grasp.choice import choose_by, choose_grasp, grasp_model_of
-from halfseen.tables.independent import learned_independently
-from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy
-from halfseen.tables.rewards import (
-    Pays,
-    control_variates_of,
-    expected,
-    expected_rewards,
-    label_control_variates,
-    label_moves,
-    outcomes_of,
-    pays_of,
-    shaped,
-    wash_pay,
-)
-from halfseen.tables.target_probabilities import decisions, table_probabilities
-from halfseen.tables.team_features import features_of
+from halfseen.tables.features import ease_of
+from halfseen.tables.grasp.choice import choose_grasp, grasp_model_of
+from halfseen.tables.independent import IndependentPolicies
+from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy, decisions, table_probabilities
 from halfseen.world.actions import (
     FINISH,
     TARGETED,
@@ -67,45 +57,14 @@ from halfseen.world.state import TableState
 
 CAUTION = 0.4
 """By how much another action must be better than that of each alone, in standard deviations of a stage's reward."""
-_DIRTY, _EASE = 2, 4
-"""Where the columns of WASH hold them."""
 
 
-def _is_auto(given: Any) -> bool:
-    return isinstance(given, str) and given == AUTO
-
-
-@dataclass(frozen=True)
-class _GraspingTask:
-    """What the tasks of tables share."""
-
-    grasp: Any = AUTO
-    reduces_variance: bool = True
-    chosen: tuple[str, ...] = ()
-
-    block_names: ClassVar[tuple[str, ...]]
-    is_shared = False
-    _where: ClassVar[str]
-
-    @property
-    def _model(self) -> GraspModel | None:
-        return None if _is_auto(self.grasp) else self.grasp
-
-    def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
-        """Features of tables have no names to choose by."""
-        raise ArgumentError(
-            f"outcome_covariates is {list(names)}; {self._where} the outcome regression uses all features"
-        )
-
-    def _learned(self, learned: LearnedQ) -> dict[str, Any]:
-        """What a policy holds of it, in single precision, as coarse as the states that it sees."""
-        single: Any = mapped(lambda leaf: np.asarray(leaf, dtype=np.float32), learned._replace(is_seen=None))
-        names = ("coefficients", "margin", "behaviour")
-        return {"grasp": self._model} | {name: getattr(single, name) for name in names}
+def _unless_auto(given: Any) -> Any:
+    return None if isinstance(given, str) and given == AUTO else given
 
 
 @dataclass(frozen=True)
-class TableTask(_GraspingTask):
+class TableTask:
     """A table of objects (a `Task`).
 
     Parameters
@@ -113,46 +72,62 @@ class TableTask(_GraspingTask):
     grasp
         What tells the probability of a grasp: None for the rule of succession; `BetaGrasp` or `SVMGrasp`, which is
         fitted to the attempts of the log unless it is fitted already; any `GraspModel`; or ``"auto"``, the rule of
-        succession unless a Beta regression foretells the log's own attempts better (`halfseen.tables.grasp.choice`);
-        until it is fitted, the rule of succession.
+        succession unless a Beta regression foretells the log's own attempts better, by each robot's own where robots
+        clearly differ (`halfseen.tables.grasp.choice`); until it is fitted, the rule of succession.
     reduces_variance
         Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3; it rests on the log-odds
         of DIRTY being right (see `rewards`).
     chosen
         What was chosen by itself, and why.
-    wash_pays
-        b of `rewards`, where it was fitted beforehand, as to a log in parts; None to fit it to each log.
+    pays
+        What `rewards` learns of the prices, where it was fitted beforehand, as to a log in parts; None to fit it to
+        each log.
     """
 
-    wash_pays: tuple[float, ...] | None = field(default=None, repr=False)
+    grasp: Any = AUTO
+    reduces_variance: bool = True
+    chosen: tuple[str, ...] = ()
+    pays: Any = field(default=None, repr=False)
 
-    block_names = tuple(verb.name for verb in Verb)
-    end_action = FINISH
-    _where = "on a table"
+    block_names: ClassVar[tuple[str, ...]] = tuple(verb.name for verb in Verb)
+    end_action: ClassVar[int | None] = FINISH
+    is_shared: ClassVar[bool] = False
 
-    def fitted(self, logs: Logs, horizon: int) -> "TableTask":
+    def fitted(self, logs: Logs, horizon: int) -> Any:
         """Fit the grasp model, once it is chosen."""
-        if not _is_auto(self.grasp):
+        if _unless_auto(self.grasp) is self.grasp:
             return replace(self, grasp=grasp_model_of(self.grasp, logs, horizon))
         choice = choose_grasp(logs, horizon)
-        return replace(self, grasp=choice.grasp, chosen=(choice.sentence,))
+        return replace(self, grasp=choice.grasp, chosen=(*self.chosen, choice.sentence))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
-        """Encode every stage of a log of tables."""
-        return encode_tables(logs, horizon, self._model)
+        """Encode every stage of a log of tables.
+
+        Raises
+        ------
+        LogError
+            An action is none that a table knows, or is done to an object that is not on it; several robots decided.
+        """
+        states = self._states(logs, horizon)
+        action = logged_actions(logs, horizon, states.num_objects)
+        return encoded_states(states, action, np.any(states.is_on_table, axis=-1), self._model)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Block of each action: its verb."""
         return ActionSpace.of_size(num_actions).verbs
+
+    def outcome_features(self, names: Sequence[str]) -> Float[np.ndarray, " F"]:
+        """Features of tables have no names to choose by."""
+        raise ArgumentError(f"outcome_covariates is {list(names)}; on a table the outcome regression uses all features")
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
         """What cuts may depend on, a row for each stage; None for all, or those that are known as a path begins."""
         known = TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None]
         return table_covariates(logs, known if names is None else names)
 
-    def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "TableTask":
-        """Fit what a WASH pays to a log in parts."""
-        return replace(self, wash_pays=wash_pay(parts)) if self.reduces_variance else self
+    def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> Any:
+        """Fit the prices to a log in parts."""
+        return replace(self, pays=rewards.wash_pay(parts)) if self.reduces_variance else self
 
     def reduce_variance(
         self, stages: RewardedStages
@@ -160,39 +135,38 @@ class TableTask(_GraspingTask):
         """Expected rewards of WASH given what became of it, and what labels moved as control variates."""
         if not self.reduces_variance:
             return stages.reward, None
-        pays = wash_pay([stages]) if self.wash_pays is None else self.wash_pays
-        return expected_rewards(stages, pays), label_control_variates(stages.encoded)
+        pays = rewards.wash_pay([stages]) if self.pays is None else self.pays
+        return rewards.expected_rewards(stages, pays), rewards.label_control_variates(stages.encoded)
 
-    def policy(self, learned: LearnedQ) -> LinearTablePolicy:
+    def policy(self, learned: LearnedQ) -> LinearTablePolicy | LinearTeamPolicy:
         """Policy in single precision, as coarse as the states that it sees."""
         seen = learned.is_seen
         return LinearTablePolicy(
-            kernel_map=mapped(lambda leaf: np.asarray(leaf, dtype=np.float32), learned.kernel_map),
-            is_seen=None if seen is None or seen.all() else seen,
-            **self._learned(learned),
+            **self._in_single_precision(learned), is_seen=None if seen is None or seen.all() else seen
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of a policy of tables in every stage of a log."""
-        return table_probabilities(policy, table_states(logs, horizon))
+        """π(a | S_t) of a policy of tables, or of teams, in every stage of a log."""
+        return table_probabilities(policy, self._states(logs, horizon))
+
+    def _states(self, logs: Logs, horizon: int) -> TableState:
+        return states_alone(logs, horizon)
+
+    @property
+    def _model(self) -> GraspModel | None:
+        return _unless_auto(self.grasp)
+
+    def _in_single_precision(self, learned: LearnedQ) -> dict[str, Any]:
+        single: Any = mapped(lambda leaf: np.asarray(leaf, dtype=np.float32), learned._replace(is_seen=None))
+        return {"grasp": self._model} | {k: v for k, v in single._asdict().items() if k != "is_seen"}
 
 
 @dataclass(frozen=True)
-class TeamTask(_GraspingTask):
-    """Several robots at one table (a `Task`).
+class TeamTask(TableTask):
+    """Several robots at one table (a `Task`); all that `TableTask` takes, and more.
 
     Parameters
     ----------
-    grasp
-        What tells the probability of a grasp: None for the rule of succession, any `GraspModel`, or ``"auto"``, as for
-        one robot or by each robot's own attempts where robots clearly differ
-        (`halfseen.tables.grasp.choice`); until it is fitted, the rule of succession.
-    reduces_variance
-        Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3 (`rewards`).
-    chosen
-        What was chosen by itself, and why.
-    pays
-        What ended attempts pay and what is left costs, where it was fitted beforehand; None to fit it to each log.
     num_robots
         K, which a log must have; None for any.
     base
@@ -204,25 +178,19 @@ class TeamTask(_GraspingTask):
         Q from nothing, as rewards are.
     """
 
-    pays: Pays | None = field(default=None, repr=False)
     num_robots: int | None = None
     base: Any = AUTO
     caution: float | None = None
     is_evaluating: bool = False
 
-    block_names = VERB_NAMES
-    end_action = None
-    is_joint = True
-    _where = "of a team"
+    block_names: ClassVar[tuple[str, ...]] = VERB_NAMES
+    end_action: ClassVar[int | None] = None
+    is_joint: ClassVar[bool] = True
 
     @property
     def is_of_policy(self) -> bool:
         """Whether Q is that of `base`."""
         return self.base is not None
-
-    @property
-    def _base(self) -> Policy | None:
-        return None if _is_auto(self.base) else self.base
 
     def fitted(self, logs: Logs, horizon: int) -> "TeamTask":
         """Choose the grasp model, and learn what each robot would do alone, unless they are given.
@@ -231,48 +199,36 @@ class TeamTask(_GraspingTask):
         ------
         ArgumentError
             What is given is no grasp model, or no policy of a team.
+        LogError
+            The log is of another number of robots.
         PolicyError
             The base is for another number of robots.
         """
-        return self._with_grasp(logs, horizon)._with_base(logs, horizon)
-
-    def _with_grasp(self, logs: Logs, horizon: int) -> "TeamTask":
-        if not _is_auto(self.grasp):
-            if self.grasp is not None and (isinstance(self.grasp, type) or not isinstance(self.grasp, GraspModel)):
-                raise ArgumentError(f"grasp is {self.grasp!r}; of a team it is None, 'auto', or a GraspModel")
-            return self
-        states, action = self._read(logs, horizon)
-        assert states.robots is not None
-        most = int(states.robots.decisions_to_go.sum(axis=-1).max(initial=1))
-        space = ActionSpace(states.num_objects)
-        tried = team_attempts(logs, states, space.verb(action), space.target(action))
-        choice = choose_by(tried, most, states.num_robots)
-        return replace(self, grasp=choice.grasp, chosen=(*self.chosen, choice.sentence))
-
-    def _read(self, logs: Logs, horizon: int) -> tuple[TableState, Int[np.ndarray, "n T"]]:
-        states = team_states(logs, horizon, self.num_robots)
-        return states, logged_actions(logs, horizon, states.num_objects, is_team=True)
+        check_team(logs, self.num_robots)
+        return super().fitted(logs, horizon)._with_base(logs, horizon)
 
     def _with_base(self, logs: Logs, horizon: int) -> "TeamTask":
         if self.base is None:
             return self
+        num_robots = robots_in(logs)
         caution = CAUTION * float(logs.stages["reward"].std(ddof=0)) if self.caution is None else self.caution
-        if not _is_auto(self.base):
+        if _unless_auto(self.base) is self.base:
             if isinstance(self.base, type) or not isinstance(self.base, Policy):
                 raise ArgumentError(f"base is {self.base!r}; it is None, 'auto', or a policy of a team")
-            check_decides_for(self.base, robots_in(logs))
+            check_decides_for(self.base, num_robots)
             return replace(self, caution=caution)
-        num_robots = robots_in(logs)
         try:
-            base = learned_independently(logs, num_robots, horizon // num_robots)
+            views = [agent_view(logs, robot) for robot in range(num_robots)]
+            learner = CensoredQLearner.for_table(horizon // num_robots)
+            base = IndependentPolicies(tuple(learner.fit(view).policy_ for view in views))
         except (ArgumentError, LogError, PositivityError) as error:
-            told = f"Q is that of the best policy, for what each robot does alone cannot be learned: {error}"
-            return replace(self, base=None, chosen=(*self.chosen, told))
-        told = (
+            why = f"Q is that of the best policy, for what each robot does alone cannot be learned: {error}"
+            return replace(self, base=None, chosen=(*self.chosen, why))
+        why = (
             f"what each robot learned alone is left where Q promises more by {caution:.3g}, {CAUTION} standard "
             "deviations of a stage’s reward"
         )
-        return replace(self, base=base, caution=caution, chosen=(*self.chosen, told))
+        return replace(self, base=base, caution=caution, chosen=(*self.chosen, why))
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of a team, what ended in it, and what the base would have done.
@@ -284,59 +240,60 @@ class TeamTask(_GraspingTask):
         LogError
             An action is none of a team's, or a column is missing.
         """
-        states, action = self._read(logs, horizon)
-        at, shape = stage_places(logs), action.shape
+        states = self._states(logs, horizon)
+        action = logged_actions(logs, horizon, states.num_objects, is_team=True)
+        at, shape, policy = stage_places(logs), action.shape, None
         there = mapped(lambda leaf: leaf[at], states)
-        columns = table_columns(there, self._model)
-        features = features_of(there, columns, self._model).astype(np.float64)
-        is_possible = spread((possible_actions if self.is_evaluating else worthwhile_actions)(there), at, shape)
-        is_possible[~is_possible.any(axis=-1), FINISH] = True
+        choices = possible_actions if self.is_evaluating else worthwhile_actions
+        encoded = encoded_at(at, there, action, self._model, choices)
         # What was done is possible, whatever a policy would choose from.
-        np.put_along_axis(is_possible, action[..., None], True, axis=2)
-        of_base = None
-        if self._base is not None:
-            of_base = spread(np.eye(is_possible.shape[-1])[decisions(self._base, there)], at, shape)
-        space, washed = ActionSpace(states.num_objects), columns.of_verb[Verb.WASH]
-        verb, target = space.verb(action), space.target(action)
+        np.put_along_axis(encoded.is_possible, action[..., None], True, axis=2)
+        if _unless_auto(self.base) is not None:
+            policy = spread(np.eye(encoded.is_possible.shape[-1])[decisions(self.base, there)], at, shape)
         clock_s = np.full(shape, np.nan)
         clock_s[at] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
-        duration_s = np.nan_to_num(np.diff(clock_s, axis=1, prepend=0.0))
-        is_dirty, ease = (spread(washed[column].astype(np.float64), at, shape) for column in (_DIRTY, _EASE))
-        moved = label_moves(is_dirty, ease, states.is_on_table, target, np.isin(verb, TARGETED))
-        outcome = np.concatenate([outcomes_of(states, verb, target, duration_s), moved], axis=-1)
-        return Encoded(spread(features, at, shape), is_possible, action, outcome, of_base)
+        ease = spread(ease_of(there, self._model).astype(np.float64), at, shape)
+        outcome = _outcome(states, action, np.nan_to_num(np.diff(clock_s, axis=1, prepend=0.0)), ease)
+        return encoded._replace(outcome=outcome, policy=policy)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Kind of each action: its verb."""
-        return np.append(ActionSpace.of_size(num_actions - 1).verbs, WAIT)
-
-    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
-        """What cuts may depend on, a row for each stage."""
-        return table_covariates(logs, TABLE_COVARIATES if names is None else names)
+        return np.append(super().block_of_action(num_actions - 1), WAIT)
 
     def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> "TeamTask":
         """Fit what ended attempts pay, and what is left costs."""
-        return replace(self, pays=pays_of(parts))
+        return replace(self, pays=rewards.pays_of(parts))
 
     def reduce_variance(
         self, stages: RewardedStages
     ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T Z"] | None]:
         """Rewards, shaped where Q is learned, and what labels moved as control variates (`rewards`)."""
-        pays = pays_of([stages]) if self.pays is None else self.pays
-        reward = expected(stages, pays) if self.reduces_variance else stages.reward
-        variates = control_variates_of(stages) if self.reduces_variance else None
-        return reward if self.is_evaluating else shaped(stages, pays, reward), variates
+        pays = rewards.pays_of([stages]) if self.pays is None else self.pays
+        reward, variates = stages.reward, None
+        if self.reduces_variance and stages.encoded.outcome is not None:
+            reward, variates = rewards.expected(stages, pays), stages.encoded.outcome[..., rewards.NUM_OUTCOMES :]
+        return reward if self.is_evaluating else rewards.shaped(stages, pays, reward), variates
 
     def policy(self, learned: LearnedQ) -> LinearTeamPolicy:
         """Policy in single precision."""
-        return LinearTeamPolicy(
-            is_seen=learned.is_seen,
-            num_robots=self.num_robots,
-            base=self._base,
-            caution=np.float32(0.0 if self._base is None else self.caution),
-            **self._learned(learned),
-        )
+        base = _unless_auto(self.base)
+        caution = np.float32(0.0 if base is None else self.caution)
+        given = {"is_seen": learned.is_seen, "num_robots": self.num_robots, "base": base, "caution": caution}
+        return LinearTeamPolicy(**self._in_single_precision(learned), **given)
 
-    def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of a policy of teams in every stage of a log."""
-        return table_probabilities(policy, team_states(logs, horizon, self.num_robots))
+    def _states(self, logs: Logs, horizon: int) -> TableState:
+        return team_states(logs, horizon, self.num_robots)
+
+
+def _outcome(
+    states: TableState,
+    action: Int[np.ndarray, "n T"],
+    duration_s: Float[np.ndarray, "n T"],
+    ease: Float[np.ndarray, "n T N"],
+) -> Float[np.ndarray, "n T Z"]:
+    """What ended in each stage, and what labels moved."""
+    space = ActionSpace(states.num_objects)
+    verb, target = space.verb(action), space.target(action)
+    is_dirty = expit(states.log_odds).astype(np.float64)
+    moved = rewards.label_moves(is_dirty, ease, states.is_on_table, target, np.isin(verb, TARGETED))
+    return np.concatenate([rewards.outcomes_of(states, verb, target, duration_s), moved], axis=-1)

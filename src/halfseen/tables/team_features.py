@@ -32,9 +32,9 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, library_of
-from halfseen.tables.features import Columns, table_columns
+from halfseen.tables.features import table_columns
 from halfseen.tables.grasp.grasp_table import GraspByRobot
-from halfseen.world.actions import TARGETED, ActionSpace, Verb, of_robot, possible_actions
+from halfseen.world.actions import TARGETED, ActionSpace, Verb, possible_actions
 from halfseen.world.others import Others, makespans, others_of, reached_by_decider
 from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState
@@ -48,20 +48,14 @@ _WIN_EASE, _SOON = 3, 9
 
 def team_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "*B A F"]:
     """φ(S, a) of every action of the robot that decides, WAIT last."""
-    return features_of(state, table_columns(state, grasp), grasp)
-
-
-def features_of(state: TableState, columns: Columns, grasp: GraspModel | None) -> Float[Array, "*B A F"]:
-    """`team_features`, where the columns of the table are known already."""
     xp, others, mine = library_of(state.log_odds), others_of(state), reached_by_decider(state)
+    columns = table_columns(state, grasp)
     by_robot = [columns]
     if isinstance(grasp, GraspByRobot):
         by_robot = [table_columns(state, grasp.of(robot)) for robot in range(state.num_robots)]
-    each = _there(state, xp.stack(columns.table, axis=-1))
-    own = two = each[..., [_WIN_EASE, _SOON]]
-    if len(by_robot) > 1:
-        pairs = [xp.stack([robot.table[k] for k in (_WIN_EASE, _SOON)], axis=-1) for robot in by_robot]
-        own = _there(state, _of_decider(xp.stack(pairs, axis=-3), state))
+    each = _there(state, columns.table)
+    two = each[..., [_WIN_EASE, _SOON]]
+    own = _of_decider(_by_robot(state, [[one.table[k] for k in (_WIN_EASE, _SOON)] for one in by_robot]), state)
     is_free = possible_actions(state)[..., ActionSpace(state.num_objects).of(Verb.WASH)]
     num_going_on = xp.sum(others.goes_on, axis=-1).astype(np.float32)
     at_work = xp.stack([others.num_at_work, others.since_s, num_going_on], axis=-1)
@@ -71,8 +65,8 @@ def features_of(state: TableState, columns: Columns, grasp: GraspModel | None) -
     waits = xp.concatenate([one, at_work, _largest(own, is_free), _largest(own, mine & ~is_free)], axis=-1)
     leaves = xp.stack([xp.any(others.goes_on, axis=-1).astype(np.float32), others.num_at_work], axis=-1)
     groups = [
-        *(_under_way(verb, [robot.of_verb[verb] for robot in by_robot], state, others) for verb in TARGETED),
-        _rows(state, 18, finish=without, wash=team, lift=team, wait=team),
+        *(_under_way(verb, [one.of_verb[verb] for one in by_robot], state, others) for verb in TARGETED),
+        _rows(state, NUM_TEAM, finish=without, wash=team, lift=team, wait=team),
         _rows(state, 2, wash=shared),
         _rows(state, 2, lift=shared),
         _rows(state, NUM_WAIT, wait=waits),
@@ -85,29 +79,26 @@ def features_of(state: TableState, columns: Columns, grasp: GraspModel | None) -
 def _under_way(
     verb: Verb, by_robot: Sequence[Sequence[Float[Array, "*B N"]]], state: TableState, others: Others
 ) -> Float[Array, "*B A f1"]:
-    """How many robots are at a verb after each action, and the sum of what it is about their targets.
-
-    That is one for all robots, or by each robot.
-    """
+    """How many robots are at a verb after each action, and the sum of what it is about their targets."""
     xp, robots = library_of(state.log_odds), state.robots
     assert robots is not None
-    one = xp.ones_like(state.log_odds)
-    counted = [_there(state, xp.stack([one, *own], axis=-1)) for own in by_robot]
+    each = _by_robot(state, [[xp.ones_like(state.log_odds), *own] for own in by_robot])
+    of_targets = xp.take_along_axis(each, robots.target[..., None, None], axis=-2)[..., 0, :]
     is_at_it = others.is_at_object & (robots.verb == verb)
-    if len(counted) == 1:
-        of_targets, of_decider = xp.take_along_axis(counted[0], robots.target[..., None], axis=-2), counted[0]
-    else:
-        each = xp.stack(counted, axis=-3)
-        of_targets = xp.take_along_axis(each, robots.target[..., None, None], axis=-2)[..., 0, :]
-        of_decider = _of_decider(each, state)
     of_others = xp.sum(xp.where(is_at_it[..., None], of_targets, np.float32(0.0)), axis=-2)
+    of_decider = _of_decider(each, state)
     return of_others[..., None, :] + _rows(state, of_decider.shape[-1], **{verb.name.lower(): of_decider})
 
 
+def _by_robot(state: TableState, by_robot: Sequence[Sequence[Float[Array, "*B N"]]]) -> Float[Array, "*B K N f"]:
+    """What is known of each object, as each robot grasps; the same of all where they grasp alike."""
+    xp, each = library_of(state.log_odds), [_there(state, columns) for columns in by_robot]
+    return xp.broadcast_to(xp.stack(each, axis=-3), (*each[0].shape[:-2], state.num_robots, *each[0].shape[-2:]))
+
+
 def _of_decider(each: Float[Array, "*B K N f"], state: TableState) -> Float[Array, "*B N f"]:
-    assert state.decider is not None
-    flat = each.reshape(*each.shape[:-2], -1)
-    return of_robot(flat, state.decider).reshape(*each.shape[:-3], *each.shape[-2:])
+    decider: Any = state.decider
+    return library_of(each).take_along_axis(each, decider[..., None, None, None], axis=-3)[..., 0, :, :]
 
 
 def _of_team(
@@ -140,8 +131,9 @@ def _rows(state: TableState, width: int, **of_verb: Float[Array, "*S {width}"]) 
     return xp.concatenate([of(verb, size) for verb, size in sizes.items()], axis=-2)
 
 
-def _there(state: TableState, per_object: Float[Array, "*B N f"]) -> Float[Array, "*B N f"]:
-    return library_of(per_object).where(state.is_on_table[..., None], per_object, np.float32(0.0))
+def _there(state: TableState, columns: Sequence[Float[Array, "*B N"]]) -> Float[Array, "*B N f"]:
+    stacked = library_of(*columns).stack(columns, axis=-1)
+    return library_of(stacked).where(state.is_on_table[..., None], stacked, np.float32(0.0))
 
 
 def _sum(per_object: Float[Array, "*B N f"], among: Bool[Array, "*B N"]) -> Float[Array, "*B f"]:

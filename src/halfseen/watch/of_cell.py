@@ -12,8 +12,8 @@ from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.planning import Plan
 from halfseen.cell.workcell import Workcell
 from halfseen.policies.table_decider import TableDecider
+from halfseen.tables.explain import Grounds, table_grounds
 from halfseen.tables.present import Present
-from halfseen.tables.reasons import Grounds, table_grounds
 from halfseen.watch.cell_parts import CellParts
 from halfseen.watch.of_cloud import options_of
 from halfseen.watch.seen_objects import Known, coloured_points, eye_over_table, shown_objects

@@ -6,15 +6,15 @@ import pytest
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.tables.grasp.attempts import attempts, team_attempts
-from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
+from halfseen.tables.grasp.attempts import attempts
+from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import cut, cut_rate
-from halfseen.world.logs import states_of, to_logs
+from halfseen.world.logs import to_logs
 from halfseen.world.rollout import play
 from halfseen.world.state import attempt_counts, occlusion, pad_scenes
 from played_teams import NUM_OBJECTS as TEAM_OBJECTS
-from played_teams import SCENE, SureGrasping, WashWhatIsDirty, logged, played, team_of
+from played_teams import SureGrasping, logged, played, team_of
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 3
@@ -81,21 +81,19 @@ def test_attempts_are_those_of_the_episodes(table, cuts):
     ]
 
 
-def test_every_kind_of_end_is_there(table, cuts):
+def test_every_kind_of_end_is_there_and_objects_are_numbered_within_their_paths(table, cuts):
     """So that the comparison above has compared them."""
     is_cleared = cuts.is_finished & (cuts.is_completed.sum(axis=1) < CONFIG.horizon)
-    action = np.asarray(cuts.episodes.action)[np.arange(200), cuts.is_completed.sum(axis=1) - 1]
-    cleared = np.flatnonzero(is_cleared & (action > 0))
+    action = np.asarray(cuts.episodes.action)
+    last = action[np.arange(200), cuts.is_completed.sum(axis=1) - 1]
+    cleared = np.flatnonzero(is_cleared & (last > 0))
     assert len(cleared) > 0
     assert table[table["path"].isin(cleared)].groupby("path")["succeeded"].last().all()
     assert (~table["is_finished"]).sum() > 20
     assert table["succeeded"].isna().equals(~table["is_finished"])
     assert (table.loc[table["succeeded"].fillna(True), "time_s"] <= 7.0 + 1e-4).all()
     np.testing.assert_allclose(table.loc[~table["succeeded"].fillna(True), "time_s"], 7.0, atol=1e-4)
-
-
-def test_objects_are_numbered_within_their_paths(table, cuts):
-    target = (np.asarray(cuts.episodes.action)[table["path"], table["stage"] - 1] - 1) % NUM_OBJECTS
+    target = (action[table["path"], table["stage"] - 1] - 1) % NUM_OBJECTS
     assert table.groupby(["path", target])["object"].nunique().max() == 1
     assert table["object"].nunique() == len(table.assign(target=target).drop_duplicates(["path", "target"]))
 
@@ -127,22 +125,17 @@ def by_hand():
 
 
 def test_a_log_by_hand():
-    table = attempts(Logs(*by_hand()), horizon=10)
+    stages, paths, objects = by_hand()
+    table = attempts(Logs(stages, paths, objects), horizon=10)
     assert table["object"].tolist() == [0, 1, 2, 3]
     assert table["time_s"].tolist() == [2.0, 7.0, 1.5, 3.0]
     assert table["is_finished"].tolist() == [True, True, False, True]
     assert table["succeeded"].tolist() == [True, False, pd.NA, True]
-
-
-def test_the_horizon_leaves_its_last_stage_out():
-    assert attempts(Logs(*by_hand()))["stage"].tolist() == [1, 2, 1]
-    assert len(attempts(Logs(*by_hand()), horizon=2)) == 2
-
-
-def test_an_attempt_cut_as_it_began_is_left_out():
-    stages, paths, objects = by_hand()
-    paths["end_s"] = [9.0, 3.0]
-    assert attempts(Logs(stages, paths, objects), horizon=10)["is_finished"].all()
+    # The horizon leaves its last stage out, and so is an attempt that was cut as it began.
+    assert attempts(Logs(stages, paths, objects))["stage"].tolist() == [1, 2, 1]
+    assert len(attempts(Logs(stages, paths, objects), horizon=2)) == 2
+    at_once = paths.assign(end_s=[9.0, 3.0])
+    assert attempts(Logs(stages, at_once, objects), horizon=10)["is_finished"].all()
 
 
 @pytest.mark.parametrize(
@@ -172,17 +165,14 @@ def test_logs_that_do_not_tell_are_refused(spoil, message):
 SPACE = ActionSpace(TEAM_OBJECTS)
 
 
-def tried(logs, paths):
-    states = states_of(logs, paths.action.shape[1])
-    return team_attempts(logs, states, SPACE.verb(paths.action), SPACE.target(paths.action))
-
-
 @pytest.mark.parametrize("cut_share", [0.0, 0.5])
 def test_of_one_robot_they_are_those_of_one_robot(cut_share):
     team = team_of(1)
     paths = played(team, 120, seed=3)
     logs = logged(paths, cut_share)
-    ours, theirs = tried(logs, paths), attempts(logs, 5)
+    of_robots = [name for name in logs.stages if name == "robot" or name.startswith("0_")]
+    alone = Logs(logs.stages.drop(columns=of_robots), logs.paths, logs.objects)
+    ours, theirs = attempts(logs), attempts(alone, 5)
     assert len(theirs) > 100
     assert ours["is_finished"].tolist() == theirs["is_finished"].tolist()
     for name in ("path", "stage", "successes", "failures", "succeeded"):
@@ -194,16 +184,11 @@ def test_of_one_robot_they_are_those_of_one_robot(cut_share):
     assert pairs["theirs"].is_unique
 
 
-def test_the_log_of_one_robot_is_one_of_a_team_of_one():
-    logs = TableWorld().simulate(SCENE, ExploringPolicy(WashWhatIsDirty(), 0.5), 30, seed=0)
-    assert len(attempts(logs, 10)) > 30
-
-
 def test_each_lasts_until_its_robot_is_free():
     world = WorldConfig(horizon=5, grasping=SureGrasping(), transport_s=1.0, speed=(1.0, 2.0))
     paths = played(world, 60, seed=4)
     logs = logged(paths, 0.0)
-    found = tried(logs, paths)
+    found = attempts(logs)
     at = pd.Index(logs.path_ids).get_indexer(found["path"]), found["stage"].to_numpy() - 1
     speed = np.array([1.0, 2.0])[paths.states.decider[at]]
     target = SPACE.target(paths.action)[at]
@@ -215,7 +200,7 @@ def test_each_lasts_until_its_robot_is_free():
 def test_a_robot_that_drops_out_cuts_its_own_attempt():
     paths = played(team_of(2, drop_out_rate=(0.05, 0.0)), 80, seed=6)
     logs = logged(paths, 0.0)
-    found = tried(logs, paths)
+    found = attempts(logs)
     out_s = logs.paths.set_index("path")["0_out_s"]
     is_cut = ~found["is_finished"].to_numpy()
     assert 5 < is_cut.sum() < len(found)

@@ -1,4 +1,4 @@
-"""The Beta grasp model against closed forms, scipy's Beta-binomial, brute force and simulated parameters."""
+"""The Beta grasp model against closed forms, brute force and simulated parameters; and what both grasp models share."""
 
 import itertools
 
@@ -15,7 +15,7 @@ from tried import beta_attempts, cut_some
 
 from halfseen.censoring import KaplanMeier, censoring_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
-from halfseen.tables import BetaGrasp
+from halfseen.tables import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp.beta_grasp import CENTRE, SPREAD, fitted_thetas, negative_log_posteriors, predictive
 from halfseen.tables.grasp.inputs import checked_attempts, checked_history, kinds
 
@@ -36,17 +36,9 @@ def negative_log_posterior(theta, decided):
     return float(value[0]), gradient[0]
 
 
-def penalty(theta):
-    return float(np.sum(np.square((theta - CENTRE) / SPREAD)) / 2)
-
-
-def test_even_prior_of_strength_two_is_laplaces_rule():
+def test_even_prior_of_strength_two_is_laplaces_rule_and_first_attempts_have_the_prior_mean():
     chances = with_theta(0.0, 0.0, 2.0).predict_proba(history([0.3, 0.3, 0.9], [0, 1, 2], [0, 0, 3]))
-
     np.testing.assert_allclose(chances, [[1 / 2, 1 / 2], [1 / 3, 2 / 3], [4 / 7, 3 / 7]], rtol=1e-12)
-
-
-def test_first_attempts_have_the_prior_mean_whatever_its_strength():
     for strength in (0.1, 2.0, 50.0):
         chance = with_theta(1.0, -2.0, strength).predict_proba(history([0.0, 0.5, 1.0], [0] * 3, [0] * 3))[:, 1]
         np.testing.assert_allclose(chance, expit([1.0, 0.0, -1.0]), rtol=1e-12)
@@ -67,10 +59,14 @@ def test_at_constant_occlusion_the_predictives_multiply_to_the_beta_binomial(int
         assert product == pytest.approx(total / comb(num_tries, succeeded.sum()), rel=1e-10)
 
 
-def test_the_gradient_is_that_of_the_objective():
+def test_the_objective_is_the_weighted_likelihood_and_the_prior_and_its_derivatives_are_right():
     decided = checked_attempts(cut_some(beta_attempts(60)))
     rng = np.random.default_rng(1)
     for theta in rng.normal(size=(10, 3)) * [2.0, 3.0, 1.5]:
+        chance = predictive(theta, decided.history)
+        likelihood = decided.weight @ np.log(np.where(decided.succeeded, chance, 1 - chance))
+        penalty = np.sum(np.square((theta - CENTRE) / SPREAD)) / 2
+        assert negative_log_posterior(theta, decided)[0] == pytest.approx(penalty - likelihood)
         numeric = approx_fprime(theta, lambda at: negative_log_posterior(at, decided)[0], 1e-6)
         np.testing.assert_allclose(negative_log_posterior(theta, decided)[1], numeric, rtol=1e-4, atol=1e-3)
         bends = approx_fprime(theta, lambda at: negative_log_posterior(at, decided)[1], 1e-6)
@@ -110,16 +106,15 @@ def test_simulated_parameters_come_back():
     assert model.strength_ == pytest.approx(3.0, rel=0.06)
 
 
-def test_cut_attempts_bias_nothing_if_weighted_and_do_if_dropped():
-    frame = beta_attempts(8000, num_tries=2)
-    whole = BetaGrasp().fit(frame).predict_proba(frame)[:, 1].mean()
+@pytest.mark.parametrize(("model", "num_objects"), [(BetaGrasp, 8000), (SVMGrasp, 1500)])
+def test_cut_attempts_bias_nothing_if_weighted_and_do_if_dropped(model, num_objects):
+    frame = beta_attempts(num_objects, num_tries=1)
     cut = cut_some(frame)
     weighted, dropped = (
-        BetaGrasp(censoring=name).fit(cut).predict_proba(frame)[:, 1].mean() for name in ("kaplan-meier", "none")
+        model(censoring=name).fit(cut).predict_proba(frame)[:, 1].mean() for name in ("kaplan-meier", "none")
     )
-
-    assert weighted == pytest.approx(whole, abs=0.01)
-    assert dropped > whole + 0.04
+    assert weighted == pytest.approx(frame["succeeded"].mean(), abs=0.02)
+    assert dropped > frame["succeeded"].mean() + 0.04
 
 
 def test_weights_are_the_left_limits_of_kaplan_meier():
@@ -180,17 +175,26 @@ def test_frames_of_all_kinds_give_the_same():
     assert len({model.intercept_ for model in models}) == 1
 
 
-def test_it_is_an_estimator_as_scikit_learn_knows_them():
-    model = BetaGrasp(truncate_at=3.0)
+@pytest.mark.parametrize(
+    "model", [BetaGrasp(truncate_at=3.0), SVMGrasp(kernel="rbf", gamma=0.5, reg=0.1, num_folds=3, random_state=4)]
+)
+def test_it_is_an_estimator_as_scikit_learn_knows_them_and_the_global_seed_changes_nothing(model):
     assert clone(model).get_params() == model.get_params()
     with pytest.raises(NotFittedError):
         model.predict_proba(history([0.1], [0], [0]))
-    model.fit(cut_some(beta_attempts(50)))
-    assert model.classes_.tolist() == [False, True]
-    assert model.diagnostics_.largest_weight <= 3.0
-    chances = model.predict_proba(history(np.linspace(0, 1, 7), np.arange(7), np.zeros(7)))
-    assert chances.shape == (7, 2)
-    np.testing.assert_allclose(chances.sum(axis=1), 1.0)
+    chances = []
+    for seed in (0, 1):
+        np.random.seed(seed)  # noqa: NPY002
+        fitted = clone(model).fit(cut_some(beta_attempts(50)))
+        chances.append(fitted.predict_proba(history(np.linspace(0, 1, 7), np.arange(7), np.zeros(7))))
+    assert fitted.classes_.tolist() == [False, True]
+    assert chances[0].shape == (7, 2)
+    np.testing.assert_array_equal(*chances)
+    np.testing.assert_allclose(chances[0].sum(axis=1), 1.0)
+    if isinstance(model, SVMGrasp):
+        assert (fitted.svc_.reg_, fitted.svc_.gamma_) == (0.1, 0.5)
+    else:
+        assert fitted.diagnostics_.largest_weight <= 3.0
 
 
 GOOD = cut_some(beta_attempts(40))
@@ -242,14 +246,6 @@ def test_what_a_cut_attempt_says_of_its_outcome_is_not_read():
 def test_few_attempts_warn():
     with pytest.warns(HalfseenWarning, match="effective sample size of 8.0"):
         BetaGrasp().fit(beta_attempts(2))
-
-
-def test_the_prior_counts_as_stated():
-    decided = checked_attempts(beta_attempts(10))
-    theta = np.array([1.0, -1.0, 0.5])
-    chance = predictive(theta, decided.history)
-    likelihood = np.log(np.where(decided.succeeded, chance, 1 - chance)).sum()
-    assert negative_log_posterior(theta, decided)[0] == pytest.approx(penalty(theta) - likelihood)
 
 
 def test_rows_of_a_kind_are_alike_in_all_columns():

@@ -45,22 +45,12 @@ def beta():
     return BetaGrasp().fit(beta_attempts(200))
 
 
-def probabilities(model, states):
-    return model.probability(states)
-
-
 def test_a_table_says_what_the_model_says(beta, states):
     seen = (occlusion(states), *attempt_counts(states))
-    asked = dict(
-        zip(
-            ("occlusion", "successes", "failures"),
-            (np.asarray(leaf).ravel().astype(float) for leaf in seen),
-            strict=True,
-        )
-    )
-    asked["occlusion"] = np.clip(asked["occlusion"], 0.0, 1.0)
+    occluded, successes, failures = (np.asarray(leaf).ravel().astype(float) for leaf in seen)
+    asked = {"occlusion": np.clip(occluded, 0.0, 1.0), "successes": successes, "failures": failures}
     expected = beta.predict_proba(asked)[:, 1].reshape(len(states.lifts), -1)
-    np.testing.assert_allclose(probabilities(tabulate(beta, HORIZON), states), expected, atol=1e-3)
+    np.testing.assert_allclose(tabulate(beta, HORIZON).probability(states), expected, atol=1e-3)
     assert asked["failures"].max() >= 2
     assert asked["successes"].max() >= 2
 
@@ -83,14 +73,11 @@ def test_it_is_exact_at_its_occlusions_and_linear_between(states):
 
 
 def test_more_attempts_than_the_table_holds_count_as_the_most(beta, states):
-    state = replace(
-        picked(states, 0),
-        attempt_object=np.zeros(10, dtype=np.int32),
-        attempt_succeeded=np.zeros(10, dtype=bool),
-    )
-    small, large = tabulate(beta, 3), tabulate(beta, 10)
-    assert float(small.probability(state)[0]) == pytest.approx(float(small.probabilities[0, 0, 3]))
-    assert float(large.probability(state)[0]) == pytest.approx(float(large.probabilities[0, 0, 10]))
+    missed = {"attempt_object": np.zeros(10, dtype=np.int32), "attempt_succeeded": np.zeros(10, dtype=bool)}
+    for horizon in (3, 10):
+        known = tabulate(beta, horizon)
+        said = known.probability(replace(picked(states, 0), **missed))[0]
+        assert float(said) == pytest.approx(float(known.probabilities[0, 0, horizon]))
 
 
 def test_a_batch_of_states_is_each_of_them(beta, states):
@@ -105,11 +92,10 @@ def test_features_take_the_probability_in_place_of_laplaces_guess(states):
             successes, failures = attempt_counts(state)
             return (1.0 - occlusion(state)) * (1.0 + successes) / (1.0 + successes + failures)
 
-    def features(grasp):
-        return table_features(states, grasp)
-
-    np.testing.assert_allclose(features(Laplace()), features(None), atol=1e-6)
-    assert np.abs(features(tabulate(BetaGrasp().fit(beta_attempts(50)), HORIZON)) - features(None)).max() > 0.1
+    plain = table_features(states, None)
+    np.testing.assert_allclose(table_features(states, Laplace()), plain, atol=1e-6)
+    learned = tabulate(BetaGrasp().fit(beta_attempts(50)), HORIZON)
+    assert np.abs(table_features(states, learned) - plain).max() > 0.1
 
 
 def test_a_policy_decides_with_its_own_table(beta, states):

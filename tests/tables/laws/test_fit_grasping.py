@@ -10,9 +10,8 @@ from scipy.special import expit
 from scipy.stats import lognorm, norm
 from simulated_tables import CALIBRATED, GRASPING, evidence
 
-from halfseen.tables.laws import grasping
 from halfseen.tables.laws.evidence import AT_LIMIT, Watched, of_first
-from halfseen.tables.laws.grasping import choose_grasping, misses_at_limit_alone
+from halfseen.tables.laws.grasping import Exponential, Logistic, choose_grasping, misses_at_limit_alone
 from halfseen.world import AssumedGrasping, FittedGrasping, WorldConfig
 
 LIMIT_S = 9.5
@@ -65,43 +64,33 @@ def logistic_likelihood(law, u, occlusion, grip, watched_s, is_held, is_missed):
 
 
 class Family(NamedTuple):
-    fit: Any
-    law: Any
-    loss: Any
-    score: Any
-    prior: Any
+    of: Any
     likelihood: Any
     thetas: list
     numbers: list
     tolerance: float
 
     def fitted(self, tried, limit_s=LIMIT_S):
-        return self.law(self.fit(tried, limit_s), limit_s)
+        family = self.of(tried, limit_s)
+        return family.law(family.fitted())
 
     def numbers_of(self, law):
         return np.array([getattr(law, name) for name in self.numbers])
 
 
+NONE = of_first(drawn(2), 0)
 EXPONENTIAL = Family(
-    grasping.fit_exponential,
-    grasping.exponential_law,
-    grasping.exponential_loss,
-    grasping.exponential_score,
-    grasping.EXPONENTIAL_PRIOR,
+    Exponential,
     exponential_likelihood,
-    [grasping.EXPONENTIAL_PRIOR.mode, np.array([-1.1, 2.2, 0.0]), np.array([0.5, -1.0, -1.5])],
+    [Exponential(NONE, LIMIT_S).prior.mode, np.array([-1.1, 2.2, 0.0]), np.array([0.5, -1.0, -1.5])],
     ["log_time", "log_time_per_occlusion", "offset_std"],
     1e-3,
 )
 LOGISTIC = Family(
-    grasping.fit_logistic,
-    grasping.logistic_law,
-    grasping.logistic_loss,
-    grasping.logistic_score,
-    grasping.logistic_prior(LIMIT_S),
+    Logistic,
     logistic_likelihood,
     [
-        grasping.logistic_prior(LIMIT_S).mode,
+        Logistic(NONE, LIMIT_S).prior.mode,
         np.array([2.0, -0.5, np.log(0.8), 1.3, 0.3, np.log(0.25)]),
         np.array([-1.0, 2.0, -1.5, 2.2, -0.6, 0.1]),
     ],
@@ -124,27 +113,29 @@ def likelihood_of_object(family, law, rows):
 @pytest.mark.parametrize("k", range(3))
 @BOTH
 def test_posterior_is_what_integrals_one_by_one_give(family, k):
-    tried, prior, theta = some_attempts(), family.prior, family.thetas[k]
+    tried, theta = some_attempts(), family.thetas[k]
+    fit = family.of(tried, LIMIT_S)
+    prior = fit.prior
     total = norm.logpdf(theta, *prior).sum() - norm.logpdf(prior.mode, *prior).sum()
     for target in np.unique(tried.object):
         rows = [tuple(values[row] for values in tried[2:]) for row in np.flatnonzero(tried.object == target)]
-        total += np.log(likelihood_of_object(family, family.law(theta, LIMIT_S), rows))
-    assert family.loss(theta, tried, LIMIT_S)[0] == pytest.approx(-total, abs=family.tolerance)
+        total += np.log(likelihood_of_object(family, fit.law(theta), rows))
+    assert fit.loss(theta)[0] == pytest.approx(-total, abs=family.tolerance)
 
 
 @pytest.mark.parametrize("k", range(3))
 @BOTH
 def test_gradient_is_that_of_the_posterior(family, k):
-    theta, tried = family.thetas[k], some_attempts()
-    numeric = approx_fprime(theta, lambda at: family.loss(at, tried, LIMIT_S)[0], 1e-7)
-    np.testing.assert_allclose(family.loss(theta, tried, LIMIT_S)[1], numeric, atol=2e-4)
+    theta, fit = family.thetas[k], family.of(some_attempts(), LIMIT_S)
+    numeric = approx_fprime(theta, lambda at: fit.loss(at)[0], 1e-7)
+    np.testing.assert_allclose(fit.loss(theta)[1], numeric, atol=2e-4)
 
 
 def test_nothing_makes_the_logistic_posterior_infinite_or_warns():
     tried = some_attempts()._replace(grip=np.linspace(-30.0, 30.0, len(some_attempts().object)))
     first, _, last = LOGISTIC.thetas
     for theta in (first - 5.0, first + 4.0, last - np.array([0, 0, 0, 0, 0, 4.0])):
-        value, gradient = LOGISTIC.loss(theta, tried, LIMIT_S)
+        value, gradient = Logistic(tried, LIMIT_S).loss(theta)
         assert np.isfinite(value)
         assert np.isfinite(gradient).all()
 
@@ -262,11 +253,13 @@ def test_without_cut_attempts_the_law_seems_better_than_it_is_where_the_slow_one
 @BOTH
 def test_of_one_attempt_each_family_is_a_distribution_over_the_same_results(family):
     begin_s, theta = AT_LIMIT * LIMIT_S, family.thetas[1]
-    prior = (((theta - family.prior.mode) / family.prior.spread) ** 2).sum() / 2.0
+    mode, spread = family.of(NONE, LIMIT_S).prior
+    prior = (((theta - mode) / spread) ** 2).sum() / 2.0
 
     def density(watched_s, is_held):
         columns = (0, 0, 0.4, 0.3, watched_s, is_held, not is_held)
-        return np.exp(family.score(theta, Watched(*(np.array([value]) for value in columns)), LIMIT_S) + prior)
+        one = family.of(Watched(*(np.array([value]) for value in columns)), LIMIT_S)
+        return np.exp(one.score(theta) + prior)
 
     total = quad(lambda s: density(s, True), 0.0, begin_s)[0] + density(LIMIT_S, True) + density(LIMIT_S, False)
     if family is LOGISTIC:
@@ -283,8 +276,8 @@ def timed_out(num=60):
 
 def test_the_unit_of_time_does_not_choose():
     def margin(tried, limit_s):
-        scores = [family.score(family.fit(tried, limit_s), tried, limit_s) for family in (EXPONENTIAL, LOGISTIC)]
-        return scores[0] - scores[1]
+        exponential, logistic = Exponential(tried, limit_s), Logistic(tried, limit_s)
+        return exponential.score(exponential.fitted()) - logistic.score(logistic.fitted())
 
     tried = timed_out()
     tried.watched_s[np.flatnonzero(tried.is_held)[:3]] = 0.99 * LIMIT_S
@@ -292,23 +285,19 @@ def test_the_unit_of_time_does_not_choose():
     assert margin(in_ms, 1000.0 * LIMIT_S) == pytest.approx(margin(tried, LIMIT_S), abs=1e-3)
 
 
-def test_one_miss_before_the_limit_is_none_that_the_exponential_family_makes():
+def test_one_miss_before_the_limit_or_steady_durations_choose_the_logistic_family():
     tried = timed_out()
     assert misses_at_limit_alone(tried, LIMIT_S)
     assert isinstance(choose_grasping(tried, LIMIT_S), AssumedGrasping)
+    steady = np.where(tried.is_held, np.random.default_rng(0).normal(3.0, 0.2, 60), LIMIT_S)
+    assert isinstance(choose_grasping(tried._replace(watched_s=steady), LIMIT_S), FittedGrasping)
     tried.watched_s[np.flatnonzero(tried.is_missed)[0]] = 0.9 * LIMIT_S
     assert not misses_at_limit_alone(tried, LIMIT_S)
     assert isinstance(choose_grasping(tried, LIMIT_S), FittedGrasping)
 
 
-def test_durations_alone_may_choose_the_logistic_family():
-    tried = timed_out()
-    steady = tried._replace(watched_s=np.where(tried.is_held, np.random.default_rng(0).normal(3.0, 0.2, 60), LIMIT_S))
-    assert isinstance(choose_grasping(steady, LIMIT_S), FittedGrasping)
-
-
 def test_what_tells_nothing_leaves_the_law_with_fewer_numbers():
-    assert isinstance(choose_grasping(of_first(timed_out(), 0), LIMIT_S), AssumedGrasping)
     no = np.zeros(60, dtype=bool)
     cut = timed_out()._replace(is_held=no, is_missed=no, watched_s=np.full(60, 0.1))
-    assert isinstance(choose_grasping(cut, LIMIT_S), AssumedGrasping)
+    for tried in (cut, of_first(cut, 0)):
+        assert isinstance(choose_grasping(tried, LIMIT_S), AssumedGrasping)

@@ -8,8 +8,7 @@ from simulated_tables import CALIBRATED, recorded, scene
 
 from fitted_laws import FITTED
 from halfseen.logs import Logs
-from halfseen.tables.fitted_world import evidence_of
-from halfseen.tables.laws.evidence import labels, of_first, watched
+from halfseen.tables.laws.evidence import evidence_of
 from halfseen.tables.laws.grasping import choose_grasping
 from halfseen.tables.laws.seeing import choose_seeing
 from halfseen.world import AssumedGrasping, AssumedSeeing, FittedGrasping, PersistentSeeing, WorldConfig
@@ -20,7 +19,7 @@ GRIP = [0.5, -0.5, 0.0, 1.0, -1.0]
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_attempts_are_watched_until_they_held_or_were_cut_and_misses_until_the_limit(cut_share):
     cuts, logs = recorded(60, cut_share, table=scene(GRIP))
-    tried, config = watched(logs, WorldConfig()), WorldConfig()
+    tried, config = evidence_of(logs, WorldConfig()).tried, WorldConfig()
     expected = []
     for path, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
         target = (int(cuts.episodes.action[path, stage]) - 1) % 5
@@ -42,7 +41,7 @@ def test_attempts_are_watched_until_they_held_or_were_cut_and_misses_until_the_l
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_misses_are_watched_until_they_end_where_they_end_before_the_limit(cut_share):
     cuts, logs = recorded(60, cut_share, config=FITTED)
-    tried = watched(logs, FITTED)
+    tried = evidence_of(logs, FITTED).tried
     assert not (tried.is_held & tried.is_missed).any()
     seen = tried.path[tried.is_missed], tried.watched_s[tried.is_missed]
     states, action = cuts.episodes.states, np.asarray(cuts.episodes.action)
@@ -59,29 +58,23 @@ def test_misses_are_watched_until_they_end_where_they_end_before_the_limit(cut_s
 def test_a_miss_that_ends_next_to_the_limit_is_at_the_limit():
     _, logs = recorded(60)
     stages = logs.stages.assign(elapsed_s=logs.stages["elapsed_s"] * 0.995)
-    rounded = watched(Logs(stages, logs.paths, logs.objects), WorldConfig())
+    rounded = evidence_of(Logs(stages, logs.paths, logs.objects), WorldConfig()).tried
     assert rounded.is_missed.any()
     assert (rounded.watched_s[rounded.is_missed] == 6.0).all()
 
 
-@pytest.mark.parametrize("tells", [watched, lambda logs, config: labels(logs, config, 0.6)], ids=["watched", "labels"])
-def test_the_first_paths_tell_what_a_log_of_them_tells(tells):
+def test_the_first_paths_tell_what_a_log_of_them_tells():
     _, logs = recorded(40, 0.5)
-    some, alone = of_first(tells(logs, WorldConfig()), 15), tells(logs.select(logs.path_ids[:15]), WorldConfig())
-    for one, other in zip(some, alone, strict=True):
+    some = evidence_of(logs, WorldConfig()).first(15)
+    alone = evidence_of(logs.select(logs.path_ids[:15]), WorldConfig())
+    for one, other in zip((*some.tried, *some.told), (*alone.tried, *alone.told), strict=True):
         np.testing.assert_array_equal(one, other)
-
-
-def test_a_log_without_grips_has_grips_of_0():
-    _, logs = recorded(5)
-    assert "grip" not in logs.objects.columns
-    assert not watched(logs, WorldConfig()).grip.any()
 
 
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(cut_share):
     cuts, logs = recorded(60, cut_share)
-    told, config = labels(logs, WorldConfig(), 0.6), WorldConfig()
+    told, config = evidence_of(logs, WorldConfig()).told, WorldConfig()
     states = cuts.episodes.states
     is_on_table, log_odds = np.asarray(states.is_on_table), np.asarray(states.log_odds, dtype=float)
     moved = np.diff(log_odds, axis=1, prepend=np.log(1.5))
@@ -92,11 +85,15 @@ def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(c
     expected = np.where(told.says_dirty, 1.0, -1.0) * (np.log(accuracy) - np.log1p(-accuracy))
     np.testing.assert_allclose(moved[path, stage, target], expected, atol=1e-4)
     assert (told.occlusion == 0.0).any()
+    # To this recorder each look is news, so that no views are counted; and no grip shows.
+    assert not told.is_persistent
+    assert not told.seen.any()
+    assert not evidence_of(logs, WorldConfig()).tried.grip.any()
 
 
 def test_washing_shows_what_an_object_was():
     cuts, logs = recorded(200, 0.3)
-    told = labels(logs, WorldConfig(), 0.6)
+    told = evidence_of(logs, WorldConfig()).told
     is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[told.path, told.object % 5]
     assert told.was_dirty.any()
     assert told.was_clean.any()
@@ -115,18 +112,14 @@ def num_washed(cuts):
     return int(last.sum())
 
 
-def test_a_look_that_shows_nothing_new_is_no_label():
-    cuts, logs = recorded(60, config=FITTED)
-    told = labels(logs, FITTED, 0.6)
-    num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
-    assert 0 < len(told.path) < 0.7 * num_looks
-
-
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut_share):
     cuts, logs = recorded(60, cut_share, config=FITTED)
-    told, law = labels(logs, FITTED, 0.6), FITTED.seeing
+    told, law = evidence_of(logs, FITTED).told, FITTED.seeing
     assert told.is_persistent
+    # A look that shows nothing new is no label.
+    num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
+    assert 0 < len(told.path) < 0.7 * num_looks
     np.testing.assert_allclose(
         told.seen_after, law.after(told.occlusion, told.seen, told.says_dirty, told.is_held), atol=1e-6
     )
@@ -140,18 +133,11 @@ def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut
     assert abs(excess.sum()) < 3.0 * np.sqrt((expected * (1.0 - expected)).sum())
 
 
-def test_a_recorder_to_whom_each_look_is_news_counts_no_views():
-    _, logs = recorded(20)
-    told = labels(logs, WorldConfig(), 0.6)
-    assert not told.is_persistent
-    assert not told.seen.any()
-
-
 def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_from_it():
     seeing = replace(FITTED.seeing, sensitivity=(0.0, 0.55, 0.6, 0.95), false_alarms=(0.0, 0.06, 0.1, 0.2))
     flat = replace(FITTED, seeing=seeing)
     _, logs = recorded(60, config=flat)
-    told = labels(logs, flat, 0.6)
+    told = evidence_of(logs, flat).told
     is_flat = told.seen_after <= seeing.views[0]
     assert is_flat.any()
     assert not told.says_dirty[is_flat].any()

@@ -1,12 +1,13 @@
 """What the tables of a log looked like: beyond these ranges a policy was taught nothing."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
-from halfseen.logs import Logs
 from halfseen.policies.folder.seen import entry, ranges
-from halfseen.world.log_checks import TABLE
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Who reads a policy loads no log.
 
 TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
 """Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
@@ -14,6 +15,10 @@ TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
 
 def seen_tables(logs: Logs) -> list[dict[str, Any]]:
     """Give these ranges over all stages: tables are alike in every stage."""
+    import pandas as pd
+
+    from halfseen.world.log_checks import TABLE
+
     objects: Any = logs.objects
     there = objects[objects["location"] == TABLE]
     tried = there["attempt_occlusions"].map(len)

@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from halfseen.errors import PolicyError
-from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import (
     BEHAVIOUR,
     COEFFICIENTS,
@@ -25,6 +24,11 @@ from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.prior import PriorFacts, dirty_share, prior_facts
 from halfseen.world.actions import Verb
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Who reads a policy loads no log.
 
 _VERBS = [verb.name for verb in Verb]
 _FEATURES = {"of": "table", "version": FEATURES_VERSION, "number": NUM_FEATURES}

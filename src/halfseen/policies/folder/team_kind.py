@@ -2,12 +2,11 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.logs import Logs
 from halfseen.policies.folder.arrays import Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
 from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
@@ -18,6 +17,11 @@ from halfseen.tables.features import FEATURES_VERSION as TABLE_FEATURES_VERSION
 from halfseen.tables.policy import LinearTeamPolicy
 from halfseen.tables.team_features import NUM_FEATURES
 from halfseen.world.actions import VERB_NAMES
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Who reads a policy loads no log.
 
 FEATURES_VERSION = 1
 """Of `team_features`; a policy that looked at others cannot be read."""

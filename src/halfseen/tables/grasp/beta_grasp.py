@@ -12,6 +12,8 @@ k, l      past successes and failures
 Prior: p ~ Beta(s·m, s·(1 − m)). Predictive: P(success | occ, k, l) = (s·m(occ) + k) / (s + k + l).
 """
 
+from dataclasses import KW_ONLY, dataclass, field
+
 import numpy as np
 from jaxtyping import Bool, Float
 
@@ -33,6 +35,7 @@ Theta = Float[np.ndarray, "3"]
 Weights = Float[np.ndarray, "K n"]
 
 
+@dataclass(eq=False, repr=False)
 class BetaGrasp(Estimator):
     """Probability of a grasp as the mean of a Beta distribution over the object's own probability.
 
@@ -71,20 +74,15 @@ class BetaGrasp(Estimator):
     array([0.9, 0.2])
     """
 
-    intercept_: float
-    slope_: float
-    strength_: float
-    classes_: Bool[np.ndarray, "2"]
-    diagnostics_: WeightDiagnostics
+    _: KW_ONLY
+    censoring: str | CensoringModel = "kaplan-meier"
+    truncate_at: float | int | None = None
 
-    def __init__(
-        self,
-        *,
-        censoring: str | CensoringModel = "kaplan-meier",
-        truncate_at: float | int | None = None,
-    ) -> None:
-        self.censoring = censoring
-        self.truncate_at = truncate_at
+    intercept_: float = field(init=False)
+    slope_: float = field(init=False)
+    strength_: float = field(init=False)
+    classes_: Bool[np.ndarray, "2"] = field(init=False)
+    diagnostics_: WeightDiagnostics = field(init=False)
 
     def fit(self, frame: FrameLike) -> "BetaGrasp":
         """Learn from attempts.

@@ -39,6 +39,7 @@ from halfseen.tables.grasp.grasp_table import (
 )
 from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates, kinds
 from halfseen.workers.threads import one_thread
+from halfseen.world.log_checks import robots_in
 from halfseen.world.policy import GraspModel
 
 NUM_FOLDS = 5
@@ -78,9 +79,9 @@ class GraspChoice(NamedTuple):
 
 
 def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
-    """Choose by a log of one robot; the rule of succession where it does not tell what became of its attempts."""
+    """Choose by a log; the rule of succession where it does not tell what became of its attempts."""
     try:
-        return choose_by(attempts(logs, horizon), horizon)
+        return choose_by(attempts(logs, horizon), horizon, robots_in(logs))
     except HalfseenError as error:
         return GraspChoice(None, f"{KEPT}: {error}")
 
@@ -109,35 +110,25 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
         # Nobody asked for these weights, and the standard error tells how much they are worth.
         warnings.simplefilter("ignore", HalfseenWarning)
         held = _HeldOut.of(tried)
-        by_robot = _choose_by_robot(held, tried, num_robots, horizon) if num_robots > 1 else None
-        if by_robot is not None:
-            return GraspChoice(by_robot, BY_ROBOT)
-        everyone = np.ones((1, len(held.path)), dtype=bool)
-        ((*folds, whole),) = held.fitted(everyone)
-        rule, beta = held.errors(_by_succession(held)), held.errors(held.said(np.array(folds)))
+        robot = tried["robot"].to_numpy()[held.decided.row] if num_robots > 1 else np.zeros(len(held.path), dtype=int)
+        is_of = np.ones((1, len(robot)), dtype=bool)
+        if num_robots > 1 and np.bincount(robot, minlength=num_robots).min() >= FEWEST_ATTEMPTS:
+            is_of = np.vstack([is_of, robot == np.arange(num_robots)[:, None]])
+        thetas = held.fitted(is_of)
+        said = np.stack([held.said(folds) for folds in thetas[:, :-1]])
+        rule, beta = held.errors(_by_succession(held)), held.errors(said[0])
+    if len(said) > 1 and _is_clear(beta - held.errors(said[1 + robot, np.arange(len(robot))])):
+        shared, *own = [held.table(theta[-1], mine, horizon) for theta, mine in zip(thetas, is_of, strict=True)]
+        return GraspChoice(GraspByRobot(shared, stacked(own)), BY_ROBOT)
     left = f"{beta.sum() / rule.sum():.0%} of its squared error"
     if not _is_clear((1.0 - WORTH) * rule - beta):
-        told = f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})"
-        return GraspChoice(None, told)
+        why = f"{KEPT}: held out, a Beta regression does not clearly halve its error (it leaves {left})"
+        return GraspChoice(None, why)
     return GraspChoice(
-        held.table(whole, everyone[0], horizon),
+        held.table(thetas[0, -1], is_of[0], horizon),
         "the probability of a grasp is learned from the log’s attempts: held out, a Beta regression foretells them "
         f"better than the rule of succession, with {left}",
     )
-
-
-def _choose_by_robot(held: "_HeldOut", tried: pd.DataFrame, num_robots: int, horizon: int) -> GraspByRobot | None:
-    """None where robots do not clearly differ, or one made too few attempts."""
-    robot = tried["robot"].to_numpy()[held.decided.row]
-    if np.bincount(robot, minlength=num_robots).min() < FEWEST_ATTEMPTS:
-        return None
-    is_of = np.vstack([np.ones(len(robot), dtype=bool), robot == np.arange(num_robots)[:, None]])
-    thetas = held.fitted(is_of)
-    said = np.stack([held.said(folds) for folds in thetas[:, :-1]])
-    if not _is_clear(held.errors(said[0]) - held.errors(said[1 + robot, np.arange(len(robot))])):
-        return None
-    shared, *own = (held.table(theta, mine, horizon) for theta, mine in zip(thetas[:, -1], is_of, strict=True))
-    return GraspByRobot(shared, stacked(own))
 
 
 def _is_clear(lead: Float[np.ndarray, " paths"]) -> bool:

@@ -11,14 +11,13 @@ with p what the model says without it. The offset itself varies about its mean, 
 a spread σ by about √(1 + 0.35 σ²) [ZegerLiangAlbert1988]_. So `per_grip` lies between 0 and 1.
 """
 
-from typing import NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.arrays import Array, Rows, library_of, mapped, record
 from halfseen.errors import ArgumentError
-from halfseen.logs.frames import FrameLike
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33
@@ -90,11 +89,11 @@ class GraspByRobot:
 class GraspEstimator(Protocol):
     """What `BetaGrasp` and `SVMGrasp` are: fitted to attempts, it tells their probabilities."""
 
-    def fit(self, frame: FrameLike) -> "GraspEstimator":
+    def fit(self, frame: Any) -> "GraspEstimator":
         """Learn from attempts."""
         ...
 
-    def predict_proba(self, frame: FrameLike) -> Float[np.ndarray, "m 2"]:
+    def predict_proba(self, frame: Any) -> Float[np.ndarray, "m 2"]:
         """Probability that an attempt fails, and that it succeeds."""
         ...
 

@@ -1,6 +1,6 @@
 """What a fit to attempts accepts: tables in, checked float64 and bool out, bad values named; and folds of them."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -128,13 +128,7 @@ def _frame(data: FrameLike, needed: Iterable[str] = History._fields) -> pd.DataF
 
 
 def _history(frame: pd.DataFrame) -> History:
-    history = History(*(_numbers(frame, column) for column in History._fields))
-    outside = ~((history.occlusion >= 0) & (history.occlusion <= 1))
-    _refuse(frame, "occlusion", outside, "a hidden share lies in [0, 1]")
-    for column in ("successes", "failures"):
-        counts = getattr(history, column)
-        _refuse(frame, column, (counts < 0) | (counts != np.floor(counts)), "give a count, 0 or more")
-    return history
+    return History(*(_numbers(frame, column) for column in History._fields))
 
 
 def _weights(
@@ -157,9 +151,7 @@ def _weights(
         return is_finished.astype(np.float64), is_finished
     covariates = np.column_stack(history) if uses_covariates(model) else None
     time_s = _numbers(frame, "time_s")
-    _refuse(frame, "time_s", ~(time_s > 0), "give the time that the attempt was watched, > 0 s")
-    weight = censoring_weights(time_s, is_finished, model, covariates=covariates, truncate_at=truncate_at)
-    return weight, is_finished
+    return censoring_weights(time_s, is_finished, model, covariates=covariates, truncate_at=truncate_at), is_finished
 
 
 def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
@@ -168,12 +160,24 @@ def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
     return is_true
 
 
+_COUNT = (lambda values: (values >= 0) & (values == np.floor(values)), "give a count, 0 or more")
+_MAY_BE: dict[str, tuple[Callable[[Rows], RowMask], str]] = {
+    "occlusion": (lambda values: (values >= 0) & (values <= 1), "a hidden share lies in [0, 1]"),
+    "successes": _COUNT,
+    "failures": _COUNT,
+    "time_s": (lambda values: values > 0, "give the time that the attempt was watched, > 0 s"),
+}
+
+
 def _numbers(frame: pd.DataFrame, column: str) -> Float[np.ndarray, " rows"]:
     values = frame[column]
     if not pd.api.types.is_numeric_dtype(values.dtype) or pd.api.types.is_complex_dtype(values.dtype):
         raise ArgumentError(f"{NAME}: column {column!r} holds {values.dtype}, not numbers; convert it")
     numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
     _refuse(frame, column, ~np.isfinite(numbers), "give a finite number")
+    if column in _MAY_BE:
+        is_right, remedy = _MAY_BE[column]
+        _refuse(frame, column, ~is_right(numbers), remedy)
     return numbers
 
 
@@ -181,10 +185,6 @@ def _refuse(frame: pd.DataFrame, column: str, wrong: Bool[np.ndarray, " rows"], 
     if wrong.any():
         row = int(np.argmax(wrong))
         raise ArgumentError(f"{NAME}, row {row}: {column} is {frame[column].iloc[row]}; {remedy}")
-
-
-Splits = list[tuple[np.ndarray, np.ndarray]]
-"""Numbers of the attempts that are fitted to, and of those that are held out."""
 
 
 FEWEST_OBJECTS = 2
@@ -201,8 +201,11 @@ def can_hold_out(attempts: pd.DataFrame) -> bool:
     return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (succeeded, ~succeeded))
 
 
-def splits_of(decided: Decided, num_folds: int, random_state: int) -> Splits:
-    """Deal attempts into folds, each of which is held out once; an object's attempts stay together.
+def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Deal attempts into folds: for each, which to fit to and which to hold out; an object's attempts stay together.
+
+    Objects are dealt in the order of their success, so that both outcomes are in every fold: at least as many objects
+    have either outcome as there are folds, and in this order they are neighbours.
 
     Parameters
     ----------
@@ -224,18 +227,10 @@ def splits_of(decided: Decided, num_folds: int, random_state: int) -> Splits:
     if min(num_objects) < FEWEST_OBJECTS:
         word = "failures" if num_objects[0] < FEWEST_OBJECTS else "successes"
         raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
-    fold = _dealt(decided, min(num_folds, *num_objects), np.random.default_rng(random_state))
-    return [(np.flatnonzero(fold != k), np.flatnonzero(fold == k)) for k in range(int(fold.max()) + 1)]
-
-
-def _dealt(decided: Decided, num_folds: int, rng: np.random.Generator) -> Int[np.ndarray, " n"]:
-    """Fold of each attempt. Objects are dealt in the order of their success, so that both outcomes are in every fold.
-
-    That holds because at least `num_folds` objects have either outcome, and in this order they are neighbours.
-    """
+    num_folds = min(num_folds, *num_objects)
     objects, place = np.unique(decided.group, return_inverse=True)
     share = np.bincount(place, decided.succeeded) / np.bincount(place)
-    order = np.lexsort((rng.permutation(len(objects)), share))
     fold = np.empty(len(objects), dtype=np.int64)
-    fold[order] = np.arange(len(objects)) % num_folds
-    return fold[place]
+    shuffled = np.random.default_rng(random_state).permutation(len(objects))
+    fold[np.lexsort((shuffled, share))] = np.arange(len(objects)) % num_folds
+    return [(np.flatnonzero(fold[place] != k), np.flatnonzero(fold[place] == k)) for k in range(num_folds)]

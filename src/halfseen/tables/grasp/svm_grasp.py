@@ -1,6 +1,7 @@
 """The paper's second grasp model: a support vector machine that tells whether an attempt will succeed (paper, §3)."""
 
 from collections.abc import Sequence
+from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,6 @@ from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.logs.frames import FrameLike
 from halfseen.tables.grasp.grasp_table import History
 from halfseen.tables.grasp.inputs import (
-    Decided,
     checked_attempts,
     checked_covariates,
     checked_history,
@@ -25,6 +25,7 @@ SLACK = 0.01
 """Held-out losses that differ by less than this share of the least are taken as equal."""
 
 
+@dataclass(eq=False, repr=False)
 class SVMGrasp(Estimator):
     """Probability of a grasp by the censored SVM (paper, eqs. 1 and 2), with logistic loss, calibrated.
 
@@ -77,34 +78,22 @@ class SVMGrasp(Estimator):
     True
     """
 
-    svc_: CensoredSVC
-    centre_: Float[np.ndarray, " d"]
-    scale_: Float[np.ndarray, " d"]
-    classes_: Bool[np.ndarray, "2"]
-    diagnostics_: WeightDiagnostics
+    _: KW_ONLY
+    censoring: str | CensoringModel = "kaplan-meier"
+    truncate_at: float | int | None = None
+    kernel: Any = LINEAR_AND_GAUSSIAN
+    gamma: float | int | str = "scale"
+    reg: float | int | str = "cv"
+    num_folds: int = 5
+    num_landmarks: int | None = 50
+    random_state: int = 0
+    covariates: Sequence[str] = ()
 
-    def __init__(
-        self,
-        *,
-        censoring: str | CensoringModel = "kaplan-meier",
-        truncate_at: float | int | None = None,
-        kernel: Any = LINEAR_AND_GAUSSIAN,
-        gamma: float | int | str = "scale",
-        reg: float | int | str = "cv",
-        num_folds: int = 5,
-        num_landmarks: int | None = 50,
-        random_state: int = 0,
-        covariates: Sequence[str] = (),
-    ) -> None:
-        self.censoring = censoring
-        self.truncate_at = truncate_at
-        self.kernel = kernel
-        self.gamma = gamma
-        self.reg = reg
-        self.num_folds = num_folds
-        self.num_landmarks = num_landmarks
-        self.random_state = random_state
-        self.covariates = covariates
+    svc_: CensoredSVC = field(init=False)
+    centre_: Float[np.ndarray, " d"] = field(init=False)
+    scale_: Float[np.ndarray, " d"] = field(init=False)
+    classes_: Bool[np.ndarray, "2"] = field(init=False)
+    diagnostics_: WeightDiagnostics = field(init=False)
 
     def fit(self, frame: FrameLike) -> "SVMGrasp":
         """Learn from attempts.
@@ -123,7 +112,12 @@ class SVMGrasp(Estimator):
             A weight is not identified.
         """
         decided = checked_attempts(frame, self.censoring, self.truncate_at)
-        _check_both_seen(decided)
+        if len(np.unique(decided.succeeded)) < 2:
+            word = "succeeded" if decided.succeeded.all() else "failed"
+            raise ArgumentError(
+                f"all {len(decided.succeeded)} decided attempts {word}; an SVM needs both outcomes: record more, or "
+                "use BetaGrasp"
+            )
         features = self._features(decided.history, checked_covariates(frame, self.covariates)[decided.row])
         share = decided.weight / decided.weight.sum()
         self.centre_ = share @ features
@@ -175,12 +169,3 @@ def linear_and_gaussian(X: Float[np.ndarray, "n d"], Z: Float[np.ndarray, "m d"]
     from scipy.spatial.distance import cdist
 
     return X @ Z.T + np.exp(-cdist(X, Z, "sqeuclidean") / X.shape[1])
-
-
-def _check_both_seen(decided: Decided) -> None:
-    if decided.succeeded.all() or not decided.succeeded.any():
-        word = "succeeded" if decided.succeeded.all() else "failed"
-        raise ArgumentError(
-            f"all {len(decided.succeeded)} decided attempts {word}; an SVM needs both outcomes: record more, or use "
-            "BetaGrasp"
-        )

@@ -1,5 +1,64 @@
-"""The laws of the world, fitted to logged paths of which some were cut: what a planner plans with who knows no law.
+"""A world whose laws were fitted to the same logged paths that a policy is learned from: what a fair planner knows.
 
-Read down: `evidence` (logs → attempts, as far as each was watched, and what looks said) → `posterior` (what all fits
-maximise) → `grasping` and `seeing`, two families of laws each. `halfseen.tables.fitted_world` puts them together.
+A planner that knows the true laws is an oracle; who runs a cell has no true law. She knows what she pays for, how many
+steps a path may have, how long transport takes and when an attempt is given up; and she has the log. It tells of which
+family the laws are, too.
+
+Read down: `evidence` (logs → attempts, as far as each was watched, and what looks said; what all fits maximise) →
+`grasping` and `seeing`, two families of laws each.
 """
+
+from dataclasses import replace
+
+from halfseen.logs import Logs
+from halfseen.tables.laws.evidence import Evidence, evidence_of
+from halfseen.tables.laws.grasping import choose_grasping
+from halfseen.tables.laws.seeing import choose_seeing
+from halfseen.world.config import WorldConfig
+
+
+def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
+    """Fit laws of grasping and seeing to a log, under censoring, each by maximum likelihood.
+
+    Of each there are two families, and the log chooses (`halfseen.tables.laws`): `AssumedGrasping` or
+    `FittedGrasping`, `AssumedSeeing` or `PersistentSeeing`.
+
+    Parameters
+    ----------
+    logs
+        A log of tables.
+    known
+        Of which rewards, horizon, transport_s and the limit of an attempt are kept. Its laws are not looked at, and may
+        be any.
+
+    Returns
+    -------
+    WorldConfig
+        With the fitted laws, and the share of dirty objects as `logged_dirty_share` reads it.
+
+    Raises
+    ------
+    LogError
+        The log breaks a rule of tables.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
+    >>> scene = Scene(np.array([[0.0, 0.4], [0.0, 0.0]]))
+    >>> logs = TableWorld().simulate(scene, UniformPolicy(), episodes=400, seed=0, cut_share=0.5)
+    >>> fitted = fit_world(logs, WorldConfig())
+    >>> fitted.grasping.limit_s, round(fitted.seeing.accuracy(0.0), 1)
+    (6.0, 0.8)
+    """
+    return fitted_to(evidence_of(logs, known), known)
+
+
+def fitted_to(evidence: Evidence, known: WorldConfig) -> WorldConfig:
+    """Fit the laws to what a log tells of them."""
+    return replace(
+        known,
+        dirty_share=evidence.dirty_share,
+        grasping=choose_grasping(evidence.tried, float(known.grasping.limit_s)),
+        seeing=choose_seeing(evidence.told, evidence.dirty_share),
+    )

@@ -1,17 +1,24 @@
-"""What the log of a table tells of its laws: attempts, as far as each was watched, and what each look said."""
+"""What the log of a table tells of its laws: attempts, as far as each was watched, and what each look said.
 
-from typing import NamedTuple, TypeVar
+What all fits of laws maximise is the log-likelihood of that plus the log-density of a weak normal prior, which weighs
+as much as a few observations do.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float
 
 from halfseen.arrays import RowIds, RowMask, Rows
+from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.prior import logged_dirty_share
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.log_rows import object_numbers
+from halfseen.world.log_rows import begun_objects
 from halfseen.world.logs import states_of
 from halfseen.world.seeing import SAME_VIEW
 from halfseen.world.state import TableState
@@ -68,65 +75,72 @@ class Labels(NamedTuple):
         return bool(self.seen_after.any())
 
 
-Told = TypeVar("Told", Watched, Labels)
-
-
-def of_first(told: Told, num_paths: int) -> Told:
-    """Keep what the first paths tell."""
+def of_first(told: Any, num_paths: int) -> Any:
+    """Keep what the first paths tell, of `Watched` or `Labels`."""
     kept = told.path < num_paths
     return type(told)(*(values[kept] for values in told))
 
 
-def watched(logs: Logs, known: WorldConfig) -> Watched:
-    """List all attempts, the cut ones included.
+class Evidence(NamedTuple):
+    """What a log tells of the laws."""
 
-    An attempt comes before its transport. So one that was cut when its stage had lasted c seconds had not ended within
-    c − transport_s seconds, and where that is below 0 it tells nothing. A miss that lasted `AT_LIMIT` of the limit or
-    more is taken to have lasted the limit.
+    tried: Watched
+    told: Labels
+    dirty_share: float
+    """P(DIRTY) of an object before any label, which the log-odds started from."""
 
-    Parameters
-    ----------
-    logs
-        As `attempts` reads them; where its objects have a column grip, it is used.
-    known
-        Of which horizon, transport_s and the limit of an attempt are used.
-
-    Raises
-    ------
-    LogError
-        As `attempts` does.
-    """
-    table, limit_s = attempts(logs, known.horizon), float(known.grasping.limit_s)
-    occlusion, grip, time_s = (table[name].to_numpy(dtype=np.float64) for name in ("occlusion", "grip", "time_s"))
-    is_held = _has_held(table)
-    is_missed = table["is_finished"].to_numpy(dtype=bool) & ~is_held
-    until_s = np.clip(time_s - float(known.transport_s), 0.0, limit_s)
-    watched_s = np.where(is_missed & (until_s >= AT_LIMIT * limit_s), limit_s, until_s)
-    path = pd.Index(logs.path_ids).get_indexer(table["path"]).astype(np.int64)
-    return Watched(path, table["object"].to_numpy(dtype=np.int64), occlusion, grip, watched_s, is_held, is_missed)
+    def first(self, num_paths: int) -> "Evidence":
+        """Keep what the first paths tell; the share of dirty objects is the recorder's."""
+        return self._replace(tried=of_first(self.tried, num_paths), told=of_first(self.told, num_paths))
 
 
-def labels(logs: Logs, known: WorldConfig, dirty_share: float) -> Labels:
-    """List what every look said: DIRTY where it raised the log-odds, the other where it lowered them.
-
-    By how much the recorder let them move is its own belief in its labels, and is not used. A look that moved nothing
-    was no news, and is left out, unless it added to what counts as seen: then nothing was found in what it showed. The
-    reward of a WASH that held shows what the object was; one in the last step of the
-    horizon is left out, as its reward also holds the price of what is left.
+def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
+    """Read a log, once for all numbers of its paths.
 
     Parameters
     ----------
     logs
-        As `states_of` and `attempts` read them.
+        As `states_of` and `attempts` read them; where its objects have a column grip, it is used.
     known
-        Of which the horizon and the rewards of WASH are used.
-    dirty_share
-        P(DIRTY) before any label, which the log-odds started from.
+        Of which the horizon, transport_s, the limit of an attempt and the rewards of WASH are used.
 
     Raises
     ------
     LogError
         As `states_of` and `attempts` do.
+    """
+    dirty_share, tried = logged_dirty_share(logs), attempts(logs, known.horizon)
+    path = pd.Index(logs.path_ids).get_indexer(tried["path"]).astype(np.int64)
+    is_held = tried["succeeded"].fillna(False).to_numpy(dtype=bool)
+    row = np.searchsorted(stage_places(logs)[0], path) + tried["stage"].to_numpy() - 1
+    return Evidence(
+        _watched(tried, path, is_held, known),
+        _labels(logs, known, dirty_share, path[is_held], row[is_held]),
+        dirty_share,
+    )
+
+
+def _watched(tried: pd.DataFrame, path: RowIds, is_held: RowMask, known: WorldConfig) -> Watched:
+    """All attempts, the cut ones included.
+
+    An attempt comes before its transport. So one that was cut when its stage had lasted c seconds had not ended within
+    c − transport_s seconds, and where that is below 0 it tells nothing. A miss that lasted `AT_LIMIT` of the limit or
+    more is taken to have lasted the limit.
+    """
+    occlusion, grip, time_s = (tried[name].to_numpy(dtype=np.float64) for name in ("occlusion", "grip", "time_s"))
+    is_missed, limit_s = tried["is_finished"].to_numpy(dtype=bool) & ~is_held, float(known.grasping.limit_s)
+    until_s = np.clip(time_s - float(known.transport_s), 0.0, limit_s)
+    watched_s = np.where(is_missed & (until_s >= AT_LIMIT * limit_s), limit_s, until_s)
+    return Watched(path, tried["object"].to_numpy(dtype=np.int64), occlusion, grip, watched_s, is_held, is_missed)
+
+
+def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowIds, held_row: RowIds) -> Labels:
+    """What every look said: DIRTY where it raised the log-odds, the other where it lowered them.
+
+    By how much the recorder let them move is its own belief in its labels, and is not used. A look that moved nothing
+    was no news, and is left out, unless it added to what counts as seen: then nothing was found in what it showed. The
+    reward of a WASH that held shows what the object was; one in the last step of the horizon is left out, as its reward
+    also holds the price of what is left.
     """
     states = states_of(logs, known.horizon)
     is_held = np.diff(states.lifts, axis=1, prepend=0) > 0
@@ -134,7 +148,11 @@ def labels(logs: Logs, known: WorldConfig, dirty_share: float) -> Labels:
     shows_more = np.diff(states.seen, axis=1, prepend=0.0) > SAME_VIEW
     path, stage, target = at = np.nonzero(((np.abs(moved) > NO_NEWS) | shows_more) & states.is_on_table)
     seen = states.seen.astype(np.float64)
-    was_dirty, was_clean = _shown(logs, known, states.is_object.shape)
+    was = np.zeros((2, len(states.lifts), states.num_objects), dtype=bool)
+    is_wash = (logs.stages["action"] == Verb.WASH.name).to_numpy(dtype=bool)[held_row]
+    paid = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)[held_row]
+    is_clean = np.abs(paid - known.reward_wash_dirty) >= np.abs(paid - known.reward_wash_clean)
+    was[is_clean[is_wash].astype(np.int64), held_path[is_wash], begun_objects(logs)[held_row[is_wash]]] = True
     return Labels(
         path=path,
         object=path * states.num_objects + target,
@@ -143,13 +161,9 @@ def labels(logs: Logs, known: WorldConfig, dirty_share: float) -> Labels:
         seen=np.where(stage > 0, seen[path, stage - 1, target], 0.0),
         seen_after=seen[at],
         says_dirty=moved[at] > NO_NEWS,
-        was_dirty=was_dirty[path, target],
-        was_clean=was_clean[path, target],
+        was_dirty=was[0, path, target],
+        was_clean=was[1, path, target],
     )
-
-
-def _has_held(tried: pd.DataFrame) -> RowMask:
-    return tried["succeeded"].fillna(False).to_numpy(dtype=bool)
 
 
 def _moved(states: TableState, dirty_share: float) -> Float[np.ndarray, "n T N"]:
@@ -169,16 +183,21 @@ def _occluded(states: TableState, is_held: Bool[np.ndarray, "n T N"]) -> Float[n
     return np.where(is_held, 0.0, hidden)
 
 
-def _shown(logs: Logs, known: WorldConfig, shape: tuple[int, int, int]) -> Bool[np.ndarray, "2 n N"]:
-    """Whether washing showed each object to have been dirty, and to have been clean."""
-    key = ["path", "stage", "object"]
-    tried = attempts(logs, known.horizon)
-    held = pd.DataFrame(tried.loc[_has_held(tried), key[:2]])
-    done = pd.DataFrame(logs.stages.loc[logs.stages["action"] == Verb.WASH.name, [*key, "reward"]])
-    assert logs.objects is not None
-    numbers = pd.DataFrame(logs.objects[key]).assign(number=object_numbers(logs.objects))
-    washed = held.merge(done, on=key[:2]).merge(numbers, on=key)
-    is_dirty = np.abs(washed["reward"] - known.reward_wash_dirty) < np.abs(washed["reward"] - known.reward_wash_clean)
-    was = np.zeros((2, shape[0], shape[2]), dtype=bool)
-    was[np.where(is_dirty, 0, 1), pd.Index(logs.path_ids).get_indexer(washed["path"]), washed["number"]] = True
-    return was
+class Prior(NamedTuple):
+    """Independent normal densities of the parameters θ."""
+
+    mode: Float[np.ndarray, "*S"]
+    spread: Float[np.ndarray, "*S"] | float
+    """Standard deviations."""
+
+    def loss(self, theta: Any, log_likelihood: float, slope: Any) -> tuple[float, Any]:
+        """Negative log-posterior, but for a constant, and its gradient; `slope` is that of the log-likelihood."""
+        shift = (theta - self.mode) / self.spread
+        return float((shift**2).sum() / 2.0 - log_likelihood), shift / self.spread - slope
+
+
+def least(loss: Callable[[Rows], tuple[float, Rows]], start: Rows, bounds: Any, **options: float) -> Rows:
+    """Search for the minimum of a loss that gives its gradient, by L-BFGS-B within pairs of bounds."""
+    from scipy.optimize import minimize
+
+    return minimize(loss, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options).x

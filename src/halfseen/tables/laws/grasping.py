@@ -43,35 +43,29 @@ things follow from the measure:
   family is taken whatever its density is.
 - An attempt that held at the limit is at the point as well. The exponential family has a density f there, and gives the
   point f·(1 − `AT_LIMIT`)·τ; the lognormal one gives it the share of durations that would have lasted longer.
+
+Offsets u of objects are integrated out by Gauss–Hermite quadrature, as frailties are [Hougaard2000]_.
 """
 
+from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float
 
 from halfseen.arrays import RowIds, RowMask, Rows
-from halfseen.tables.laws.evidence import AT_LIMIT, Watched
-from halfseen.tables.laws.posterior import Prior, Quadrature, least
+from halfseen.tables.laws.evidence import AT_LIMIT, Prior, Watched, least
 from halfseen.world.grasping import AssumedGrasping, FittedGrasping
-
-Exponential = Float[np.ndarray, "3"]
-"""a − log τ, b and log σ."""
-Logistic = Float[np.ndarray, "6"]
-"""a, b, log σ, mean log duration of an attempt that holds, what is added for one that misses, and log s."""
-
-EXPONENTIAL_PRIOR = Prior(np.array([-np.log(np.log(2.0)), 0.0, np.log(0.5)]), np.array([2.0, 2.0, 1.0]))
-"""Half of the attempts hold, occlusion changes nothing, and objects differ somewhat."""
 
 REACH = np.array([10.0, 15.0, 2.5, 5.0, 5.0, 4.0])
 """How far from the prior's mode a number of the logistic family may go."""
 
-_OF_EXPONENTIAL, _OF_LOGISTIC = Quadrature.of(31), Quadrature.of(15)
 _LOG_ROOT_2_PI = 0.5 * np.log(2.0 * np.pi)
 
 
 def choose_grasping(tried: Watched, limit_s: float) -> AssumedGrasping | FittedGrasping:
-    """Fit both families to attempts, and take the one that they speak for.
+    """Fit both families to attempts, and take the one that they speak for; of two alike the exponential one.
 
     Parameters
     ----------
@@ -80,12 +74,10 @@ def choose_grasping(tried: Watched, limit_s: float) -> AssumedGrasping | FittedG
     limit_s
         τ, which is known [s].
     """
-    logistic = fit_logistic(tried, limit_s)
-    if misses_at_limit_alone(tried, limit_s):
-        exponential = fit_exponential(tried, limit_s)
-        if exponential_score(exponential, tried, limit_s) >= logistic_score(logistic, tried, limit_s):
-            return exponential_law(exponential, limit_s)
-    return logistic_law(logistic, limit_s)
+    families = [Exponential(tried, limit_s)] if misses_at_limit_alone(tried, limit_s) else []
+    fits = [(family, family.fitted()) for family in (*families, Logistic(tried, limit_s))]
+    family, theta = max(fits, key=lambda fit: fit[0].score(fit[1]))
+    return family.law(theta)
 
 
 def misses_at_limit_alone(tried: Watched, limit_s: float) -> bool:
@@ -93,48 +85,85 @@ def misses_at_limit_alone(tried: Watched, limit_s: float) -> bool:
     return not (tried.is_missed & (tried.watched_s < AT_LIMIT * limit_s)).any()
 
 
-def exponential_score(theta: Exponential, tried: Watched, limit_s: float) -> float:
-    """What the exponential family reaches, where it can have made the attempts at all."""
-    num_at_limit = int((tried.is_held & (tried.watched_s >= AT_LIMIT * limit_s)).sum())
-    at_limit = num_at_limit * float(np.log((1.0 - AT_LIMIT) * limit_s))
-    return at_limit - exponential_loss(theta, tried, limit_s)[0] - _price(theta, tried)
+class _Quadrature(NamedTuple):
+    """∫ f(u) φ(u) du as a sum over nodes, which come first in all tables."""
+
+    nodes: Float[np.ndarray, "nodes 1"]
+    log_weights: Float[np.ndarray, "nodes 1"]
+
+    @classmethod
+    def of(cls, num_nodes: int) -> "_Quadrature":
+        nodes, weights = np.polynomial.hermite_e.hermegauss(num_nodes)
+        return cls(nodes[:, None], np.log(weights / weights.sum())[:, None])
+
+    def integrated(self, log_values: Float[np.ndarray, "nodes n"]) -> tuple[Rows, Float[np.ndarray, "nodes n"]]:
+        """Log of each integral, and the posterior weights of the nodes."""
+        terms = log_values + self.log_weights
+        largest = terms.max(axis=0)
+        mass = np.exp(terms - largest)
+        total = mass.sum(axis=0)
+        return largest + np.log(total), mass / total
 
 
-def logistic_score(theta: Logistic, tried: Watched, limit_s: float) -> float:
-    """What the logistic family reaches."""
-    return -logistic_loss(theta, tried, limit_s)[0] - _price(theta, tried)
+_OF_EXPONENTIAL, _OF_LOGISTIC = _Quadrature.of(31), _Quadrature.of(15)
+
+
+@dataclass(frozen=True, eq=False)
+class Exponential:
+    """The exponential family; θ is a − log τ, b and log σ.
+
+    Parameters
+    ----------
+    tried
+        The attempts.
+    limit_s
+        τ [s].
+    """
+
+    tried: Watched
+    limit_s: float
+
+    @property
+    def prior(self) -> Prior:
+        """Half of the attempts hold, occlusion changes nothing, and objects differ somewhat."""
+        return Prior(np.array([-np.log(np.log(2.0)), 0.0, np.log(0.5)]), np.array([2.0, 2.0, 1.0]))
+
+    def fitted(self) -> Float[np.ndarray, "3"]:
+        """θ of the largest posterior density; without attempts it is the prior's mode."""
+        return least(self.loss, self.prior.mode, [(-10.0, 10.0), (-15.0, 15.0), (-5.0, 2.0)])
+
+    def law(self, theta: Float[np.ndarray, "3"]) -> AssumedGrasping:
+        """The law of these numbers."""
+        log_time, per_occlusion, log_std = theta.tolist()
+        return AssumedGrasping(
+            float(np.exp(log_std)), log_time + float(np.log(self.limit_s)), per_occlusion, self.limit_s
+        )
+
+    def score(self, theta: Float[np.ndarray, "3"]) -> float:
+        """What the family reaches, where it can have made the attempts at all."""
+        num_at_limit = int((self.tried.is_held & (self.tried.watched_s >= AT_LIMIT * self.limit_s)).sum())
+        at_limit = num_at_limit * float(np.log((1.0 - AT_LIMIT) * self.limit_s))
+        return at_limit - self.loss(theta)[0] - _price(theta, self.tried)
+
+    def loss(self, theta: Float[np.ndarray, "3"]) -> tuple[float, Float[np.ndarray, "3"]]:
+        """Negative log-posterior, and its gradient."""
+        tried = self.tried
+        log_rate = tried.grip - theta[0] - np.log(self.limit_s) - theta[1] * tried.occlusion
+        hazard = np.where(tried.is_missed, self.limit_s, tried.watched_s) * np.exp(log_rate)
+        # D and H of each object; numbers that no attempt has stand for 0 and 0, which tell nothing.
+        held, hazards = (np.bincount(tried.object, weights) * 1.0 for weights in (tried.is_held, hazard))
+        offset = float(np.exp(theta[2])) * _OF_EXPONENTIAL.nodes
+        rate = np.exp(offset)
+        log_integral, posterior = _OF_EXPONENTIAL.integrated(held * offset - hazards * rate)
+        # What an attempt held more often than was to be expected.
+        excess = tried.is_held - hazard * (posterior * rate).sum(axis=0)[tried.object]
+        per_log_std = (posterior * offset * (held - hazards * rate)).sum()
+        slope = np.array([-excess.sum(), -(excess * tried.occlusion).sum(), per_log_std])
+        return self.prior.loss(theta, (tried.is_held * log_rate).sum() + log_integral.sum(), slope)
 
 
 def _price(theta: np.ndarray, tried: Watched) -> float:
     return len(theta) / 2.0 * float(np.log(max(len(tried.object), 1)))
-
-
-def fit_exponential(tried: Watched, limit_s: float) -> Exponential:
-    """Fit the three numbers; without attempts they are the prior's."""
-    bounds = [(-10.0, 10.0), (-15.0, 15.0), (-5.0, 2.0)]
-    return least(lambda theta: exponential_loss(theta, tried, limit_s), EXPONENTIAL_PRIOR.mode, bounds)
-
-
-def exponential_law(theta: Exponential, limit_s: float) -> AssumedGrasping:
-    """Read the parameters that `exponential_loss` takes."""
-    log_time, per_occlusion, log_std = theta.tolist()
-    return AssumedGrasping(float(np.exp(log_std)), log_time + float(np.log(limit_s)), per_occlusion, limit_s)
-
-
-def exponential_loss(theta: Exponential, tried: Watched, limit_s: float) -> tuple[float, Exponential]:
-    """Negative log-posterior of the exponential family, and its gradient."""
-    log_rate = tried.grip - theta[0] - np.log(limit_s) - theta[1] * tried.occlusion
-    hazard = np.where(tried.is_missed, limit_s, tried.watched_s) * np.exp(log_rate)
-    # D and H of each object; numbers that no attempt has stand for 0 and 0, which tell nothing.
-    held, hazards = (np.bincount(tried.object, weights) * 1.0 for weights in (tried.is_held, hazard))
-    offset = float(np.exp(theta[2])) * _OF_EXPONENTIAL.nodes
-    rate = np.exp(offset)
-    log_integral, posterior = _OF_EXPONENTIAL.integrated(held * offset - hazards * rate)
-    # What an attempt held more often than was to be expected.
-    excess = tried.is_held - hazard * (posterior * rate).sum(axis=0)[tried.object]
-    per_log_std = (posterior * offset * (held - hazards * rate)).sum()
-    slope = np.array([-excess.sum(), -(excess * tried.occlusion).sum(), per_log_std])
-    return EXPONENTIAL_PRIOR.loss(theta, (tried.is_held * log_rate).sum() + log_integral.sum(), slope)
 
 
 class _Attempts(NamedTuple):
@@ -153,135 +182,120 @@ class _Attempts(NamedTuple):
     """The first attempt at each object."""
 
 
-class _Durations(NamedTuple):
-    """log g of each attempt under one mean, and what changes it."""
+@dataclass(frozen=True, eq=False)
+class Logistic:
+    """The logistic family; θ is a, b, log σ, mean log duration of what holds, what misses add to it, and log s.
 
-    log_density: Rows
-    per_mean: Rows
-    per_log_std: Rows
+    Parameters
+    ----------
+    tried
+        The attempts.
+    limit_s
+        τ [s].
+    """
+
+    tried: Watched
+    limit_s: float
+
+    @property
+    def prior(self) -> Prior:
+        """Half of the attempts hold, whatever hides the object, and both results take half the limit."""
+        mode = np.array([0.0, 0.0, np.log(0.5), np.log(self.limit_s / 2.0), 0.0, np.log(0.5)])
+        return Prior(mode, np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]))
+
+    def fitted(self) -> Float[np.ndarray, "6"]:
+        """θ of the largest posterior density; without attempts it is the prior's mode."""
+        start = self._start()
+        scale = self._scale(start)
+
+        def loss(steps: Rows) -> tuple[float, Rows]:
+            value, gradient = self.loss(start + scale * steps)
+            return value, scale * gradient
+
+        low, high = ((self.prior.mode + sign * REACH - start) / scale for sign in (-1.0, 1.0))
+        return start + scale * least(loss, np.zeros(len(start)), list(zip(low, high, strict=True)), ftol=1e-12)
+
+    def law(self, theta: Float[np.ndarray, "6"]) -> FittedGrasping:
+        """The law of these numbers."""
+        log_odds, per_occlusion, log_offset, log_held_s, longer, log_std = theta.tolist()
+        stds = float(np.exp(log_offset)), float(np.exp(log_std))
+        return FittedGrasping(log_odds, per_occlusion, stds[0], log_held_s, log_held_s + longer, stds[1], self.limit_s)
+
+    def score(self, theta: Float[np.ndarray, "6"]) -> float:
+        """What the family reaches."""
+        return -self.loss(theta)[0] - _price(theta, self.tried)
+
+    @cached_property
+    def _known(self) -> _Attempts:
+        tried, limit_s = self.tried, self.limit_s
+        is_cut = ~(tried.is_held | tried.is_missed)
+        order = np.argsort(tried.object, kind="stable")
+        order = order[~is_cut[order] | (tried.watched_s[order] > 0.0)]
+        _, first, rank = np.unique(tried.object[order], return_index=True, return_inverse=True)
+        is_ended = ~is_cut & (tried.watched_s < AT_LIMIT * limit_s)
+        # What ended at the limit lasted at least `AT_LIMIT` of it; what ended at once has no logarithm of its time.
+        until_s = np.where(is_cut | is_ended, tried.watched_s, AT_LIMIT * limit_s)
+        log_s = np.log(np.maximum(until_s, 1e-3 * limit_s))
+        columns = (tried.occlusion, tried.grip, log_s, is_ended, tried.is_held, is_cut)
+        return _Attempts(*(column[order] for column in columns), rank=rank, first=first)
+
+    def _start(self) -> Float[np.ndarray, "6"]:
+        """The prior, moved to the results and the durations that were seen."""
+        known, mode = self._known, self.prior.mode
+        start, log_s, num_held = mode.copy(), known.log_s[known.is_ended], int(known.is_held.sum())
+        start[0] = np.log(num_held + 1.0) - np.log(len(known.log_s) - known.is_cut.sum() - num_held + 1.0)
+        if len(log_s) > 1:
+            start[3], start[5] = log_s.mean(), np.log(log_s.std() + 0.05)
+        return np.clip(start, mode - REACH / 2.0, mode + REACH / 2.0)
+
+    def _scale(self, start: Float[np.ndarray, "6"]) -> Float[np.ndarray, "6"]:
+        """About how well each number will be known, so that a step is as long for one as for another."""
+        num, precision = len(self._known.log_s), np.exp(-2.0 * start[5])
+        num_not_held, spread = num - self._known.is_held.sum(), float(np.var(self._known.occlusion)) if num else 0.0
+        known = np.array([num / 5.0, num * spread / 5.0, num / 20.0, num * precision, num_not_held * precision, num])
+        return 1.0 / np.sqrt(self.prior.spread**-2.0 + known)
+
+    def loss(self, theta: Float[np.ndarray, "6"]) -> tuple[float, Float[np.ndarray, "6"]]:
+        """Negative log-posterior, and its gradient."""
+        known = self._known
+        # log g of each attempt by both means, and what changes it.
+        (held, held_mean, held_std), (missed, missed_mean, missed_std) = (
+            _durations(known, mean, theta[5]) for mean in (theta[3], theta[3] + theta[4])
+        )
+        offset = np.exp(theta[2]) * _OF_LOGISTIC.nodes
+        odds = np.exp(offset) * np.exp(theta[0] + theta[1] * known.occlusion + known.grip)
+        # Relative to the likelier of both results, so that the sum of no cut attempt is 0.
+        most = np.where(known.is_cut, np.maximum(held, missed), np.where(known.is_held, held, missed))
+        if_held = np.where(known.is_cut, np.exp(np.minimum(held - missed, 0.0)), known.is_held) * odds
+        either = if_held + np.where(known.is_cut, np.exp(np.minimum(missed - held, 0.0)), ~known.is_held)
+        of_object = np.add.reduceat(np.log(either / (1.0 + odds)), known.first, axis=1)
+        log_integral, posterior = _OF_LOGISTIC.integrated(of_object)
+        posterior = posterior[:, known.rank]
+        # P(it held) given all that was seen, and that less P(it held) before its own result was seen.
+        chance = (posterior * (if_held / either)).sum(axis=0)
+        excess = posterior * (if_held / either - odds / (1.0 + odds))
+        per_missed_mean = ((1.0 - chance) * missed_mean).sum()
+        slope = [
+            excess.sum(),
+            (excess.sum(axis=0) * known.occlusion).sum(),
+            (excess * offset).sum(),
+            (chance * held_mean).sum() + per_missed_mean,
+            per_missed_mean,
+            (chance * held_std + (1.0 - chance) * missed_std).sum(),
+        ]
+        return self.prior.loss(theta, float(most.sum() + log_integral.sum()), np.array(slope))
 
 
-def logistic_prior(limit_s: float) -> Prior:
-    """Half of the attempts hold, whatever hides the object, and both results take half the limit."""
-    mode = np.array([0.0, 0.0, np.log(0.5), np.log(limit_s / 2.0), 0.0, np.log(0.5)])
-    return Prior(mode, np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]))
-
-
-def fit_logistic(tried: Watched, limit_s: float) -> Logistic:
-    """Fit the six numbers; without attempts they are the prior's."""
-    prior, known = logistic_prior(limit_s), _known(tried, limit_s)
-    start = _start(known, prior.mode)
-    scale = _scale(known, start, prior)
-
-    def loss(steps: Logistic) -> tuple[float, Logistic]:
-        value, gradient = _loss(start + scale * steps, known, prior)
-        return value, scale * gradient
-
-    low, high = ((prior.mode + sign * REACH - start) / scale for sign in (-1.0, 1.0))
-    return start + scale * least(loss, np.zeros(len(start)), list(zip(low, high, strict=True)), ftol=1e-12)
-
-
-def logistic_law(theta: Logistic, limit_s: float) -> FittedGrasping:
-    """Read the parameters that `logistic_loss` takes."""
-    log_odds, per_occlusion, log_offset, log_held_s, longer, log_std = theta.tolist()
-    stds = float(np.exp(log_offset)), float(np.exp(log_std))
-    return FittedGrasping(log_odds, per_occlusion, stds[0], log_held_s, log_held_s + longer, stds[1], limit_s)
-
-
-def logistic_loss(theta: Logistic, tried: Watched, limit_s: float) -> tuple[float, Logistic]:
-    """Negative log-posterior of the logistic family, and its gradient."""
-    return _loss(theta, _known(tried, limit_s), logistic_prior(limit_s))
-
-
-def _known(tried: Watched, limit_s: float) -> _Attempts:
-    is_cut = ~(tried.is_held | tried.is_missed)
-    order = np.argsort(tried.object, kind="stable")
-    order = order[~is_cut[order] | (tried.watched_s[order] > 0.0)]
-    _, first, rank = np.unique(tried.object[order], return_index=True, return_inverse=True)
-    is_ended = ~is_cut & (tried.watched_s < AT_LIMIT * limit_s)
-    # What ended at the limit lasted at least `AT_LIMIT` of it; what ended at once cannot have a logarithm of no time.
-    until_s = np.where(is_cut | is_ended, tried.watched_s, AT_LIMIT * limit_s)
-    log_s = np.log(np.maximum(until_s, 1e-3 * limit_s))
-    columns = (tried.occlusion, tried.grip, log_s, is_ended, tried.is_held, is_cut)
-    return _Attempts(*(column[order] for column in columns), rank=rank, first=first)
-
-
-def _start(known: _Attempts, mode: Logistic) -> Logistic:
-    """The prior, moved to the results and the durations that were seen."""
-    start, log_s = mode.copy(), known.log_s[known.is_ended]
-    num_held = int(known.is_held.sum())
-    start[0] = np.log(num_held + 1.0) - np.log(len(known.log_s) - known.is_cut.sum() - num_held + 1.0)
-    if len(log_s) > 1:
-        start[3], start[5] = log_s.mean(), np.log(log_s.std() + 0.05)
-    return np.clip(start, mode - REACH / 2.0, mode + REACH / 2.0)
-
-
-def _scale(known: _Attempts, start: Logistic, prior: Prior) -> Logistic:
-    """About how well each number will be known, so that a step is as long for one as for another."""
-    num, num_not_held, precision = len(known.log_s), len(known.log_s) - known.is_held.sum(), np.exp(-2.0 * start[5])
-    spread = float(np.var(known.occlusion)) if num else 0.0
-    information = np.array([num / 5.0, num * spread / 5.0, num / 20.0, num * precision, num_not_held * precision, num])
-    return 1.0 / np.sqrt(prior.spread**-2.0 + information)
-
-
-def _loss(theta: Logistic, known: _Attempts, prior: Prior) -> tuple[float, Logistic]:
-    if_held, if_missed = (_durations(known, mean, theta[5]) for mean in (theta[3], theta[3] + theta[4]))
-    log_likelihood, held, excess, per_log_offset = _results(known, theta, if_held.log_density, if_missed.log_density)
-    missed_per_mean = ((1.0 - held) * if_missed.per_mean).sum()
-    slope = [
-        excess.sum(),
-        (excess * known.occlusion).sum(),
-        per_log_offset,
-        (held * if_held.per_mean).sum() + missed_per_mean,
-        missed_per_mean,
-        (held * if_held.per_log_std + (1.0 - held) * if_missed.per_log_std).sum(),
-    ]
-    return prior.loss(theta, log_likelihood, np.array(slope))
-
-
-def _durations(known: _Attempts, mean: np.float64, log_std: np.float64) -> _Durations:
+def _durations(known: _Attempts, mean: float, log_std: float) -> tuple[Rows, Rows, Rows]:
+    """Log g of each attempt, and its slopes for the mean and for log s."""
     from scipy.special import log_ndtr
 
     std = np.exp(log_std)
     z = (known.log_s - mean) / std
     log_density, log_beyond = -(z**2) / 2.0 - _LOG_ROOT_2_PI, log_ndtr(-z)
     hazard = np.exp(log_density - log_beyond)
-    return _Durations(
-        log_density=np.where(known.is_ended, log_density - log_std - known.log_s, log_beyond),
-        per_mean=np.where(known.is_ended, z, hazard) / std,
-        per_log_std=np.where(known.is_ended, z**2 - 1.0, z * hazard),
-    )
-
-
-def _results(known: _Attempts, theta: Logistic, held: Rows, missed: Rows) -> tuple[float, Rows, Rows, float]:
-    """Sum over what was not seen of the results, and over the offsets, given log g of both results.
-
-    Returns
-    -------
-    log_likelihood : float
-    held : Float[ndarray, "n"]
-        P(it held), given all that was seen.
-    excess : Float[ndarray, "n"]
-        That, less P(it held) before its own result was seen.
-    per_log_offset : float
-        What log σ changes of the log-likelihood.
-    """
-    offset = np.exp(theta[2]) * _OF_LOGISTIC.nodes
-    odds = np.exp(offset) * np.exp(theta[0] + theta[1] * known.occlusion + known.grip)
-    # Relative to the likelier of both results, so that the sum of no cut attempt is 0.
-    most = np.where(known.is_cut, np.maximum(held, missed), np.where(known.is_held, held, missed))
-    if_held = np.where(known.is_cut, np.exp(np.minimum(held - missed, 0.0)), known.is_held)
-    if_missed = np.where(known.is_cut, np.exp(np.minimum(missed - held, 0.0)), ~known.is_held)
-    weighed = if_held * odds
-    either = weighed + if_missed
-    of_object = np.add.reduceat(np.log(either / (1.0 + odds)), known.first, axis=1)
-    log_integral, posterior = _OF_LOGISTIC.integrated(of_object)
-    posterior = posterior[:, known.rank]
-    excess = posterior * (weighed / either - odds / (1.0 + odds))
-    log_likelihood = float(most.sum() + log_integral.sum())
     return (
-        log_likelihood,
-        (posterior * (weighed / either)).sum(axis=0),
-        excess.sum(axis=0),
-        float((excess * offset).sum()),
+        np.where(known.is_ended, log_density - log_std - known.log_s, log_beyond),
+        np.where(known.is_ended, z, hazard) / std,
+        np.where(known.is_ended, z**2 - 1.0, z * hazard),
     )

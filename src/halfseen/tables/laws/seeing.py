@@ -48,8 +48,7 @@ import numpy as np
 from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.tables.laws.evidence import Labels
-from halfseen.tables.laws.posterior import Prior, least
+from halfseen.tables.laws.evidence import Labels, Prior, least
 from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, PersistentSeeing
 
 Independent = Float[np.ndarray, "3"]

@@ -15,7 +15,7 @@ from halfseen.study.experiments.reward.tables import tables_of
 from halfseen.study.pipeline import SELECTION, Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, planner
 from halfseen.study.timing import measured_times
-from halfseen.tables.fitted_world import Evidence
+from halfseen.tables.laws.evidence import Evidence
 from halfseen.world.cuts import CutKind
 
 CUT_KIND: CutKind = "independent"

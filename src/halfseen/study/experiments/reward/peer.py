@@ -20,7 +20,8 @@ from jaxtyping import Float
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.pipeline import Played, Source, episodes_in_turn
-from halfseen.tables.fitted_world import Evidence, evidence_of, fitted_to
+from halfseen.tables.laws import fitted_to
+from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.world.cuts import CutEpisodes, CutKind
 from halfseen.world.logs import to_logs
 

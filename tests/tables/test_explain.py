@@ -5,7 +5,7 @@ import pytest
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
-from halfseen.tables.learned_explanation import LearnedExplainer
+from halfseen.tables.explain import LearnedExplainer
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start
@@ -45,7 +45,6 @@ def state():
 
 def test_what_was_learned_is_what_is_explained(learner, explainer, state):
     found = explainer.explain(state)
-
     np.testing.assert_allclose(found.values, learner.policy_.q_values(state), rtol=1e-5)
     assert found.best == int(learner.policy_.decide(state, random.key_of(0)).action)
     assert found.probability_best.sum() == pytest.approx(1.0, abs=0.1)
@@ -56,7 +55,6 @@ def test_the_more_paths_the_less_doubt(explainer, state):
     many = logs_of(480)
     surer = LearnedExplainer.of(CensoredQLearner.for_table(HORIZON).fit(many), many, num_replicates=20).explain(state)
     found = explainer.explain(state)
-
     assert np.median(surer.high - surer.low) < 0.7 * np.median(found.high - found.low)
 
 
