@@ -17,7 +17,6 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from math import prod
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -186,6 +185,7 @@ class _Flow:
         self.masses = {}
         for place, rows in reached.by_node():
             node, mass, of_node = nodes[place], reached.mass[:, rows], actions[:, rows]
+            axes = np.unravel_index(reached.cell[rows], node.shape)
             for action in np.unique(of_node[mass > 0.0]).tolist():
                 choice = self.graph.choice(node, action)
                 if choice is None:
@@ -194,19 +194,22 @@ class _Flow:
                         f"policy chose action {action} with objects {there} on the table; it must choose a possible one"
                     )
                 taken = np.where(of_node == action, mass, 0.0)
-                movers = np.flatnonzero(taken.any(axis=1))
-                moved = np.zeros((len(movers), prod(node.shape)))
-                moved[:, reached.cell[rows]] = taken[movers]
-                self._follow(choice, moved.reshape(-1, *node.shape), movers)
+                self.earned += taken @ np.broadcast_to(self._paid(choice), node.shape)[axes]
+                if any(arrival.node for arrival in choice.ways):
+                    movers = np.flatnonzero(taken.any(axis=1))
+                    moved = np.zeros((len(movers), *node.shape))
+                    moved[:, *axes] = taken[movers]
+                    self._send(choice, moved, movers)
 
-    def _follow(self, choice: Choice, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
-        paid = choice.reward
+    def _paid(self, choice: Choice) -> Grid | float:
+        """What it pays until the next decision, or until the end, where there is none."""
+        ends = [(arrival, probability) for arrival, probability in choice.ways.items() if arrival.node is None]
+        return sum((probability * self.graph.worth(arrival) for arrival, probability in ends), choice.reward)
+
+    def _send(self, choice: Choice, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
         for arrival, probability in choice.ways.items():
-            if arrival.node is None:
-                paid = paid + probability * self.graph.worth(arrival)
-            else:
+            if arrival.node is not None:
                 self._arrive(arrival, probability * mass, movers)
-        self.earned[movers] += np.sum(mass * paid, axis=tuple(range(1, mass.ndim)))
 
     def _arrive(self, arrival: Arrival, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
         node = arrival.node
@@ -214,7 +217,9 @@ class _Flow:
         gone = tuple(1 + cup for cup, told in enumerate(node.tally) if told is None)
         mass = spread_over_labels(mass.sum(axis=gone, keepdims=True), arrival.looks, node.shape)
         if node.place is None:
-            self._follow(node.choices[GO_ON], mass, movers)
+            choice = node.choices[GO_ON]
+            self.earned[movers] += np.sum(mass * self._paid(choice), axis=tuple(range(1, mass.ndim)))
+            self._send(choice, mass, movers)
         elif node.place in self.masses:
             self.masses[node.place][movers] += mass
         else:

@@ -79,6 +79,7 @@ class Graph:
 
     def __post_init__(self) -> None:
         config = self.team.config
+        self._taken: dict[tuple[Node, int], Choice | None] = {}
         self._begin_layer()
         work = Work((IDLE,) * config.num_robots, (config.horizon,) * config.num_robots)
         self.root = self._arrival(self.world.first, work, NOTHING)
@@ -110,11 +111,13 @@ class Graph:
         return {action: self._choice(node.tally, work) for action, work in self.team.decisions(node.tally, node.work)}
 
     def choice(self, node: Node, action: int) -> Choice | None:
-        """One of the choices where a robot decides; None where the action is not possible."""
+        """One of the choices where a robot decides, kept as every policy asks for it; None where it is not possible."""
         if node.choices:
             return node.choices.get(action)
-        work = dict(self.team.decisions(node.tally, node.work)).get(action)
-        return None if work is None else self._choice(node.tally, work)
+        if (node, action) not in self._taken:
+            work = dict(self.team.decisions(node.tally, node.work)).get(action)
+            self._taken[node, action] = None if work is None else self._choice(node.tally, work)
+        return self._taken[node, action]
 
     def _choice(self, tally: Tally, work: Work) -> Choice:
         """What may come of it; of one robot alone that is the next decision, and nobody needs a node between."""
