@@ -26,7 +26,8 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+
+from halfseen.shapes import Bool, Float, Int
 
 Rows: TypeAlias = Float[np.ndarray, " n"]
 RowMask: TypeAlias = Bool[np.ndarray, " n"]

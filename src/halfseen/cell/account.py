@@ -9,12 +9,12 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 
 from halfseen.arrays import Rows
 from halfseen.cell.luck import luck_of_table, luck_of_washing
 from halfseen.cell.truth import Truth
 from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.shapes import Bool
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 

@@ -13,11 +13,11 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.contacts import ROBOT
 from halfseen.cell.serial_arm import LEAST_JOINTS, require_finite, require_positive
 from halfseen.errors import SceneError
+from halfseen.shapes import Float
 
 _GREY = (0.25, 0.25, 0.28, 1.0)
 

@@ -16,12 +16,12 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.chain import Chain, find_chain
 from halfseen.cell.contacts import ROBOT
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose, from_matrix
+from halfseen.shapes import Float
 
 _ARMATURE_KGM2 = 0.2  # at least, behind a gear: a light wrist must hold a cup
 _RATE_PER_S = 70.0  # at which servos follow: that of the arm that the cell's values were found with

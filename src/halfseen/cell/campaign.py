@@ -18,7 +18,6 @@ from threading import get_ident
 from typing import Protocol
 
 import numpy as np
-from jaxtyping import Bool
 
 from halfseen.cell.account import Run
 from halfseen.cell.clearing import Moment
@@ -34,6 +33,7 @@ from halfseen.logs.joining import joined
 from halfseen.reading import json_of, read_text
 from halfseen.scene.draw import random_table
 from halfseen.scene.stains import draw_surface
+from halfseen.shapes import Bool
 from halfseen.workers import Pool
 from halfseen.world import random
 from halfseen.world.policy import Policy

@@ -7,13 +7,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Image, Intrinsics, Points
 from halfseen.cell.grasps import Grasp, tips_m
 from halfseen.cell.gripper import Gripper
 from halfseen.perception.objects import LOWEST_OBJECT_M, Labels
 from halfseen.perception.view import SeenObject, View
+from halfseen.shapes import Bool, Float
 
 _NEAR_M = 0.28  # what is farther from an object, across the table, is in nobody's way
 _BACK_M = 0.22  # how far back along its way the hand is looked after

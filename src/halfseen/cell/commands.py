@@ -9,9 +9,9 @@ from dataclasses import dataclass, field
 from typing import TypeAlias, TypeVar
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.motion import Way
+from halfseen.shapes import Float
 
 Result = TypeVar("Result")
 

@@ -7,12 +7,12 @@ would count as looked for. Where nothing returns, nothing is told: so its pixels
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Bool
 from scipy.ndimage import minimum_filter
 
 from halfseen.arrays import Image
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.view import View, perceive
+from halfseen.shapes import Bool
 
 _BESIDE_PX = 3
 _BEHIND_M = 0.03

@@ -3,13 +3,13 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool
 
 from halfseen.cell.account import Account, Run
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
 from halfseen.cell.table_state import Belief, rows_of, state_of
 from halfseen.cell.workcell import Workcell
 from halfseen.logs.recording.path_recorder import PathRecorder
+from halfseen.shapes import Bool
 from halfseen.world.actions import Verb
 from halfseen.world.policy import Policy
 from halfseen.world.random import Key

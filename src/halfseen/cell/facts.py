@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.perception.view import SeenObject, View
+from halfseen.shapes import Float
 
 MOST_ROOM_M = 0.10
 """Room beyond this makes no difference [m]."""

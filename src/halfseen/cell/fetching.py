@@ -1,7 +1,6 @@
 """Fetching in physics: open, hover, come, close, lift; and how it is put back or away."""
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.commands import Activity, Grip, Move, Rest
 from halfseen.cell.grasps import Grasp
@@ -10,6 +9,7 @@ from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import Robot
 from halfseen.cell.motion import Way
 from halfseen.cell.planning import Plan
+from halfseen.shapes import Float
 
 _COMING, _LIFTING, _PUTTING = 0.6, 0.9, 0.9  # shares of the joints' speeds
 _PRESSED_M = {"rim": -0.020}

@@ -10,7 +10,6 @@ from pathlib import Path
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 
 from halfseen.cell.live_cell import LiveCell
@@ -20,6 +19,7 @@ from halfseen.perception.clouds import Picture
 from halfseen.scene.rays import UNSEEN_GROUP
 from halfseen.scene.room import cup_name
 from halfseen.scene.stains import Stain, Surface
+from halfseen.shapes import Float
 from halfseen.writing import write_file
 
 _LIFTED_M, _FLAT_M = 0.0004, 0.0006  # a stain's shape stands out of the wall by so much, and is so thick

@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
@@ -18,6 +17,7 @@ from halfseen.cell.gripper import Gripper
 from halfseen.perception.clouds import Vector
 from halfseen.perception.solids import Vessel
 from halfseen.perception.view import SeenObject
+from halfseen.shapes import Float
 
 Axes = Float[np.ndarray, "3 3"]
 

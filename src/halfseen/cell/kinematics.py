@@ -16,11 +16,11 @@ from math import pi
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.cell.model import Robot
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
+from halfseen.shapes import Bool, Float
 
 Angles = Float[np.ndarray, " J"]
 

@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.commands import Activity, Command, Grip, Move, Rest, Result
 from halfseen.cell.kinematics import Angles, Kinematics
@@ -15,6 +14,7 @@ from halfseen.cell.model import Robot
 from halfseen.cell.motion import Way, schedule
 from halfseen.scene.poses import Pose
 from halfseen.scene.room import cup_name
+from halfseen.shapes import Float
 
 NUM_STEPS = 5
 """Steps of physics between two commands to the servos: a hundredth of a second."""

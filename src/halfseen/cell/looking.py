@@ -9,7 +9,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Int
 
 from halfseen.arrays import Image
 from halfseen.cell.live_cell import LiveCell
@@ -22,6 +21,7 @@ from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.stains import Surface
 from halfseen.scene.view import IdealView, ideal_view
 from halfseen.scene.xtion import XTION, StructuredLight, sense
+from halfseen.shapes import Int
 
 
 @dataclass(frozen=True)

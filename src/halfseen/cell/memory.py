@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Hides, Points
 from halfseen.cell.facts import Facts, facts_of
@@ -17,6 +16,7 @@ from halfseen.cell.vanishing import has_vanished
 from halfseen.perception.clouds import Vector
 from halfseen.perception.tracking import matched
 from halfseen.perception.view import SeenObject, View
+from halfseen.shapes import Float
 
 MORE_IN_VIEW = 0.02
 """A look from which so much less of an object is hidden than from any before shows more of it."""

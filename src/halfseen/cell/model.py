@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.arm import JACO_2
 from halfseen.cell.contacts import FIRST_ROBOT, FURNITURE, OBSTACLES, Contacts
@@ -22,6 +21,7 @@ from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import FURNITURE_GROUP
 from halfseen.scene.room import cup_name, room_spec
+from halfseen.shapes import Float
 
 SLOT_M = 0.13
 """A cup in the rack takes so much along either side."""

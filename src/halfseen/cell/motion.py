@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
+from halfseen.shapes import Float
 
 Way = Float[np.ndarray, "k J"]
 

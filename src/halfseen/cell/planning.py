@@ -4,13 +4,13 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.kinematics import Angles, Kinematics
 from halfseen.cell.motion import Way, line
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose, from_matrix
+from halfseen.shapes import Float
 
 APPROACH_M = 0.10
 HOVER_M = 0.12

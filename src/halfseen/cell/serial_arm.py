@@ -8,9 +8,9 @@ from typing import Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import SceneError
+from halfseen.shapes import Float
 
 LEAST_JOINTS = 5
 """With fewer an arm reaches places, but cannot point its hand there."""

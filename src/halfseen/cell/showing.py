@@ -3,7 +3,6 @@
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
@@ -15,6 +14,7 @@ from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import Robot
 from halfseen.cell.planning import Plan, beginnings
 from halfseen.scene.poses import Pose, from_matrix
+from halfseen.shapes import Bool, Float
 
 SHOWN_AT_M = (0.0, 0.05, 1.02)
 """Where the hand holds it, in the world [m]: in the picture, above everything on the table."""

@@ -6,7 +6,6 @@ from typing import Any, cast
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.arrays import Rows
 from halfseen.cell.account import Run
@@ -15,6 +14,7 @@ from halfseen.censoring import censoring_weights
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.logs import Logs
 from halfseen.planners.pomdp import POMDPPolicy
+from halfseen.shapes import Float
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy

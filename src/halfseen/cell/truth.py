@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Points
 from halfseen.cell.workcell import Workcell
 from halfseen.scene.table import TABLE_TOP_M
+from halfseen.shapes import Bool, Float
 
 _TOPPLED_COSINE = 0.5
 _ON_TABLE_M = 0.05  # a cup's origin is not lower than this below the top of the table it stands on

@@ -13,7 +13,6 @@ from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Image
@@ -38,6 +37,7 @@ from halfseen.perception.view import SeenObject, View, perceive
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
+from halfseen.shapes import Bool, Float
 
 SETTLE_S = 0.3
 MOST_TAKEN = 4

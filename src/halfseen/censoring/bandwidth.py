@@ -1,10 +1,10 @@
 """How wide a neighbourhood should be, by cross-validation: the likelihood of paths that were held out."""
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.local_curve import LocalCurve
+from halfseen.shapes import Float
 
 # In standard deviations; at infinity the covariates say nothing.
 BANDWIDTHS = (0.1, 0.18, 0.32, 0.56, 1.0, 1.8, 3.2, np.inf)

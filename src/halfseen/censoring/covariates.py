@@ -4,11 +4,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from halfseen.censoring.inputs import checked_times
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float, Int
 
 
 def checked_covariates(

@@ -14,7 +14,6 @@ from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
@@ -28,6 +27,7 @@ from halfseen.censoring.inputs import checked_ends
 from halfseen.censoring.partial_likelihood import CutOrder, PartialLikelihood, cut_order, partial_likelihood
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
+from halfseen.shapes import Float
 
 MAX_ITERATIONS = 60
 MAX_HALVINGS = 30

@@ -1,9 +1,9 @@
 """When a partial likelihood has no maximum, or more than one: say so, and say what to do."""
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float
 
 # Proportion of the information in a direction that counts as none.
 NO_INFORMATION = 1e-10

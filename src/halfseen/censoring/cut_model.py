@@ -17,7 +17,6 @@ from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.cox import Cox
@@ -26,6 +25,7 @@ from halfseen.censoring.named import named_model
 from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.censoring.weights import stage_weights
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
+from halfseen.shapes import Bool, Float, Int
 
 CensoringBy = Literal["path", "stage", "pooled"]
 CENSORING_BY: tuple[str, ...] = get_args(CensoringBy)

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float
 
 
 def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") -> tuple[Rows, RowMask]:

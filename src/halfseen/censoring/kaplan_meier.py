@@ -12,13 +12,13 @@ s         ``times_``: the distinct times at which paths were cut [s]
 """
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.inputs import checked_ends, checked_times
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
+from halfseen.shapes import Float
 
 
 class KaplanMeier(Estimator):

@@ -15,7 +15,6 @@ from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.censoring.bandwidth import BANDWIDTHS, cross_validated
@@ -24,6 +23,7 @@ from halfseen.censoring.inputs import checked_ends
 from halfseen.censoring.local_curve import KERNELS, LocalCurve
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.estimator import Estimator
+from halfseen.shapes import Float
 
 
 class KernelKaplanMeier(Estimator):

@@ -4,10 +4,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.partial_likelihood import CutOrder, cut_order
+from halfseen.shapes import Float
 
 # Floats in one block of questions × paths: 32 MB.
 BLOCK_SIZE = 4_000_000

@@ -3,8 +3,9 @@
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
+
+from halfseen.shapes import Float
 
 
 @runtime_checkable

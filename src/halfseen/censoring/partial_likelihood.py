@@ -18,9 +18,9 @@ D_j       ``at_risk``: Σ_{R_k} r − φ_j Σ_{D_k} r, one for each cut j
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.shapes import Float, Int
 
 # Relative to the largest risk; the inverse and its sums still are floats.
 SMALLEST_RISK = 1e-290

@@ -3,7 +3,6 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
@@ -15,6 +14,7 @@ from halfseen.censoring.positivity_facts import PositivityFacts, Truncation, Wei
 from halfseen.censoring.positivity_text import text
 from halfseen.censoring.weights import path_names, refuse_improbable, survival_of_rows
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

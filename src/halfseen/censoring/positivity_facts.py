@@ -4,9 +4,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.censoring.diagnostics import FEWEST_EFFECTIVE, WeightDiagnostics
+from halfseen.shapes import Float
 
 MEAN_WEIGHT_MARGIN = 0.1
 """Weights whose mean is this far from 1 do not stand for all paths."""

@@ -4,7 +4,8 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+
+from halfseen.shapes import Bool, Float, Int
 
 SMALLEST_AGE_S = 1e-9
 """A stage that was cut as it began was watched this long [s]; clocks are told apart to this much, too."""

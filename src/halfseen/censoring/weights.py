@@ -7,7 +7,6 @@ A stage that was completed at U stands for all that would have been completed th
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
@@ -16,6 +15,7 @@ from halfseen.censoring.inputs import checked_ends, checked_floats, checked_trun
 from halfseen.censoring.model import CensoringModel
 from halfseen.censoring.named import fitted_model
 from halfseen.errors import ArgumentError, PositivityError
+from halfseen.shapes import Float, Int
 
 
 def censoring_weights(

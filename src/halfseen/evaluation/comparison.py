@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.evaluation.sensitivity import undone_at
 from halfseen.evaluation.verdict import Verdict, verdict_of
+from halfseen.shapes import Float
 
 WRONG_BY = 0.5
 """Standard deviations (of targets about Q) by which the regression of cut stages may be wrong where no weight corrects

@@ -13,12 +13,12 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec
 from halfseen.errors import HalfseenError
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import Imputation, PathArrays
+from halfseen.shapes import Bool, Float, Int
 
 
 class Nuisances(NamedTuple):

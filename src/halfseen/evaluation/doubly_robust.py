@@ -23,10 +23,10 @@ of [Robins1992]_.
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.evaluation.ratios import StageWeights
 from halfseen.learning.judging import Judged
+from halfseen.shapes import Float, Int
 
 
 def doubly_robust(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " n"]:

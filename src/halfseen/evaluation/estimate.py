@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.student_t import crossing, upper_tail
+from halfseen.shapes import Float
 
 LARGEST_LEVEL = 0.999999
 """Beyond it an interval speaks of tails that no log shows, and 1 − level of rounding."""

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.evaluation.cross_fitting import Nuisances
 from halfseen.evaluation.estimate import jackknife_error
@@ -17,6 +16,7 @@ from halfseen.learning.judging import Judged, judged
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import fit_q
 from halfseen.learning.rows import Transitions
+from halfseen.shapes import Float, Int
 from halfseen.workers import Pool
 from halfseen.workers.threads import one_thread
 

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
@@ -25,6 +24,7 @@ from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
+from halfseen.shapes import Int
 from halfseen.workers import ALONE, Pool, Workers
 from halfseen.workers.threads import in_one_thread
 

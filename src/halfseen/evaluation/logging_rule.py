@@ -17,7 +17,6 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from pandas.api.types import is_numeric_dtype
 
 from halfseen.evaluation.rule_models import Shares, forest_shares, logit_shares
@@ -27,6 +26,7 @@ from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import PathArrays, stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
+from halfseen.shapes import Bool, Float, Int
 
 NAME = "the logging policy without its exploration"
 POWER = 4

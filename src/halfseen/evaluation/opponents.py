@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
@@ -19,6 +18,7 @@ from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
 from halfseen.policies.rule import Rule
 from halfseen.policies.rule_table import read_rule_table
+from halfseen.shapes import Float
 from halfseen.suggestions import did_you_mean
 
 LOGGING, LOGGING_RULE = "logging", "logging-rule"

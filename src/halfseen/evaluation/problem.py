@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.cross_fitting import Nuisances, nuisances_by_folds, nuisances_of
@@ -23,6 +22,7 @@ from halfseen.learning.judging import Judged
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import PathArrays, Transitions
 from halfseen.logs import Logs
+from halfseen.shapes import Bool, Float
 from halfseen.workers import Pool
 
 

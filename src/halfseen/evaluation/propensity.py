@@ -7,11 +7,11 @@ pooled stages share one.
 from typing import Literal, get_args
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.rows import PathArrays
+from halfseen.shapes import Bool, Float, Int
 
 Propensity = Literal["logged", "estimated"]
 

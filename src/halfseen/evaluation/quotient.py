@@ -7,10 +7,10 @@ difference, so that what moves both (the luck of a path) moves the quotient litt
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.evaluation.comparison import WRONG_BY, Contender
 from halfseen.evaluation.estimate import Estimate, estimate_of
+from halfseen.shapes import Float
 
 
 def share_of(policy: Contender, today: Contender, level: float) -> Estimate | None:

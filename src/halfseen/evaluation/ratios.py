@@ -9,9 +9,9 @@ much of their noise (self-normalised, or weighted, importance sampling).
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.learning.rows import PathArrays
+from halfseen.shapes import Bool, Float
 
 
 @dataclass(frozen=True)

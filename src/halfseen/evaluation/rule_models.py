@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import softmax
+from halfseen.shapes import Float, Int
 
 NUM_TREES, LEAF_SIZE, MOST_LEAVES, PURE = 12, 3, 256, 0.99
 """Rows of a leaf are at least `LEAF_SIZE`, and so many that there are no more than `MOST_LEAVES`; where one action has

@@ -19,10 +19,10 @@ would be another under other weights is left out. Γ of 1 trusts the model, and
 from math import exp, log
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.student_t import crossing
+from halfseen.shapes import Float
 
 STRONGEST = 100.0
 """Γ beyond which nothing is looked for."""

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.estimate import Estimate, check_level, estimate_of
+from halfseen.shapes import Float
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy, check_fits

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.covariates import fit_covariates
@@ -15,6 +14,7 @@ from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
+from halfseen.shapes import Float, Int
 
 
 @dataclass(frozen=True)

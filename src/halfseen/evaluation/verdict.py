@@ -3,9 +3,9 @@
 from typing import Literal
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.evaluation.estimate import Estimate
+from halfseen.shapes import Float
 
 Verdict = Literal["better", "not better", "cannot be said"]
 

@@ -13,10 +13,10 @@ leaves the behaviour policy must be better beyond doubt, as in safe policy impro
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import library_of
 from halfseen.learning.newton_each import Derivatives, minimise_each
+from halfseen.shapes import Bool, Float, Int
 
 RIDGE = 1.0
 """Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""

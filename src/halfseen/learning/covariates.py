@@ -14,10 +14,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import LogError
 from halfseen.lazy import Frame
+from halfseen.shapes import Float
 from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:

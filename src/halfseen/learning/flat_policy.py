@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
 from halfseen.learning.behaviour import leaning
 from halfseen.learning.covariates import Categories, Covariates
 from halfseen.learning.q_space import KernelMap
+from halfseen.shapes import Bool, Float
 
 
 @runtime_checkable

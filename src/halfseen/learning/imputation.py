@@ -26,12 +26,12 @@ that is a little wrong had better be wrong where stages are short: for doubly ro
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import Cox, CutModel
 from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
 from halfseen.learning.rows import Imputation, PathArrays
+from halfseen.shapes import Bool, Float, Int
 
 NUM_AGES = 24
 """Steps of m: between quantiles of the ages at which stages ended."""

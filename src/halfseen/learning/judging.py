@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import StageMode
@@ -18,6 +17,7 @@ from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
 from halfseen.learning.rows import PathArrays, Transitions, q_values
 from halfseen.learning.sums import Regression
 from halfseen.learning.values import or_nothing
+from halfseen.shapes import Float, Int
 from halfseen.workers.threads import one_thread
 
 

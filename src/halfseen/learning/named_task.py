@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.behaviour import seen_among
@@ -15,6 +14,7 @@ from halfseen.learning.flat_policy import FlatPolicy, NamedActionPolicy
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
+from halfseen.shapes import Bool, Float, Int
 from halfseen.suggestions import did_you_mean
 
 Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]

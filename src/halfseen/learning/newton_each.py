@@ -8,7 +8,8 @@ the others.
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Float
+
+from halfseen.shapes import Float
 
 Thetas = Float[np.ndarray, "K p"]
 Derivatives = tuple[Float[np.ndarray, " K"], Thetas, Float[np.ndarray, "K p p"]]

@@ -12,7 +12,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
@@ -37,6 +36,7 @@ from halfseen.learning.support import unseen_in_words
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
 from halfseen.learning.task import AUTO, Task, named_task
 from halfseen.logs import Logs, LogStream
+from halfseen.shapes import Float
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
 

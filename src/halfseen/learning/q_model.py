@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.censoring import CensoringSpec, CutModel
 from halfseen.censoring.stage_clocks import StageClocks
@@ -28,6 +27,7 @@ from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few, s
 from halfseen.learning.targets import Targets, Weighted
 from halfseen.learning.task import LearnedQ, RewardedStages, Task
 from halfseen.logs import Logs
+from halfseen.shapes import Bool, Float, Int
 from halfseen.workers.threads import one_thread
 
 MOST_PATHS = 2_000

@@ -13,10 +13,10 @@ from numbers import Real
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import library_of
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float
 
 
 class KernelMap(NamedTuple):

@@ -27,7 +27,6 @@ from functools import partial, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
@@ -50,6 +49,7 @@ from halfseen.learning.sums import (
     packed,
 )
 from halfseen.learning.values import Norms, Successor, values_of
+from halfseen.shapes import Float
 
 
 class QFunctions(NamedTuple):

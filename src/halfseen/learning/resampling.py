@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.flat_policy import FlatPolicy
@@ -21,6 +20,7 @@ from halfseen.learning.recursion import QFunctions, fit_q, stack_q
 from halfseen.learning.rows import PathArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
+from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Workers
 from halfseen.workers.threads import in_one_thread
 

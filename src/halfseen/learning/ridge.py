@@ -25,7 +25,8 @@ process), so that it grows where no completed stage is near [AbbasiYadkori2011]_
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
+
+from halfseen.shapes import Float, Int
 
 RANK_TOLERANCE = 1e-11
 """Eigenvalues below this share of the largest count as zero: that direction was never seen, and β is 0 along it."""

@@ -6,12 +6,12 @@
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import library_of, mapped
 from halfseen.censoring import StageClocks
 from halfseen.lazy import Frame
 from halfseen.learning.task import Encoded
+from halfseen.shapes import Bool, Float, Int
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs

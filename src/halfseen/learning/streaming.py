@@ -17,7 +17,6 @@ from tempfile import TemporaryFile
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import mapped
 from halfseen.censoring import StageClocks, WeightDiagnostics
@@ -35,6 +34,7 @@ from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.shards import Folder, Part, Shard, ShardReader, Tables, logs_of
 from halfseen.progress import Progress
+from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Pool, Workers
 from halfseen.workers.threads import one_thread
 

@@ -12,10 +12,10 @@ that is not imputed is the case share = 1, without terms.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.learning.q_space import StageMode
 from halfseen.learning.rows import Transitions
+from halfseen.shapes import Bool, Float, Int
 
 GOING_ON, ENDED = 0, 1
 WHOLE, SHARE, OUTCOME, SEEN = range(4)

@@ -7,11 +7,11 @@ seen do all actions stay that it allows (`behaviour.seen_among`).
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Int
 
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learning.q_space import StageMode
 from halfseen.learning.rows import PathArrays
+from halfseen.shapes import Bool, Int
 
 
 class Support(NamedTuple):

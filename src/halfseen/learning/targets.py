@@ -9,11 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.censoring import CENSORING_NAMES, CensoringModel, CensoringSpec, CutModel, StageClocks
 from halfseen.errors import ArgumentError
 from halfseen.learning.rows import PathArrays
+from halfseen.shapes import Float
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
 from halfseen.learning.q_space import KernelMap
+from halfseen.shapes import Bool, Float, Int
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs

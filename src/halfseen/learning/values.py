@@ -8,10 +8,10 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.learning.ridge import Errors
 from halfseen.learning.sums import Rows, StateChoices
+from halfseen.shapes import Float
 
 ROWS_AT_ONCE = 2_048
 """Rows whose products stay in the cache of a core."""

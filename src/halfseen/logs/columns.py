@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Bool, Float
 
 from halfseen.errors import LogError
 from halfseen.logs.frames import LARGEST_FRACTION
 from halfseen.logs.refusal import place, shown, value_at
+from halfseen.shapes import Bool, Float
 from halfseen.suggestions import closest
 
 STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot")

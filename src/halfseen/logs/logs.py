@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
@@ -26,6 +25,7 @@ from halfseen.logs.frames import FrameLike, as_frame, through_arrow
 from halfseen.logs.refusal import shown
 from halfseen.logs.reward_unit import checked_unit
 from halfseen.logs.summary import LogsSummary, SummaryTally
+from halfseen.shapes import Float
 
 
 class Logs:

@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, NullLocator
 
 from halfseen.pages.palette import BAND_OPACITY, FAINT, INK
+from halfseen.shapes import Float
 
 WIDTH_INCHES, NARROW_INCHES = 9.0, 7.4
 TITLE_TOP, TITLE_POINTS, TITLE_CHARS = 0.98, 11.5, 92

@@ -4,10 +4,10 @@ from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Shaped, UInt8
 
 from halfseen.arrays import Image, Intrinsics, Points
 from halfseen.errors import CloudError
+from halfseen.shapes import Float, Shaped, UInt8
 
 # A table is nearer than this to the camera, and all that returns is nearer than that [m].
 LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0

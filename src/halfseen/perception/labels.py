@@ -5,11 +5,11 @@ from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, UInt8
 
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.colours import pixel_colours
 from halfseen.perception.view import SeenObject, View
+from halfseen.shapes import Bool, Float, UInt8
 
 # From one side, a camera sees half of the outside of a wall, and of its inside what the mouth shows: of walls inside
 # and out this share, in the mean over cups that nothing hides.

@@ -1,7 +1,6 @@
 """What stands on the table: pixels above the plane, grouped into sheets of continuous depth."""
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.ndimage import binary_closing
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
@@ -11,6 +10,7 @@ from skimage.measure import label as measure_label
 from halfseen.arrays import Rows
 from halfseen.perception.plane import Plane, is_on_plane
 from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
+from halfseen.shapes import Bool, Float, Int
 
 # Points lower than this over the table are table: cloth, warp of the lens [m]; farther away, so many sigmas of noise.
 LOWEST_OBJECT_M = 0.008

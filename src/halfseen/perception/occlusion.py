@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Hides, PerObject, Points
 from halfseen.perception.objects import Labels
@@ -12,6 +11,7 @@ from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Hull, Vessel
+from halfseen.shapes import Bool, Float, Int
 
 # Returns this near to a solid are its own, though too low over the table to be told from it [m].
 OWN_M = 0.006

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.perception.view import View, most_hidden
+from halfseen.shapes import Float
 from halfseen.writing import write_file
 
 if TYPE_CHECKING:

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Points, Rows
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Vector
 from halfseen.perception.range_image import PixelMask, RangeImage
 from halfseen.perception.sensor import DepthSensor
+from halfseen.shapes import Bool, Float, Int
 
 # RANSAC over a thinned image with a fixed generator: one input gives one plane.
 RANSAC_SEED = 7

@@ -1,8 +1,9 @@
 """Pixels of a convex polygon."""
 
 import numpy as np
-from jaxtyping import Float, Int
 from skimage.measure import points_in_poly
+
+from halfseen.shapes import Float, Int
 
 # Pixels this far inside or outside of where a row crosses the polygon need no closer look [px].
 SURE_PX = 1.0

@@ -4,13 +4,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Intrinsics, Points, RowIds, Rows
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.sensor import XTION, DepthSensor
+from halfseen.shapes import Bool, Float, Int
 
 # A virtual pixel is this much wider than the median distance between neighbouring rays, so that few stay empty.
 VIRTUAL_PIXEL_SCALE = 1.3

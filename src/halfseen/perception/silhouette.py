@@ -1,7 +1,6 @@
 """Silhouettes: what a solid covers of the image, and how far away it is there."""
 
 import numpy as np
-from jaxtyping import Float, Int
 from scipy.spatial import ConvexHull, QhullError
 
 from halfseen.arrays import Points
@@ -9,6 +8,7 @@ from halfseen.perception.plane import Plane
 from halfseen.perception.polygons import convex_pixels
 from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.solids import Hull, Vessel
+from halfseen.shapes import Float, Int
 
 # Points nearer than this to the camera's own plane do not project [m].
 NEAREST_M = 0.05

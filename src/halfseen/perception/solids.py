@@ -6,10 +6,10 @@ Coordinates of this file are those of the table: right, away from the camera, he
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Points, Rows
 from halfseen.perception.clouds import Vector
+from halfseen.shapes import Float
 
 # Corners of the outline of an end.
 NUM_AROUND = 40

@@ -1,11 +1,11 @@
 """Two vessels in one sheet: cups so near to one another that no step in depth lies between them."""
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Points, RowMask, Rows
 from halfseen.perception.solids import Vessel
 from halfseen.perception.vessel_fits import fit_lying, fit_standing, thinned
+from halfseen.shapes import Float
 
 # Rounds of fitting two vessels and giving each point to the nearer one; they settle in three. A misfit that is worse
 # after the first is given up: most sheets that are no vessel are no two either.

@@ -3,8 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 from scipy.optimize import linear_sum_assignment
+
+from halfseen.shapes import Bool, Float, Int
 
 FARTHEST_M = 0.25
 """An object that was knocked is found again within this distance [m]; beyond it is another one."""

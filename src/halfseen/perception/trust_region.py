@@ -18,10 +18,10 @@ from functools import cache, cached_property
 from typing import Protocol, TypeAlias, no_type_check, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 from scipy.linalg import get_lapack_funcs
 
 from halfseen.arrays import Rows
+from halfseen.shapes import Float
 
 # Relative changes of cost and parameters, and slope, below which a fit has settled.
 TOLERANCE = 1e-8

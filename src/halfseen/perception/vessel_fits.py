@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Points, Rows
 from halfseen.perception.solids import Vessel, around
@@ -18,6 +17,7 @@ from halfseen.perception.walls import (
     LyingWalls,
     StandingWalls,
 )
+from halfseen.shapes import Float
 
 # How far the axis of a lying vessel is from where it is when the wall touches the table: in height [m], tilt [rad].
 # Neighbouring points err together, so that the spreads are given a fifth of what they are.

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.spatial import QhullError
 
 from halfseen.arrays import Hides, Points
@@ -19,6 +18,7 @@ from halfseen.perception.range_image import Pixels, RangeImage, range_image
 from halfseen.perception.sensor import XTION, DepthSensor
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.reading import reason_of
+from halfseen.shapes import Bool, Float
 from halfseen.world.scene import Scene
 
 # Part of an object's height over the table that counts as its extent, from below and above [%]: single points err.

@@ -8,12 +8,12 @@ parameters are from what is usual. How they change is told by small differences;
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Points
 from halfseen.perception.clouds import Vector
 from halfseen.perception.solids import around
 from halfseen.perception.trust_region import Bounds, Frees
+from halfseen.shapes import Float
 
 # Residuals of a fit are counted in units of this noise across a wall [m]; larger ones (handle, bottom) count linearly.
 WALL_NOISE_M = 0.003

@@ -9,10 +9,10 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, first_last, library_of, record, softmax
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import GraspingByRobot, KnownGrasping
 from halfseen.world.seeing import KnownSeeing

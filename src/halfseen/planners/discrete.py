@@ -21,10 +21,10 @@ R_a        ``reward[a]``, shape (s,): expected reward
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float, Int
 
 _ROW_SUM = 1e-8
 _SAME = 1e-10

@@ -19,7 +19,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Float, Int
 from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
@@ -29,6 +28,7 @@ from halfseen.planners.exact_labels import Grid, spread_over_labels
 from halfseen.planners.exact_model import GridWorld
 from halfseen.planners.exact_process import Team
 from halfseen.planners.exact_states import Reached, actions_in, drawn, labelled, place_of, reached_in, states_of
+from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.config import WorldConfig

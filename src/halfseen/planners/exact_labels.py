@@ -15,8 +15,8 @@ from functools import lru_cache
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
 
 _MAX_CACHED = 8192

@@ -12,12 +12,12 @@ from functools import cache, cached_property
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import PerObject, mapped
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import known_grasping, known_seeing
 from halfseen.planners.exact_labels import Grid, Labels, Look, Looks, along, labels_of
+from halfseen.shapes import Float, Int
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import KnownGrasping
 from halfseen.world.number import Number

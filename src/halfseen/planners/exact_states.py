@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
@@ -13,6 +12,7 @@ from halfseen.planners.exact_graph import Graph, Node
 from halfseen.planners.exact_labels import Grid
 from halfseen.planners.exact_model import NOTHING, GridWorld, Tally
 from halfseen.planners.exact_process import IDLE, PARKED, Team, Work
+from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.actions import FINISH
 from halfseen.world.policy import Policy

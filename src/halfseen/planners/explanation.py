@@ -23,10 +23,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.rollout import sampled_values
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig

@@ -13,11 +13,11 @@ from dataclasses import field, replace
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import STATIC, Array, at, chosen, expit, library_of, mapped, record, stacked
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grip_posterior, known_seeing, trait_at
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import WAIT, Verb, possible_actions
 from halfseen.world.attempts import attempted

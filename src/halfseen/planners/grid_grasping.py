@@ -3,11 +3,11 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import Array, at, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import offset_prior
+from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.grasping import Arrangement, AssumedGrasping, Attempt, KnownGrasping
 from halfseen.world.number import Number

@@ -4,11 +4,11 @@ from dataclasses import field
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import STATIC, Array, expit, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import grasp_probability, grip_posterior, prior_grip
+from halfseen.shapes import Bool, Float
 from halfseen.world.actions import FINISH, ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, GraspModel, surely

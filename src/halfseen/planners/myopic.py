@@ -10,7 +10,6 @@ is idle. While n robots go on, a second of one is taken to add 1/n of it to the 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, library_of, record
 from halfseen.planners.belief import belief_of
@@ -28,6 +27,7 @@ from halfseen.planners.one_step import (
     tries_after,
     tries_of,
 )
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import Verb, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.others import Others, is_decider, others_of

@@ -18,10 +18,10 @@ from functools import lru_cache
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, expit, library_of, softmax
 from halfseen.planners.belief import Belief, grip_offsets, known_grasping, known_seeing
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 

@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from typing import ClassVar
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import STATIC, Array, library_of, mapped, record
 from halfseen.errors import ArgumentError
@@ -25,6 +24,7 @@ from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.rollout import Search, drawn, halved, num_steps, opened, searched, searched_values
 from halfseen.planners.trajectories import draws_of
+from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision

@@ -18,12 +18,12 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.exact_labels import Labels, labels_of, spread_over_labels
 from halfseen.planners.exact_model import GridWorld
+from halfseen.shapes import Float
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping, KnownGrasping
 from halfseen.world.scene import Scene

@@ -16,12 +16,12 @@ drawn. All actions meet the same draws. All rollouts of all tables advance toget
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import Array, library_of, mapped, record
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import Outlook, Table, laid_out, left_price, rule_and_control, table_of
 from halfseen.planners.trajectories import Settings, advantages, draws_of, looked, picked, settings_of
+from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig

@@ -12,11 +12,11 @@ says that made it.
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Array, library_of, record
 from halfseen.planners.belief import expected_attempt_s, grip_posterior, prior_grip
 from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.shapes import Float
 from halfseen.world.actions import FINISH, ActionSpace, Verb, of_robot, possible_actions, wait_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.others import is_decider, others_of

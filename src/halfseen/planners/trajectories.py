@@ -7,7 +7,6 @@ NumPy those that are over are left out.
 from typing import NamedTuple, TypeVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, library_of, mapped
 from halfseen.planners.belief import known_seeing
@@ -22,6 +21,7 @@ from halfseen.planners.one_step import (
     rule_and_control,
     setting_of,
 )
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.random import Key

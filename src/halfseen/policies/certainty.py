@@ -27,7 +27,8 @@ from statistics import NormalDist
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+
+from halfseen.shapes import Bool, Float, Int
 
 LEVEL = 0.95
 """Probability with which an interval is to hold."""

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Int
 
 from halfseen.arrays import Hides, ObjectMask, PerObject, Points
 from halfseen.errors import LogError, PolicyError
@@ -13,6 +12,7 @@ from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats
 from halfseen.logs.refusal import place, shown, value_at
 from halfseen.policies.identity import Identities, by_order, by_place
+from halfseen.shapes import Int
 from halfseen.tables.present import Known, Present, Tried, state_now, unknown
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_checks import PLACE_COLUMNS

@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import Hides
 from halfseen.errors import PolicyError
 from halfseen.logs.refusal import shown
 from halfseen.perception.tracking import FARTHEST_M, NEARLY_AS_NEAR_M, matched
+from halfseen.shapes import Float, Int
 
 DIFFERS = 0.3
 """If who hides whom changes by this much, objects may stand in another order than before."""

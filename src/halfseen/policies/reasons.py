@@ -4,7 +4,8 @@ from collections.abc import Mapping, Sequence
 from math import isfinite
 
 import numpy as np
-from jaxtyping import Float
+
+from halfseen.shapes import Float
 
 SAME_VALUE = 1e-5
 _LIKELIER = 0.05

@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float
 
 Decide = Callable[[pd.DataFrame, int], Any]
 """(covariates, stage from 1) → name of an action for each row."""

@@ -30,12 +30,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
 from pandas.api.types import is_numeric_dtype
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import STAGE_COLUMNS
 from halfseen.reading import opened_text, read_text, reason_of, toml_of
+from halfseen.shapes import Bool, Float
 
 STAGE, ACTION = "stage", "action"
 COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {

@@ -5,13 +5,13 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision
 from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
 from halfseen.policies.reasons import values_by_name
 from halfseen.policies.table_reason import table_reason
+from halfseen.shapes import Float
 from halfseen.tables.explain import Grounds, table_grounds
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.present import Present

@@ -4,9 +4,9 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.policies.reasons import lead, next_best
+from halfseen.shapes import Float
 from halfseen.tables.explain import Grounds, table_grounds
 from halfseen.world.actions import ActionSpace
 

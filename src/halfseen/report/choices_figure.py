@@ -4,13 +4,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from halfseen.pages.axes import NARROW_INCHES, draw_grid
 from halfseen.pages.palette import OURS, THEIRS
+from halfseen.shapes import Float
 
 MOST_CHOICES = 9
 NUM_COLUMNS = {1: 1, 2: 2, 3: 3, 4: 2, 5: 3, 6: 3, 7: 4, 8: 4, 9: 3}

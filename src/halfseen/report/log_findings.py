@@ -4,7 +4,6 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
@@ -12,6 +11,7 @@ from halfseen.logs import Logs
 from halfseen.logs.inspection.breakdown import by_action, by_cause, by_robot, by_stage
 from halfseen.logs.inspection.suspicions import suspicions
 from halfseen.report.endings import endings
+from halfseen.shapes import Float, Int
 
 NUM_RISK_TIMES = 7
 

@@ -5,7 +5,6 @@ from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.evaluation.targets import task_of
 from halfseen.learning import CensoredQLearner
@@ -19,6 +18,7 @@ from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.folder.specification import reg_of_record, targets_of_record
 from halfseen.policies.shares import action_shares
 from halfseen.report.states import middle_of, numeric_of
+from halfseen.shapes import Float
 from halfseen.workers import ALONE, Workers
 
 MOST_STAGES, MOST_COVARIATES = 3, 4

@@ -5,11 +5,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
 
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
 from halfseen.report.states import middle_of
+from halfseen.shapes import Bool, Float
 
 NUM_CELLS = 90
 """Along each axis."""

@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 
 from halfseen.arrays import expit
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.shares import horizon_of
+from halfseen.shapes import Float, Int
 from halfseen.world.actions import TARGETED, ActionSpace
 
 NUM_CELLS = 10

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
 
 from halfseen.logs import Logs
 from halfseen.report.endings import endings
+from halfseen.shapes import Bool, Float, Int
 
 MOST_ROWS = 160
 """Paths that are drawn at most."""

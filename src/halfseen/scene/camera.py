@@ -7,12 +7,12 @@ with pixel centres at whole numbers.
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose
+from halfseen.shapes import Float
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Points
 from halfseen.errors import SceneError
@@ -14,6 +13,7 @@ from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.stains import Colour, Stain, Surface
 from halfseen.scene.view import IdealView
+from halfseen.shapes import Bool, Float
 
 _HANDLE_M = 0.0015  # what is farther than this outside the wall is handle
 

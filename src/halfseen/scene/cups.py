@@ -6,9 +6,9 @@ A cup's own frame has its origin in the middle of the underside and z towards th
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.errors import SceneError
+from halfseen.shapes import Float, Int
 
 # Facets around a cup: few enough to be quick, and so many that rays graze it where they would graze a round wall.
 NUM_AROUND = 96

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.scene.poses import Pose
+from halfseen.shapes import Float, Int
 
 
 @dataclass(frozen=True)

@@ -3,11 +3,11 @@
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.scene.cups import Cup, outline
 from halfseen.scene.poses import Pose, about_axis, compose
 from halfseen.scene.table import TABLE_TOP_M
+from halfseen.shapes import Float
 
 GAP_M = 0.01  # cups nearer than this might be one thing to the eye
 _FREE_AREA_M = ((-0.27, 0.27), (-0.20, 0.20))  # where cups stand, from the table's middle

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Image
 from halfseen.scene.camera import Camera
@@ -15,6 +14,7 @@ from halfseen.scene.facets import Facets, normals
 from halfseen.scene.scanlines import RowRays, first_met
 from halfseen.scene.view import LIT_TOLERANCE_M, IdealView, is_reached, pixel_hits
 from halfseen.scene.windows import Boxes, Mask, boxes_m, projector_columns_px, shaded_within, shown_within
+from halfseen.shapes import Bool, Float
 
 
 @dataclass(frozen=True)

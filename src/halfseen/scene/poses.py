@@ -3,11 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Points
 from halfseen.errors import SceneError
+from halfseen.shapes import Float
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Float, Int
+
+from halfseen.shapes import Float, Int
 
 Directions = Float[np.ndarray, "rays 3"]
 

@@ -7,9 +7,9 @@ meets it, at a depth whose inverse is linear in row and column. So a facet costs
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import Intrinsics
+from halfseen.shapes import Float, Int
 
 Corners = Float[np.ndarray, "facets 3 3"]
 

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Int
 
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.perception.clouds import Cloud
@@ -24,6 +23,7 @@ from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import Table
 from halfseen.scene.truth import Truth
+from halfseen.shapes import Int
 from halfseen.writing import write_file
 
 # Table k and its noise are drawn with seed SEEDS[k]; picked so that the numbers of cups spread over 5 to 10.

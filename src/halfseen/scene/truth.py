@@ -3,10 +3,10 @@
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Hides, ObjectMask, PerObject, Points
 from halfseen.scene.table import Table
+from halfseen.shapes import Bool, Float, Int
 
 Depths = Float[np.ndarray, "N H W"]
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Image
 from halfseen.scene.camera import Camera
@@ -16,6 +15,7 @@ from halfseen.scene.poses import Pose
 from halfseen.scene.rays import SEEN_GROUPS, Directions, Hits, cast
 from halfseen.scene.room import lone_cup_model, room_model
 from halfseen.scene.table import Table
+from halfseen.shapes import Bool, Float, Int
 
 LIT_TOLERANCE_M = 0.002
 """A ray from the projector may stop this much before a point and still light it [m]."""

@@ -8,10 +8,10 @@ from itertools import product
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Image
 from halfseen.scene.camera import Camera
+from halfseen.shapes import Bool, Float
 
 Boxes = Float[np.ndarray, "parts 8 3"]
 Mask = Bool[np.ndarray, "H W"]

@@ -9,13 +9,13 @@ sensors. How far perception takes such depths to err is `halfseen.perception.Dep
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Float
 from scipy.ndimage import gaussian_filter
 
 from halfseen.arrays import Image
 from halfseen.scene.camera import Camera
 from halfseen.scene.poses import Pose
 from halfseen.scene.view import IdealView
+from halfseen.shapes import Float
 
 NUM_ROWS, NUM_COLUMNS = 480, 640
 FIELD_OF_VIEW_RAD = (np.deg2rad(58.0), np.deg2rad(45.0))

@@ -27,7 +27,6 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.arrays import mapped
 from halfseen.censoring import StageClocks, weight_diagnostics
@@ -36,6 +35,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import AUTO, Encoded
+from halfseen.shapes import Float
 from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.study.tried import tried_in

@@ -4,10 +4,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from scipy import stats
 
 from halfseen.evaluation.estimate import Estimate, around, estimate_of
+from halfseen.shapes import Float
 
 LEVEL = 0.95
 

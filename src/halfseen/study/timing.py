@@ -8,9 +8,9 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import mapped
+from halfseen.shapes import Float
 from halfseen.study.experiment import Setting
 from halfseen.study.pipeline import Source
 from halfseen.study.policies import Contender

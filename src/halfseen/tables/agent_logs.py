@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Bool, Int
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.rows import stage_places
@@ -30,6 +29,7 @@ from halfseen.logs import Logs
 from halfseen.logs.checks.robots import is_of_one_robot, robots_that_may_drop_out
 from halfseen.logs.columns import CUT, FINISHED, require_columns
 from halfseen.logs.refusal import refuse
+from halfseen.shapes import Bool, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES, Verb
 from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_tables, robots_in
 from halfseen.world.log_rows import FREE, OUT, PARKED, TableLog

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Int
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError, LogError
@@ -15,6 +14,7 @@ from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded
 from halfseen.logs import Logs
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.shapes import Bool, Int
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.features import table_features
 from halfseen.tables.team_features import team_features

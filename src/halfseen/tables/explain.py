@@ -16,10 +16,10 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Hides
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world.actions import FINISH, ActionSpace, Verb, possible_actions
 from halfseen.world.explanation import Explanation, alike, explained

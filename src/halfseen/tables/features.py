@@ -38,9 +38,9 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, expit, library_of
+from halfseen.shapes import Bool, Float
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState, attempt_counts

@@ -10,13 +10,13 @@ from dataclasses import field, replace
 from typing import Any, ClassVar
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import STATIC, Array, at, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.learning.behaviour import leaning, seen_among
 from halfseen.learning.q_space import KernelMap
 from halfseen.learning.rows import q_values
+from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.features import table_features, table_q
 from halfseen.tables.team_features import team_features
 from halfseen.world import random

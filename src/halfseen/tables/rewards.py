@@ -43,10 +43,10 @@ from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import expit
 from halfseen.learning.task import Encoded, RewardedStages
+from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.features import WASH_DIRTY, WASH_EASE
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.others import is_decider

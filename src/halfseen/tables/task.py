@@ -15,7 +15,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 
 from halfseen.arrays import expit, mapped
 from halfseen.errors import ArgumentError, LogError, PositivityError
@@ -23,6 +22,7 @@ from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import AUTO, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
+from halfseen.shapes import Float, Int
 from halfseen.tables import rewards
 from halfseen.tables.agent_logs import agent_view
 from halfseen.tables.encoding import (

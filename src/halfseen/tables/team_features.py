@@ -29,9 +29,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, library_of
+from halfseen.shapes import Bool, Float
 from halfseen.tables.features import table_columns
 from halfseen.tables.grasp.grasp_table import GraspByRobot
 from halfseen.world.actions import TARGETED, ActionSpace, Verb, possible_actions

@@ -7,11 +7,11 @@ from math import pi
 
 import mujoco
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Points
 from halfseen.cell.live_cell import LiveCell
 from halfseen.scene.rays import FURNITURE_GROUP, ROBOT_GROUP
+from halfseen.shapes import Float
 from halfseen.watch.shapes import convex_mesh
 from halfseen.watch.stage_view import Part
 

@@ -3,9 +3,9 @@
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Points
+from halfseen.shapes import Float
 from halfseen.watch.stage_view import Hand, Part, Poses, Shown, StageView
 from halfseen.watch.wording import dirty_colour
 

@@ -6,13 +6,13 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Float, UInt8
 from PIL import Image, ImageDraw, ImageFont
 from scipy.spatial import ConvexHull, QhullError
 
 from halfseen.arrays import Points
 from halfseen.perception.clouds import Vector
 from halfseen.scene.poses import Pose
+from halfseen.shapes import Float, UInt8
 from halfseen.watch.drawing import fingers_m, viewpoint
 from halfseen.watch.shapes import Mesh, moved
 from halfseen.watch.stage_view import Part, StageView, Watched

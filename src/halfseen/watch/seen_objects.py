@@ -4,12 +4,12 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Points
 from halfseen.perception.clouds import Cloud, Colours, Vector
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.perception.view import View
+from halfseen.shapes import Float
 from halfseen.watch.shapes import Mesh, convex_mesh, moved, revealed_by, shadow
 from halfseen.watch.stage_view import Shown
 

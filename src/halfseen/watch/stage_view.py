@@ -6,10 +6,10 @@ Places are in one frame for all stages of a run, whose third axis points up [m].
 from dataclasses import dataclass, field
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Hides, Points
 from halfseen.perception.clouds import Colours, Vector
+from halfseen.shapes import Float
 from halfseen.watch.shapes import Mesh
 
 Poses = Float[np.ndarray, "moments parts 7"]

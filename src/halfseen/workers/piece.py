@@ -7,10 +7,10 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import UInt8
 
 from halfseen.errors import HalfseenError, WorkerError
 from halfseen.progress import Telling, telling
+from halfseen.shapes import UInt8
 from halfseen.workers.threads import one_thread
 
 PACKAGES = ("halfseen", "mujoco", "numpy", "pandas", "scipy")

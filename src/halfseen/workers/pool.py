@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import Any, TypeVar
 
 import numpy as np
-from jaxtyping import UInt8
 
 from halfseen.errors import WorkerError
+from halfseen.shapes import UInt8
 from halfseen.workers.engine import Engine
 from halfseen.workers.piece import home, made, result_of
 

@@ -11,9 +11,9 @@ from enum import IntEnum
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, library_of
+from halfseen.shapes import Bool, Float, Int
 
 FINISH = 0
 

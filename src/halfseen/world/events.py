@@ -8,9 +8,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, at, chosen, library_of
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import WAIT, ActionSpace, Verb
 from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left

@@ -9,9 +9,9 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import FINISH, TARGETED, ActionSpace, Verb
 from halfseen.world.state import TableState
 

@@ -11,10 +11,10 @@ from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, at, chosen, library_of, mapped, record
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.number import Number
 from halfseen.world.random import Key

@@ -6,13 +6,13 @@ What the columns of a table hold, `halfseen.world.logs` tells.
 from collections.abc import Callable
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.checks.robots import ROBOT, robots_that_may_drop_out
 from halfseen.logs.columns import as_floats, require_columns
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.shapes import Bool, Float
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_rows import FREE, IDLE, NOTHING, OF_OBJECT, TableLog
 

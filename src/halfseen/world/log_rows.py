@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.checks.robots import ROBOT
 from halfseen.logs.columns import as_floats
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES
 
 FREE, PARKED, OUT = "FREE", "PARKED", "OUT"

@@ -24,12 +24,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import mapped
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.checks.robots import robots_that_may_drop_out
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE, CutEpisodes, CutKind, drop_out_columns
 from halfseen.world.log_checks import ATTEMPT_BY, DISHWASHER, TABLE, checked_tables

@@ -13,9 +13,9 @@ What a robot is at counts 1 as it begins, and less the longer it has been at it.
 from typing import Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, expit, library_of
+from halfseen.shapes import Bool, Float
 from halfseen.world.actions import WAIT, Verb, of_robot
 from halfseen.world.state import TableState
 

@@ -6,10 +6,10 @@ What the probability of a grasp may be taken from: one interface for what was le
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, library_of, record
 from halfseen.errors import PolicyError
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import possible_actions
 from halfseen.world.config import WorldConfig

@@ -9,9 +9,9 @@ import math
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int, UInt32
 
 from halfseen.arrays import first_last, library_of
+from halfseen.shapes import Bool, Float, Int, UInt32
 
 Key = UInt32[Any, "*B 2"]
 

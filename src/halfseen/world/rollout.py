@@ -4,9 +4,9 @@ from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, Tree, chosen, library_of, mapped, record, stacked
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, Policy

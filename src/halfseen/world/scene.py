@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Hides, PerObject
 from halfseen.errors import SceneError
+from halfseen.shapes import Float
 
 _SHAPES = {
     "hides": "it must be square",

@@ -19,10 +19,10 @@ was seen before finds nothing. Once something was found, no look is news.
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Array, library_of, record
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Bool, Float
 from halfseen.world import random
 from halfseen.world.number import Number
 from halfseen.world.random import Key

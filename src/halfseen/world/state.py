@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import Array, first_last, library_of, record
 from halfseen.errors import ArgumentError, SceneError
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 

@@ -5,10 +5,10 @@ from typing import Any
 
 import numpy as np
 from gymnasium import spaces
-from jaxtyping import Int
 
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Int
 from halfseen.world import random
 from halfseen.world.actions import TARGETED, VERB_NAMES, WAIT, possible_actions
 from halfseen.world.config import WorldConfig

@@ -14,9 +14,9 @@ table stays as it was seen. What ends at the very moment of a drop-out ends befo
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import Array, at, library_of
+from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace, Verb, possible_actions
 from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left

@@ -10,10 +10,10 @@ none, held. Less the mean prediction, it is the interval of the difference.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 from scipy import stats
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.shapes import Int
 
 LEVEL = 0.95
 

@@ -13,12 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 from scipy.optimize import minimize
 from scipy.special import expit, log_expit, logsumexp
 
 from halfseen.cell.calibration.trials import FACTS
 from halfseen.errors import LogError
+from halfseen.shapes import Float, Int
 from halfseen.tables.grasp.inputs import checked_attempts
 
 CENTRES, SCALES = (

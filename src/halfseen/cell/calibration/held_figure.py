@@ -5,7 +5,6 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
@@ -16,6 +15,7 @@ from halfseen.cell.calibration.held_given_past import held_given_past
 from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_bins
 from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, draw_bars, draw_grid, named_curves, write_legend, write_title
 from halfseen.pages.palette import BLUE, RED
+from halfseen.shapes import Float, Int
 from halfseen.tables.grasp.inputs import checked_attempts
 
 TITLE = "How often attempts held, and what the law that was fitted to them says"

@@ -9,10 +9,10 @@ both integrals by Gauss–Hermite quadrature at the same nodes.
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from scipy.special import expit, log_expit, softmax
 
 from halfseen.cell.calibration.grasp_fit import design
+from halfseen.shapes import Float
 
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(41)
 # More nodes than the fit has: at a few of them alone is what an object with many attempts has left of its offset.

@@ -1,9 +1,9 @@
 """Bins of occlusion in which attempts are counted."""
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.arrays import Rows
+from halfseen.shapes import Float, Int
 
 OCCLUSION_EDGES: Float[np.ndarray, " edges"] = np.array([0.0, 0.01, 0.2, 0.4, 0.6, 1.0])
 """Ends of the bins; in the first nothing is hidden, as far as one can see."""

@@ -10,10 +10,10 @@ from collections.abc import Iterable
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.errors import LogError
 from halfseen.perception.labels import FACING_SHARE
+from halfseen.shapes import Float
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SHARE, 1.0)

@@ -4,13 +4,13 @@ from dataclasses import fields
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.cell.facts import Facts
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, require_columns
 from halfseen.logs.refusal import refuse
+from halfseen.shapes import Float
 from halfseen.tables.grasp.attempts import attempts
 
 FACTS = tuple(each.name for each in fields(Facts))

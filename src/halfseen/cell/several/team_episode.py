@@ -5,7 +5,6 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Bool
 
 from halfseen.cell.account import Account, Run
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
@@ -16,6 +15,7 @@ from halfseen.cell.several.touches import Touches
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.logs.recording.path_recorder import PathRecorder
+from halfseen.shapes import Bool
 from halfseen.world.actions import WAIT, Verb
 from halfseen.world.policy import Policy
 from halfseen.world.random import Key

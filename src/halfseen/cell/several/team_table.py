@@ -4,12 +4,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, state_of
 from halfseen.cell.workcell import Attempt, Workcell
 from halfseen.perception.clouds import Vector
+from halfseen.shapes import Bool
 from halfseen.world.actions import TARGETED, VERB_NAMES
 from halfseen.world.log_checks import ATTEMPT_BY
 from halfseen.world.log_rows import FREE, PARKED

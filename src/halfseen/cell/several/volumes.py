@@ -7,13 +7,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from jaxtyping import Bool, Float
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
 from halfseen.cell.kinematics import Angles
 from halfseen.cell.model import Robot
 from halfseen.cell.motion import Way
+from halfseen.shapes import Bool, Float
 
 MARGIN_M = 0.04
 """What the spaces of two arms keep from one another [m]: places along a way are this far apart at the hand, and servos

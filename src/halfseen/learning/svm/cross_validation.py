@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 from scipy.special import expit, logit
 
 from halfseen.arrays import RowIds, Rows
@@ -12,6 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.svm.losses import named_loss
 from halfseen.learning.svm.newton import Features
 from halfseen.learning.svm.solver import Problem, solve
+from halfseen.shapes import Float, Int
 
 Fold = tuple[Int[np.ndarray, " _"], Int[np.ndarray, " _"]]
 """Rows fitted to, rows held out."""

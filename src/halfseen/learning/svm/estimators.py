@@ -4,7 +4,6 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 from numpy.typing import ArrayLike
 from sklearn.base import ClassifierMixin, RegressorMixin
 from sklearn.utils.metaestimators import available_if
@@ -18,6 +17,7 @@ from halfseen.learning.svm.losses import CLASSIFICATION, REGRESSION
 from halfseen.learning.svm.machine import CensoredSVM
 from halfseen.learning.svm.solver import best_constant
 from halfseen.learning.svm.targets import Ends, as_ends, target_values
+from halfseen.shapes import Float
 
 
 @dataclass(eq=False, repr=False)

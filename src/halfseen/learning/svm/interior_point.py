@@ -14,10 +14,10 @@ rises.
 from collections.abc import Iterator
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Rows
 from halfseen.learning.svm.newton import Gram, Point
+from halfseen.shapes import Float
 
 Sides = Float[np.ndarray, "2 n"]
 """A number for the high and for the low side of each row."""

@@ -12,10 +12,10 @@ from functools import partial
 from typing import Any, TypeAlias
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Rows
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float
 
 Kernel: TypeAlias = Callable[[Any, Any], np.ndarray]
 """Takes n and m rows (or sets), gives the (n, m) values of k."""

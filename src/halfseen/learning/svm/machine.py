@@ -9,7 +9,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import psutil
-from jaxtyping import Float
 from sklearn.base import BaseEstimator
 from sklearn.utils.validation import _check_sample_weight, check_is_fitted, validate_data
 
@@ -25,6 +24,7 @@ from halfseen.learning.svm.set_kernel import SetKernel, all_objects, as_sets
 from halfseen.learning.svm.solver import Problem, solve
 from halfseen.learning.svm.targets import Ends, as_ends, row_weights
 from halfseen.progress import Progress
+from halfseen.shapes import Float
 
 REGS = np.logspace(0, -7, 8)
 """The λ that ``reg="cv"`` chooses from, in units in which the target's scale does not matter (`_reg_unit`)."""

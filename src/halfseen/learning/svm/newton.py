@@ -13,9 +13,9 @@ from typing import Any, TypeAlias, no_type_check
 
 import numpy as np
 import scipy.linalg
-from jaxtyping import Float, Int
 
 from halfseen.arrays import Rows
+from halfseen.shapes import Float, Int
 
 Coefficients = Float[np.ndarray, " c"]
 Step: TypeAlias = Callable[[Coefficients, Rows], tuple[Coefficients, float]]

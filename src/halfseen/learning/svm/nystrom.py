@@ -20,10 +20,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Int
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.svm.kernels import Kernel, checked_gram, kernel_diagonal, row_blocks
+from halfseen.shapes import Float, Int
 
 MOST_CANDIDATES = 20_000
 """Rows among which landmarks are sought, where the landmarks are not many; a random sample of larger logs."""

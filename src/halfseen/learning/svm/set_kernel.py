@@ -14,10 +14,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.svm.kernels import Kernel, named_kernel, row_blocks
+from halfseen.shapes import Float
 
 PAIRS_AT_ONCE = 2**22
 """Values of k₀ that are held at once (32 MiB)."""

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool
 
 from halfseen.errors import LogError
 from halfseen.logs.checks.robots import with_drop_outs
@@ -17,6 +16,7 @@ from halfseen.logs.columns import (
     require_columns,
 )
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.shapes import Bool
 
 EARLIEST_DATE_S = 1e9
 """What is longer is no path but a date, or counted in milliseconds or less [s]; 32 years."""

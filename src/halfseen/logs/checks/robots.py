@@ -11,10 +11,10 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
 
 from halfseen.logs.columns import as_floats, as_labels, is_own_reward
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.shapes import Bool, Float, Int
 
 ROBOT = "robot"
 """Column of the robot that decides in a stage; a log without it is of one robot."""

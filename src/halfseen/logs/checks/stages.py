@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Int
 
 from halfseen.errors import LogError
 from halfseen.logs.checks.robots import ROBOT, check_own_rewards, check_robots
@@ -21,6 +20,7 @@ from halfseen.logs.columns import (
     require_columns,
 )
 from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.shapes import Bool, Int
 
 UNIT_TOLERANCE = 1e-6
 """How near to a power of 1,000 the ratio of a path's end to its last stage must be to look like another unit."""

@@ -12,13 +12,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
 import pyarrow.parquet as pq
-from jaxtyping import Shaped
 
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs.formats.column_types import from_list_texts
 from halfseen.logs.parquet.size import check_unpacked_table
 from halfseen.logs.refusal import shown
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, reason_of
+from halfseen.shapes import Shaped
 
 PARQUET, CSV, ARROW = (".parquet",), (".csv",), (".arrow", ".feather")
 TABLE_FILES = PARQUET + CSV + ARROW

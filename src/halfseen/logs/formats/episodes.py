@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Shaped
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
 from halfseen.logs.columns import CUT, FINISHED
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
+from halfseen.shapes import Bool, Float, Shaped
 
 TRUNCATED = "truncated"
 MOST_NUMBERS = 1000

@@ -19,7 +19,6 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Float, Int, Shaped
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import FINISHED
@@ -42,6 +41,7 @@ from halfseen.logs.formats.episodes import (
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
 from halfseen.reading import json_of, read_text, reason_of
+from halfseen.shapes import Float, Int, Shaped
 
 INFO = Path("meta") / "info.json"
 VERSION = "v3"

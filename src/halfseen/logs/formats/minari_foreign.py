@@ -3,7 +3,6 @@
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float, Shaped
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
@@ -18,6 +17,7 @@ from halfseen.logs.formats.episodes import (
     step_of,
 )
 from halfseen.logs.logs import Logs
+from halfseen.shapes import Float, Shaped
 
 
 def read_foreign(dataset: Any, name: str, rules: StepRules) -> Logs:

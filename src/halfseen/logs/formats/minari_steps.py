@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float, Int
 
 from halfseen.errors import LogError
 from halfseen.logs.formats.column_types import ColumnType, column_types, from_texts, texts
 from halfseen.logs.logs import Logs
+from halfseen.shapes import Float, Int
 
 Cells = dict[str, str | None]
 """Cells of one row, as text."""

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.formats.extras import extra
 from halfseen.logs.formats.mcap_files import Channel, McapFiles, Recorded
 from halfseen.logs.formats.ros_mapping import BagMapping, Source
 from halfseen.reading import TABLE, check_file, reason_of
+from halfseen.shapes import Float
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 STORAGES = (".mcap", ".db3", ".bag")

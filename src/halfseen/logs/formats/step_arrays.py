@@ -13,7 +13,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool
 
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs.columns import CUT, FINISHED
@@ -35,6 +34,7 @@ from halfseen.logs.formats.episodes import (
 from halfseen.logs.formats.extras import extra
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, reason_of
+from halfseen.shapes import Bool
 
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"

@@ -12,7 +12,6 @@ from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-from jaxtyping import Bool, Float, Int, Shaped
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
@@ -35,6 +34,7 @@ from halfseen.logs.formats.episodes import (
 )
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
+from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"
 EPISODES = ("episode_id", "episode_index", "episode")

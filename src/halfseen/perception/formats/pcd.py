@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TypeAlias
 
 import numpy as np
-from jaxtyping import Float, Shaped
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Colours, Vector, check_num_points
 from halfseen.reading import CLOUD, check_unpacked, opened
+from halfseen.shapes import Float, Shaped
 from halfseen.writing import write_file
 
 # Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.

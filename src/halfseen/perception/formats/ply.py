@@ -4,11 +4,11 @@ import io
 from pathlib import Path
 
 import numpy as np
-from jaxtyping import Shaped
 
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Colours, check_num_points
 from halfseen.reading import CLOUD, read_bytes
+from halfseen.shapes import Shaped
 
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6

@@ -3,9 +3,9 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 
 from halfseen.logs import Logs
+from halfseen.shapes import Int
 
 
 class StageCounts(NamedTuple):

@@ -12,7 +12,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
@@ -32,6 +31,7 @@ from halfseen.pages.axes import (
 from halfseen.pages.numbers import MISSING, amount, significant
 from halfseen.pages.palette import PLANNER
 from halfseen.pages.sentences import Claim, counted, listed
+from halfseen.shapes import Float
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import MEAN, draw_level
 from halfseen.study.frames import records, row_of

@@ -4,13 +4,13 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
 
 from halfseen.errors import LogError
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.logs.columns import require_columns
 from halfseen.logs.refusal import refuse, shown
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_checks import checked_tables, robots_in
 from halfseen.world.log_rows import FREE, OUT, PARKED

@@ -15,13 +15,13 @@ Prior: p ~ Beta(s·m, s·(1 − m)). Predictive: P(success | occ, k, l) = (s·m(
 from dataclasses import KW_ONLY, dataclass, field
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.estimator import Estimator, check_fitted
 from halfseen.learning.newton_each import Derivatives, minimise_each
 from halfseen.logs.frames import FrameLike
+from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp.grasp_table import History
 from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_history, kinds
 

@@ -17,13 +17,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import RowIds, RowMask, Rows, stacked
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.learning.newton_each import Derivatives, Thetas, minimise_each
 from halfseen.logs import Logs
+from halfseen.shapes import Bool, Float
 from halfseen.tables.features import succession
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.grasp.beta_grasp import Theta, fitted_thetas, predictive

@@ -14,10 +14,10 @@ a spread σ by about √(1 + 0.35 σ²) [ZegerLiangAlbert1988]_. So `per_grip` l
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import Array, Rows, library_of, mapped, record
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Float
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33

@@ -5,7 +5,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float, Int
 
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.censoring import (
@@ -20,6 +19,7 @@ from halfseen.censoring import (
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import require_columns
 from halfseen.logs.frames import FrameLike, as_frame
+from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.grasp.grasp_table import History
 
 NAME = "attempts"

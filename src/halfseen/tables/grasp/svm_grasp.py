@@ -5,13 +5,13 @@ from dataclasses import KW_ONLY, dataclass, field
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float
 
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.logs.frames import FrameLike
+from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp.grasp_table import History
 from halfseen.tables.grasp.inputs import (
     checked_attempts,

@@ -9,11 +9,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Bool, Float
 
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
+from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp.attempts import attempts
 from halfseen.tables.prior import logged_dirty_share
 from halfseen.world.actions import Verb

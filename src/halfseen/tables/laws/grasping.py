@@ -52,9 +52,9 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import RowIds, RowMask, Rows
+from halfseen.shapes import Float
 from halfseen.tables.laws.evidence import AT_LIMIT, Prior, Watched, least
 from halfseen.world.grasping import AssumedGrasping, FittedGrasping
 

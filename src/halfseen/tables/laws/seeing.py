@@ -45,9 +45,9 @@ counts nothing, every look moved the log-odds, and will again.
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.shapes import Float
 from halfseen.tables.laws.evidence import Labels, Prior, least
 from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, PersistentSeeing
 

@@ -14,9 +14,9 @@ of such logs do on fresh tables [Bayle2020]_, not on fresh logs.
 """
 
 import numpy as np
-from jaxtyping import Float
 
 from halfseen.evaluation.estimate import Estimate, around
+from halfseen.shapes import Float
 from halfseen.study.statistics import LEVEL
 
 ByTable = Float[np.ndarray, "tables repetitions"]

@@ -8,9 +8,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Int
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.shapes import Int
 from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.attempts.design import COMPLETED, MODEL_NAMES, PLANNERS, SVMS, AttemptsDesign
 from halfseen.study.experiments.attempts.models import predicted

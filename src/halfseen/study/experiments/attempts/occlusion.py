@@ -5,7 +5,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from scipy import stats
 from scipy.special import expit, logit
 
@@ -13,6 +12,7 @@ from halfseen.cell.calibration.clustered_share import shares_by
 from halfseen.cell.calibration.grasp_fit import NAMES, GraspFit
 from halfseen.cell.calibration.held_given_past import held_share
 from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_bins
+from halfseen.shapes import Float
 from halfseen.study.experiments.attempts.sources import Source, fit_of, frame_of
 from halfseen.study.statistics import LEVEL
 from halfseen.tables.grasp.inputs import checked_attempts

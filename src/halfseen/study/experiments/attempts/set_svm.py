@@ -11,12 +11,12 @@ each past attempt moves the odds by what was seen when it was made, as in Bayes'
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.arrays import Rows
 from halfseen.cell.calibration.trials import FACTS
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.learning.svm.set_kernel import SetKernel
+from halfseen.shapes import Float
 from halfseen.tables.grasp.inputs import checked_attempts, splits_of
 from halfseen.tables.grasp.svm_grasp import linear_and_gaussian, smoothest
 

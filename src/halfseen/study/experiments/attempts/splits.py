@@ -3,8 +3,8 @@
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Int
 
+from halfseen.shapes import Int
 from halfseen.study.experiments.attempts.design import AttemptsDesign
 
 

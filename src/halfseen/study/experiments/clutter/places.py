@@ -5,11 +5,11 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from jaxtyping import Float
 from scipy.optimize import root_scalar
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import known_grasping
+from halfseen.shapes import Float
 from halfseen.study.experiment import Setting
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene

@@ -6,9 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 from scipy import stats
 
+from halfseen.shapes import Float
 from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, Place
 from halfseen.study.policies import HEURISTICS, LEARNED
 from halfseen.study.statistics import over_repetitions

@@ -10,10 +10,10 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
 from halfseen.logs.frames import FrameLike, as_frame
 from halfseen.planners.heuristics import TrueGrasp
+from halfseen.shapes import Float
 from halfseen.study.experiment import PieceOf, Setting
 from halfseen.study.experiments.grasp.design import (
     CLAIMED,

@@ -15,8 +15,8 @@ from itertools import product
 from typing import Any
 
 import numpy as np
-from jaxtyping import Float
 
+from halfseen.shapes import Float
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.pipeline import Played, Source, episodes_in_turn

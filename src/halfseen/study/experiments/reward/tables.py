@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from jaxtyping import Float
 
+from halfseen.shapes import Float
 from halfseen.study.experiment import Pieces, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.frames import stacked
