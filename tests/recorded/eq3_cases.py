@@ -82,14 +82,24 @@ def fitted(name):
     return NEW[log](**how).fit(read_logs(FOLDERS[log]))
 
 
-def numbers_of(learner):
+def numbers_of(learner, recorded):
     """Coefficients, λ, weights, outcome regressions and, of the roots R, what rotations of R leave: of S = R Rᵀ."""
-    q = learner.q_functions_
-    given = {"coefficients": q.coefficients, "reg": q.reg, "outcome": q.outcome, "weights": learner.weights_}
-    found = {what: np.asarray(value) for what, value in given.items() if value is not None}
+    q, signs = learner.q_functions_, signs_of(learner, recorded["coefficients"])
+    found = {"coefficients": q.coefficients * signs, "reg": q.reg, "weights": learner.weights_}
+    if q.outcome is not None:
+        found["outcome"] = q.outcome * np.append(signs, np.ones(q.outcome.shape[-1] - len(signs)))
     if q.root is not None:
-        found |= of_root(np.asarray(q.root))
-    return found
+        found |= of_root(np.asarray(q.root) * signs[:, None])
+    return {what: np.asarray(value) for what, value in found.items()}
+
+
+def signs_of(learner, coefficients):
+    """Of each coefficient, as recorded: an eigenvector of the landmarks' kernel has whatever sign LAPACK gives it."""
+    signs, kernel_map = np.ones(coefficients.shape[-1]), getattr(learner.policy_, "kernel_map", None)
+    rank = 0 if kernel_map is None else kernel_map.projection.shape[1]
+    if rank:
+        signs[-rank:] = np.sign(np.sum(learner.q_functions_.coefficients * coefficients, axis=(0, 1)))[-rank:]
+    return signs
 
 
 def of_root(root):

@@ -8,7 +8,7 @@ remainder.
 """
 
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 from numbers import Real
 from typing import Any, Literal, NamedTuple
 
@@ -16,6 +16,7 @@ import numpy as np
 
 from halfseen.arrays import library_of
 from halfseen.errors import ArgumentError
+from halfseen.learning.svm.nystrom import fit_nystrom
 from halfseen.shapes import Float
 
 
@@ -57,10 +58,14 @@ class KernelMap(NamedTuple):
         return xp.concatenate([self.trend * quadratic(scaled), self._smooth(scaled)], axis=-1)
 
     def _smooth(self, scaled: Float[Any, "*S F"]) -> Float[Any, "*S r"]:
-        xp = library_of(scaled)
-        far = xp.sum(scaled**2, axis=-1, keepdims=True) + xp.sum(self.landmarks**2, axis=-1)
-        distance = xp.maximum(far - 2.0 * scaled @ self.landmarks.T, 0.0)
-        return xp.exp(-self.gamma * distance) @ self.projection
+        return gaussian(scaled, self.landmarks, self.gamma) @ self.projection
+
+
+def gaussian(rows: Float[Any, "*S F"], others: Float[Any, "m F"], gamma: Any) -> Float[Any, "*S m"]:
+    """k(x, z) = exp(−γ‖x − z‖²) of each row with each of some others."""
+    xp = library_of(rows)
+    far = xp.sum(rows**2, axis=-1, keepdims=True) + xp.sum(others**2, axis=-1)
+    return xp.exp(-gamma * xp.maximum(far - 2.0 * rows @ others.T, 0.0))
 
 
 def quadratic(scaled: Float[Any, "*S F"]) -> Float[Any, "*S Q"]:
@@ -107,11 +112,7 @@ def fit_kernel_map(
     weight = None if trend is None else _trend_weights(scaled, trend)
     if num_landmarks == 0:
         return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
-    # What it takes to choose landmarks loads SciPy.
-    from halfseen.learning.svm.kernels import RbfKernel
-    from halfseen.learning.svm.nystrom import fit_nystrom
-
-    found = fit_nystrom(RbfKernel(width), scaled, num_landmarks, rng)
+    found = fit_nystrom(partial(gaussian, gamma=width), scaled, num_landmarks, rng)
     return KernelMap(centre, scale, found.landmarks, found.projection, np.asarray(width), weight)
 
 

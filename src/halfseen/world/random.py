@@ -138,7 +138,7 @@ def _threefry(one: Any, other: Any, second: Any) -> tuple[Any, Any]:
     found, width = np.empty((2, *shape), dtype=np.uint32), -(-shape[-1] // num_parts)
     for k in range(0, shape[-1], width):
         part = slice(k, k + width)
-        words = (each if each.shape[-1] == 1 else each[..., part] for each in (one, other, second))
+        words = (each if each.shape[-1:] in ((), (1,)) else each[..., part] for each in (one, other, second))
         found[..., part] = _rounds_in_place(*words)
     return found[0], found[1]
 

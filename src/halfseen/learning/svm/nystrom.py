@@ -122,8 +122,6 @@ def fit_nystrom(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.ra
 
 def _pivots(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random.Generator) -> Int[np.ndarray, " m"]:
     """Landmarks among the rows."""
-    from scipy.linalg import solve_triangular
-
     diagonal = kernel_diagonal(kernel, rows)
     floor = RESIDUAL_TOLERANCE * diagonal.max()
     residual = np.where(diagonal > floor, diagonal, 0.0)
@@ -144,7 +142,7 @@ def _pivots(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.random
         columns = kernel(rows, rows[pivots])
         columns -= factor[:, :done] @ factor[pivots, :done].T
         new = slice(done, done + len(pivots))
-        factor[:, new] = solve_triangular(lower, columns.T, lower=True, check_finite=False).T
+        factor[:, new] = np.linalg.solve(lower, columns.T).T
         residual -= np.einsum("nk,nk->n", factor[:, new], factor[:, new])
         if residual.min() < -NEGATIVE_TOLERANCE * diagonal.max():
             raise ArgumentError(
@@ -178,8 +176,6 @@ def _accept(
 
 def inverse_root(gram: Float[np.ndarray, "m m"]) -> Float[np.ndarray, "m r"]:
     """R with R Rᵀ = K⁻¹ on the directions that K spans."""
-    from scipy.linalg import eigh
-
-    values, vectors = eigh(gram)
+    values, vectors = np.linalg.eigh(gram)
     is_spanned = values > len(values) * np.finfo(np.float64).eps * values.max(initial=0.0)
     return vectors[:, is_spanned] / np.sqrt(values[is_spanned])
