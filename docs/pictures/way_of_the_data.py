@@ -24,6 +24,7 @@ PASSED_OVER = {
     "installation",
     "locks",
     "arrays",
+    "shapes",
     "errors",
     "progress",
     "suggestions",

@@ -1,9 +1,9 @@
 import pytest
-from worlds import random_scene
 
 from halfseen.world import UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
+from world.worlds import random_scene
 
 NUM_EPISODES = 3000
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 from gymnasium.utils.env_checker import check_env
-from worlds import FITTED_SCENES, random_scene
 
 from fitted_laws import FITTED
 from halfseen import gym_registration
@@ -20,6 +19,7 @@ from halfseen.world.table_in_play import default_scene, default_team
 from halfseen.world.table_world import TableWorld
 from other_laws import Nudging, Persisting
 from own_laws import LOGISTIC, SCENE, robots
+from world.worlds import FITTED_SCENES, random_scene
 
 ONE = Team((Robot((0.0, 0.0), 5.0),))
 FRAIL = Team((Robot((-0.5, 0.0), 0.8, drop_out_rate=0.1), Robot((0.5, 0.0), 0.8)))

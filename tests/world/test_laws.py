@@ -2,7 +2,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from worlds import THREE
 
 from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
@@ -28,6 +27,7 @@ from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from other_laws import Nudging, Persisting
 from picked import picked
+from world.worlds import THREE
 
 OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
 LIFT = ActionSpace(3).of(Verb.LIFT).start

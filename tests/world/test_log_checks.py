@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from worlds import FITTED_SCENES
 
 from fitted_laws import FITTED
 from halfseen.errors import LogError
@@ -11,6 +10,7 @@ from halfseen.tables.agent_logs import agent_view
 from halfseen.world import TableWorld, UniformPolicy
 from halfseen.world.logs import states_of
 from played_teams import logged, played, team_of
+from world.worlds import FITTED_SCENES
 
 
 @pytest.fixture(scope="module")

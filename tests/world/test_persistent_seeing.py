@@ -6,7 +6,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.special import expit, logit
-from worlds import THREE
 
 from fitted_laws import FITTED, SEEING
 from halfseen.errors import ArgumentError
@@ -16,6 +15,7 @@ from halfseen.world.seeing import is_independent, label_evidence
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import picked, repeated
+from world.worlds import THREE
 
 LOOKS = st.lists(st.tuples(st.sampled_from(np.linspace(0.0, 1.0, 11).tolist()), st.booleans()), min_size=1, max_size=5)
 LIFT = ActionSpace(3).of(Verb.LIFT).start

@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from worlds import InTurn, Suspicious, random_scene
 
 from halfseen.arrays import expit, mapped
 from halfseen.errors import ArgumentError
@@ -10,6 +9,7 @@ from halfseen.world.rollout import evaluate, evaluate_each, evaluate_some, play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import leaves_of, picked, repeated
+from world.worlds import InTurn, Suspicious, random_scene
 
 CONFIG, KEY = WorldConfig(), random.key_of(1)
 

@@ -3,7 +3,6 @@
 import numpy as np
 import pandas as pd
 import pytest
-from worlds import FITTED_SCENES, THREE
 
 import played_teams
 from fitted_laws import FITTED
@@ -21,6 +20,7 @@ from other_laws import Nudging, Persisting
 from own_laws import LOGISTIC, SCENE, world_of
 from picked import leaves_of, picked
 from played_teams import NUM_OBJECTS, logged, team_of
+from world.worlds import FITTED_SCENES, THREE
 
 OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
 RATES = (0.03, 0.01, 0.0)
