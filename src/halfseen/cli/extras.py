@@ -1,7 +1,7 @@
 """Which of halfseen's extras brings a library that is not there."""
 
 EXTRAS = {
-    "perception": ("matplotlib", "plyfile", "pypcd4", "skimage"),
+    "perception": ("lzf", "matplotlib", "plyfile", "pypcd4", "skimage"),
     "scene": ("mujoco",),
     "study": ("jinja2",),
     "watch": ("viser",),
