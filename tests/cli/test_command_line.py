@@ -127,7 +127,12 @@ def test_the_extras_of_the_command_line_are_those_of_the_package():
     root = Path(__file__).parents[2]
     declared = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]["optional-dependencies"]
     page = (root / "docs" / "guide" / "installation.md").read_text(encoding="utf-8")
-    of_import = {"skimage": "scikit-image", "mcap_protobuf": "mcap-protobuf-support", "upath": "universal-pathlib"}
+    of_import = {
+        "skimage": "scikit-image",
+        "lzf": "python-neo-lzf",
+        "mcap_protobuf": "mcap-protobuf-support",
+        "upath": "universal-pathlib",
+    }
     for extra, libraries in EXTRAS.items():
         named = {re.match(r"[\w-]+", needed)[0] for needed in declared[extra]}
         assert {of_import.get(library, library) for library in libraries} <= named
