@@ -8,6 +8,7 @@ from halfseen.learning import kept_parts
 from halfseen.learning.kept_parts import KeptParts, num_bytes_of
 from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import Encoded
+from halfseen.learning.values import Norms
 
 
 def part(seed, ids=(2**53, 7)):
@@ -35,6 +36,16 @@ def assert_same(here, there):
             assert_same(one, other)
     else:
         assert here == there
+
+
+def test_arrays_keep_their_order_in_memory_and_every_kind_of_part_comes_back(tmp_path):
+    kept = KeptParts(str(tmp_path), True, 10**6)
+    norms = Norms(np.asfortranarray(np.arange(6.0).reshape(2, 3)), (np.zeros(3), np.zeros((0, 2)), None))
+    kept.keep("norms", 0, norms)
+    found = kept.read("norms", 0)
+    assert_same(found, norms)
+    assert found[0].flags.f_contiguous
+    assert not found[0].flags.writeable
 
 
 @pytest.mark.parametrize("is_shared", [True, False], ids=["one folder", "one a worker"])
@@ -67,11 +78,11 @@ def test_what_ends_while_writing_leaves_what_was_there(tmp_path, monkeypatch, er
     kept = KeptParts(str(tmp_path), True, 10**6)
     kept.keep("paths", 0, part(0))
 
-    def half_written(part, file):
+    def half_written(file, part):
         file.write_bytes(b"half a part")
         raise error
 
-    monkeypatch.setattr("joblib.dump", half_written)
+    monkeypatch.setattr(kept_parts, "_write", half_written)
     try:
         kept.keep("paths", 0, part(1))
         assert [file.name for file in tmp_path.iterdir()] == ["paths-0"]
