@@ -38,3 +38,8 @@ def test_reach_with_a_bias_holds_the_truth_as_often_as_the_level_says(freedom, l
 def test_a_crossing_is_found_from_any_bracket(low, high):
     assert crossing(lambda x: x**3 - 8.0, low, high) == pytest.approx(2.0, rel=1e-13)
     assert crossing(lambda x: 8.0 - x**3, low, high) == pytest.approx(2.0, rel=1e-13)
+
+
+@pytest.mark.parametrize("error", [1e-17, 1e-300, 5e-324])
+def test_a_bias_that_dwarfs_the_standard_error_is_the_reach(error):
+    assert around(0.0, error, 5.0, 9.0, 0.95, bias=3.0).high == pytest.approx(3.0, rel=1e-12)

@@ -104,7 +104,8 @@ def around(
     [ArmstrongKolesar2018]_.
     """
     known = max(float(freedom), 1.0)
-    reach = bias if standard_error == 0.0 else _quantile(level, bias / standard_error, known) * standard_error
+    shift = bias / standard_error if standard_error > 0.0 else np.inf
+    reach = bias if np.isinf(shift) else _quantile(level, shift, known) * standard_error
     return Estimate(value, value - reach, value + reach, standard_error, float(effective_sample_size), known, bias)
 
 

@@ -24,8 +24,9 @@ from halfseen.learning.sums import Columns, Rows, StateChoices
 from halfseen.learning.task import Encoded
 from halfseen.learning.values import Norms
 
-_OF = (PathArrays, StageClocks, Encoded, Rows, Columns, StateChoices, Norms, tuple)
-KINDS: dict[str, Any] = {kind.__name__: kind for kind in _OF}
+KINDS: dict[str, Any] = {
+    kind.__name__: kind for kind in (PathArrays, StageClocks, Encoded, Rows, Columns, StateChoices, Norms, tuple)
+}
 """Records that a part is made of."""
 ALIGNED = 64
 """Bytes; every array begins at a multiple."""
