@@ -26,6 +26,7 @@ from halfseen.planners.one_step import (
     table_of,
     tries_after,
     tries_of,
+    tries_then,
 )
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import Verb, possible_actions
@@ -98,7 +99,7 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
     everyone = others.goes_on | is_decider(state)
     with_me, without_me = (_crew(config, state, robots, seconds, who) for who in (everyone, others.goes_on))
     own_s = xp.take_along_axis(seconds, robot[None, None], axis=0)[0] / speed[state.decider]
-    gains = limited(tries_after(config, look, with_me.effort), with_me.num_decisions)
+    gains = limited(tries_after(tries_then(config, look, with_me.effort)), with_me.num_decisions)
     values = attempts_worth(config, look, gains[None], own_s, with_me.reward_per_s)
     # Whoever is last to leave ends the path, and nothing is looked at any more.
     finish = _value_now(config, look, without_me) * xp.any(others.goes_on, axis=-1)

@@ -219,10 +219,13 @@ def _chances_then(expected: Float[Array, "W N *B"]) -> Float[Array, "2 M N *B"]:
     return xp.concatenate(each).reshape(2, num_objects + 2, *expected.shape[1:])
 
 
-def tries_after(config: WorldConfig, look: Outlook, effort: tuple[Any, ...]) -> Float[Array, "2 3 N *B"]:
+def tries_then(config: WorldConfig, look: Outlook, effort: tuple[Any, ...]) -> Float[Array, "2 2 M N *B"]:
+    """What is to be gained by one more try at each object, and P(it is tried), in each of the ways of two rows."""
+    return tries_of(config, look, tuple(_chances_then(each) for each in look.expected), effort)
+
+
+def tries_after(each: Float[Array, "2 2 M N *B"]) -> Float[Array, "2 3 N *B"]:
     """What is to be gained by tries, and their number, after a miss, a WASH and a LIFT of each object."""
-    chances = tuple(_chances_then(each) for each in look.expected)
-    each = tries_of(config, look, chances, effort)
     total = each.sum(axis=3)
     # After a miss all is as before but the grip of the target.
     missed = total[:, 0, :1] - each[:, 0, 0] + each[:, 1, 0]
@@ -262,7 +265,14 @@ def rule_and_control(config: WorldConfig, table: Table, look: Outlook) -> Float[
 
     With one step to go Q_1 is exact, and Q° is of no meaning.
     """
-    xp, tries = library_of(look.worth), tries_after(config, look, (0.0,))
+    return values_by(config, table, look, tries_then(config, look, (0.0,)))
+
+
+def values_by(
+    config: WorldConfig, table: Table, look: Outlook, each: Float[Array, "2 2 M N *B"]
+) -> Float[Array, "2 C *B"]:
+    """`rule_and_control`, from what `tries_then` tells."""
+    xp, tries = library_of(look.worth), tries_after(each)
     gains = _pair(limited(tries, table.steps_to_go - 1), tries[0])
     own_s = config.transport_s + look.expected[0][ATTEMPT_S]
     values = xp.where(table.is_there, attempts_worth(config, look, gains, own_s), _NEVER)

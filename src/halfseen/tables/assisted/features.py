@@ -1,0 +1,175 @@
+"""What is not in the look one step ahead, and E looks at: numbers of a belief under known laws, by verb and target.
+
+The look (`halfseen.planners.one_step`) values what lies beyond one attempt by a rule that leaves each object or tries
+it once. What it misses depends on what there is to be tried, what may yet be revealed, and how scarce steps are. All
+numbers follow from the look itself:
+
+===============  ===================================================================================================
+gain             (worth of a WASH now)₊, penalty that it avoids included
+scarce           by how much the objects worth a WASH outnumber the steps to go
+reveal           what the others are worth more to be tried, after the next look, once the target is gone
+around           the same where it is held up, and put back
+own              what the target is worth more to be tried, once it was held up
+bare             what the target hides of others, times how doubtful and unseen they are
+===============  ===================================================================================================
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from halfseen.arrays import Array, library_of
+from halfseen.planners.belief import Belief
+from halfseen.planners.one_step import (
+    ATTEMPT_S,
+    MISSED,
+    MISSED_THEN_HELD,
+    NOW,
+    Outlook,
+    Table,
+    control_value,
+    left_price,
+    outlook_of,
+    setting_of,
+    table_of,
+    tries_then,
+    values_by,
+)
+from halfseen.shapes import Bool, Float, Int
+from halfseen.world.config import WorldConfig
+
+FEATURES_VERSION = 1
+"""Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
+
+NUM_TABLE, NUM_OWN = 14, 30
+NUM_FEATURES = NUM_TABLE + NUM_OWN
+
+_ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
+
+
+class Ahead(NamedTuple):
+    """The look ahead from some beliefs, the axes *B of a batch last."""
+
+    table: Table
+    look: Outlook
+    values: Float[Array, "2 C *B"]
+    """Q_1 and Q° of WASH and LIFT of each object above leaving all; −∞ of what is not there."""
+    control: Float[Array, "*B"]
+    """V° above leaving all."""
+    of_table: Float[Array, "14 *B"]
+    own: Float[Array, "30 2 N *B"]
+    """Of WASH and of LIFT of each object; 0 of what is not there."""
+
+    @property
+    def one_step(self) -> Float[Array, "C *B"]:
+        """Q_1."""
+        return self.values[0]
+
+
+def ahead_of(config: WorldConfig, table: Table, look: Outlook | None = None) -> Ahead:
+    """Look ahead, and describe what is seen."""
+    look = outlook_of(config, table, setting_of((config,), table)) if look is None else look
+    each = tries_then(config, look, (_ZERO,))
+    values = values_by(config, table, look, each)
+    return Ahead(table, look, values, control_value(table, look), *_described(config, table, look, each[0], values))
+
+
+def _described(
+    config: WorldConfig,
+    table: Table,
+    look: Outlook,
+    gains: Float[Array, "2 M N *B"],
+    values: Float[Array, "2 C *B"],
+) -> tuple[Float[Array, "14 *B"], Float[Array, "30 2 N *B"]]:
+    """Features of the table, and those of its own for each target."""
+    xp, there = library_of(values), table.is_there
+    expected, p = look.expected[0], table.is_dirty
+    holds, again = expected[NOW], expected[MISSED_THEN_HELD] / xp.maximum(expected[MISSED], _TINY)
+
+    def if_there(each: Array) -> Array:
+        return xp.where(there, each, _ZERO)
+
+    worth, gain = if_there(look.worth), if_there(xp.maximum(look.worth, _ZERO))
+    total, wanted = gain.sum(axis=0), ((worth > _ZERO) * _ONE).sum(axis=0)
+    steps = table.steps_to_go.astype(np.float32)
+    scarce, unseen = xp.maximum(wanted - steps, _ZERO), if_there(_ONE - table.seen)
+    doubt = if_there(4.0 * p * (_ONE - p))
+    others = total - gain
+    reveal, around = (if_there(of_row[1:-1].sum(axis=1) - others) for of_row in gains)
+    own = if_there(gains[0, -1] - gain)
+    occluded = if_there(look.occluded[0])
+    hidden = xp.where(there, xp.maximum(look.occluded[0] - look.occluded[1:-1], _ZERO), _ZERO)
+    bare, bare_dirty, second = (
+        if_there((hidden * each).sum(axis=1)) for each in (doubt * unseen, (p > 0.5) * unseen, reveal)
+    )
+    own_s = config.transport_s + expected[ATTEMPT_S]
+    lift_net = if_there(holds * (own + around) + config.reward_lift_per_s * own_s)
+    in_order = xp.sort(gain, axis=0)[::-1]
+    number = np.arange(len(p)).reshape(-1, *(1,) * (p.ndim - 1))
+    within = xp.where(number < steps, in_order, _ZERO).sum(axis=0)
+    count = (there * _ONE).sum(axis=0)
+    most_lift = lift_net.max(axis=0)
+    of_table = [
+        total / 10.0,
+        wanted / 5.0,
+        scarce / 3.0,
+        (total - within) / 10.0,
+        count / 5.0,
+        reveal.max(axis=0),
+        own.max(axis=0),
+        own.sum(axis=0) / 3.0,
+        bare.sum(axis=0),
+        most_lift,
+        xp.maximum(most_lift, _ZERO),
+        reveal.sum(axis=0) / 3.0,
+        (doubt * unseen).sum(axis=0) / 3.0,
+        (gain * (_ONE - holds)).sum(axis=0) / 5.0,
+    ]
+    by_target = [
+        worth / 5.0,
+        gain / 5.0,
+        p,
+        holds,
+        again,
+        holds * again,
+        doubt,
+        unseen,
+        own,
+        reveal,
+        around,
+        bare,
+        bare_dirty,
+        second,
+        gain * (_ONE - holds) / 5.0,
+        (gain <= _ZERO) * holds,
+        holds * reveal,
+        holds * own,
+        (table.seen <= _ZERO) * _ONE,
+        (p > 0.8) * _ONE,
+        gain * scarce / 10.0,
+        reveal * scarce / 3.0,
+        own * scarce / 3.0,
+        occluded,
+        doubt * unseen * holds,
+    ]
+    above, control = (each.reshape(2, *there.shape) for each in values)
+    best, second_best = _best_two(above)
+    short = if_there(above - best)
+    beyond = if_there(control - total)
+    rival = if_there(xp.where(short >= -1e-6, second_best - best, _ZERO))
+    of_verb = [short / 5.0, beyond / 5.0, xp.maximum(short + _ONE, _ZERO), xp.maximum(beyond + _ONE, _ZERO), rival / 5.0]
+    both = xp.stack([xp.broadcast_to(if_there(each), above.shape) for each in by_target])
+    own_features = xp.concatenate([xp.stack(of_verb), both]).astype(np.float32)
+    return xp.stack(of_table).astype(np.float32), own_features
+
+
+def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[Array, "*B"]]:
+    """The best and the second best of all actions, FINISH among them, which is worth 0."""
+    xp = library_of(above)
+    flat = above.reshape(-1, *above.shape[2:])
+    first = flat.argmax(axis=0)
+    best = flat.max(axis=0)
+    number = np.arange(len(flat)).reshape(-1, *(1,) * (flat.ndim - 1))
+    rest = xp.where(number == first, np.float32(-np.inf), flat).max(axis=0)
+    return xp.maximum(best, _ZERO), xp.maximum(xp.minimum(best, _ZERO), rest)
+
