@@ -34,11 +34,14 @@ from halfseen.learning.recursion import QFunctions
 from halfseen.learning.streaming import learned_from
 from halfseen.learning.support import unseen_in_words
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
-from halfseen.learning.task import AUTO, Task, named_task
+from halfseen.learning.task import AUTO, Task, assisted_learner, named_task
 from halfseen.logs import Logs, LogStream
 from halfseen.shapes import Float
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
+
+OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO}
+"""Parameters of eq. 3 without laws; where one is given, that is what is wanted of a table."""
 
 PESSIMISM = 2.0
 """Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
@@ -142,11 +145,34 @@ class CensoredQLearner(Estimator):
         *,
         grasp: Any = AUTO,
         reduces_variance: bool = True,
+        laws: str | None = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
-        """Make a learner for logs of tables of objects: WASH, LIFT and FINISH (see `halfseen.tables.TableTask`)."""
+        """Make a learner for logs of tables of objects: WASH, LIFT and FINISH.
+
+        Parameters
+        ----------
+        horizon
+            T.
+        grasp, reduces_variance
+            Of the task (see `halfseen.tables.TableTask`).
+        laws
+            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.TableLearner`), unless something
+            is said of Q, its stages, λ or pessimism, which is of eq. 3 without laws; None for eq. 3 without laws.
+        **parameters
+            Of the learner.
+
+        Raises
+        ------
+        ArgumentError
+            `laws` is neither.
+        """
+        if laws not in (AUTO, None):
+            raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None for eq. 3 without laws")
         task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
-        return cls(horizon, task, **parameters)
+        is_plain = any(parameters.get(name, default) != default for name, default in OF_LINEAR.items())
+        maker = cls if laws is None or is_plain else assisted_learner()
+        return maker(horizon, task, **parameters)
 
     @classmethod
     def for_team(

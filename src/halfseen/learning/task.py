@@ -161,3 +161,8 @@ def named_task(name: str, **parameters: Any) -> Task:
         raise ArgumentError(f"task is {name!r}; it is {', '.join(map(repr, TASKS))}, or an object that is a Task")
     module, attribute = TASKS[name].split(":")
     return getattr(import_module(module), attribute)(**parameters)
+
+
+def assisted_learner() -> type:
+    """The learner of tables that laws assist; it loads where it is asked for."""
+    return import_module("halfseen.tables.assisted.learner").TableLearner

@@ -157,7 +157,13 @@ def _described(
     short = if_there(above - best)
     beyond = if_there(control - total)
     rival = if_there(xp.where(short >= -1e-6, second_best - best, _ZERO))
-    of_verb = [short / 5.0, beyond / 5.0, xp.maximum(short + _ONE, _ZERO), xp.maximum(beyond + _ONE, _ZERO), rival / 5.0]
+    of_verb = [
+        short / 5.0,
+        beyond / 5.0,
+        xp.maximum(short + _ONE, _ZERO),
+        xp.maximum(beyond + _ONE, _ZERO),
+        rival / 5.0,
+    ]
     both = xp.stack([xp.broadcast_to(if_there(each), above.shape) for each in by_target])
     own_features = xp.concatenate([xp.stack(of_verb), both]).astype(np.float32)
     return xp.stack(of_table).astype(np.float32), own_features
@@ -172,4 +178,3 @@ def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[
     number = np.arange(len(flat)).reshape(-1, *(1,) * (flat.ndim - 1))
     rest = xp.where(number == first, np.float32(-np.inf), flat).max(axis=0)
     return xp.maximum(best, _ZERO), xp.maximum(xp.minimum(best, _ZERO), rest)
-

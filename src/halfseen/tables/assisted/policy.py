@@ -1,4 +1,4 @@
-"""What is learned of tables with the help of fitted laws, as a policy."""
+"""What is learned of tables with the help of fitted laws, as policies."""
 
 from typing import ClassVar
 
@@ -6,30 +6,33 @@ import numpy as np
 
 from halfseen.arrays import Array, library_of, record
 from halfseen.planners.belief import belief_of
+from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.one_step import laid_out, left_price, table_of
 from halfseen.shapes import Float
 from halfseen.tables.assisted.features import ahead_of
+from halfseen.tables.assisted.mending import Mending
 from halfseen.tables.assisted.synthetic import Excess
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, surely
+from halfseen.world.policy import Decision, GraspModel, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 
 @record
-class AssistedPolicy:
-    """argmax over possible actions of Q_1 + E_h.
+class LawPolicy:
+    """Decides by fitted laws: argmax of `q_values`.
 
     Parameters
     ----------
     config
         The world with its fitted laws.
-    excess
-        E.
+    mending
+        Makes log-odds anew where the recorder got them wrong; None where it did not.
     """
 
     config: WorldConfig
-    excess: Excess
+    mending: Mending | None = None
 
     num_robots: ClassVar[int] = 1
 
@@ -38,8 +41,53 @@ class AssistedPolicy:
         return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
+        """Q of every action; −∞ where an action is impossible, or never taken."""
+        raise NotImplementedError
+
+    def mended(self, state: TableState) -> TableState:
+        """The state, with log-odds as the laws have them."""
+        return state if self.mending is None else self.mending(state)
+
+
+@record
+class AssistedPolicy(LawPolicy):
+    """Q_1 + E_h: the look one step ahead, and what it misses (`synthetic`).
+
+    Parameters
+    ----------
+    config, mending
+        As of `LawPolicy`.
+    excess
+        E.
+    """
+
+    excess: Excess | None = None
+
+    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Q of every action; −∞ where an action is impossible."""
-        ahead = ahead_of(self.config, table_of(belief_of(self.config, state)))
+        ahead = ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
         left = left_price(self.config, ahead.table)
-        above = ahead.one_step + self.excess(ahead)
+        above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
         return laid_out(left, left + above)
+
+
+@record
+class RulePolicy(LawPolicy):
+    """The rule of thumb that counts history and penalty: where laws do not foretell the log, it relies on them least.
+
+    Parameters
+    ----------
+    config, mending
+        As of `LawPolicy`.
+    grasp
+        What tells the probability of a grasp; None for the fitted law.
+    """
+
+    grasp: GraspModel | None = None
+
+    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
+        """What a WASH is worth above leaving all; 0 of FINISH, −∞ of LIFT."""
+        rule = GreedyPolicy(self.config, uses_history=True, counts_penalty=True, grasp=self.grasp)
+        worth = rule.worth(self.mended(state))
+        zero = library_of(worth).zeros_like(worth[..., 0])
+        return ActionSpace(state.num_objects).join(zero, {Verb.WASH: worth})

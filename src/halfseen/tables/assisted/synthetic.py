@@ -142,9 +142,7 @@ def _regressed(features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R
     return np.append(target.mean() - slope @ mean, slope)
 
 
-def simulated(
-    config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, " R"], seed: int
-) -> dict[int, Tried]:
+def simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, " R"], seed: int) -> dict[int, Tried]:
     """Simulate some trajectories, by number: what was tried at each number of steps to go."""
     rng, found = np.random.default_rng([seed, int(trajectory[0])]), {}
     ahead = ahead_of(config, _begun(config, layouts, trajectory, seed))

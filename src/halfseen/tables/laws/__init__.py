@@ -9,11 +9,12 @@ Read down: `evidence` (logs → attempts, as far as each was watched, and what l
 """
 
 from dataclasses import replace
+from typing import NamedTuple
 
 from halfseen.logs import Logs
 from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.laws.grasping import choose_grasping
-from halfseen.tables.laws.seeing import choose_seeing
+from halfseen.tables.laws.seeing import seeing_of
 from halfseen.world.config import WorldConfig
 
 
@@ -56,9 +57,42 @@ def fit_world(logs: Logs, known: WorldConfig) -> WorldConfig:
 
 def fitted_to(evidence: Evidence, known: WorldConfig) -> WorldConfig:
     """Fit the laws to what a log tells of them."""
-    return replace(
-        known,
-        dirty_share=evidence.dirty_share,
-        grasping=choose_grasping(evidence.tried, float(known.grasping.limit_s)),
-        seeing=choose_seeing(evidence.told, evidence.dirty_share),
-    )
+    return fitted_laws(evidence, known).config
+
+
+class FittedLaws(NamedTuple):
+    """A world with laws that were fitted to a log, and what became of the recorder's."""
+
+    config: WorldConfig
+    is_mended: bool
+    """Whether the log's own log-odds are not to be trusted."""
+    sentence: str
+
+
+def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | None = None) -> FittedLaws:
+    """Fit the laws to what a log tells of them.
+
+    Parameters
+    ----------
+    evidence
+        What it tells.
+    known
+        As `fit_world` takes it.
+    prior
+        Laws about which these are fitted; None for weak priors.
+    """
+    limit_s, told = float(known.grasping.limit_s), evidence.told
+    grasping = choose_grasping(evidence.tried, limit_s, None if prior is None else prior.grasping)
+    seen = seeing_of(told, evidence.dirty_share, None if prior is None else prior.seeing)
+    config = replace(known, dirty_share=evidence.dirty_share, grasping=grasping, seeing=seen.law)
+    is_mended = len(told.path) > 0 and (seen.recorder is None or seen.is_rejected)
+    family = "looks that show nothing new are no news" if told.is_persistent else "each look is news"
+    if not len(told.path):
+        how = "no label tells how looks err"
+    elif seen.recorder is None:
+        how = f"no one law of seeing made the log’s log-odds: it is fitted to the labels ({family}), log-odds made anew"
+    elif seen.is_rejected:
+        how = "the labels contradict the recorder’s law of seeing: it is fitted to them, log-odds made anew"
+    else:
+        how = f"the law of seeing is read from the log’s own log-odds ({family}); its labels do not contradict it"
+    return FittedLaws(config, is_mended, how)

@@ -68,6 +68,8 @@ class Labels(NamedTuple):
     """Whether washing showed that the object was dirty."""
     was_clean: RowMask
     """Whether it showed that it was clean; of what was never washed nothing was shown."""
+    moved: Rows
+    """By how much the recorder let the log-odds move."""
 
     @property
     def is_persistent(self) -> bool:
@@ -137,7 +139,7 @@ def _watched(tried: pd.DataFrame, path: RowIds, is_held: RowMask, known: WorldCo
 def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowIds, held_row: RowIds) -> Labels:
     """What every look said: DIRTY where it raised the log-odds, the other where it lowered them.
 
-    By how much the recorder let them move is its own belief in its labels, and is not used. A look that moved nothing
+    By how much the recorder let them move is its own belief in its labels (`recorder`). A look that moved nothing
     was no news, and is left out, unless it added to what counts as seen: then nothing was found in what it showed. The
     reward of a WASH that held shows what the object was; one in the last step of the horizon is left out, as its reward
     also holds the price of what is left.
@@ -163,6 +165,7 @@ def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowId
         says_dirty=moved[at] > NO_NEWS,
         was_dirty=was[0, path, target],
         was_clean=was[1, path, target],
+        moved=moved[at].astype(np.float64),
     )
 
 

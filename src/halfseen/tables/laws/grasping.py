@@ -47,7 +47,7 @@ things follow from the measure:
 Offsets u of objects are integrated out by Gauss–Hermite quadrature, as frailties are [Hougaard2000]_.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -56,7 +56,7 @@ import numpy as np
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.shapes import Float
 from halfseen.tables.laws.evidence import AT_LIMIT, Prior, Watched, least
-from halfseen.world.grasping import AssumedGrasping, FittedGrasping
+from halfseen.world.grasping import AssumedGrasping, FittedGrasping, GraspLaw
 
 REACH = np.array([10.0, 15.0, 2.5, 5.0, 5.0, 4.0])
 """How far from the prior's mode a number of the logistic family may go."""
@@ -64,7 +64,11 @@ REACH = np.array([10.0, 15.0, 2.5, 5.0, 5.0, 4.0])
 _LOG_ROOT_2_PI = 0.5 * np.log(2.0 * np.pi)
 
 
-def choose_grasping(tried: Watched, limit_s: float) -> AssumedGrasping | FittedGrasping:
+PRIOR_SPREAD = 0.25
+"""Of a prior about a law that is given, as a share of the weak one's."""
+
+
+def choose_grasping(tried: Watched, limit_s: float, known: GraspLaw | None = None) -> AssumedGrasping | FittedGrasping:
     """Fit both families to attempts, and take the one that they speak for; of two alike the exponential one.
 
     Parameters
@@ -73,11 +77,22 @@ def choose_grasping(tried: Watched, limit_s: float) -> AssumedGrasping | FittedG
         The attempts.
     limit_s
         τ, which is known [s].
+    known
+        A law about which that of its family is fitted; None for weak priors.
     """
-    families = [Exponential(tried, limit_s)] if misses_at_limit_alone(tried, limit_s) else []
-    fits = [(family, family.fitted()) for family in (*families, Logistic(tried, limit_s))]
+    families: list[Exponential | Logistic] = [Logistic(tried, limit_s)]
+    if misses_at_limit_alone(tried, limit_s):
+        families.insert(0, Exponential(tried, limit_s))
+    about = {type(family): family.theta_of(known) for family in families}
+    if any(theta is not None for theta in about.values()):
+        families = [replace(family, known=theta) for family in families if (theta := about[type(family)]) is not None]
+    fits = [(family, family.fitted()) for family in families]
     family, theta = max(fits, key=lambda fit: fit[0].score(fit[1]))
     return family.law(theta)
+
+
+def _about(weak: Prior, theta: np.ndarray | None) -> Prior:
+    return weak if theta is None else Prior(theta, PRIOR_SPREAD * weak.spread)
 
 
 def misses_at_limit_alone(tried: Watched, limit_s: float) -> bool:
@@ -118,15 +133,26 @@ class Exponential:
         The attempts.
     limit_s
         τ [s].
+    known
+        θ about which it is fitted; None for a weak prior.
     """
 
     tried: Watched
     limit_s: float
+    known: Float[np.ndarray, "3"] | None = None
 
     @property
     def prior(self) -> Prior:
         """Half of the attempts hold, occlusion changes nothing, and objects differ somewhat."""
-        return Prior(np.array([-np.log(np.log(2.0)), 0.0, np.log(0.5)]), np.array([2.0, 2.0, 1.0]))
+        weak = Prior(np.array([-np.log(np.log(2.0)), 0.0, np.log(0.5)]), np.array([2.0, 2.0, 1.0]))
+        return _about(weak, self.known)
+
+    def theta_of(self, law: GraspLaw | None) -> Float[np.ndarray, "3"] | None:
+        """θ of a law; None of one that is not of this family."""
+        if not isinstance(law, AssumedGrasping):
+            return None
+        log_time = float(law.log_time) - float(np.log(self.limit_s))
+        return np.array([log_time, float(law.log_time_per_occlusion), np.log(float(law.offset_std))])
 
     def fitted(self) -> Float[np.ndarray, "3"]:
         """θ of the largest posterior density; without attempts it is the prior's mode."""
@@ -192,16 +218,27 @@ class Logistic:
         The attempts.
     limit_s
         τ [s].
+    known
+        θ about which it is fitted; None for a weak prior.
     """
 
     tried: Watched
     limit_s: float
+    known: Float[np.ndarray, "6"] | None = None
 
     @property
     def prior(self) -> Prior:
         """Half of the attempts hold, whatever hides the object, and both results take half the limit."""
         mode = np.array([0.0, 0.0, np.log(0.5), np.log(self.limit_s / 2.0), 0.0, np.log(0.5)])
-        return Prior(mode, np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]))
+        return _about(Prior(mode, np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0])), self.known)
+
+    def theta_of(self, law: GraspLaw | None) -> Float[np.ndarray, "6"] | None:
+        """θ of a law; None of one that is not of this family."""
+        if not isinstance(law, FittedGrasping):
+            return None
+        held, longer = float(law.log_held_s), float(law.log_missed_s) - float(law.log_held_s)
+        stds = np.log([float(law.offset_std), float(law.log_std)])
+        return np.array([float(law.log_odds), float(law.log_odds_per_occlusion), stds[0], held, longer, stds[1]])
 
     def fitted(self) -> Float[np.ndarray, "6"]:
         """θ of the largest posterior density; without attempts it is the prior's mode."""

@@ -42,19 +42,21 @@ an object, looks that show no more are no news in it, and will be none to the po
 counts nothing, every look moved the log-odds, and will again.
 """
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from functools import cached_property
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.shapes import Float
 from halfseen.tables.laws.evidence import Labels, Prior, least
-from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, PersistentSeeing
+from halfseen.tables.laws.recorder import SPREAD, read_back, speaks_against
+from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing
 
-Independent = Float[np.ndarray, "3"]
-"""logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power."""
-Persistent = Float[np.ndarray, "2 pieces"]
-"""Logits of h: of dirty objects, and of clean ones."""
+Theta = Float[np.ndarray, " k"]
+"""Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power. Of the
+persistent one: logits of h, first of dirty objects, then of clean ones."""
 
 INDEPENDENT_PRIOR = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
 """Right three times of four in full view, hardly better than a coin if hidden, straight between."""
@@ -66,41 +68,56 @@ FOUND = np.array([0.5, 0.1])
 """Share of the dirty objects, and of the clean ones, that the prior takes a look in full view to find."""
 
 
-def choose_seeing(told: Labels, dirty_share: float) -> AssumedSeeing | PersistentSeeing:
-    """Fit the family that the recorder of labels kept to; without labels its numbers are the prior's.
+@dataclass(frozen=True, eq=False)
+class Independent:
+    """Labels of which each is news.
 
     Parameters
     ----------
     told
         The labels.
     dirty_share
-        π, which is known.
+        π.
     """
-    return (fit_persistent if told.is_persistent else fit_independent)(told, dirty_share)
+
+    told: Labels
+    dirty_share: float
+
+    prior: ClassVar[Prior] = INDEPENDENT_PRIOR
+    bounds: ClassVar[tuple[float, float]] = (-8.0, 8.0)
+
+    def fitted(self, prior: Prior) -> Theta:
+        """θ of the largest posterior density, with a floor of at least ½."""
+        return least(lambda theta: self.loss(theta, prior), prior.mode, [self.bounds] * len(prior.mode))
+
+    def law(self, theta: Theta) -> AssumedSeeing:
+        """The law of these numbers."""
+        reach, floor, power = _shape(theta)
+        return AssumedSeeing(float(0.5 + reach * floor), float(reach * (1.0 - floor)), float(power))
+
+    def theta_of(self, law: KnownSeeing) -> Theta | None:
+        """The numbers of a law; None of one that is not of this family."""
+        if not isinstance(law, AssumedSeeing):
+            return None
+        reach = float(law.floor) + float(law.gain) - 0.5
+        shares = np.clip([2.0 * reach, (float(law.floor) - 0.5) / reach], 1e-3, 1.0 - 1e-3)
+        return np.append(np.log(shares) - np.log1p(-shares), np.log(float(law.power)))
+
+    def log_likelihood(self, theta: Theta) -> float:
+        """Log-likelihood of all objects."""
+        return _of_objects(_accuracy(theta, self.told.occlusion)[0], self.told, self.dirty_share)[0]
+
+    def loss(self, theta: Theta, prior: Prior) -> tuple[float, Theta]:
+        """Negative log-posterior, and its gradient."""
+        told = self.told
+        right, slopes = _accuracy(theta, told.occlusion)
+        log_likelihood, is_dirty = _of_objects(right, told, self.dirty_share)
+        is_right = np.where(told.says_dirty, is_dirty[told.object], 1.0 - is_dirty[told.object])
+        slope = (slopes * (is_right / right - (1.0 - is_right) / (1.0 - right))).sum(axis=1)
+        return prior.loss(theta, log_likelihood, slope)
 
 
-def fit_independent(told: Labels, dirty_share: float) -> AssumedSeeing:
-    """Fit floor, gain and power, with a floor of at least ½."""
-    mode = INDEPENDENT_PRIOR.mode
-    return independent_law(least(lambda at: independent_loss(at, told, dirty_share), mode, [(-8.0, 8.0)] * len(mode)))
-
-
-def independent_law(theta: Independent) -> AssumedSeeing:
-    """Read the parameters that `independent_loss` takes."""
-    reach, floor, power = _shape(theta)
-    return AssumedSeeing(float(0.5 + reach * floor), float(reach * (1.0 - floor)), float(power))
-
-
-def independent_loss(theta: Independent, told: Labels, dirty_share: float) -> tuple[float, Independent]:
-    """Negative log-posterior of the independent family, and its gradient."""
-    right, slopes = _accuracy(theta, told.occlusion)
-    log_likelihood, is_dirty = _of_objects(right, told, dirty_share)
-    is_right = np.where(told.says_dirty, is_dirty[told.object], 1.0 - is_dirty[told.object])
-    slope = (slopes * (is_right / right - (1.0 - is_right) / (1.0 - right))).sum(axis=1)
-    return INDEPENDENT_PRIOR.loss(theta, log_likelihood, slope)
-
-
-def _shape(theta: Independent) -> tuple[np.float64, np.float64, np.float64]:
+def _shape(theta: Theta) -> tuple[np.float64, np.float64, np.float64]:
     """What is above chance in full view, the share of it that is left if hidden, and the power."""
     from scipy.special import expit
 
@@ -145,19 +162,57 @@ class Intervals(NamedTuple):
     was_clean: RowMask
 
 
-def fit_persistent(told: Labels, dirty_share: float) -> PersistentSeeing:
-    """Fit both curves."""
-    facing = facing_of(told)
-    views, known, prior = views_of(facing), intervals_of(told, facing), persistent_prior(facing)
-    shape = prior.mode.shape
+@dataclass(frozen=True, eq=False)
+class Persistent:
+    """Labels that persist as long as the view does; parameters as of `Independent`."""
 
-    def loss(theta: Rows) -> tuple[float, Rows]:
-        value, gradient = persistent_loss(theta.reshape(shape), known, prior, dirty_share)
-        return value, gradient.ravel()
+    told: Labels
+    dirty_share: float
 
-    theta = least(loss, prior.mode.ravel(), [(-12.0, 12.0)] * prior.mode.size).reshape(shape)
-    curves = np.minimum(np.cumsum(masses(theta)[:, :-1], axis=1), 1.0)
-    return PersistentSeeing(facing, tuple(views.tolist()), *(tuple(curve) for curve in curves.tolist()))
+    bounds: ClassVar[tuple[float, float]] = (-12.0, 12.0)
+
+    @cached_property
+    def facing(self) -> float:
+        """Share of the surface that an object in full view shows."""
+        return facing_of(self.told)
+
+    @cached_property
+    def prior(self) -> Prior:
+        """Prior of the curves, where nothing else is known."""
+        return persistent_prior(self.facing)
+
+    @cached_property
+    def _intervals(self) -> Intervals:
+        return intervals_of(self.told, self.facing)
+
+    def fitted(self, prior: Prior) -> Theta:
+        """θ of the largest posterior density."""
+        return least(lambda theta: self.loss(theta, prior), prior.mode, [self.bounds] * len(prior.mode))
+
+    def law(self, theta: Theta) -> PersistentSeeing:
+        """The law of these numbers."""
+        curves = np.minimum(np.cumsum(masses(theta)[:, :-1], axis=1), 1.0)
+        curves = np.maximum.accumulate(curves, axis=1)
+        return PersistentSeeing(
+            self.facing, tuple(views_of(self.facing).tolist()), *(tuple(curve) for curve in curves.tolist())
+        )
+
+    def theta_of(self, law: KnownSeeing) -> Theta | None:
+        """The numbers of a law at the shares at which the curves are given; None of one of the other family."""
+        if not isinstance(law, PersistentSeeing):
+            return None
+        found = law.found_by(views_of(self.facing))
+        before = np.pad(found, ((0, 0), (1, 0)))[:, :-1]
+        hazard = np.clip((found - before) / np.maximum(1.0 - before, 1e-9), 1e-3, 1.0 - 1e-3)
+        return (np.log(hazard) - np.log1p(-hazard)).ravel()
+
+    def log_likelihood(self, theta: Theta) -> float:
+        """Log-likelihood of all objects."""
+        return persistent_likelihood(theta, self._intervals, self.dirty_share)[0]
+
+    def loss(self, theta: Theta, prior: Prior) -> tuple[float, Theta]:
+        """Negative log-posterior, and its gradient."""
+        return prior.loss(theta, *persistent_likelihood(theta, self._intervals, self.dirty_share))
 
 
 def facing_of(told: Labels) -> float:
@@ -183,7 +238,7 @@ def persistent_prior(facing: float) -> Prior:
     """Prior of the curves."""
     is_on_table = views_of(facing) <= facing
     hazard = np.where(is_on_table, -np.expm1(np.log1p(-FOUND)[:, None] / len(QUARTERS)), FOUND[:, None])
-    return Prior(np.log(hazard) - np.log1p(-hazard), 1.5)
+    return Prior((np.log(hazard) - np.log1p(-hazard)).ravel(), 1.5)
 
 
 def intervals_of(told: Labels, facing: float) -> Intervals:
@@ -212,17 +267,18 @@ def _covered(share: Rows, views: Float[np.ndarray, " pieces"]) -> Float[np.ndarr
     return np.clip((share[:, None] - begins) / (views - begins), 0.0, 1.0)
 
 
-def masses(theta: Persistent) -> Float[np.ndarray, "2 pieces+1"]:
+def masses(theta: Theta) -> Float[np.ndarray, "2 pieces+1"]:
     """Probability that V lies in each piece, and that it is in none: of dirty objects, and of clean ones."""
     from scipy.special import log_expit
 
-    none = np.zeros((len(theta), 1))
+    theta = theta.reshape(2, -1)
+    none = np.zeros((2, 1))
     before = np.hstack([none, np.cumsum(log_expit(-theta), axis=1)])
     return np.exp(before + np.hstack([log_expit(theta), none]))
 
 
-def persistent_loss(theta: Persistent, known: Intervals, prior: Prior, dirty_share: float) -> tuple[float, Persistent]:
-    """Negative log-posterior of the persistent family, and its gradient."""
+def persistent_likelihood(theta: Theta, known: Intervals, dirty_share: float) -> tuple[float, Theta]:
+    """Log-likelihood of the persistent family, and its gradient."""
     from scipy.special import expit
 
     mass = masses(theta)
@@ -232,6 +288,43 @@ def persistent_loss(theta: Persistent, known: Intervals, prior: Prior, dirty_sha
     # Objects that are dirty, and clean, and tell in each piece, as many as are to be expected.
     count = mass * ((share / likelihood[:, None]).T @ known.covered)
     later = count.sum(axis=1, keepdims=True) - np.cumsum(count, axis=1)
-    hazard = expit(theta)
+    hazard = expit(theta.reshape(2, -1))
     slope = count[:, :-1] * (1.0 - hazard) - later[:, :-1] * hazard
-    return prior.loss(theta, np.log(likelihood).sum(), slope)
+    return float(np.log(likelihood).sum()), slope.ravel()
+
+
+class SeenBy(NamedTuple):
+    """A law of seeing, and what became of the recorder's."""
+
+    law: AssumedSeeing | PersistentSeeing
+    recorder: AssumedSeeing | PersistentSeeing | None
+    """The law that made the log's own log-odds; None where no law of the family did."""
+    is_rejected: bool = False
+    """Whether the labels speak against it."""
+
+
+def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
+    """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
+
+    Parameters
+    ----------
+    told
+        The labels; without any, the law's numbers are the prior's.
+    dirty_share
+        π, which is known.
+    known
+        A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
+    """
+    family = (Persistent if told.is_persistent else Independent)(told, dirty_share)
+    about = None if known is None else family.theta_of(known)
+    unaided = family.prior if about is None else Prior(about, SPREAD)
+    if not len(told.path):
+        return SeenBy(family.law(family.fitted(unaided)), None)
+    recorder = read_back(told, family.law, family.prior.mode, family.bounds)
+    if not recorder.is_consistent:
+        return SeenBy(family.law(family.fitted(unaided)), None)
+    weak = Prior(recorder.theta, family.prior.spread)
+    reached = family.log_likelihood(recorder.theta), family.log_likelihood(family.fitted(weak))
+    is_rejected = speaks_against(*reached, len(recorder.theta))
+    prior = unaided if is_rejected else Prior(recorder.theta, SPREAD)
+    return SeenBy(family.law(family.fitted(prior)), family.law(recorder.theta), is_rejected)

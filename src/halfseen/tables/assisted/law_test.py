@@ -1,0 +1,127 @@
+"""Do fitted laws foretell what the log shows? By the residuals of eq. 3 on the weighted log.
+
+Under the true laws Q°(S, A) = E[R + V°(S') | S, A] (`halfseen.planners.one_step`), so that with w = δ / Ĝ(U⁻)
+
+    Σ_t w_t · x(S_t, A_t) · (R_t + V°(S_{t+1}) − Q°(S_t, A_t))
+
+has mean 0 for each trajectory, whatever x is taken from (S, A). Sums over trajectories of some x are tested together by
+Hotelling's T²; trajectories, not stages, are independent. A label law that takes each look for news, a dirt that
+log-odds overstate or an object that never holds shows at once; what moves neither rewards nor what is left to gain
+changes no decision, and is not looked for.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from halfseen.arrays import mapped
+from halfseen.planners.belief import belief_of
+from halfseen.planners.one_step import left_price, table_of
+from halfseen.shapes import Bool, Float, Int
+from halfseen.tables.assisted.features import Ahead, ahead_of
+from halfseen.world.actions import ActionSpace, Verb
+from halfseen.world.config import WorldConfig
+from halfseen.world.state import TableState, attempt_counts
+
+LEVEL = 0.01
+"""Probability with which right laws are taken for wrong ones, at most."""
+
+
+class Watched(NamedTuple):
+    """A log of tables, as far as it was seen."""
+
+    states: TableState
+    """Axes (n, T)."""
+    action: Int[np.ndarray, "n T"]
+    reward: Float[np.ndarray, "n T"]
+    weight: Float[np.ndarray, "n T"]
+    """δ / Ĝ(U⁻)."""
+    is_last: Bool[np.ndarray, "n T"]
+    """Completed stages after which the trajectory had come to its own end."""
+
+
+class Residuals(NamedTuple):
+    """Of the completed stages, R rows."""
+
+    trajectory: Int[np.ndarray, " R"]
+    stage: Int[np.ndarray, " R"]
+    verb: Int[np.ndarray, " R"]
+    weight: Float[np.ndarray, " R"]
+    residual: Float[np.ndarray, " R"]
+    """R + V°(S') − Q°(S, A)."""
+    described: Float[np.ndarray, "R 6"]
+    """Of the target: 1, P(DIRTY), occlusion, share seen, past failures; and the steps to go."""
+
+
+class LawTest(NamedTuple):
+    """What the residuals say of the laws."""
+
+    statistic: float
+    p_value: float
+    z: dict[str, float]
+    """Mean residual of each verb, in its standard errors."""
+
+    @property
+    def is_rejected(self) -> bool:
+        """Whether the laws foretell the log worse than chance allows."""
+        return self.p_value < LEVEL
+
+
+def residuals_of(config: WorldConfig, log: Watched) -> Residuals:
+    """Compute the residuals under some laws."""
+    at = np.nonzero(log.weight > 0.0)
+    after = at[0], np.minimum(at[1] + 1, log.weight.shape[1] - 1)
+    is_last = log.is_last[at]
+    ahead, state = _ahead_at(config, log.states, at)
+    following, _ = _ahead_at(config, log.states, after)
+    action, rows = log.action[at], np.arange(len(at[0]))
+    left, left_after = (left_price(config, each.table) for each in (ahead, following))
+    values = np.where(ahead.table.steps_to_go == 1, ahead.values[0], ahead.values[1])
+    worth = np.concatenate([np.zeros((1, len(rows)), dtype=np.float32), values])[action, rows]
+    beyond = np.where(is_last, 0.0, left_after + following.control)
+    space = ActionSpace(state.num_objects)
+    target = space.target(action)
+    failures = attempt_counts(state)[1]
+    columns = (ahead.table.is_dirty.T, ahead.look.occluded[0].T, ahead.table.seen.T, failures)
+    of_target = [each[rows, target] for each in columns]
+    return Residuals(
+        *at,
+        verb=space.verb(action),
+        weight=log.weight[at],
+        residual=log.reward[at] + beyond - left - worth,
+        described=np.column_stack([np.ones(len(rows)), *of_target, ahead.table.steps_to_go / 10.0]),
+    )
+
+
+def _ahead_at(config: WorldConfig, states: TableState, at: tuple[np.ndarray, ...]) -> tuple[Ahead, TableState]:
+    there = mapped(lambda leaf: leaf[at], states)
+    return ahead_of(config, table_of(belief_of(config, there))), there
+
+
+USED = {Verb.FINISH: (0,), Verb.WASH: (0, 1, 2, 3, 4, 5), Verb.LIFT: (0, 2, 3, 5)}
+"""Which of the descriptions are tested, by verb."""
+
+
+def tested(found: Residuals, num_trajectories: int) -> LawTest:
+    """Test the laws."""
+    from scipy.special import fdtrc
+
+    columns, z = [], {}
+    for verb, used in USED.items():
+        rows = found.verb == verb
+        weighted = (found.weight * found.residual)[rows]
+        sums = [
+            np.bincount(found.trajectory[rows], weighted * found.described[rows, k], num_trajectories) for k in used
+        ]
+        columns += sums
+        z[verb.name] = float(sums[0].sum() / max(np.sqrt((sums[0] ** 2).sum()), 1e-12))
+    each = np.column_stack(columns)
+    each = each[:, (each != 0.0).sum(axis=0) >= 5]
+    num, n = each.shape[1], num_trajectories
+    if num == 0 or n <= num + 2:
+        return LawTest(0.0, 1.0, z)
+    mean, covariance = each.mean(axis=0), np.atleast_2d(np.cov(each.T))
+    # Columns that say the same count once.
+    statistic = float(n * mean @ np.linalg.pinv(covariance, rcond=1e-8, hermitian=True) @ mean)
+    rank = int(np.linalg.matrix_rank(covariance, rtol=1e-8, hermitian=True))
+    return LawTest(statistic, float(fdtrc(rank, n - rank, statistic * (n - rank) / (rank * (n - 1)))), z)
