@@ -70,7 +70,9 @@ def learner_for(
         num_robots = robots_in(logs)
         if num_robots:
             if prior_law is not None:
-                raise ArgumentError("--prior-law is for the tables of one robot, and the log is of a team: leave it out")
+                raise ArgumentError(
+                    "--prior-law is for the tables of one robot, and the log is of a team: leave it out"
+                )
             return _of_team(logs, num_robots, horizon, grasp, parameters)
         length = max(TABLE_HORIZON, longest) if horizon is None else horizon
         laws: Any = AUTO if has_laws else None

@@ -41,7 +41,9 @@ def values_of_world(config: WorldConfig) -> dict[str, Any]:
         law = getattr(config, name)
         family = next((family for family, kind in families.items() if type(law) is kind), None)
         if family is None:
-            raise ArgumentError(f"{name} is {type(law).__name__}, whose code a folder cannot hold; fit the law to a log")
+            raise ArgumentError(
+                f"{name} is {type(law).__name__}, whose code a folder cannot hold; fit the law to a log"
+            )
         numbers = {each.name: _plain(getattr(law, each.name)) for each in fields(law)}
         found[name] = {"family": family, **numbers}
     return found
@@ -75,7 +77,9 @@ def _law(name: str, values: Mapping[str, Any], families: Mapping[str, Any]) -> A
     kind = families[family]
     names = [each.name for each in fields(kind)]
     if set(values) != {"family", *names}:
-        raise PolicyError(f"{name} holds {sorted(values)}; it holds {sorted(['family', *names])}: learn the policy anew")
+        raise PolicyError(
+            f"{name} holds {sorted(values)}; it holds {sorted(['family', *names])}: learn the policy anew"
+        )
     found = {
         each: tuple(_finite(each, one) for one in values[each])
         if isinstance(values[each], list)

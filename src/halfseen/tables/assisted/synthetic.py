@@ -69,7 +69,7 @@ class Excess:
         return values.reshape(-1, *values.shape[2:])
 
 
-def _by_steps(each: Float[np.ndarray, "T *S"], to_go: Int[np.ndarray, "*B"]) -> Float[np.ndarray, "*S *B"]:
+def _by_steps(each: Float[np.ndarray, "T *S"], to_go: Int[np.ndarray, "*B"]) -> Float[np.ndarray, "..."]:
     """Those of the steps to go of each table, the axes of the batch last."""
     xp, num_axes = library_of(each, to_go), np.ndim(to_go)
     return xp.moveaxis(xp.take(each, to_go, axis=0), range(num_axes), range(-num_axes, 0))
