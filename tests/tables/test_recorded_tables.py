@@ -109,7 +109,7 @@ def test_the_view_of_an_agent_is_what_it_was(robot):
 @pytest.mark.parametrize(
     ("learner", "log", "states_of"),
     [
-        (CensoredQLearner.for_table(10), TABLE_LOG, states_alone),
+        (CensoredQLearner.for_table(10, laws=None), TABLE_LOG, states_alone),
         (CensoredQLearner.for_team(2, 10), TEAM_LOG, team_states),
     ],
     ids=["one robot", "beyond independent policies"],
