@@ -139,8 +139,7 @@ class _Arms(Shift):
         return _Done(attempt, seconds)
 
     def go_on(self) -> bool:
-        # A stage has a length, even where another arm is free at once.
-        self._work(1)
+        # Where another arm is free, too, no time passes: a log takes an arm to be at its object until it decides again.
         while not self.account.truth.is_cleared(self.cell):
             if any(one.is_free for one in self.table.doing):
                 return False
