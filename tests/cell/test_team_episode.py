@@ -9,6 +9,7 @@ from cells import FULL_CAMERA, two_arm_cell
 
 from halfseen.arrays import record
 from halfseen.cell.account import Account
+from halfseen.cell.attempt import Attempt
 from halfseen.cell.clearing import PAUSE_S
 from halfseen.cell.commands import Rest
 from halfseen.cell.luck import luck_of_washing
@@ -18,7 +19,7 @@ from halfseen.cell.several.team_episode import TeamRun, play_team
 from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.stops import SENSOR_LOST, Stops
 from halfseen.cell.table_state import Belief, no_grip
-from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.cell.workcell import Workcell
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
