@@ -53,7 +53,9 @@ def test_what_was_learned_is_what_is_explained(learner, explainer, state):
 @pytest.mark.slow
 def test_the_more_paths_the_less_doubt(explainer, state):
     many = logs_of(480)
-    surer = LearnedExplainer.of(CensoredQLearner.for_table(HORIZON, laws=None).fit(many), many, num_replicates=20).explain(state)
+    surer = LearnedExplainer.of(
+        CensoredQLearner.for_table(HORIZON, laws=None).fit(many), many, num_replicates=20
+    ).explain(state)
     found = explainer.explain(state)
     assert np.median(surer.high - surer.low) < 0.7 * np.median(found.high - found.low)
 

@@ -144,8 +144,8 @@ def _described(
         (gain <= _ZERO) * holds,
         holds * reveal,
         holds * own,
-        (table.seen <= _ZERO) * _ONE,
-        (p > 0.8) * _ONE,
+        there * (table.seen <= _ZERO) * _ONE,
+        there * (p > 0.8) * _ONE,
         gain * scarce / 10.0,
         reveal * scarce / 3.0,
         own * scarce / 3.0,
@@ -160,8 +160,8 @@ def _described(
     of_verb = [
         short / 5.0,
         beyond / 5.0,
-        xp.maximum(short + _ONE, _ZERO),
-        xp.maximum(beyond + _ONE, _ZERO),
+        if_there(xp.maximum(short + _ONE, _ZERO)),
+        if_there(xp.maximum(beyond + _ONE, _ZERO)),
         rival / 5.0,
     ]
     both = xp.stack([xp.broadcast_to(if_there(each), above.shape) for each in by_target])

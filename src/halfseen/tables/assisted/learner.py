@@ -22,7 +22,7 @@ from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
 from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
-from halfseen.tables.assisted.law_test import LawTest, Watched, residuals_of, tested
+from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
 from halfseen.tables.assisted.mending import Mending, mending_of
 from halfseen.tables.assisted.policy import AssistedPolicy, LawPolicy, RulePolicy
 from halfseen.tables.assisted.synthetic import fitted_excess
@@ -130,8 +130,10 @@ def assisted_by_laws(
     evidence = evidence_of(logs, known)
     laws = fitted_laws(evidence, known, prior)
     mending = mending_of(evidence.told, laws.config.seeing, evidence.dirty_share) if laws.is_mended else None
-    watched, why_not = _watched(logs, states, mending)
-    test = LawTest(0.0, 1.0, {}) if watched is None else tested(residuals_of(laws.config, watched), logs.num_paths)
+    watched, why_not = watched_in(logs, states, mending)
+    test = (
+        LawTest(0.0, 1.0, {}) if watched is None else hotelling_test(residuals_of(laws.config, watched), logs.num_paths)
+    )
     told = (laws.sentence, *([] if why_not is None else [why_not]))
     if not test.is_rejected:
         layouts = Layout(*(leaf[:, 0] for leaf in (states.hides, states.is_object, states.grip)))
@@ -147,7 +149,7 @@ def _left(logs: Logs, states: TableState) -> Float[np.ndarray, " rows"]:
     return is_dirty.sum(axis=-1)[stage_places(logs)]
 
 
-def _watched(logs: Logs, states: TableState, mending: Mending | None) -> tuple[Watched | None, str | None]:
+def watched_in(logs: Logs, states: TableState, mending: Mending | None = None) -> tuple[Watched | None, str | None]:
     """The log with its weights; or why there are none."""
     action = logged_actions(logs, states.horizon, states.num_objects)
     num_actions = ActionSpace(states.num_objects).num_actions
