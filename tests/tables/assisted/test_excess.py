@@ -15,8 +15,8 @@ from halfseen.tables.assisted.features import NUM_FEATURES, NUM_OWN, NUM_TABLE, 
 from halfseen.tables.assisted.policy import AssistedPolicy
 from halfseen.tables.assisted.synthetic import Excess, after_each, features_of, fitted_excess, rows_of
 from halfseen.world import WorldConfig, random
-from halfseen.world.rollout import play
 from halfseen.world.policy import UniformPolicy
+from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start
 

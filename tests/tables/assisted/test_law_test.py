@@ -7,6 +7,7 @@ import pytest
 from small_tables import logs_of
 
 from fitted_laws import FITTED
+from halfseen.arrays import mapped
 from halfseen.learning import CensoredQLearner
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import control_value, left_price, outlook_of, rule_and_control, setting_of, table_of
@@ -14,7 +15,6 @@ from halfseen.tables.assisted.law_test import hotelling_test, residuals_of
 from halfseen.tables.assisted.learner import watched_in
 from halfseen.tables.encoding import states_alone
 from halfseen.world import AssumedSeeing, WorldConfig
-from halfseen.arrays import mapped
 
 HORIZON = FITTED.horizon
 

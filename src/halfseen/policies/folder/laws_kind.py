@@ -19,6 +19,7 @@ from halfseen.tables.assisted.policy import AssistedPolicy, LawPolicy, RulePolic
 from halfseen.tables.assisted.synthetic import Excess
 from halfseen.tables.prior import prior_facts
 from halfseen.world.actions import Verb
+from halfseen.world.seeing import PersistentSeeing
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
@@ -94,7 +95,7 @@ class LawsKind:
                 f"the policy looks at features {schema.get('features')}, and this halfseen knows {_FEATURES}; use the "
                 f"halfseen that wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
             )
-        if schema.get("basis") not in _BASES:
+        if schema.get("basis") not in list(_BASES):
             raise PolicyError(f"basis is {schema.get('basis')!r}; it is {' or '.join(_BASES)}: learn the policy anew")
         check_facts(record)
         config = world_of_values(typed(schema, "laws", dict, "the laws"))
@@ -105,7 +106,9 @@ class LawsKind:
         single: Any = dict(arrays)
         mending = None
         if "mending.recorded" in arrays:
-            mending = Mending(*(single[f"mending.{name}"] for name in _MENDING))
+            law = config.seeing if isinstance(config.seeing, PersistentSeeing) else None
+            prior = np.log(config.dirty_share) - np.log1p(-config.dirty_share)
+            mending = Mending(*(single[f"mending.{name}"] for name in _MENDING), np.float32(prior), law)
             if (np.diff(mending.recorded) <= 0.0).any() or (np.diff(mending.mended) < 0.0).any():
                 raise PolicyError("mending.recorded and mending.mended rise; learn the policy anew")
         if schema["basis"] == "rule":

@@ -17,6 +17,7 @@ LAWS = {
     "seeing": {"independent": AssumedSeeing, "persistent": PersistentSeeing},
 }
 """Families that a folder can hold, by law and name."""
+_CURVES = ("views", "sensitivity", "false_alarms")
 NUMBERS = (
     "dirty_share",
     "transport_s",
@@ -63,6 +64,8 @@ def world_of_values(values: Mapping[str, Any]) -> WorldConfig:
     """
     numbers = {name: _number(values, name) for name in NUMBERS}
     horizon = typed(values, "horizon", int, "a whole number")
+    if not 0.0 < numbers["dirty_share"] < 1.0:
+        raise PolicyError(f"dirty_share is {numbers['dirty_share']}; it lies between 0 and 1: learn the policy anew")
     laws = {name: _law(name, typed(values, name, dict, "a law"), families) for name, families in LAWS.items()}
     try:
         return WorldConfig(horizon=horizon, **numbers, **laws)
@@ -72,7 +75,7 @@ def world_of_values(values: Mapping[str, Any]) -> WorldConfig:
 
 def _law(name: str, values: Mapping[str, Any], families: Mapping[str, Any]) -> Any:
     family = values.get("family")
-    if family not in families:
+    if family not in list(families):
         raise PolicyError(f"{name} is of family {family!r}; it is {' or '.join(families)}: learn the policy anew")
     kind = families[family]
     names = [each.name for each in fields(kind)]
@@ -80,16 +83,15 @@ def _law(name: str, values: Mapping[str, Any], families: Mapping[str, Any]) -> A
         raise PolicyError(
             f"{name} holds {sorted(values)}; it holds {sorted(['family', *names])}: learn the policy anew"
         )
-    found = {
-        each: tuple(_finite(each, one) for one in values[each])
-        if isinstance(values[each], list)
-        else _number(values, each)
-        for each in names
-    }
+    found = {each: _curve(values, each) if each in _CURVES else _number(values, each) for each in names}
     try:
         return kind(**found)
     except (HalfseenError, TypeError, ValueError) as error:
         raise PolicyError(f"{name}: {error}; learn the policy anew") from error
+
+
+def _curve(values: Mapping[str, Any], name: str) -> tuple[float, ...]:
+    return tuple(_finite(name, each) for each in typed(values, name, list, "a list of numbers"))
 
 
 def _number(values: Mapping[str, Any], name: str) -> float:

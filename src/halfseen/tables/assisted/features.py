@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Array, library_of
-from halfseen.planners.belief import Belief
 from halfseen.planners.one_step import (
     ATTEMPT_S,
     MISSED,
@@ -28,14 +27,12 @@ from halfseen.planners.one_step import (
     Outlook,
     Table,
     control_value,
-    left_price,
     outlook_of,
     setting_of,
-    table_of,
     tries_then,
     values_by,
 )
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Float
 from halfseen.world.config import WorldConfig
 
 FEATURES_VERSION = 1

@@ -24,7 +24,7 @@ from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
 from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
 from halfseen.tables.assisted.mending import Mending, mending_of
-from halfseen.tables.assisted.policy import AssistedPolicy, LawPolicy, RulePolicy
+from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
 from halfseen.tables.assisted.synthetic import fitted_excess
 from halfseen.tables.encoding import logged_actions, states_alone
 from halfseen.tables.grasp.beta_grasp import BetaGrasp

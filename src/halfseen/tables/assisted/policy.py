@@ -2,8 +2,6 @@
 
 from typing import ClassVar
 
-import numpy as np
-
 from halfseen.arrays import Array, library_of, record
 from halfseen.planners.belief import belief_of
 from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp

@@ -23,8 +23,8 @@ from halfseen.planners.one_step import Table, table_of
 from halfseen.planners.trajectories import picked, successor
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.assisted.features import NUM_FEATURES, NUM_TABLE, Ahead, ahead_of
-from halfseen.world.config import WorldConfig
 from halfseen.world import random
+from halfseen.world.config import WorldConfig
 from halfseen.world.state import Layout
 from halfseen.world.transition import start
 
