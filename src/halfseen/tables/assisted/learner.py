@@ -6,6 +6,7 @@
    is the rule of thumb that relies on them least, or linear eq. 3 where the log clearly speaks for it (`choice`).
 """
 
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -20,6 +21,7 @@ from halfseen.learning.streaming import sample_of
 from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
+from halfseen.planners.belief import known_seeing
 from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
 from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
@@ -129,7 +131,7 @@ def assisted_by_laws(
     known = paid_in(logs, model.horizon, _left(logs, states)) if known is None else known
     evidence = evidence_of(logs, known)
     laws = fitted_laws(evidence, known, prior)
-    mending = mending_of(evidence.told, laws.config.seeing, evidence.dirty_share) if laws.is_mended else None
+    mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
     watched, why_not = watched_in(logs, states, mending)
     test = (
         LawTest(0.0, 1.0, {}) if watched is None else hotelling_test(residuals_of(laws.config, watched), logs.num_paths)
@@ -168,10 +170,8 @@ def _without_laws(
     logs: Logs, model: QModel, linear: Policy, states: TableState, rule: RulePolicy
 ) -> tuple[Policy, str, str]:
     """The rule, or linear eq. 3 where the log clearly speaks for that."""
-    try:
+    with suppress(HalfseenError):
         rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
-    except HalfseenError:
-        pass
     gain, low = gain_of(linear, rule, model, model.lay_out(logs), states)
     if low > 0.0:
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"
