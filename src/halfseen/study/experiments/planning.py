@@ -40,8 +40,8 @@ from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_nam
 from halfseen.study.statistics import estimate_in, mean_columns
 from halfseen.study.timing import measured_times, seconds
 from halfseen.study.wording import REWARD_AXIS, estimated_in, learned_from
-from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world.cuts import CutKind
+from halfseen.world.policy import Policy
 
 CUT_KIND: CutKind = "independent"
 NUM_TIMED_STATES, NUM_FITS = 30, 5
@@ -57,7 +57,7 @@ class Planning:
 
     `simulations` are those a decision of planners that look to the end of a path, and how many episodes of a repetition
     each plays. Other planners look `horizons` steps ahead. The learned policy is learned from `num_paths`, of which
-    `cut_share` are cut.
+    `cut_share` are cut, by `laws` with the help of laws fitted to the same log.
     """
 
     simulations: tuple[tuple[int, int], ...] = ((8, 25), (128, 25), (1024, 3))
@@ -67,6 +67,7 @@ class Planning:
     num_paths: int = 800
     cut_share: float = 1 / 2
     episodes_per_scene: int = 5
+    laws: bool = True
     most_repetitions: int | None = 6
     name: ClassVar[str] = "planning"
 
@@ -99,7 +100,7 @@ class Planning:
 
     def measure(self, setting: Setting) -> PieceOf:
         """Decision times [ms], and the time that learning takes, the median of a few on this machine [s]."""
-        times = measured_times(setting, self.contenders.values(), NUM_TIMED_STATES)
+        times = measured_times(setting, self.contenders.values(), NUM_TIMED_STATES, self.laws)
         source = Source.of(setting)
         learn = partial(self._learned, source, source.cut_rate(self.cut_share, CUT_KIND))
         learn()
@@ -119,9 +120,9 @@ class Planning:
             rows.append(_row(name, episodes, played))
         return {"index": index, "played": rows}
 
-    def _learned(self, source: Source, rate: float) -> LinearTablePolicy:
+    def _learned(self, source: Source, rate: float) -> Policy:
         episodes = source.play(self.num_paths)
-        return source.logged(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+        return source.logged(episodes, laws=self.laws).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
         """Make figure2 and figure3.

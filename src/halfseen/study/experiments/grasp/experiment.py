@@ -1,7 +1,7 @@
 """One repetition: from a log, cut as in Table 1, each model learns the probability of a grasp.
 
-It is scored on the attempts of fresh paths that nothing cut, and serves in the features of the learned policy and in
-the strongest heuristic.
+It is scored on the attempts of fresh paths that nothing cut, and serves in the strongest heuristic and in the features
+of linear eq. 3: without laws, as laws that are fitted to the log have a grasp of their own.
 """
 
 from collections.abc import Mapping
@@ -89,7 +89,7 @@ class Grasp(GraspDesign):
                 stands_in = name == CLAIMED and not can_hold_out(known)
                 rows.append({"model": name, "num_paths": size, "stands_in": stands_in} | scored(said, succeeded))
                 grasp = _inside(setting, estimators, name, known)
-                paths = source.logged(log.episodes, None if name == SUCCESSION else grasp)
+                paths = source.logged(log.episodes, None if name == SUCCESSION else grasp, laws=False)
                 learners.append(paths.learn_one(log, size))
                 rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
