@@ -4,8 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from fitted_laws import FITTED
 
+from fitted_laws import FITTED
 from halfseen.planners.control import controlled, controlled_each, controlled_rewards, start_values
 from halfseen.planners.named import named_policy
 from halfseen.planners.pomdp import POMDPPolicy

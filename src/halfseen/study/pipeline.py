@@ -145,7 +145,9 @@ class Source:
 
     def start_value(self, num_tables: int) -> float:
         """Mean of V° of so many tables as they are set, none of which is played."""
-        return float(start_values(self.world, self.layouts, random_key(self.seed, STARTS), np.arange(num_tables)).mean())
+        return float(
+            start_values(self.world, self.layouts, random_key(self.seed, STARTS), np.arange(num_tables)).mean()
+        )
 
     def control_each(
         self, policies: Sequence[Policy], episodes: Sequence[int], start: float, purpose: int = EVALUATION
@@ -275,8 +277,8 @@ class LoggedPaths:
         source = self.source
         return CensoredQLearner.for_table(
             source.world.horizon,
-            grasp=grasp,
             laws=None,
+            grasp=grasp,
             censoring=CENSORING.get(treatment, "none"),
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
         ).compose()

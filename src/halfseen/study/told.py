@@ -14,7 +14,7 @@ import pandas as pd
 from halfseen.errors import HalfseenError
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import PathArrays
-from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, layouts_of, rule_or_linear, watched_in
+from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, layouts_of, rule_or_linear, weighed
 from halfseen.tables.assisted.policy import RulePolicy
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.choice import grasp_model_by
@@ -69,5 +69,5 @@ def helped(
             rule = replace(rule, grasp=grasp_model_by(BetaGrasp(), tried, world.horizon))
         return rule_or_linear(rule, *linear, states)
 
-    watched = watched_in(linear.paths, states)
+    watched = weighed(linear.paths, states)
     return assisted_by(evidence, watched, layouts_of(states), world, linear.model.random_state, without)

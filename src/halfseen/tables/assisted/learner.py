@@ -24,8 +24,8 @@ from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
 from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
-from halfseen.tables.assisted.law_test import LawTest, Watched, residuals_of, tested
-from halfseen.tables.assisted.mending import mending_of
+from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
+from halfseen.tables.assisted.mending import Mending, mending_of
 from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
 from halfseen.tables.assisted.synthetic import fitted_excess
 from halfseen.tables.encoding import logged_actions, states_alone
@@ -129,17 +129,15 @@ def assisted_by_laws(
     """
     states = states_alone(logs, model.horizon)
     known = paid_in(logs, model.horizon, _left(logs, states)) if known is None else known
-    action = logged_actions(logs, states.horizon, states.num_objects)
-    num_actions = ActionSpace(states.num_objects).num_actions
-    nothing = Encoded(np.zeros((*action.shape, 1, 0)), np.ones((*action.shape, num_actions), dtype=bool), action)
 
     def without(rule: RulePolicy) -> Chosen:
         with suppress(HalfseenError):
             rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
         return rule_or_linear(rule, linear, model, model.lay_out(logs), states)
 
-    evidence, watched = evidence_of(logs, known), watched_in(path_arrays(logs, nothing, None), states)
-    return assisted_by(evidence, watched, layouts_of(states), known, model.random_state, without, prior)
+    watched, why_not = watched_in(logs, states)
+    found = str(why_not) if watched is None else watched
+    return assisted_by(evidence_of(logs, known), found, layouts_of(states), known, model.random_state, without, prior)
 
 
 def assisted_by(
@@ -158,7 +156,7 @@ def assisted_by(
     evidence
         What it tells.
     watched
-        The log on which laws are tested, as `watched_in` says.
+        The log on which laws are tested, as `weighed` says.
     layouts
         Tables that its trajectories began with.
     known, prior
@@ -175,7 +173,7 @@ def assisted_by(
         test, told = LawTest(0.0, 1.0, {}), (*told, watched)
     else:
         states = watched.states if mending is None else mending(watched.states)
-        test = tested(residuals_of(laws.config, watched._replace(states=states)), len(watched.weight))
+        test = hotelling_test(residuals_of(laws.config, watched._replace(states=states)), len(watched.weight))
     if not test.is_rejected:
         excess = fitted_excess(laws.config, layouts, seed)
         return Assisted(AssistedPolicy(laws.config, mending, excess), MODEL, laws, test, (*told, _foretold(test)))
@@ -194,7 +192,17 @@ def _left(logs: Logs, states: TableState) -> Float[np.ndarray, " rows"]:
     return is_dirty.sum(axis=-1)[stage_places(logs)]
 
 
-def watched_in(paths: PathArrays, states: TableState) -> Watched | str:
+def watched_in(logs: Logs, states: TableState, mending: Mending | None = None) -> tuple[Watched | None, str | None]:
+    """The log with its weights; or why there are none."""
+    action = logged_actions(logs, states.horizon, states.num_objects)
+    num_actions = ActionSpace(states.num_objects).num_actions
+    nothing = Encoded(np.zeros((*action.shape, 1, 0)), np.ones((*action.shape, num_actions), dtype=bool), action)
+    states = states if mending is None else mending(states)
+    found = weighed(path_arrays(logs, nothing, None), states)
+    return (None, found) if isinstance(found, str) else (found, None)
+
+
+def weighed(paths: PathArrays, states: TableState) -> Watched | str:
     """A log with its weights; or a sentence on why there are none."""
     try:
         weighted = Weighted()

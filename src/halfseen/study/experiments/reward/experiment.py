@@ -93,9 +93,7 @@ class Reward(RewardDesign):
             "peer": peer,
         }
 
-    def _learned(
-        self, source: Source, rates: Sequence[float]
-    ) -> tuple[dict[Place, Learned], dict[Place, WorldConfig]]:
+    def _learned(self, source: Source, rates: Sequence[float]) -> tuple[dict[Place, Learned], dict[Place, WorldConfig]]:
         """What is learned from each log, and the world with laws fitted to it; prices and times are the true ones."""
         episodes = source.play(max(self.num_paths))
         cuts = [source.cut(episodes, rate, CUT_KIND) for rate in rates]

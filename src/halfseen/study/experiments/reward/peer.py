@@ -76,4 +76,3 @@ def over_peer(
         What it earned on them.
     """
     return float((learned - mean).mean() + (mean[list(some)] - own).mean())
-

@@ -43,7 +43,10 @@ def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Sectio
         ),
         (
             Drawing(
-                "figure1", "Figure 1", title, _caption(design, setting),
+                "figure1",
+                "Figure 1",
+                title,
+                _caption(design, setting),
                 partial(draw_figure1, design, figure1, _times_ms(table1)),
             ),
         ),
