@@ -51,9 +51,9 @@ INTERVAL = ["regret", "low", "high"]
 class Regret:
     """Regret on `num_tables` small tables, where a path takes `horizon` steps.
 
-    Policies are learned from logs of each size and proportion of cuts, by `laws` with the help of laws fitted to the same
-    log; words tell of `told_cut_share`. Planners look
-    `planner_horizons` steps ahead and are asked in `planner_states` states of each step in a repetition.
+    Policies are learned from logs of each size and proportion of cuts, by `laws` with the help of laws fitted to the
+    same log; words tell of `told_cut_share`. Planners look `planner_horizons` steps ahead and are asked in
+    `planner_states` states of each step in a repetition.
     """
 
     num_tables: int = 6

@@ -67,8 +67,9 @@ class Grasp(GraspDesign):
     section = section_of
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts."""
-        return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
+        """Calibrate the cuts, and value tables as they are set."""
+        source = Source.of(setting)
+        return {"rate": source.cut_rate(self.cut_share, CUT_KIND), "start": source.start_value(self.num_starts)}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn, score and play: one row for each model and size of log."""
@@ -94,8 +95,9 @@ class Grasp(GraspDesign):
                 rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
         for measure, policies in zip(REWARDS, (learners, rules), strict=True):
-            for row, policy in zip(rows, policies, strict=True):
-                row[measure] = source.evaluate(policy, num_episodes).means()["reward"]
+            each = source.control_each(policies, range(num_episodes), float(prepared["start"]))
+            for row, played in zip(rows, each, strict=True):
+                row[measure] = played.means()["reward"]
         return {"index": index, "grasp": rows}
 
     def _held_out(self, setting: Setting, source: Source) -> tuple[pd.DataFrame, Float[np.ndarray, " m"]]:

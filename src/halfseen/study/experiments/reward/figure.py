@@ -32,7 +32,7 @@ GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the 
 DODGE = 1.02
 """Factor between neighbouring curves, which stand side by side rather than on one another."""
 _HEIGHT_IN, _MARGINS = 8.6, (1.08, 1.05)
-_LEFT, _WIDTH, _FOOT, _GAP = 0.065, 0.535, 0.06, 0.085
+_LEFT, _WIDTH, _FOOT, _GAP = 0.065, 0.50, 0.06, 0.085
 _LOWER = 0.62
 """Share of the height that the lower panel takes."""
 

@@ -138,13 +138,14 @@ def _what_of_laws(design: RewardDesign, figure1: pd.DataFrame) -> str:
 
 
 def _verdicts(design: RewardDesign, table1: pd.DataFrame) -> str:
-    """Say of which hypotheses of Table 1 the data speak for, against, or neither."""
+    """Say how many hypotheses of Table 1 the data speak for, and name those that they do not."""
     parts = []
     for measure, claimed in CLAIM_WORDS.items():
         found: dict[str, list[str]] = {SUPPORTED: [], NOT_SUPPORTED: [], INCONCLUSIVE: []}
         for row in records(table1, measure=measure):
             found[verdict_of(row)].append(design.contenders[row["baseline"]].label)
-        said = [f"{verdict} against {listed(names)}" for verdict, names in found.items() if names]
+        said = [f"{SUPPORTED} against {len(found.pop(SUPPORTED))} of {len(design.baseline_names)}"]
+        said += [f"{verdict} against {len(names)} ({'; '.join(names)})" for verdict, names in found.items() if names]
         parts.append(f"that {claimed} is {listed(said)}")
     return f"Of the hypotheses of Table 1, {'; '.join(parts)}."
 
