@@ -13,7 +13,7 @@ from axe import PAGES, faults_of, in_browser
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.laws import under
-from halfseen.study.run import run_study
+from halfseen.study.run import run_study, without_laws
 from halfseen.study.runner import store_of
 from halfseen.workers import Workers
 
@@ -151,6 +151,25 @@ def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     assert sorted(set(told["labels"])) == pytest.approx(sorted({0.3, law.seeing.facing}))
     assert (pd.read_csv(tmp_path / "regret.csv")["regret"] > -1e-6).all()
     assert json.loads((tmp_path / "study.json").read_text())["scenes"][0]["grip"][0] == -2
+
+
+def test_without_laws_those_that_learn_with_them_learn_by_linear_eq_3_and_others_are_as_they_were():
+    plain = without_laws(TINY)
+    assert [each.name for each, before in zip(plain, TINY, strict=True) if each != before] == [
+        "reward", "planning", "clutter", "regret",
+    ]  # fmt: skip
+    assert not any(getattr(each, "laws", False) for each in plain)
+
+
+@pytest.mark.slow
+def test_a_study_without_laws_has_one_curve_of_what_is_learned_and_laws_for_others(tmp_path):
+    (design,) = without_laws([replace(TINY[0], num_paths=(50,), cut_shares=(0.5,), planners=((4, 2),))])
+    results = run_study(SETTING, tmp_path, [design], workers=Workers(1))
+    policies = set(pd.read_csv(tmp_path / "figure1.csv")["policy"])
+    assert {"censored_q", "fitted-one-step", "fitted-rule", "fitted-planner-4"} < policies
+    assert "linear_q" not in policies
+    assert pd.read_csv(tmp_path / "weights.csv")["by_laws"].tolist() == [0.0]
+    assert not any("linear eq. 3 without laws" in sentence for sentence in results.sections["reward"].sentences)
 
 
 @pytest.mark.parametrize(

@@ -250,7 +250,7 @@ class LoggedPaths:
     def _seen_by(
         self, cuts: CutEpisodes, tried: pd.DataFrame | None, num_paths: int
     ) -> tuple[GraspModel | None, Encoded]:
-        """What tells the probability of a grasp, by what the first paths of a log tried, and what the learner sees by it.
+        """What tells the probability of a grasp, by what a log's first paths tried, and what the learner sees by it.
 
         It is seen until the next one is asked for: the features of all lie in the same memory.
         """

@@ -22,7 +22,8 @@ class RewardDesign:
     """What the learned policy earns, by size of the log and proportion of cut paths.
 
     With `laws`, it is learned with the help of laws fitted to the same log, and linear eq. 3 without them stands
-    beside; else it is the latter. From the same laws are the look one step ahead, the strongest heuristic and a planner, too.
+    beside; else it is the latter. From the same laws are the look one step ahead, the strongest heuristic and a
+    planner, too.
 
     `planners` are simulations a decision, and how many episodes of a repetition a planner of so many plays, as it takes
     its time. The first of them also plans with laws that were fitted to each log, and then plays `fitted_episodes`; for
