@@ -125,7 +125,7 @@ def test_what_is_made_of_logs_stands_above_the_strongest_heuristic_on_the_same_e
     assert (best["gain"], best["gain_se"]) == (0.0, 0.0)
     told = next(each for each in section.sentences if each.startswith("Above the strongest heuristic"))
     own = row_of(figure1, policy="censored_q", num_paths=25, cut_share=0.5)["gain"]
-    assert f"learned policy earns {own:.2f} (".replace("-", "−") in told
+    assert f"the learned policy earns {own:.2f} (".replace("-", "−") in told
     assert all(words in told for words in ("Q₁ with laws fitted", "linear eq. 3 without laws", "with fitted laws"))
     assert "contradicted the laws fitted to it" in section.listings[-1].caption
     assert "in 17\u00a0% of all cases, at a single size and proportion in at most" in section.listings[-1].caption
