@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache, partial
-from itertools import product
 from pathlib import Path
 
 import pandas as pd
@@ -17,6 +16,7 @@ TABLES = ("figure1", "table1", "peer", "weights")
 PIECES = Path("progress") / "reward"
 CHECKED_SIZE = 25
 STUDY = ROOT / "runs" / "pictures" / "study"
+_RULES = ("greedy", "history", "greedy-penalty", "history-penalty")
 
 
 @cache
@@ -59,7 +59,7 @@ def repetitions_in(folder: Path) -> Table:
             {"policy": name, "num_paths": 0, "cut_share": 0.0}
             | {"repetition": piece["index"], "reward": beside["other"]["reward"]}
             for name, beside in piece["baselines"].items()
-            if "planner" not in name
+            if name in _RULES
         ]
     return rows
 
@@ -96,15 +96,15 @@ def _first_repetition() -> Mapping[int, Row]:
 
     design, setting = Reward(), _setting()
     source, num_all = Source.of(setting, 0), design.episodes_per_scene * len(setting.scenes)
-    found: dict[tuple[str, float, float], float] = {}
-    for each in HEURISTICS:
-        found[each.name, 0, 0.0] = source.evaluate(each.policy(source.world), num_all).means()["reward"]
     episodes = source.play(max(design.num_paths))
     rates = [source.cut_rate(share, CUT_KIND) for share in design.cut_shares]
     logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
-    learned = source.logged(episodes).learn_and_play(logs, [CHECKED_SIZE], num_all)
-    for (size, share), (_, played) in zip(product([CHECKED_SIZE], design.cut_shares), learned, strict=True):
-        found["censored_q", size, share] = played.means()["reward"]
+    learned = source.logged(episodes, laws=design.laws).learn(logs, [CHECKED_SIZE])
+    policies = {(each.name, 0, 0.0): each.policy(source.world) for each in HEURISTICS}
+    places = [("censored_q", CHECKED_SIZE, share) for share in design.cut_shares]
+    policies |= {place: one.policy for place, one in zip(places, learned, strict=True)}
+    each = source.control_each(list(policies.values()), range(num_all), source.start_value(design.num_starts))
+    found = {place: played.means()["reward"] for place, played in zip(policies, each, strict=True)}
     return {
         index: row | {"reward": found[row["policy"], row["num_paths"], row["cut_share"]]}
         for index, row in enumerate(FIGURE1_NUMBERS.read())

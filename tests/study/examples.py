@@ -19,7 +19,8 @@ from halfseen.study.experiments.clutter import Clutter
 from halfseen.study.experiments.clutter.table import table_of
 from halfseen.study.experiments.grasp.design import MODEL_NAMES
 from halfseen.study.pipeline import TREATMENTS, episodes_in_turn
-from halfseen.study.policies import HEURISTICS
+from halfseen.study.policies import HEURISTICS, ONE_STEP
+from halfseen.tables.assisted.learner import MODEL, RULE
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 
@@ -91,6 +92,7 @@ def _reward(rng, index, lead):
             steps = np.log2(max(REWARD.num_paths) / size)
             reward = own - 0.35 * steps + 0.8 * (0.5 - share) + 0.1 * rng.normal()
             weights = {"effective_sample_size": 5.5 * size * (1 - share), "largest_weight": 1.0 + 8.0 * share}
+            weights["basis"] = MODEL if size > 25 else RULE
             rows.append({"num_paths": size, "cut_share": share, **weights, **_means(reward)})
     headline = next(row for row in rows if (row["num_paths"], row["cut_share"]) == (800, 0.5))["reward"]
     baselines = {
@@ -99,12 +101,23 @@ def _reward(rng, index, lead):
     }
     for name, reward in REWARDS.items():
         baselines[name] = _beside(NUM_EPISODES, reward + luck + 0.1 * rng.normal(), headline)
+    baselines[ONE_STEP.name] = _beside(NUM_EPISODES, PLANNED + luck - 0.1 + 0.1 * rng.normal(), headline)
+    beside = {
+        name: [_made(row, row["reward"] - 0.3 * k + 0.1 * rng.normal()) for row in rows]
+        for k, name in enumerate(REWARD.beside_names, start=1)
+    }
+    for name, made in beside.items():
+        baselines[name] = _beside(NUM_EPISODES, made[-1]["reward"], headline)
     baselines[REWARD.peer.name] = _beside(10, PLANNED + luck + 0.2 * rng.normal(), own)
     peer = [
         {name: row[name] for name in ("num_paths", "cut_share")} | {"over_peer": lead + 0.3 * rng.normal()}
         for row in rows
     ]
-    return {"index": index, "learned": rows, "baselines": baselines, "peer": peer}
+    return {"index": index, "learned": rows, "beside": beside, "baselines": baselines, "peer": peer}
+
+
+def _made(row, reward):
+    return {"num_paths": row["num_paths"], "cut_share": row["cut_share"], **_means(reward)}
 
 
 def _beside(num_episodes, other, own):

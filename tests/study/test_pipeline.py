@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 from tiny import SETTING
 
+from fitted_laws import FITTED
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.planners import POMDPPolicy
@@ -109,10 +110,12 @@ def test_logs_that_differ_in_their_tied_durations_are_learned_in_one_call():
         for share, kind in ((0.2, "independent"), (0.7, "attempt"))
         for treatment in TREATMENTS
     ]
-    learned = source.logged(episodes).learn(logs, [30])
+    learned = source.logged(episodes, laws=False).learn(logs, [30])
     assert len(learned) == len(logs)
-    assert all(np.isfinite(policy.coefficients).all() for policy, _ in learned)
-    assert [policy.margin is not None for policy, _ in learned] == [name == "imputed" for _, name in logs]
+    assert all(one.policy is one.linear and np.isfinite(one.linear.coefficients).all() for one in learned)
+    assert [one.linear.margin is not None for one in learned] == [name == "imputed" for _, name in logs]
+    with pytest.raises(ArgumentError, match="this one is imputed; give laws=False"):
+        source.logged(episodes).learn(logs, [30])
 
 
 @pytest.mark.slow
@@ -120,12 +123,51 @@ def test_a_batch_is_what_the_estimator_learns_from_the_same_logs():
     source = Source(SETTING.world, SETTING.layouts, 0, 3)
     episodes = source.play(40)
     cuts = source.cut(episodes, source.cut_rate(0.5, "independent"), "independent")
-    learned = source.logged(episodes).learn([(cuts, "weighted"), (cuts, "unweighted")], [40])
+    learned = source.logged(episodes, laws=False).learn([(cuts, "weighted"), (cuts, "unweighted")], [40])
     logs = to_logs(cuts, "independent", SETTING.scenes)
     seed = int(np.random.SeedSequence([0, 3]).generate_state(1)[0])
-    for (policy, _), censoring in zip(learned, ("kaplan-meier", "none"), strict=True):
+    for one, censoring in zip(learned, ("kaplan-meier", "none"), strict=True):
         learner = CensoredQLearner.for_table(SETTING.world.horizon, laws=None, censoring=censoring, random_state=seed)
-        np.testing.assert_allclose(policy.coefficients, learner.fit(logs).policy_.coefficients, rtol=1e-5, atol=1e-6)
+        theirs = learner.fit(logs).policy_
+        np.testing.assert_allclose(one.linear.coefficients, theirs.coefficients, rtol=1e-5, atol=1e-6)
+
+
+def law_test(one):
+    return one.test.p_value, *one.test.z.values()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", [SETTING.world, replace(FITTED, dirty_share=0.6)], ids=["assumed", "fitted"])
+def test_with_laws_it_is_what_the_learner_of_tables_learns_from_the_same_log(config):
+    source = Source(config, SETTING.layouts, 0, 3)
+    episodes = source.play(60)
+    cuts = source.cut(episodes, source.cut_rate(0.5, "independent"), "independent")
+    logs = to_logs(cuts, "independent", SETTING.scenes, config.dirty_share)
+    seed = int(np.random.SeedSequence([0, 3]).generate_state(1)[0])
+    for size, one in zip((30, 60), source.logged(episodes).learn([(cuts, "weighted")], (30, 60)), strict=True):
+        learner = CensoredQLearner.for_table(config.horizon, censoring="kaplan-meier", random_state=seed)
+        learner.world = config
+        theirs = learner.fit(logs.select(logs.path_ids[:size])).assisted_
+        assert one.assisted.basis == theirs.basis
+        assert law_test(one.assisted) == pytest.approx(law_test(theirs), rel=1e-4, abs=1e-6)
+        assert one.assisted.laws.config.grasping == theirs.laws.config.grasping
+        if theirs.basis == "model":
+            ours, other = (each.policy.excess.coefficients for each in (one, theirs))
+            np.testing.assert_allclose(ours, other, rtol=1e-3, atol=1e-4)
+        assert one.linear is not one.policy
+
+
+@pytest.mark.slow
+def test_rewards_by_the_control_variate_have_the_mean_of_those_that_were_paid():
+    source = Source(SETTING.world, SETTING.layouts, 0, 1)
+    policy, num = HEURISTICS[-1].policy(SETTING.world), 4000
+    (controlled,), paid = (
+        source.control_each([policy], range(num), source.start_value(40_000)),
+        source.evaluate(policy, num),
+    )
+    assert controlled.reward.mean() == pytest.approx(paid.reward.mean(), abs=4 * paid.reward.std() / np.sqrt(num))
+    assert controlled.reward.std() < 0.5 * paid.reward.std()
+    np.testing.assert_allclose(controlled.robot_s, paid.robot_s, rtol=1e-5)
 
 
 @pytest.mark.slow

@@ -16,10 +16,8 @@ from halfseen.pages.sentences import Claim
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.reward.opening import opening_of
 from halfseen.study.experiments.reward.peer import over_peer
-from halfseen.study.frames import row_of
-from halfseen.study.policies import HEURISTICS
+from halfseen.study.frames import row_of, where
 
-RULES = [each.name for each in HEURISTICS]
 BY_NAME = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
 
 
@@ -113,6 +111,50 @@ def test_the_planner_with_fitted_laws_stands_beside_what_was_learned_from_each_l
     assert len(tables["peer"]) == len(REWARD.num_paths) * (len(REWARD.cut_shares) + 1)
 
 
+def test_what_is_made_of_logs_stands_above_the_strongest_heuristic_on_the_same_episodes():
+    _, pieces, tables, section = example(REWARD)
+    rule = np.array([piece["baselines"]["history-penalty"]["other"]["reward"] for piece in pieces.repetitions])
+    figure1 = tables["figure1"]
+    for name in REWARD.beside_names:
+        of_size = [[row["reward"] for row in piece["beside"][name][:4]] for piece in pieces.repetitions]
+        rows = where(figure1, policy=name, num_paths=25)
+        mean = rows[rows["cut_share"].isna()].iloc[0]
+        assert mean["gain"] == pytest.approx(np.mean(of_size) - rule.mean())
+        assert mean["mean_reward"] == pytest.approx(np.mean(of_size))
+    best = row_of(figure1, policy="history-penalty")
+    assert (best["gain"], best["gain_se"]) == (0.0, 0.0)
+    told = next(each for each in section.sentences if each.startswith("Above the strongest heuristic"))
+    own = row_of(figure1, policy="censored_q", num_paths=25, cut_share=0.5)["gain"]
+    assert f"the learned policy earns {own:.2f} (".replace("-", "−") in told
+    assert all(words in told for words in ("Q₁ with laws fitted", "linear eq. 3 without laws", "with fitted laws"))
+    assert "contradicted the laws fitted to it" in section.listings[-1].caption
+    assert "in 17\u00a0% of all cases, at a single size and proportion in at most" in section.listings[-1].caption
+
+
+def test_every_hypothesis_of_table_1_is_told_with_its_verdict_and_decisions_with_their_time():
+    _, _, tables, section = example(REWARD, 30, lead=-2.0)
+    told = next(each for each in section.sentences if each.startswith("Of the hypotheses"))
+    rows = tables["table1"].query("measure == 'reward'")
+    earns = told[: told.index("; that")] if "; that" in told else told
+    assert f"earns more is supported against {int(rows['supported'].sum())} of {len(REWARD.baseline_names)}" in earns
+    failed = rows[~rows["supported"].astype(bool)]["baseline"]
+    assert all(REWARD.contenders[name].label in earns for name in failed)
+    assert f"not supported against {int((rows['effect_high'] < 0).sum())} (" in earns
+    figure1 = next(each for each in section.drawings if each.name == "figure1")
+    with style():
+        words = [text.get_text() for text in texts(figure1.draw(""))]
+    assert sum("(0.50 ms)" in each for each in words) >= len(REWARD.baseline_names)
+
+
+def test_without_laws_what_is_learned_is_linear_and_stands_there_once():
+    design = replace(REWARD, laws=False)
+    setting, pieces, _, _ = example(REWARD)
+    section = design.section(setting, design.tabulate(setting, pieces))
+    assert "linear_q" not in design.contenders
+    assert "by linear eq. 3, without laws" in section.drawings[0].caption
+    assert not any("linear eq. 3 without laws" in each for each in section.sentences)
+
+
 def test_what_is_learned_over_the_planner_needs_few_of_its_episodes():
     rng = np.random.default_rng(0)
     episode, own, learned = rng.normal(0.0, 10.0, 50), rng.normal(1.0, 0.1, 50), rng.normal(3.0, 1.0, 50)
@@ -158,14 +200,15 @@ def test_calibration_has_an_error_over_repetitions():
 def test_planners_that_play_in_few_repetitions_are_compared_on_those():
     setting, pieces, _, _ = example(REWARD, 30)
     few, design = list(pieces.repetitions), replace(REWARD, planned_repetitions=8)
+    planned = [*REWARD.planner_names, REWARD.peer.name]
     for k, piece in enumerate(few[8:], start=8):
-        few[k] = piece | {"peer": [], "baselines": {name: piece["baselines"][name] for name in RULES}}
+        played = {name: of for name, of in piece["baselines"].items() if name not in planned}
+        few[k] = piece | {"peer": [], "baselines": played}
     tables, alone = (design.tabulate(setting, pieces._replace(repetitions=some)) for some in (few, few[:8]))
     figure1 = tables["figure1"].set_index(["policy", "num_paths", "cut_share"])
     counts = figure1["repetitions"].groupby("policy").unique().map(list).to_dict()
     names = (*REWARD.baseline_names, "censored_q")
-    assert counts == {name: [30 if name in (*RULES, "censored_q") else 8] for name in names}
-    planned = [name for name in REWARD.baseline_names if name not in RULES]
+    assert counts == {name: [8 if name in planned else 30] for name in names}
     pd.testing.assert_frame_equal(*(of["figure1"][of["figure1"]["policy"].isin(planned)] for of in (tables, alone)))
     pd.testing.assert_frame_equal(tables["peer"], alone["peer"])
     caption = design.section(setting, tables).drawings[0].caption

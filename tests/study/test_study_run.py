@@ -13,7 +13,7 @@ from axe import PAGES, faults_of, in_browser
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.laws import under
-from halfseen.study.run import run_study
+from halfseen.study.run import run_study, without_laws
 from halfseen.study.runner import store_of
 from halfseen.workers import Workers
 
@@ -22,7 +22,7 @@ COLUMNS = {
     "figure1": f"policy num_paths cut_share repetitions {REWARD} role gain gain_se gain_low gain_high",
     "table1": "baseline measure censored_q other p_value p_holm effect supported effect_low effect_high num_episodes",
     "peer": "num_paths cut_share p_value p_holm effect supported effect_low effect_high",
-    "weights": "num_paths cut_share effective_sample_size largest_weight",
+    "weights": "num_paths cut_share effective_sample_size largest_weight by_laws",
     "figure2": f"policy kind simulations decision_ms {REWARD} over_censored_q se_over over_low over_high "
     "repetitions episodes",
     "figure4": f"treatment cut_kind num_paths cut_share repetitions {REWARD} behind_default se_behind behind_low "
@@ -87,9 +87,10 @@ def test_experiments_share_the_episodes_and_the_log_of_a_repetition(study_folder
         )
         learned = {(row["num_paths"], row["cut_share"]): row["reward"] for row in reward["learned"]}
         assert played["censored_q"] == pytest.approx(learned[50, 0.5], abs=1e-5)
+        linear = {(row["num_paths"], row["cut_share"]): row["reward"] for row in reward["beside"]["linear_q"]}
         for row in grasp["grasp"]:
             if row["model"] == "succession":
-                assert row["learned_reward"] == pytest.approx(learned[row["num_paths"], 0.5], abs=1e-5)
+                assert row["learned_reward"] == pytest.approx(linear[row["num_paths"], 0.5], abs=1e-5)
             if row["model"] == "oracle":
                 assert row["heuristic_reward"] == pytest.approx(played["history-penalty"], abs=1e-5)
 
@@ -115,7 +116,7 @@ def test_resuming_a_killed_study_in_two_processes_writes_the_same_bytes(study_fo
 
 
 @pytest.mark.slow
-def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
+def test_of_what_is_drawn_only_the_labels_of_figure_1_depend_on_measured_times(study_folder, tmp_path):
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
     for store in (store_of(experiment, SETTING, tmp_path, is_resumed=True) for experiment in TINY):
         if store.has("measured") and (measured := store.read("measured")):
@@ -124,7 +125,8 @@ def test_no_figure_depends_on_measured_times(study_folder, tmp_path):
     run_study(SETTING, tmp_path, TINY, is_resumed=True, workers=Workers(1))
     before, after = outputs(study_folder), outputs(tmp_path)
     changed = {name for name in before if before[name] != after[name]}
-    assert changed == {"figure2.csv", "figure3.csv", "table1.csv", "study.json", "report.html"}
+    drawn = {"figure1.svg", "figure1.png"}
+    assert changed == {"figure2.csv", "figure3.csv", "table1.csv", "study.json", "report.html", *drawn}
     for name in ("figure2", "figure3"):
         old, new = (
             pd.read_csv(folder / f"{name}.csv").drop(columns="decision_ms") for folder in (study_folder, tmp_path)
@@ -149,6 +151,25 @@ def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     assert sorted(set(told["labels"])) == pytest.approx(sorted({0.3, law.seeing.facing}))
     assert (pd.read_csv(tmp_path / "regret.csv")["regret"] > -1e-6).all()
     assert json.loads((tmp_path / "study.json").read_text())["scenes"][0]["grip"][0] == -2
+
+
+def test_without_laws_those_that_learn_with_them_learn_by_linear_eq_3_and_others_are_as_they_were():
+    plain = without_laws(TINY)
+    assert [each.name for each, before in zip(plain, TINY, strict=True) if each != before] == [
+        "reward", "planning", "clutter", "regret",
+    ]  # fmt: skip
+    assert not any(getattr(each, "laws", False) for each in plain)
+
+
+@pytest.mark.slow
+def test_a_study_without_laws_has_one_curve_of_what_is_learned_and_laws_for_others(tmp_path):
+    (design,) = without_laws([replace(TINY[0], num_paths=(50,), cut_shares=(0.5,), planners=((4, 2),))])
+    results = run_study(SETTING, tmp_path, [design], workers=Workers(1))
+    policies = set(pd.read_csv(tmp_path / "figure1.csv")["policy"])
+    assert {"censored_q", "fitted-one-step", "fitted-rule", "fitted-planner-4"} < policies
+    assert "linear_q" not in policies
+    assert pd.read_csv(tmp_path / "weights.csv")["by_laws"].tolist() == [0.0]
+    assert not any("linear eq. 3 without laws" in sentence for sentence in results.sections["reward"].sentences)
 
 
 @pytest.mark.parametrize(

@@ -28,6 +28,7 @@ EPILOG = "Example: halfseen study --out runs/study --repetitions 200 --resume"
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @options.seed("study but for measured times")
 @law_option(SHIPPED)
+@click.option("--no-laws", is_flag=True, help="Learn by linear eq. 3, without laws fitted to the logs.")
 @click.option("--resume", is_flag=True, help="Go on where a killed study stopped, or add repetitions to one.")
 @worker_options
 @click.option("--json", "is_json", is_flag=True, help="Print study.json instead of the answer.")
@@ -38,6 +39,7 @@ def study(
     only: tuple[str, ...],
     seed: int,
     law: str,
+    no_laws: bool,
     resume: bool,
     workers: "Workers",
     is_json: bool,
@@ -52,11 +54,12 @@ def study(
     from halfseen.scene import table_paths
     from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
     from halfseen.study.laws import under
-    from halfseen.study.run import chosen, run_study
+    from halfseen.study.run import chosen, run_study, without_laws
     from halfseen.study.scenes import look_at
     from halfseen.writing import refuse_unwritable
 
     experiments, paths = chosen(only), list(clouds) or table_paths()
+    experiments = without_laws(experiments) if no_laws else experiments
     setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
     setting, known = under(setting, law_folder(law))
     refuse_unwritable(out)

@@ -1,7 +1,15 @@
 """The one way from a policy to a policy: play → cut → encode → treat → learn → evaluate.
 
-What tells the probability of a grasp in the features is chosen by each log's attempts, as where the product is told
-nothing, and alike for all treatments of the log: so they differ in what they make of cuts alone.
+*With laws*, by default, as the product learns of tables: laws are fitted to the log (`told`), and eq. 3 on the weighted
+log judges them. *Without*, linear eq. 3 alone: what is learned beside, and what treatments of cuts are compared by, as
+these are treatments of eq. 3.
+
+What tells the probability of a grasp in the features of linear eq. 3 is chosen by each log's attempts, as where the
+product is told nothing, and alike for all treatments of the log: so they differ in what they make of cuts alone.
+
+*Rewards by a control variate* (`halfseen.planners.control`), where the world has laws of known probabilities: what a
+policy's decisions fall short of V°, plus what V° is worth in the mean of many tables that are not played. Policies
+differ by the former alone.
 
 A cut path is treated in one of five ways, as what the learner sees of it:
 
@@ -35,14 +43,19 @@ from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import AUTO, Encoded
+from halfseen.planners.control import controlled_each, start_values
 from halfseen.shapes import Float
 from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
+from halfseen.study.told import LinearFit, helped, told_by
 from halfseen.study.tried import tried_in
+from halfseen.tables.assisted.learner import Assisted
 from halfseen.tables.encoding import encoded_states
 from halfseen.tables.features import table_features
 from halfseen.tables.grasp.choice import choose_by
+from halfseen.tables.laws.evidence import Evidence
 from halfseen.tables.policy import LinearTablePolicy
+from halfseen.workers.threads import one_thread
 from halfseen.world import random
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
@@ -54,7 +67,7 @@ from halfseen.world.rollout import Episodes, Totals, evaluate_each, evaluate_som
 from halfseen.world.state import Layout
 from halfseen.world.table_world import NUM_PILOT_PATHS
 
-PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION = range(5)
+PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
 TREATMENTS = ("imputed", "weighted", "unweighted", "dropped", "failures")
 CENSORING = {"imputed": "auto", "weighted": "kaplan-meier"}
@@ -112,9 +125,9 @@ class Source:
         """Rate that cuts this proportion of the paths in expectation, from a pilot."""
         return cut_rate(self.play(NUM_PILOT_PATHS, PILOT), share, kind)
 
-    def logged(self, episodes: Episodes, grasp: Grasp = AUTO) -> "LoggedPaths":
-        """Take episodes to learn from; `grasp` tells the probability of a grasp in the features, by default the log."""
-        return LoggedPaths(self, episodes, grasp)
+    def logged(self, episodes: Episodes, grasp: Grasp = AUTO, *, laws: bool = True) -> "LoggedPaths":
+        """Take episodes to learn from, as `LoggedPaths` has it."""
+        return LoggedPaths(self, episodes, grasp, laws)
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
@@ -130,9 +143,35 @@ class Source:
         key = random_key(self.seed, purpose, self.index)
         return _played(evaluate_some(self.world, self.layouts, policy, key, np.array(episodes)))
 
+    def start_value(self, num_tables: int) -> float:
+        """Mean of V° of so many tables as they are set, none of which is played."""
+        return float(
+            start_values(self.world, self.layouts, random_key(self.seed, STARTS), np.arange(num_tables)).mean()
+        )
+
+    def control_each(
+        self, policies: Sequence[Policy], episodes: Sequence[int], start: float, purpose: int = EVALUATION
+    ) -> list[Played]:
+        """Play each policy on the same episodes, by number: rewards by the control variate, with `start_value`."""
+        key = random_key(self.seed, purpose, self.index)
+        each = controlled_each(self.world, self.layouts, policies, key, np.array(episodes))
+        return [Played(start + one.advantage, one.robot_s) for one in each]
+
 
 def _played(totals: Totals) -> Played:
     return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
+
+
+class Learned(NamedTuple):
+    """What was learned from a log."""
+
+    policy: Policy
+    weights: dict[str, float]
+    """Effective sample size and largest of the weights of eq. 3."""
+    linear: LinearTablePolicy
+    """What linear eq. 3 learns without laws."""
+    assisted: Assisted | None = None
+    """With what laws, and what the policy is built on; None where it is `linear`."""
 
 
 @dataclass(frozen=True)
@@ -143,6 +182,8 @@ class LoggedPaths:
     episodes: Episodes
     grasp: Grasp = AUTO
     """What tells the probability of a grasp in the features; None for the rule of succession."""
+    laws: bool = True
+    """Whether laws are fitted, which is for weighted logs alone; without them eq. 3 is linear."""
 
     @cached_property
     def encoded(self) -> Encoded:
@@ -156,51 +197,60 @@ class LoggedPaths:
         """A log as the learner sees it under a treatment."""
         return treated(_path_arrays(cuts, self.encoded), cuts, treatment, self.source.world)
 
-    def learn(
-        self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]
-    ) -> list[tuple[LinearTablePolicy, dict[str, float]]]:
-        """Learn from the first paths of logs, each under its treatment; at each size from all.
-
-        Returns each policy with the effective sample size and the largest of its weights.
-        """
+    def learn(self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]) -> list[Learned]:
+        """Learn from the first paths of logs, each under its treatment; at each size from all."""
         treatments: dict[int, list[int]] = {}
-        for number, (cuts, _) in enumerate(logs):
+        for number, (cuts, treatment) in enumerate(logs):
+            if self.laws and treatment != "weighted":
+                raise ArgumentError(f"laws are fitted to weighted logs, and this one is {treatment}; give laws=False")
             treatments.setdefault(id(cuts), []).append(number)
-        learned: dict[tuple[int, int], tuple[LinearTablePolicy, dict[str, float]]] = {}
+        learned: dict[tuple[int, int], Learned] = {}
         for numbers in treatments.values():
             cuts = logs[numbers[0]][0]
-            tried = tried_in(cuts) if isinstance(self.grasp, str) else None
+            tried = tried_in(cuts) if isinstance(self.grasp, str) or self.laws else None
+            evidence = told_by(cuts, self.source.world) if self.laws else None
             laid_out = {number: self.lay_out(cuts, logs[number][1]) for number in numbers}
             for size in sizes:
-                grasp, encoded = self._seen_by(cuts, tried, size)
+                first_tried = None if tried is None else tried.iloc[: int(tried["path"].searchsorted(size))]
+                grasp, encoded = self._seen_by(cuts, first_tried, size)
                 for number, paths in laid_out.items():
                     first = paths.take(slice(size))._replace(encoded=encoded)
-                    learned[size, number] = self._learn_from(first, logs[number][1], grasp)
+                    fit, weights = self._learn_from(first, logs[number][1], grasp)
+                    one = Learned(fit.policy, weights, fit.policy)
+                    if evidence is not None and first_tried is not None:
+                        one = self._helped(one, fit, evidence.first(size), first_tried)
+                    learned[size, number] = one
         return [learned[size, number] for size in sizes for number in range(len(logs))]
 
-    def learn_one(self, cuts: CutEpisodes, num_paths: int) -> LinearTablePolicy:
+    def _helped(self, one: Learned, fit: LinearFit, evidence: Evidence, tried: pd.DataFrame) -> Learned:
+        states = mapped(lambda leaf: np.asarray(leaf)[: fit.paths.num_paths], self.episodes.states)
+        with one_thread():
+            found = helped(evidence, states, self.source.world, fit, tried)
+        return one._replace(policy=found.policy, assisted=found)
+
+    def learn_one(self, cuts: CutEpisodes, num_paths: int) -> Policy:
         """Learn from the first paths of a log, weighted."""
-        return self.learn([(cuts, "weighted")], [num_paths])[0][0]
+        return self.learn([(cuts, "weighted")], [num_paths])[0].policy
 
     def learn_and_play(
         self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int], num_episodes: int
     ) -> list[tuple[dict[str, float], Played]]:
         """Learn from logs, at each size from all, and play on the same episodes: weights and what was earned."""
         learned = self.learn(logs, sizes)
-        played = self.source.evaluate_each([policy for policy, _ in learned], num_episodes)
-        return [(weights, each) for (_, weights), each in zip(learned, played, strict=True)]
+        played = self.source.evaluate_each([one.policy for one in learned], num_episodes)
+        return [(one.weights, each) for one, each in zip(learned, played, strict=True)]
 
     def _learn_from(
         self, paths: PathArrays, treatment: str, grasp: GraspModel | None
-    ) -> tuple[LinearTablePolicy, dict[str, float]]:
+    ) -> tuple[LinearFit, dict[str, float]]:
         model = self.model(treatment, grasp).with_cuts(paths)
         rows = model.transitions(paths)
-        return model.policy(model.fit(rows)), _weights(np.asarray(rows.weight))
+        return LinearFit(model.policy(model.fit(rows)), model, paths), _weights(np.asarray(rows.weight))
 
     def _seen_by(
         self, cuts: CutEpisodes, tried: pd.DataFrame | None, num_paths: int
     ) -> tuple[GraspModel | None, Encoded]:
-        """What the first paths of a log choose to tell the probability of a grasp, and what the learner sees by it.
+        """What tells the probability of a grasp, by what a log's first paths tried, and what the learner sees by it.
 
         It is seen until the next one is asked for: the features of all lie in the same memory.
         """
@@ -208,8 +258,7 @@ class LoggedPaths:
         if not isinstance(self.grasp, str):
             return self.grasp, common
         assert tried is not None
-        num_attempts = int(tried["path"].searchsorted(num_paths))
-        grasp = choose_by(tried.iloc[:num_attempts], self.source.world.horizon).grasp
+        grasp = choose_by(tried, self.source.world.horizon).grasp
         if grasp is None:
             return None, common
         at = np.nonzero(cuts.is_begun[:num_paths])
@@ -223,7 +272,7 @@ class LoggedPaths:
         return np.zeros_like(self.encoded.features)
 
     def model(self, treatment: str, grasp: GraspModel | None = None) -> QModel:
-        """How the product's own learner fits Q under a treatment."""
+        """How the product's own learner fits Q under a treatment, without laws."""
         source = self.source
         return CensoredQLearner.for_table(
             source.world.horizon,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from halfseen.pages.palette import INK, OURS, PEER, PLANNER, SOFT
+from halfseen.pages.palette import INK, ORANGE, OURS, PEER, PLANNER, SOFT
 from halfseen.planners.named import named_policy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.world.config import WorldConfig
@@ -22,10 +22,18 @@ class Kind(StrEnum):
     HEURISTIC = "heuristic"
     PLANNER = "planner"
     PEER = "peer"
+    LINEAR = "linear"
     OPTIMUM = "optimum"
 
 
-COLOURS = {Kind.LEARNED: OURS, Kind.HEURISTIC: SOFT, Kind.PLANNER: PLANNER, Kind.PEER: PEER, Kind.OPTIMUM: INK}
+COLOURS = {
+    Kind.LEARNED: OURS,
+    Kind.HEURISTIC: SOFT,
+    Kind.PLANNER: PLANNER,
+    Kind.PEER: PEER,
+    Kind.LINEAR: ORANGE,
+    Kind.OPTIMUM: INK,
+}
 DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}
 """Lines of planners; others are dashed evenly."""
 
@@ -68,6 +76,11 @@ def _heuristic(name: str, label: str) -> Contender:
 
 
 LEARNED = Contender("censored_q", "learned policy", Kind.LEARNED)
+LINEAR = Contender("linear_q", "eq. 3, linear, no laws", Kind.LINEAR)
+ONE_STEP = Contender("one-step", "Q₁, one step ahead", Kind.PLANNER, partial(POMDPPolicy, planning_horizon=1))
+FITTED_ONE_STEP = Contender("fitted-one-step", "Q₁, laws fitted", Kind.PEER, ONE_STEP.make)
+FITTED_RULE = Contender("fitted-rule", "best heuristic, laws fitted", Kind.HEURISTIC)
+"""The strongest heuristic of a study, with laws fitted to the logs that a policy is learned from."""
 OPTIMUM = Contender("optimum", "optimum", Kind.OPTIMUM)
 HEURISTICS = (
     _heuristic("greedy", "greedy"),
@@ -93,7 +106,7 @@ def planner(num_simulations: int) -> Contender:
 def fitted_planner(num_simulations: int) -> Contender:
     """The same planner for a world whose laws were fitted to the logs that a policy is learned from."""
     name = f"fitted-planner-{num_simulations}"
-    return Contender(name, "planner, laws fitted to the same logs", Kind.PEER, planner(num_simulations).make)
+    return Contender(name, "planner, laws fitted", Kind.PEER, planner(num_simulations).make)
 
 
 def horizon_planner(horizon: int, num_simulations: int) -> Contender:

@@ -1,7 +1,7 @@
 """The study from end to end: run experiments, write tables, figures and the report."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -29,6 +29,12 @@ def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS
             there = f"there are {', '.join(known)}{did_you_mean(name, known)}"
             raise ArgumentError(f"--only {name}: there is no such experiment; {there}")
     return tuple(each for each in experiments if not names or each.name in names)
+
+
+def without_laws(experiments: Sequence[Experiment]) -> tuple[Experiment, ...]:
+    """The same experiments, where what is learned is linear eq. 3 without laws."""
+    every: Sequence[Any] = experiments
+    return tuple(replace(each, laws=False) if hasattr(each, "laws") else each for each in every)
 
 
 def run_study(

@@ -13,7 +13,9 @@ from halfseen.arrays import mapped
 from halfseen.shapes import Float
 from halfseen.study.experiment import Setting
 from halfseen.study.pipeline import Source
-from halfseen.study.policies import Contender
+from halfseen.study.policies import FITTED_RULE, STRONGEST_RULE, Contender, Kind
+from halfseen.tables.assisted.policy import AssistedPolicy
+from halfseen.tables.assisted.synthetic import Excess
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world import random
@@ -51,17 +53,21 @@ def decision_times_ms(
     return {name: np.array(values) for name, values in times.items()}
 
 
-def measured_times(setting: Setting, contenders: Iterable[Contender], num_states: int) -> dict[str, float]:
-    """Median decision time of contenders on states of all tables [ms]."""
-    policies = _timed_policies(setting, contenders)
+def measured_times(setting: Setting, contenders: Iterable[Contender], num_states: int, laws: bool) -> dict[str, float]:
+    """Median decision time of contenders on states of all tables [ms]; `laws` are those of the learned policy."""
+    policies = {each.name: _timed_policy(setting, each, laws) for each in contenders}
     times = decision_times_ms(policies, states_along_the_way(Source.of(setting), num_states))
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
-def _timed_policies(setting: Setting, contenders: Iterable[Contender]) -> dict[str, Policy]:
-    # The time of a learned decision does not depend on what was learned.
-    unlearned = np.zeros((setting.world.horizon, len(Verb), NUM_FEATURES + 1), dtype=np.float32)
-    return {each.name: each.policy(setting.world) if each.make else LinearTablePolicy(unlearned) for each in contenders}
+def _timed_policy(setting: Setting, who: Contender, laws: bool) -> Policy:
+    # The time of a decision does not depend on what was learned, or what laws are.
+    world = setting.world
+    if who.kind == Kind.LEARNED and laws:
+        return AssistedPolicy(world, None, Excess.none(world.horizon))
+    if who.kind in (Kind.LEARNED, Kind.LINEAR):
+        return LinearTablePolicy(np.zeros((world.horizon, len(Verb), NUM_FEATURES + 1), dtype=np.float32))
+    return STRONGEST_RULE.policy(world) if who == FITTED_RULE else who.policy(world)
 
 
 def seconds(function: Callable[[], object]) -> float:

@@ -93,13 +93,13 @@ def evaluate_each(
     size, found = max(1, SIDE_BY_SIDE // num_episodes), []
     for first in range(0, len(policies), size):
         some = policies[first : first + size]
-        totals = _totals(config, layouts, _SideBySide(some), key, np.tile(np.arange(num_episodes), len(some)))
+        totals = _totals(config, layouts, SideBySide(some), key, np.tile(np.arange(num_episodes), len(some)))
         parts = (slice(k * num_episodes, (k + 1) * num_episodes) for k in range(len(some)))
         found += [mapped(lambda leaf, at=at: leaf[at], totals) for at in parts]
     return found
 
 
-class _SideBySide:
+class SideBySide:
     """Each policy decides for its own part of a batch; all parts are of the same size."""
 
     def __init__(self, policies: Sequence[Policy]) -> None:

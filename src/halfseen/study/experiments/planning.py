@@ -1,8 +1,9 @@
 """What simulations and a longer planning horizon are worth to a planner that knows the true model: Figures 2 and 3.
 
 All policies meet the same evaluation episodes. A planner of many simulations plays few of them, in turn over the
-repetitions, so that every table is met; it is compared on those that it played. Rewards follow from the seed: a planner
-has a number of simulations, not a time. The times that decisions take are measured and told beside.
+repetitions, so that every table is met; it is compared on those that it played. Rewards are by the control variate of
+`pipeline`, and follow from the seed: a planner has a number of simulations, not a time. The times that decisions take
+are measured and told beside.
 """
 
 from collections.abc import Iterable, Mapping
@@ -40,8 +41,8 @@ from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_nam
 from halfseen.study.statistics import estimate_in, mean_columns
 from halfseen.study.timing import measured_times, seconds
 from halfseen.study.wording import REWARD_AXIS, estimated_in, learned_from
-from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world.cuts import CutKind
+from halfseen.world.policy import Policy
 
 CUT_KIND: CutKind = "independent"
 NUM_TIMED_STATES, NUM_FITS = 30, 5
@@ -57,7 +58,8 @@ class Planning:
 
     `simulations` are those a decision of planners that look to the end of a path, and how many episodes of a repetition
     each plays. Other planners look `horizons` steps ahead. The learned policy is learned from `num_paths`, of which
-    `cut_share` are cut.
+    `cut_share` are cut; by `laws` with the help of laws fitted to the same log. What V° is worth as tables are set is
+    the mean over `num_starts`.
     """
 
     simulations: tuple[tuple[int, int], ...] = ((8, 25), (128, 25), (1024, 3))
@@ -67,6 +69,8 @@ class Planning:
     num_paths: int = 800
     cut_share: float = 1 / 2
     episodes_per_scene: int = 5
+    num_starts: int = 100_000
+    laws: bool = True
     most_repetitions: int | None = 6
     name: ClassVar[str] = "planning"
 
@@ -94,12 +98,13 @@ class Planning:
         return horizon_planner(horizon, self.horizon_simulations)
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts."""
-        return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
+        """Calibrate the cuts, and value tables as they are set."""
+        source = Source.of(setting)
+        return {"rate": source.cut_rate(self.cut_share, CUT_KIND), "start": source.start_value(self.num_starts)}
 
     def measure(self, setting: Setting) -> PieceOf:
         """Decision times [ms], and the time that learning takes, the median of a few on this machine [s]."""
-        times = measured_times(setting, self.contenders.values(), NUM_TIMED_STATES)
+        times = measured_times(setting, self.contenders.values(), NUM_TIMED_STATES, self.laws)
         source = Source.of(setting)
         learn = partial(self._learned, source, source.cut_rate(self.cut_share, CUT_KIND))
         learn()
@@ -111,17 +116,19 @@ class Planning:
         num_all = self.episodes_per_scene * len(setting.scenes)
         policies = {LEARNED.name: self._learned(source, prepared["rate"])}
         policies |= {each.name: each.policy(setting.world) for each in HEURISTICS}
-        rows = [_row(name, range(num_all), source.evaluate(policy, num_all)) for name, policy in policies.items()]
+        start = float(prepared["start"])
+        each = source.control_each(list(policies.values()), range(num_all), start)
+        rows = [_row(name, range(num_all), played) for name, played in zip(policies, each, strict=True)]
         some = {planner(size).name: count for size, count in self.simulations}
         for name, count in (some | dict.fromkeys(self.by_horizon, self.horizon_episodes)).items():
             episodes = episodes_in_turn(index, count, num_all)
-            played = source.evaluate_some(self.contenders[name].policy(setting.world), episodes)
+            (played,) = source.control_each([self.contenders[name].policy(setting.world)], episodes, start)
             rows.append(_row(name, episodes, played))
         return {"index": index, "played": rows}
 
-    def _learned(self, source: Source, rate: float) -> LinearTablePolicy:
+    def _learned(self, source: Source, rate: float) -> Policy:
         episodes = source.play(self.num_paths)
-        return source.logged(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+        return source.logged(episodes, laws=self.laws).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
         """Make figure2 and figure3.
@@ -244,7 +251,8 @@ def _captions(design: Planning, figure2: pd.DataFrame) -> tuple[str, str]:
         "Reward of planners that know the true model, by their simulations a decision. Lines: the learned policy and "
         f"the heuristics. Below: difference from the learned policy on the same episodes. {num} repetitions; a planner "
         "of many simulations plays some of the episodes, and its reward above is the learned policy’s plus that "
-        "difference. Bars: 95 % intervals (Student’s t) over repetitions, not adjusted. How long decisions take on "
+        "difference. All rewards are by the control variate of Figure 1. Bars: 95 % intervals (Student’s t) over "
+        "repetitions, not adjusted. How long decisions take on "
         "this machine stands in the numbers below, and nothing here depends on it.",
         f"Reward by planning horizon, {design.horizon_simulations} simulations a decision beyond one step. What lies "
         "beyond the horizon is valued by a rule: each object is left, or tried once, whichever is worth more. Right: "

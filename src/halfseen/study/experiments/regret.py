@@ -51,8 +51,9 @@ INTERVAL = ["regret", "low", "high"]
 class Regret:
     """Regret on `num_tables` small tables, where a path takes `horizon` steps.
 
-    Policies are learned from logs of each size and proportion of cuts; words tell of `told_cut_share`. Planners look
-    `planner_horizons` steps ahead and are asked in `planner_states` states of each step in a repetition.
+    Policies are learned from logs of each size and proportion of cuts, by `laws` with the help of laws fitted to the
+    same log; words tell of `told_cut_share`. Planners look `planner_horizons` steps ahead and are asked in
+    `planner_states` states of each step in a repetition.
     """
 
     num_tables: int = 6
@@ -63,6 +64,7 @@ class Regret:
     planner_horizons: tuple[int, ...] = (1, 2, 3, 6)
     planner_simulations: int = 128
     planner_states: int = 4
+    laws: bool = True
     most_repetitions: int | None = 8
     name: ClassVar[str] = "regret"
 
@@ -102,9 +104,9 @@ class Regret:
             for each in self.planners
         ]
         episodes = source.play(max(self.num_paths))
-        paths = source.logged(episodes)
+        paths = source.logged(episodes, laws=self.laws)
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
-        policies = [policy for policy, _ in paths.learn(logs, self.num_paths)]
+        policies = [one.policy for one in paths.learn(logs, self.num_paths)]
         places = product(self.num_paths, self.cut_shares)
         for (size, cut_share), regrets in zip(places, small.regrets_of(policies), strict=True):
             rows.append({"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share, "regrets": regrets})

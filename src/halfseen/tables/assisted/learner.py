@@ -6,6 +6,7 @@
    is the rule of thumb that relies on them least, or linear eq. 3 where the log clearly speaks for it (`choice`).
 """
 
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
@@ -16,7 +17,7 @@ from halfseen.arrays import expit
 from halfseen.errors import HalfseenError, PositivityError
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
-from halfseen.learning.rows import path_arrays, stage_places
+from halfseen.learning.rows import PathArrays, path_arrays, stage_places
 from halfseen.learning.streaming import sample_of
 from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
@@ -32,7 +33,7 @@ from halfseen.tables.encoding import logged_actions, states_alone
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.choice import grasp_model_of
 from halfseen.tables.laws import FittedLaws, fitted_laws
-from halfseen.tables.laws.evidence import evidence_of
+from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.laws.prices import paid_in
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
@@ -129,20 +130,61 @@ def assisted_by_laws(
     """
     states = states_alone(logs, model.horizon)
     known = paid_in(logs, model.horizon, _left(logs, states)) if known is None else known
-    evidence = evidence_of(logs, known)
+
+    def without(rule: RulePolicy) -> Chosen:
+        with suppress(HalfseenError):
+            rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
+        return rule_or_linear(rule, linear, model, model.lay_out(logs), states)
+
+    watched, why_not = watched_in(logs, states)
+    found = str(why_not) if watched is None else watched
+    return assisted_by(evidence_of(logs, known), found, layouts_of(states), known, model.random_state, without, prior)
+
+
+def assisted_by(
+    evidence: Evidence,
+    watched: Watched | str,
+    layouts: Layout,
+    known: WorldConfig,
+    seed: int,
+    without: Callable[[RulePolicy], "Chosen"],
+    prior: WorldConfig | None = None,
+) -> Assisted:
+    """Learn from what a log tells of laws, and test them on it: what `assisted_by_laws` does once all is read.
+
+    Parameters
+    ----------
+    evidence
+        What it tells.
+    watched
+        The log on which laws are tested, as `weighed` says.
+    layouts
+        Tables that its trajectories began with.
+    known, prior
+        As `TableLearner` takes them; prices and times must be told.
+    seed
+        Of the synthetic trajectories.
+    without
+        Chooses what the policy is where the laws do not foretell the log; it is given the rule of thumb.
+    """
     laws = fitted_laws(evidence, known, prior)
     mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
-    watched, why_not = watched_in(logs, states, mending)
-    test = (
-        LawTest(0.0, 1.0, {}) if watched is None else hotelling_test(residuals_of(laws.config, watched), logs.num_paths)
-    )
-    told = (laws.sentence, *([] if why_not is None else [why_not]))
+    told: tuple[str, ...] = (laws.sentence,)
+    if isinstance(watched, str):
+        test, told = LawTest(0.0, 1.0, {}), (*told, watched)
+    else:
+        states = watched.states if mending is None else mending(watched.states)
+        test = hotelling_test(residuals_of(laws.config, watched._replace(states=states)), len(watched.weight))
     if not test.is_rejected:
-        layouts = Layout(*(leaf[:, 0] for leaf in (states.hides, states.is_object, states.grip)))
-        excess = fitted_excess(laws.config, layouts, model.random_state)
+        excess = fitted_excess(laws.config, layouts, seed)
         return Assisted(AssistedPolicy(laws.config, mending, excess), MODEL, laws, test, (*told, _foretold(test)))
-    policy, basis, why = _without_laws(logs, model, linear, states, RulePolicy(laws.config, mending))
+    policy, basis, why = without(RulePolicy(laws.config, mending))
     return Assisted(policy, basis, laws, test, (*told, _foretold(test), why))
+
+
+def layouts_of(states: TableState) -> Layout:
+    """Tables that trajectories began with, of states with axes (n, T)."""
+    return Layout(*(leaf[:, 0] for leaf in (states.hides, states.is_object, states.grip)))
 
 
 def _left(logs: Logs, states: TableState) -> Float[np.ndarray, " rows"]:
@@ -156,31 +198,50 @@ def watched_in(logs: Logs, states: TableState, mending: Mending | None = None) -
     action = logged_actions(logs, states.horizon, states.num_objects)
     num_actions = ActionSpace(states.num_objects).num_actions
     nothing = Encoded(np.zeros((*action.shape, 1, 0)), np.ones((*action.shape, num_actions), dtype=bool), action)
-    paths = path_arrays(logs, nothing, None)
+    states = states if mending is None else mending(states)
+    found = weighed(path_arrays(logs, nothing, None), states)
+    return (None, found) if isinstance(found, str) else (found, None)
+
+
+def weighed(paths: PathArrays, states: TableState) -> Watched | str:
+    """A log with its weights; or a sentence on why there are none."""
     try:
         weighted = Weighted()
         weight = weighted.weights(paths, weighted.fit_cuts(paths.clocks))
     except PositivityError as error:
-        return None, f"the laws are not tested on the log: {error}"
-    states = states if mending is None else mending(states)
-    return Watched(states, paths.action, paths.reward, weight, paths.is_last), None
+        return f"the laws are not tested on the log: {error}"
+    return Watched(states, paths.action, paths.reward, weight, paths.is_last)
 
 
-def _without_laws(
-    logs: Logs, model: QModel, linear: Policy, states: TableState, rule: RulePolicy
-) -> tuple[Policy, str, str]:
-    """The rule, or linear eq. 3 where the log clearly speaks for that."""
-    with suppress(HalfseenError):
-        rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
-    gain, low = gain_of(linear, rule, model, model.lay_out(logs), states)
+class Chosen(NamedTuple):
+    """What the policy is where laws do not foretell the log, what it is built on, and a sentence on why."""
+
+    policy: Policy
+    basis: str
+    why: str
+
+
+def rule_or_linear(rule: RulePolicy, linear: Policy, model: QModel, paths: PathArrays, states: TableState) -> Chosen:
+    """The rule, or linear eq. 3 where the log clearly speaks for that.
+
+    Parameters
+    ----------
+    rule, linear
+        The two.
+    model
+        Of linear eq. 3, fitted to the log but for Q.
+    paths, states
+        The log, as that model sees it.
+    """
+    gain, low = gain_of(linear, rule, model, paths, states)
     if low > 0.0:
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"
-        return linear, LINEAR, why
+        return Chosen(linear, LINEAR, why)
     why = (
         "the policy is the rule that counts history and penalty: the log does not clearly speak for linear eq. 3 "
         f"(it is worth {gain:.2g} more, perhaps {low:.2g})"
     )
-    return rule, RULE, why
+    return Chosen(rule, RULE, why)
 
 
 def _foretold(test: LawTest) -> str:

@@ -206,11 +206,15 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
         )
     if is_fitted(grasp):
         return tabulate(grasp, horizon)
+    return grasp_model_by(grasp, attempts(logs, horizon), horizon)
+
+
+def grasp_model_by(grasp: GraspEstimator, tried: pd.DataFrame, horizon: int) -> GraspModel:
+    """Make one of an estimator, a copy of which is fitted to attempts; it raises what `grasp_model_of` does."""
     # It takes longer to import than a decision, which does not come here.
     from sklearn.base import clone
 
     estimator: Any = clone(grasp)
-    tried = attempts(logs, horizon)
     model = estimator.fit(tried)
     return tabulate(model, horizon, fit_grip_effect(model, tried))
 

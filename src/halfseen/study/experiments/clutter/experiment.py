@@ -50,7 +50,8 @@ class Clutter(ClutterDesign):
         """
         source = self._source(setting, place, index)
         episodes = source.play(self.num_paths, MAP_SEED + LOGS)
-        learned = source.logged(episodes).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+        cuts = source.cut(episodes, rate, CUT_KIND)
+        learned = source.logged(episodes, laws=self.laws).learn_one(cuts, self.num_paths)
         policies = {LEARNED.name: learned} | {each.name: each.policy(source.world) for each in HEURISTICS}
         num_episodes = self.num_tables * self.episodes_per_table
         rewards = {

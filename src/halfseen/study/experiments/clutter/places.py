@@ -90,9 +90,10 @@ class ClutterDesign:
     """The map: at every clutter the world's own numbers, and each of the variations below by itself.
 
     Clutter is the number of objects N and the mean hidden share of an object. In each repetition, policies are learned
-    from `num_paths` over `num_tables` random tables, `cut_share` of them cut, independently of the task. Learning is
-    worth it where it gains more than `worthwhile_share` of what the best heuristic earns above FINISH at once. Scales
-    multiply the world's own number of labels and spread of grip offsets.
+    from `num_paths` over `num_tables` random tables, `cut_share` of them cut, independently of the task; by `laws` with
+    the help of laws fitted to the same log. Learning is worth it where it gains more than `worthwhile_share` of what
+    the best heuristic earns above FINISH at once. Scales multiply the world's own number of labels and spread of grip
+    offsets.
     """
 
     num_objects: tuple[int, ...] = (3, 6, 9)
@@ -105,6 +106,7 @@ class ClutterDesign:
     num_tables: int = 20
     episodes_per_table: int = 10
     worthwhile_share: float = 0.05
+    laws: bool = True
     most_repetitions: int | None = 8
 
     def __post_init__(self) -> None:

@@ -17,7 +17,7 @@ MODEL_COLOURS = {SUCCESSION: ORANGE, RIVAL: BLUE, "beta-dropped": SKY, CLAIMED: 
 MEASURES = {
     "log_loss": "log-loss on held-out attempts",
     "brier": "Brier score on held-out attempts",
-    "learned_reward": "reward of the learned policy",
+    "learned_reward": "reward of the policy by linear eq. 3",
     "heuristic_reward": "reward of the heuristic",
 }
 """What models are judged by; the scores are better the smaller they are, the rewards the larger."""
@@ -31,10 +31,12 @@ class GraspDesign:
     """Models of the probability of a grasp, learned from logs of `num_paths`, of which `cut_share` are cut.
 
     All are scored on fresh paths, some six attempts each: on as many as were learned from, `most_held_out` at most.
+    What V° is worth as tables are set is the mean over `num_starts`.
     """
 
     num_paths: tuple[int, ...] = (50, 200, 800)
     cut_share: float = 1 / 2
     most_held_out: int = 400
     episodes_per_scene: int = 5
+    num_starts: int = 100_000
     most_repetitions: int | None = 12

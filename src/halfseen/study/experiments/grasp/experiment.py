@@ -1,7 +1,7 @@
 """One repetition: from a log, cut as in Table 1, each model learns the probability of a grasp.
 
-It is scored on the attempts of fresh paths that nothing cut, and serves in the features of the learned policy and in
-the strongest heuristic.
+It is scored on the attempts of fresh paths that nothing cut, and serves in the strongest heuristic and in the features
+of linear eq. 3: without laws, as laws that are fitted to the log have a grasp of their own.
 """
 
 from collections.abc import Mapping
@@ -67,8 +67,9 @@ class Grasp(GraspDesign):
     section = section_of
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts."""
-        return {"rate": Source.of(setting).cut_rate(self.cut_share, CUT_KIND)}
+        """Calibrate the cuts, and value tables as they are set."""
+        source = Source.of(setting)
+        return {"rate": source.cut_rate(self.cut_share, CUT_KIND), "start": source.start_value(self.num_starts)}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn, score and play: one row for each model and size of log."""
@@ -89,13 +90,14 @@ class Grasp(GraspDesign):
                 stands_in = name == CLAIMED and not can_hold_out(known)
                 rows.append({"model": name, "num_paths": size, "stands_in": stands_in} | scored(said, succeeded))
                 grasp = _inside(setting, estimators, name, known)
-                paths = source.logged(log.episodes, None if name == SUCCESSION else grasp)
+                paths = source.logged(log.episodes, None if name == SUCCESSION else grasp, laws=False)
                 learners.append(paths.learn_one(log, size))
                 rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
         for measure, policies in zip(REWARDS, (learners, rules), strict=True):
-            for row, policy in zip(rows, policies, strict=True):
-                row[measure] = source.evaluate(policy, num_episodes).means()["reward"]
+            each = source.control_each(policies, range(num_episodes), float(prepared["start"]))
+            for row, played in zip(rows, each, strict=True):
+                row[measure] = played.means()["reward"]
         return {"index": index, "grasp": rows}
 
     def _held_out(self, setting: Setting, source: Source) -> tuple[pd.DataFrame, Float[np.ndarray, " m"]]:

@@ -60,7 +60,7 @@ def section_of(design: GraspDesign, setting: Setting, tables: Tables) -> Section
     tests = tables["grasp_tests"]
     score, reward = (claim_of(design, setting, tests, measure) for measure in VERBS)
     sentence = (
-        f"{score.sentence[:-1]}; the policy learned with it earns more than with the Beta: {reward.verdict} "
+        f"{score.sentence[:-1]}; what linear eq. 3 learns with it earns more than with the Beta: {reward.verdict} "
         f"({reward.numbers})."
     )
     drawing = Drawing(
@@ -98,8 +98,9 @@ def _caption(design: GraspDesign, grasp: pd.DataFrame) -> str:
         "attempt, and long ones fail; for comparison, the Beta mean with cut attempts dropped. The true model knows "
         "how occlusion slows a grasp, and integrates out the grip of each object given all its attempts. Bars and "
         "bands: 95 % intervals (Student’s t) of paired differences from the true model. Upper right: calibration, "
-        f"where at least {FEWEST_SHOWN} attempts were predicted so. Below: the model within the features of the "
-        "learned policy, where the rule of succession stands for the usual features, and within the heuristic that "
+        f"where at least {FEWEST_SHOWN} attempts were predicted so. Below: the model within the features of "
+        "linear eq. 3 (laws that are fitted to the log would have a grasp of their own), where the rule of succession "
+        "stands for the usual features, and within the heuristic that "
         f"knows the rest of the world ({STRONGEST_RULE.label}).{_stood_in(grasp)}"
     )
 
@@ -123,7 +124,7 @@ def _draw(design: GraspDesign, tables: Tables, title: str) -> Figure:
     panels: Any = grid.subplots(squeeze=False)
     _draw_scores(panels[0, 0], design, grasp)
     _draw_calibration(panels[0, 1], design, tables["figure5"])
-    for axes, measure, words in zip(panels[1], REWARDS, ("learned policy", "heuristic"), strict=True):
+    for axes, measure, words in zip(panels[1], REWARDS, ("policy by linear eq. 3", "heuristic"), strict=True):
         _draw_differences(axes, design, grasp, measure, (SUCCESSION, *FITTED))
         axes.set_title(f"reward of the {words}, over the true model's", **PANEL_TITLE)
     known = named_curves(*panels.flat)

@@ -5,28 +5,23 @@ from itertools import groupby
 from typing import Any
 
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from halfseen.pages.axes import EndLabel, draw_curve
-from halfseen.pages.numbers import MISSING, amount, share, share_in_words, significant, with_interval
-from halfseen.pages.palette import BAND_OPACITY
-from halfseen.pages.sentences import Claim, capitalised, counted, listed
+from halfseen.pages.numbers import MISSING, amount, percent, share, share_in_words, significant, with_interval
+from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
+from halfseen.study.experiments.reward.figure import GAIN, draw_figure1
 from halfseen.study.experiments.reward.opening import opening_of
 from halfseen.study.experiments.reward.peer_words import peer_listing, peer_sentence
 from halfseen.study.experiments.reward.tables import BEST, MEASURES
-from halfseen.study.figures import MEAN, draw_by_cut_share, draw_by_size, draw_level
+from halfseen.study.figures import MEAN
 from halfseen.study.frames import records, row_of, where
-from halfseen.study.policies import LEARNED, STRONGEST_RULE
-from halfseen.study.wording import EFFECT, REWARD_AXIS, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from
+from halfseen.study.policies import FITTED_ONE_STEP, FITTED_RULE, LEARNED, LINEAR, STRONGEST_RULE
+from halfseen.study.wording import EFFECT, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from, verdict_of
 
 STRONGEST = "the strongest heuristic", "the strongest planner"
 ROLE_WORDS: dict[str, str] = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
-DODGE = 1.02
-"""Factor between neighbouring curves, which stand side by side rather than on one another."""
 
 
 def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Section:
@@ -39,10 +34,25 @@ def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Sectio
     title = f"{_beats(design, figure1)}; learned from {design.table_num_paths} paths, {on_planner}"
     return Section(
         "Reward against the size of the log",
-        (both, _how_few_paths(design, figure1), peer_sentence(design, tables["peer"])),
-        (Drawing("figure1", "Figure 1", title, _caption(design, setting), partial(_draw, design, figure1)),),
+        (
+            both,
+            _how_few_paths(design, figure1),
+            peer_sentence(design, tables["peer"]),
+            _what_of_laws(design, figure1),
+            _verdicts(design, table1),
+        ),
+        (
+            Drawing(
+                "figure1",
+                "Figure 1",
+                title,
+                _caption(design, setting),
+                partial(draw_figure1, design, figure1, _times_ms(table1)),
+            ),
+        ),
         (
             _numbers(design, figure1),
+            _beside(design, figure1),
             peer_listing(design, setting, tables["peer"]),
             _tests(design, setting, table1),
             _weights(design, tables["weights"]),
@@ -110,49 +120,61 @@ def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
     return f"{start}, {'whatever proportion was cut' if len(set(sizes)) == 1 else 'by the proportion cut'}"
 
 
-def _caption(design: RewardDesign, setting: Setting) -> str:
-    few = min(design.planned_repetitions, setting.repetitions)
-    planned = f"in {few} of the repetitions, " if few < setting.repetitions else ""
+def _what_of_laws(design: RewardDesign, figure1: pd.DataFrame) -> str:
+    """Say what is earned above the strongest heuristic by whom, with and without laws fitted to the same logs."""
+    sizes = dict.fromkeys((min(design.num_paths), max(design.num_paths)))
+
+    def gains(name: str) -> str:
+        rows = (row_of(figure1, policy=name, num_paths=size, cut_share=design.table_cut_share) for size in sizes)
+        return " and ".join(estimated_in(row, GAIN) for row in rows)
+
+    others = {FITTED_ONE_STEP.name: "Q₁ with laws fitted to the same log", LINEAR.name: "linear eq. 3 without laws"}
+    others[FITTED_RULE.name] = "the strongest heuristic with fitted laws"
+    said = [f"{words} {gains(name)}" for name, words in others.items() if name in design.contenders]
     return (
-        f"Markers: mean reward of the policy learned by censored Q-learning, weighted by 1/Ĝ, over "
-        f"{setting.repetitions} repetitions, each with a fresh log and fresh evaluation episodes that all policies "
-        "share; markers of one size stand side by side for legibility. Horizontal lines: baselines, which learn "
-        "nothing from logs; bold: the heuristic and the planner that were the strongest on other episodes. A planner "
-        f"has so many simulations for each decision, whatever time they take, and {planned}plays some of the episodes: "
-        "its line is the learned policy’s mean less their paired difference. Crosses: the planner with laws fitted to "
-        "the logs that the policy is learned from, mean over the proportions of cut paths; it plays few of the "
-        "episodes, and how hard these are is reckoned from what all learned policies earn on them. Shaded: 95 % "
-        "intervals (Student’s t); of the lines across, for the two in bold. Cuts are independent of what happens on "
-        f"the table. Logs: half of the actions are those of a heuristic ({STRONGEST_RULE.label}), half are uniformly "
-        "random."
+        f"Above the strongest heuristic, which knows the true laws, the learned policy earns {gains(LEARNED.name)} from "
+        f"{' and '.join(map(str, sizes))} paths, {share_in_words(design.table_cut_share)} of them cut; {listed(said)}."
     )
 
 
-def _draw(design: RewardDesign, figure1: pd.DataFrame, title: str) -> Figure:
-    """Reward of the learned policy against the size of the log, with the baselines as lines."""
-    return draw_by_size(title, REWARD_AXIS, design.num_paths, (1.08, 1.05), partial(_draw_lines, design, figure1))
+def _verdicts(design: RewardDesign, table1: pd.DataFrame) -> str:
+    """Say how many hypotheses of Table 1 the data speak for, and name those that they do not."""
+    parts = []
+    for measure, claimed in CLAIM_WORDS.items():
+        found: dict[str, list[str]] = {SUPPORTED: [], NOT_SUPPORTED: [], INCONCLUSIVE: []}
+        for row in records(table1, measure=measure):
+            found[verdict_of(row)].append(design.contenders[row["baseline"]].label)
+        said = [f"{SUPPORTED} against {len(found.pop(SUPPORTED))} of {len(design.baseline_names)}"]
+        said += [f"{verdict} against {len(names)} ({'; '.join(names)})" for verdict, names in found.items() if names]
+        parts.append(f"that {claimed} is {listed(said)}")
+    return f"Of the hypotheses of Table 1, {'; '.join(parts)}."
 
 
-def _draw_lines(design: RewardDesign, figure1: pd.DataFrame, axes: Axes) -> list[EndLabel]:
-    """Draw the baselines, with bands for the strongest two, what was planned with fitted laws, and what was learned."""
-    labels = [_draw_peer(design, figure1, axes)]
-    for name in design.level_names:
-        row, who = row_of(figure1, policy=name), design.contenders[name]
-        is_best = row["role"] in BEST
-        labels.append(draw_level(axes, who, float(row["mean_reward"]), is_best))
-        if is_best:
-            axes.axhspan(row["low"], row["high"], color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
-    return labels + draw_by_cut_share(axes, figure1, design.cut_shares, MEAN, draw_curve, DODGE)
+def _times_ms(table1: pd.DataFrame) -> dict[str, float]:
+    """Decision times of all, as Table 1 tells them."""
+    rows = records(table1, measure="decision_ms")
+    return {row["baseline"]: float(row["other"]) for row in rows} | {LEARNED.name: float(rows[0][LEARNED.name])}
 
 
-def _draw_peer(design: RewardDesign, figure1: pd.DataFrame, axes: Axes) -> EndLabel:
-    """Draw the planner with fitted laws, the mean over the proportions of cut paths."""
-    peer, rows = design.peer, where(figure1, policy=design.peer.name)
-    means = pd.DataFrame(rows[rows["cut_share"].isna()])
-    dashes: Any = (0, peer.dashes)
-    draw_curve(axes, means["num_paths"], means[MEAN], color=peer.colour, marker="X", linestyle=dashes)
-    end = float(means["mean_reward"].iloc[-1])
-    return EndLabel(end, f"{peer.label}  {amount(end)}", peer.colour)
+def _caption(design: RewardDesign, setting: Setting) -> str:
+    few = min(design.planned_repetitions, setting.repetitions)
+    planned = f"in {few} of the repetitions, " if few < setting.repetitions else ""
+    how = "with the help of laws fitted to the same log" if design.laws else "by linear eq. 3, without laws"
+    return (
+        f"Above: mean reward; below: paired difference from the strongest heuristic. The learned policy: censored "
+        f"Q-learning, weighted by 1/Ĝ, {how}; {setting.repetitions} repetitions, each with a fresh log and fresh "
+        "evaluation episodes that all policies share; markers of one size stand side by side for legibility. Lines "
+        "across learn nothing from logs and know the true laws; bold: the heuristic and the planner that were the "
+        "strongest on other episodes. Broken curves: made of the logs that the policy is learned from, mean over the "
+        "proportions of cut paths; “laws fitted”: with the laws that it goes by. Q₁ looks one step ahead. A planner "
+        f"has so many simulations for each decision, whatever time they take, and {planned}plays some of the episodes: "
+        "it is reckoned from the paired difference on those. All rewards are by a control variate, which leaves their "
+        "means as they are: how far decisions fall short of a look one step ahead, plus what this is worth in the mean "
+        f"of {design.num_starts:,} tables. In brackets: the time of a decision on one core of this machine. Shaded: 95 "
+        "% intervals (Student’s t); of the lines across, for the two in bold. Cuts are independent of what happens on "
+        f"the table. Logs: half of the actions are those of a heuristic ({STRONGEST_RULE.label}), half are uniformly "
+        "random."
+    )
 
 
 def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
@@ -165,6 +187,20 @@ def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[t
 def _numbers(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
     cells = _by_size(design, where(figure1, policy=LEARNED.name), lambda row: estimated_in(row, MEAN))
     return Listing("The numbers of the learned policy in Figure 1", "", *cells)
+
+
+def _beside(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
+    """By size and proportion of cut paths: what each earns above the strongest heuristic."""
+    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
+    groups = {}
+    for name in (LEARNED.name, design.peer.name, *design.beside_names):
+        rows = {size: records(where(figure1, policy=name, num_paths=size)) for size in design.num_paths}
+        groups[design.contenders[name].label] = [
+            (str(size), *(estimated_in(row, GAIN) for row in of_size if not pd.isna(row["cut_share"])))
+            for size, of_size in rows.items()
+        ]
+    caption = "Reward above that of the strongest heuristic, which knows the true laws; 95 % intervals, not adjusted."
+    return Listing("What is made of logs, above the strongest heuristic", caption, header, groups)
 
 
 def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> Listing:
@@ -204,10 +240,22 @@ def _difference(row: Row) -> str:
 def _weights(design: RewardDesign, weights: pd.DataFrame) -> Listing:
     caption = (
         "Effective sample size of the weights of all stages, (Σw)²/Σw², and in brackets the largest weight; means over "
-        "repetitions, independent cuts."
+        f"repetitions, independent cuts.{_by_laws(design, weights)}"
     )
 
     def cell(row: Row) -> str:
         return f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})"
 
     return Listing("Table 2", caption, *_by_size(design, weights, cell), is_folded=False)
+
+
+def _by_laws(design: RewardDesign, weights: pd.DataFrame) -> str:
+    """Say how often the log contradicted the laws that were fitted to it."""
+    if not design.laws:
+        return ""
+    contradicted = 1.0 - weights["by_laws"]
+    return (
+        f" The log contradicted the laws fitted to it, so that the policy is a heuristic or linear eq. 3, in "
+        f"{percent(float(contradicted.mean()))} of all cases, at a single size and proportion in at most "
+        f"{percent(float(contradicted.max()))}."
+    )

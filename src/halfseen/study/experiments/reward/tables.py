@@ -12,6 +12,7 @@ from halfseen.study.frames import stacked
 from halfseen.study.policies import HEURISTICS, LEARNED
 from halfseen.study.statistics import adjusted, mean_columns, paired_test, signed_rank_test, tested_columns
 from halfseen.study.wording import is_reward
+from halfseen.tables.assisted.learner import MODEL
 
 MEASURES = {
     "reward": "reward of a path",
@@ -20,7 +21,7 @@ MEASURES = {
 }
 """Measure → name for people; times of decisions are told and not tested, as they depend on the machine."""
 BEST = ("best_heuristic", "best_planner")
-KEYS, WORTH = ["num_paths", "cut_share"], ["effective_sample_size", "largest_weight"]
+KEYS, WORTH = ["num_paths", "cut_share"], ["effective_sample_size", "largest_weight", "by_laws"]
 
 
 def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
@@ -31,20 +32,22 @@ def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
     dict of pandas.DataFrame
         ``figure1``: policy, num_paths, cut_share, repetitions, mean_reward, se, low, high; role, which marks the
         heuristic and the planner that were the strongest on other episodes; and gain, gain_se, gain_low, gain_high,
-        the paired difference from that heuristic. A planner plays only some of the episodes: its mean is what the
-        policy of Table 1 earned on all, less the paired difference on those. Of the planner with fitted laws there is a
-        row for each log, as of the learned policy: what that earned, less what it earned over it; and one for each size
-        with the mean over all proportions of cut paths, where cut_share is null. Repetitions are those in which a
-        policy played.
+        the paired difference from that heuristic. All rewards are by the control variate. A planner plays only some of
+        the episodes: its mean is what the policy of Table 1 earned on all, less the paired difference on those. Of what
+        is made of logs there is a row for each log; and, but for the learned policy, one for each size with the mean
+        over all proportions of cut paths, where cut_share is null. What a planner with fitted laws earns is what the
+        learned policy did, less what that earned over it. Repetitions are those in which a policy played.
         ``table1``: baseline, measure, censored_q, other, p_value, p_holm, effect, supported, effect_low, effect_high,
         num_episodes: one-sided paired tests that the learned policy is better (more reward, less time), on the
         episodes that both played; the effect is censored_q − other.
         ``peer``: num_paths, cut_share (null: the mean over all), p_value, p_holm, effect, supported, effect_low,
         effect_high: two-sided tests of what the learned policy earns over the planner with laws fitted to the same log,
         as `peer` reckons it; supported where they differ.
-        ``weights``: num_paths, cut_share, effective_sample_size, largest_weight: means over repetitions.
+        ``weights``: num_paths, cut_share, effective_sample_size, largest_weight: means over repetitions; and by_laws,
+        the share of logs that did not contradict the laws fitted to them, so that the policy is built on these.
     """
     weights = pd.DataFrame([row for piece in pieces.repetitions for row in piece["learned"]])
+    weights = weights.assign(by_laws=(weights["basis"] == MODEL).astype(float))
     return {
         "figure1": _figure1(design, pieces, strongest(design, pieces.prepared["selection"])),
         "table1": _table1(design, setting, pieces),
@@ -68,26 +71,42 @@ def _figure1(design: RewardDesign, pieces: Pieces, chosen: dict[str, str]) -> pd
         played = _where_played(pieces, name)
         own, other = _both(played, name, "reward")
         # The strongest heuristic plays all episodes, and the policy of Table 1 beside it.
-        headline = _both(played, rule, "reward")[0]
-        rows.append({"policy": name, "role": roles.get(name)} | _mean_of(headline - (own - other)))
+        headline, of_rule = _both(played, rule, "reward")
+        earned = headline - (own - other)
+        rows.append({"policy": name, "role": roles.get(name)} | _mean_of(earned) | _gain_of(earned - of_rule))
     planned = _where_played(pieces, design.peer.name)
     rows += _rows_of(design.peer.name, _against_peer(planned), _both(planned, rule, "reward")[1])
+    for name in design.beside_names:
+        logs = stacked([piece["beside"] for piece in pieces.repetitions], name, "reward")
+        rows += _rows_of(name, [*logs, *_means_by_size(logs)], _both(pieces, rule, "reward")[1])
     first = ["policy", *KEYS, "repetitions", "mean_reward", "se", "low", "high", "role"]
     table = pd.DataFrame(rows)
     return table.loc[:, [*first, *table.columns.drop(first)]].astype({"num_paths": "Int64", "cut_share": "Float64"})
 
 
+def _means_by_size(logs: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """For each size the mean over all proportions of cut paths."""
+    of_size = {size: [row for row in logs if row["num_paths"] == size] for size in (row["num_paths"] for row in logs)}
+    return [
+        {"num_paths": size, "cut_share": None, "reward": np.mean([row["reward"] for row in rows], axis=0)}
+        for size, rows in of_size.items()
+    ]
+
+
 def _rows_of(name: str, logs: list[dict[str, Any]], rule: Float[np.ndarray, " R"]) -> list[dict[str, Any]]:
     """What is learned or fitted from logs, in Figure 1: a row for each, beside the strongest heuristic."""
-    rows = []
-    for row in logs:
-        gain = mean_columns(row["reward"] - rule, "gain", "gain_se", "gain_low", "gain_high")
-        rows.append({"policy": name} | {key: row[key] for key in KEYS} | _mean_of(row["reward"]) | gain)
-    return rows
+    return [
+        {"policy": name} | {key: row[key] for key in KEYS} | _mean_of(row["reward"]) | _gain_of(row["reward"] - rule)
+        for row in logs
+    ]
 
 
 def _mean_of(rewards: Float[np.ndarray, " R"]) -> dict[str, Any]:
     return {"repetitions": len(rewards)} | mean_columns(rewards)
+
+
+def _gain_of(more: Float[np.ndarray, " R"]) -> dict[str, Any]:
+    return mean_columns(more, "gain", "gain_se", "gain_low", "gain_high")
 
 
 def _where_played(pieces: Pieces, name: str) -> Pieces:
