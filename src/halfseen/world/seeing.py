@@ -251,7 +251,14 @@ class PersistentSeeing:
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
         """Probabilities that a look says DIRTY of a dirty object, and of a clean one; 0 where it shows nothing new."""
         shown = self.in_view(occluded, is_held)
-        return self._found_now(self.sensitivity, shown, seen), self._found_now(self.false_alarms, shown, seen)
+        xp, before, now = library_of(shown, seen), self._found_by(seen), self._found_by(shown)
+        is_new = shown > seen + SAME_VIEW
+
+        def found_now(was: Any, then: Any) -> Any:
+            found = (then - was) / xp.maximum(1.0 - was, LEAST_DOUBT)
+            return xp.where(is_new, xp.clip(found, LEAST_DOUBT, 1.0 - LEAST_DOUBT), 0.0)
+
+        return found_now(before[0], now[0]), found_now(before[1], now[1])
 
     def after(self, occluded: Any, seen: Any, says_dirty: Any, is_held: Any = False) -> Any:
         """Share of the surface that has been in view; all of it counts once something was found."""
@@ -261,21 +268,21 @@ class PersistentSeeing:
 
     def found_by(self, share: Float[Array, "..."]) -> Float[Array, "2 ..."]:
         """Shares of dirty objects, and of clean ones, on which something was found by these shares of the surface."""
-        return library_of(share).stack(
-            [self._found_by(curve, share) for curve in (self.sensitivity, self.false_alarms)]
-        )
+        return library_of(share).stack(self._found_by(share))
 
-    def _found_now(self, curve: tuple[Number, ...], shown: Any, seen: Any) -> Any:
-        xp = library_of(shown, seen)
-        before, now = (self._found_by(curve, share) for share in (seen, shown))
-        found = (now - before) / xp.maximum(1.0 - before, LEAST_DOUBT)
-        return xp.where(shown > seen + SAME_VIEW, xp.clip(found, LEAST_DOUBT, 1.0 - LEAST_DOUBT), 0.0)
+    def _found_by(self, share: Any) -> tuple[Any, Any]:
+        """Both curves at a share of the surface: each piece adds its rise, as far as the share covers it."""
+        clip, knots = library_of(share).clip, (0.0, *self.views)
+        covered = [
+            clip((share - begin) / (end - begin), 0.0, 1.0) for begin, end in zip(knots[:-1], knots[1:], strict=True)
+        ]
 
-    def _found_by(self, curve: tuple[Number, ...], share: Any) -> Any:
-        """A curve at a share of the surface: each piece adds its rise, as far as the share covers it."""
-        clip, knots, heights = library_of(share).clip, (0.0, *self.views), (0.0, *curve)
-        pieces = zip(knots[:-1], knots[1:], heights[:-1], heights[1:], strict=True)
-        return sum((high - low) * clip((share - begin) / (end - begin), 0.0, 1.0) for begin, end, low, high in pieces)
+        def height(curve: tuple[Number, ...]) -> Any:
+            heights = (0.0, *curve)
+            rises = zip(heights[:-1], heights[1:], covered, strict=True)
+            return sum((high - low) * each for low, high, each in rises)
+
+        return height(self.sensitivity), height(self.false_alarms)
 
 
 def _check_curve(name: str, values: tuple[Number, ...], length: int, is_rising: bool) -> None:

@@ -5,9 +5,9 @@ Under the true laws Q°(S, A) = E[R + V°(S') | S, A] (`halfseen.planners.one_st
     Σ_t w_t · x(S_t, A_t) · (R_t + V°(S_{t+1}) − Q°(S_t, A_t))
 
 has mean 0 for each trajectory, whatever x is taken from (S, A). Sums over trajectories of some x are tested together by
-Hotelling's T² [Hotelling1931]_; trajectories, not stages, are independent. A label law that takes each look for news, a dirt that
-log-odds overstate or an object that never holds shows at once; what moves neither rewards nor what is left to gain
-changes no decision, and is not looked for.
+Hotelling's T² [Hotelling1931]_; trajectories, not stages, are independent. A law that takes each look for news, dirt
+that log-odds overstate or an object that never holds shows at once; what moves neither rewards nor what is left to
+gain changes no decision, and is not looked for.
 """
 
 from typing import NamedTuple
