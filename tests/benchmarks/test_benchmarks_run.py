@@ -23,6 +23,7 @@ pytestmark = pytest.mark.slow
         ("repetition.py", "--repetitions", "1"),
         ("serve.py", "--seconds", "3"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
+        ("half_seen.py", "--tables", "1", "--washes", "1", "--stains", "2"),
         ("two_arms.py", "--tables", "1", "--only", "one arm", "two arms"),
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("teams.py", "--robots", "2", "--price", "-0.05", "--paths", "60", "--logs", "1", "--episodes", "50"),

@@ -108,7 +108,7 @@ class LawsKind:
         if "mending.recorded" in arrays:
             law = config.seeing if isinstance(config.seeing, PersistentSeeing) else None
             prior = np.log(config.dirty_share) - np.log1p(-config.dirty_share)
-            mending = Mending(*(single[f"mending.{name}"] for name in _MENDING), np.float32(prior), law)
+            mending = Mending(single["mending.recorded"], single["mending.mended"], float(prior), law)
             if (np.diff(mending.recorded) <= 0.0).any() or (np.diff(mending.mended) < 0.0).any():
                 raise PolicyError("mending.recorded and mending.mended rise; learn the policy anew")
         if schema["basis"] == "rule":

@@ -53,12 +53,12 @@ class Ahead(NamedTuple):
     """Q_1 and Q° of WASH and LIFT of each object above leaving all; −∞ of what is not there."""
     control: Float[Array, "*B"]
     """V° above leaving all."""
-    of_table: Float[Array, "14 *B"]
+    of_table: Float[Array, " 14 *B"]
     own: Float[Array, "30 2 N *B"]
     """Of WASH and of LIFT of each object; 0 of what is not there."""
 
     @property
-    def one_step(self) -> Float[Array, "C *B"]:
+    def one_step(self) -> Float[Array, " C *B"]:
         """Q_1."""
         return self.values[0]
 
@@ -77,7 +77,7 @@ def _described(
     look: Outlook,
     gains: Float[Array, "2 M N *B"],
     values: Float[Array, "2 C *B"],
-) -> tuple[Float[Array, "14 *B"], Float[Array, "30 2 N *B"]]:
+) -> tuple[Float[Array, " 14 *B"], Float[Array, "30 2 N *B"]]:
     """Features of the table, and those of its own for each target."""
     xp, there = library_of(values), table.is_there
     expected, p = look.expected[0], table.is_dirty

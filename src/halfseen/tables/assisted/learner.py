@@ -22,6 +22,7 @@ from halfseen.learning.streaming import sample_of
 from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
+from halfseen.planners.belief import known_seeing
 from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
 from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
@@ -167,7 +168,7 @@ def assisted_by(
         Chooses what the policy is where the laws do not foretell the log; it is given the rule of thumb.
     """
     laws = fitted_laws(evidence, known, prior)
-    mending = mending_of(evidence.told, laws.config.seeing, evidence.dirty_share) if laws.is_mended else None
+    mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
     told: tuple[str, ...] = (laws.sentence,)
     if isinstance(watched, str):
         test, told = LawTest(0.0, 1.0, {}), (*told, watched)

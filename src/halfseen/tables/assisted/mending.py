@@ -13,6 +13,7 @@ from halfseen.arrays import Array, library_of, record
 from halfseen.shapes import Bool, Float
 from halfseen.tables.laws.evidence import Labels
 from halfseen.tables.laws.recorder import moved_by
+from halfseen.world.number import Number
 from halfseen.world.seeing import KnownSeeing, PersistentSeeing
 from halfseen.world.state import TableState
 
@@ -35,7 +36,7 @@ class Mending:
 
     recorded: Float[np.ndarray, " k"]
     mended: Float[np.ndarray, " k"]
-    prior: Float[np.ndarray, ""]
+    prior: Number
     law: PersistentSeeing | None = None
 
     def __call__(self, state: TableState) -> TableState:
@@ -82,7 +83,7 @@ def mending_of(told: Labels, law: KnownSeeing, dirty_share: float) -> Mending | 
     count = np.bincount(part)
     x, y = (np.bincount(part, each)[count > 0] / count[count > 0] for each in (recorded, mended))
     x, is_new = np.unique(x.astype(np.float32), return_index=True)
-    return Mending(x, np.maximum.accumulate(y).astype(np.float32)[is_new], np.float32(prior), persistent)
+    return Mending(x, np.maximum.accumulate(y).astype(np.float32)[is_new], float(prior), persistent)
 
 
 def _running(moves: Float[np.ndarray, " n"], begins: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:

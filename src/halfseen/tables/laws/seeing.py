@@ -55,8 +55,8 @@ from halfseen.tables.laws.recorder import SPREAD, read_back, speaks_against
 from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing
 
 Theta = Float[np.ndarray, " k"]
-"""Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power. Of the
-persistent one: logits of h, first of dirty objects, then of clean ones."""
+"""Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power; of
+the persistent one: logits of h, first of dirty objects, then of clean ones."""
 
 INDEPENDENT_PRIOR = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
 """Right three times of four in full view, hardly better than a coin if hidden, straight between."""
@@ -127,7 +127,7 @@ def _shape(theta: Theta) -> tuple[np.float64, np.float64, np.float64]:
     return 0.5 * expit(theta[0]), expit(theta[1]), np.exp(theta[2])
 
 
-def _accuracy(theta: Independent, occlusion: Rows) -> tuple[Rows, Float[np.ndarray, "3 n"]]:
+def _accuracy(theta: Theta, occlusion: Rows) -> tuple[Rows, Float[np.ndarray, "3 n"]]:
     """Accuracy q of each label, and how each parameter changes it."""
     reach, floor, power = _shape(theta)
     shown = 1.0 - occlusion
