@@ -72,8 +72,9 @@ CHANGED: dict[str, dict[str, Any]] = {
 }
 OF_CUPS: dict[str, dict[str, Any]] = {
     DEFAULT: {},
-    "Kaplan–Meier": {"censoring": "kaplan-meier"},
-    "cuts ignored": {"censoring": "none"},
+    "eq. 3 without laws": {"laws": None},
+    "the same, Kaplan–Meier": {"laws": None, "censoring": "kaplan-meier"},
+    "the same, cuts ignored": {"laws": None, "censoring": "none"},
 }
 
 

@@ -12,6 +12,8 @@ from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_f
 from halfseen.policies.reasons import values_by_name
 from halfseen.policies.table_reason import table_reason
 from halfseen.shapes import Float
+from halfseen.tables.assisted.explain import implied
+from halfseen.tables.assisted.policy import LawPolicy
 from halfseen.tables.explain import Grounds, table_grounds
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.present import Present
@@ -84,6 +86,8 @@ class TableDecider:
             )
         q, intervals, chance_best = self._valued(observation, key, names)
         reason = table_reason(grounds, q, chance_best)
+        if isinstance(self.policy, LawPolicy):
+            reason = f"{reason[:-1]}; {implied(self.policy, state, int(np.argmax(q)))}."
         return Decision(names[int(np.argmax(q))], values_by_name(names, q), reason, warnings, intervals, chance_best)
 
     def _valued(

@@ -25,6 +25,7 @@ from halfseen.logs import Logs, LogStream
 from halfseen.planners.belief import known_seeing
 from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
+from halfseen.tables.assisted.explain import laws_in_words
 from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
 from halfseen.tables.assisted.mending import Mending, mending_of
 from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
@@ -169,7 +170,7 @@ def assisted_by(
     """
     laws = fitted_laws(evidence, known, prior)
     mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
-    told: tuple[str, ...] = (laws.sentence,)
+    told: tuple[str, ...] = (laws.sentence, laws_in_words(laws, evidence.tried))
     if isinstance(watched, str):
         test, told = LawTest(0.0, 1.0, {}), (*told, watched)
     else:
