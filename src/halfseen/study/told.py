@@ -19,10 +19,10 @@ from halfseen.tables.assisted.policy import RulePolicy
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.choice import grasp_model_by
 from halfseen.tables.laws.evidence import Evidence, evidence_of
+from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes
 from halfseen.world.logs import to_logs
-from halfseen.world.policy import Policy
 from halfseen.world.scene import Scene
 from halfseen.world.state import TableState
 
@@ -38,7 +38,7 @@ def told_by(cuts: CutEpisodes, world: WorldConfig) -> Evidence:
 class LinearFit(NamedTuple):
     """Linear eq. 3 without laws, learned from a log."""
 
-    policy: Policy
+    policy: LinearTablePolicy
     model: QModel
     """Fitted to the log but for Q."""
     paths: PathArrays

@@ -14,7 +14,7 @@ from halfseen.planners.rollout import sampled_values
 from halfseen.tables.assisted.features import NUM_FEATURES, NUM_OWN, NUM_TABLE, ahead_of
 from halfseen.tables.assisted.policy import AssistedPolicy
 from halfseen.tables.assisted.synthetic import Excess, after_each, features_of, fitted_excess, rows_of
-from halfseen.world import WorldConfig, random
+from halfseen.world import Scene, WorldConfig, random
 from halfseen.world.policy import UniformPolicy
 from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
@@ -122,3 +122,12 @@ def test_it_earns_more_than_the_look_alone(config):
     )
     gain = with_excess - alone
     assert gain.mean() > -2.0 * gain.std() / np.sqrt(len(gain))
+
+
+def test_where_all_tables_are_soon_cleared_nothing_is_missed_at_steps_that_none_reaches():
+    config = WorldConfig(horizon=10)
+    for num_objects in (1, 2):
+        scene = Scene(np.zeros((num_objects, num_objects)))
+        excess = fitted_excess(config, pad_scenes([scene]), 0, 40)
+        assert np.isfinite(excess.coefficients).all()
+        assert not excess.coefficients[0].any()

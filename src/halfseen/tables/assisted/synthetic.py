@@ -113,7 +113,10 @@ def fitted_excess(
     ]
     found = Excess.none(config.horizon)
     for to_go in range(2, config.horizon + 1):
-        tried = Tried(*map(np.concatenate, zip(*(part[to_go] for part in parts), strict=True)))
+        some = [part[to_go] for part in parts if to_go in part]
+        if not some:
+            continue
+        tried = Tried(*map(np.concatenate, zip(*some, strict=True)))
         coefficients, low, high = (each[to_go - 2] for each in (found.coefficients, found.low, found.high))
         after = np.zeros(len(tried.verb))
         for verb in range(2):
@@ -143,7 +146,7 @@ def _regressed(features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R
 
 
 def simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, " R"], seed: int) -> dict[int, Tried]:
-    """Simulate some trajectories, by number: what was tried at each number of steps to go."""
+    """Simulate some trajectories, by number: what was tried at each number of steps to go at which any is left."""
     rng, found = np.random.default_rng([seed, int(trajectory[0])]), {}
     ahead = ahead_of(config, _begun(config, layouts, trajectory, seed))
     for to_go in range(config.horizon, 1, -1):
@@ -157,6 +160,8 @@ def simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, 
         is_finish = ahead.one_step.max(axis=0) <= 0.0
         followed = place * num_lanes + np.arange(num_lanes)
         goes_on = (~is_finish | is_explored) & after.table.is_there.any(axis=0)[followed]
+        if not goes_on.any():
+            break
         ahead = picked(after, followed[goes_on])
     return found
 

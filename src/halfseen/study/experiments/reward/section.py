@@ -132,8 +132,9 @@ def _what_of_laws(design: RewardDesign, figure1: pd.DataFrame) -> str:
     others[FITTED_RULE.name] = "the strongest heuristic with fitted laws"
     said = [f"{words} {gains(name)}" for name, words in others.items() if name in design.contenders]
     return (
-        f"Above the strongest heuristic, which knows the true laws, the learned policy earns {gains(LEARNED.name)} from "
-        f"{' and '.join(map(str, sizes))} paths, {share_in_words(design.table_cut_share)} of them cut; {listed(said)}."
+        f"Above the strongest heuristic, which knows the true laws, the learned policy earns {gains(LEARNED.name)} "
+        f"from {' and '.join(map(str, sizes))} paths, {share_in_words(design.table_cut_share)} of them cut; "
+        f"{listed(said)}."
     )
 
 
