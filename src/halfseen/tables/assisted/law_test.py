@@ -104,8 +104,6 @@ USED = {Verb.FINISH: (0,), Verb.WASH: (0, 1, 2, 3, 4, 5), Verb.LIFT: (0, 2, 3, 5
 
 def tested(found: Residuals, num_trajectories: int) -> LawTest:
     """Test the laws."""
-    from scipy.special import fdtrc
-
     columns, z = [], {}
     for verb, used in USED.items():
         rows = found.verb == verb
@@ -115,13 +113,19 @@ def tested(found: Residuals, num_trajectories: int) -> LawTest:
         ]
         columns += sums
         z[verb.name] = float(sums[0].sum() / max(np.sqrt((sums[0] ** 2).sum()), 1e-12))
-    each = np.column_stack(columns)
-    each = each[:, (each != 0.0).sum(axis=0) >= 5]
-    num, n = each.shape[1], num_trajectories
+    return LawTest(*hotelling(np.column_stack(columns)), z)
+
+
+def hotelling(each: Float[np.ndarray, "n k"]) -> tuple[float, float]:
+    """T² of sums of independent trajectories whose means are to be 0, and its p-value; columns of few are left out."""
+    from scipy.special import fdtrc
+
+    n, each = len(each), each[:, (each != 0.0).sum(axis=0) >= 5]
+    num = each.shape[1]
     if num == 0 or n <= num + 2:
-        return LawTest(0.0, 1.0, z)
+        return 0.0, 1.0
     mean, covariance = each.mean(axis=0), np.atleast_2d(np.cov(each.T))
     # Columns that say the same count once.
     statistic = float(n * mean @ np.linalg.pinv(covariance, rcond=1e-8, hermitian=True) @ mean)
     rank = int(np.linalg.matrix_rank(covariance, rtol=1e-8, hermitian=True))
-    return LawTest(statistic, float(fdtrc(rank, n - rank, statistic * (n - rank) / (rank * (n - 1)))), z)
+    return statistic, float(fdtrc(rank, n - rank, statistic * (n - rank) / (rank * (n - 1))))
