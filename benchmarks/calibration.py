@@ -166,7 +166,7 @@ def fitted(num_objects, horizon, seed, sizes, num_tables, num_states):
     scenes = [random_scene(rng, num_objects) for _ in range(NUM_LOGGED_TABLES)]
     for num_paths in sizes:
         logs = TableWorld(config).simulate(scenes, logging_policy(config), num_paths, LOG_SEED + num_paths, CUT_SHARE)
-        yield num_paths, CensoredQLearner.for_table(horizon).fit(logs), logs, found
+        yield num_paths, CensoredQLearner.for_table(horizon, laws=None).fit(logs), logs, found
 
 
 def stored_calibration(sizes, num_tables, num_states):

@@ -9,15 +9,17 @@ from cells import FULL_CAMERA, two_arm_cell
 
 from halfseen.arrays import record
 from halfseen.cell.account import Account
+from halfseen.cell.attempt import Attempt
 from halfseen.cell.clearing import PAUSE_S
 from halfseen.cell.commands import Rest
 from halfseen.cell.luck import luck_of_washing
+from halfseen.cell.memory import Trial
 from halfseen.cell.several.pair import PAIR
 from halfseen.cell.several.team_episode import TeamRun, play_team
 from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.stops import SENSOR_LOST, Stops
 from halfseen.cell.table_state import Belief, no_grip
-from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.cell.workcell import Workcell
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
@@ -28,7 +30,7 @@ from halfseen.tables.agent_logs import agent_view
 from halfseen.tables.policy import LinearTeamPolicy
 from halfseen.tables.team_features import NUM_FEATURES
 from halfseen.world import random
-from halfseen.world.actions import FINISH, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions
+from halfseen.world.actions import FINISH, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions, wait_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.logs import states_of
 from halfseen.world.policy import Policy, UniformPolicy, surely
@@ -74,8 +76,11 @@ def test_the_log_says_which_arm_decided_what_the_other_was_at_and_in_which_state
     assert stages["robot"].tolist() == [moment.arm for moment in moments]
     assert stages["0_does"].iloc[0] == stages["1_does"].iloc[0] == "FREE"
     assert stages["0_does"].iloc[1] == f"WASH {stages['object'].iloc[0]}"
-    assert (np.diff(stages["elapsed_s"]) > 0).all()
-    assert stages["elapsed_s"].iloc[-1] == pytest.approx(run.seconds)
+    elapsed_s = stages["elapsed_s"].to_numpy()
+    # Both are free at first: the decision of the one takes no time from the other's.
+    assert elapsed_s[0] == pytest.approx(PAUSE_S)
+    assert (np.diff(elapsed_s) >= 0).all()
+    assert elapsed_s[-1] == pytest.approx(run.seconds)
     assert stages["reward"].sum() == pytest.approx(run.reward)
     assert run.reward == pytest.approx(4 * CONFIG.reward_wash_dirty)
     states = states_of(logs, 2 * CONFIG.horizon)
@@ -167,6 +172,37 @@ def test_an_arm_that_found_nothing_in_reach_is_asked_again_when_the_other_has_be
     assert [list(each) for each in reached_by] == [[0, 1], [0, 1], [1], [0, 1]]
 
 
+@record
+class Passing:
+    """Arm 0 lifts object 0 and waits, then takes object 1, which arm 1 has put back; whoever is left parks."""
+
+    def decide(self, state, key):
+        actions, num_tried = ActionSpace(state.num_objects), int((state.attempt_object >= 0).sum())
+        is_other_at_it = bool(state.robots.is_busy[1 - int(state.decider)])
+        if state.decider == 1:
+            action = actions.encode(Verb.LIFT, 1) if num_tried == 0 else FINISH
+        elif num_tried == 0 or not is_other_at_it:
+            action = actions.encode(Verb.LIFT, min(num_tried, 1))
+        else:
+            action = wait_of(state.num_objects)
+        return surely(np.int32(action))
+
+
+def test_what_one_arm_has_put_back_the_other_takes_at_the_same_clock(tmp_path, monkeypatch):
+    def lifting(cell, number, arm):
+        yield Rest(0.1 + arm)
+        cell.memory.objects[number].trials.append(Trial(0.0, False, 0.1, arm))
+        return Attempt(False, 0.1, "rim", "the hand closed on nothing")
+
+    monkeypatch.setattr(Workcell, "lifting", lifting)
+    _, logs = played(two_arm_cell((-0.05, 0.0), (0.05, 0.15)), tmp_path, Passing())
+    stages = logs.stages
+    assert stages["action"].tolist()[:5] == ["LIFT", "LIFT", "WAIT", "LIFT", "FINISH"]
+    assert stages["robot"].tolist()[:5] == [0, 1, 0, 0, 1]
+    assert stages["object"].iloc[1] == stages["object"].iloc[3] == 1
+    assert stages["elapsed_s"].iloc[2] == stages["elapsed_s"].iloc[3]
+
+
 def test_what_cuts_a_cell_cuts_the_table_of_a_team(tmp_path):
     run, logs = played(two_arm_cell(*PLACES_M, stops=Stops(1e9, 1e9, camera_lost_per_s=0.2)), tmp_path)
     assert run.cause == SENSOR_LOST
@@ -246,5 +282,5 @@ def test_in_the_cell_a_team_does_what_it_would_do_in_the_states_of_its_log(tmp_p
 
 @pytest.mark.slow
 def test_the_planner_of_a_team_clears_the_table(tmp_path):
-    run, _ = played(two_arm_cell(*THREE_M, camera=FULL_CAMERA), tmp_path, named_policy(PLANNER, PAIR_CONFIG))
+    run, _ = played(two_arm_cell(*THREE_M), tmp_path, named_policy(PLANNER, PAIR_CONFIG))
     assert (run.num_washed, run.num_collisions, run.cause) == (3, 0, None)

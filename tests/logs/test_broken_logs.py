@@ -355,11 +355,11 @@ def test_what_is_no_table_is_refused(table, message):
 TURNS = ("right", "left", "right")
 
 
-def log_of_robots(objects=(0, 1, 2), robots=("left", "right", "left"), elapsed_s=(0.0, 2.0, 5.0)):
+def log_of_robots(objects=(0, 1, 2), robots=("left", "right", "left"), elapsed_s=(0.0, 2.0, 5.0), **does):
     done = {"path": 0, "stage": range(1, 4), "elapsed_s": elapsed_s, "action": "WASH", "reward": 1.0}
     ends = {"path": [0], "end_s": [elapsed_s[-1]], "ending": ["finished"]}
     robots = {} if robots is None else {"robot": robots}
-    return Logs(pd.DataFrame(done | {"object": objects} | robots), ends)
+    return Logs(pd.DataFrame(done | {"object": objects} | robots | does), ends)
 
 
 def test_a_clock_may_stand_where_two_robots_are_free_at_once(tmp_path):
@@ -371,6 +371,8 @@ def test_a_clock_may_stand_where_two_robots_are_free_at_once(tmp_path):
     for given in (
         # At 2 s both are free; left decides first, and takes what right has just let go of.
         {"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 2.0, 5.0)},
+        # By a clock that nobody stops right decides a moment later.
+        {"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 2.01, 5.0), "right_does": "FREE"},
         {"objects": (0, 1, 1), "robots": ("left", "right", "right")},
         {"objects": (0, 1, 0), "robots": ("left", "left", "right")},
     ):
@@ -385,6 +387,8 @@ def test_a_clock_may_stand_where_two_robots_are_free_at_once(tmp_path):
         ({"objects": (0, 0, 2), "elapsed_s": (1.0, 2.0, 5.0)},
          "stage 2: robot 'right' begins with object 0, which robot 'left' is at since"),
         ({"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 3.0, 5.0)},
+         "stage 2: robot 'left' begins with object 0"),
+        ({"objects": (0, 0, 1), "robots": TURNS, "elapsed_s": (2.0, 2.01, 5.0), "right_does": "WASH 0"},
          "stage 2: robot 'left' begins with object 0"),
         ({"robots": ("left", None, "left")}, "robot is null"),
     ],

@@ -21,6 +21,7 @@ TABLES = partial(CensoredQLearner.for_table, 3, reg=0.1)
 LEARNERS = {
     "flat": (flat_log, FLAT),
     "tables": (table_log, TABLES),
+    "laws": (table_log, partial(CensoredQLearner.for_table, 3)),
     "text": (text_log, partial(CensoredQLearner.of_paper, 2, ["A", "B"], COVARIATES, reg=0.1)),
     "team": (
         lambda: logged(played(team_of(2, horizon=3), 60, seed=2), 0.4),

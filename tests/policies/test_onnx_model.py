@@ -93,7 +93,7 @@ def random_state(num_objects, horizon, rng):
 def test_it_decides_a_thousand_tables_alike(options, stored):
     """250 of each of the four kinds."""
     rng, horizon, num_objects = np.random.default_rng(1), 3, 4
-    kept = stored(CensoredQLearner.for_table(horizon, **options), table_log(num_paths=60))
+    kept = stored(CensoredQLearner.for_table(horizon, laws=None, **options), table_log(num_paths=60))
     session = onnxruntime.InferenceSession(onnx_model(kept, num_objects))
     states = [random_state(num_objects, horizon, rng) for _ in range(250)]
     wanted = kept.policy.q_values(stacked(states))

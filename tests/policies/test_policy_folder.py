@@ -1,6 +1,7 @@
 """Folders of policies: what comes back, to the last bit."""
 
 import json
+from copy import copy
 from dataclasses import fields, replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pandas as pd
 import pytest
 from policy_folders import FILES, FLAT, LEARNERS, TABLES, record
 
+from fitted_laws import FITTED
 from halfseen.arrays import mapped
 from halfseen.errors import PolicyError
 from halfseen.learning import KernelQ
@@ -17,6 +19,8 @@ from halfseen.policies.folder import log_digest, read_policy, write_policy
 from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.team_kind import FEATURES_VERSION as TEAM_VERSION
 from halfseen.tables import BetaGrasp
+from halfseen.tables.assisted.mending import Mending
+from halfseen.tables.assisted.policy import RulePolicy
 from halfseen.tables.features import FEATURES_VERSION, table_features
 from halfseen.tables.grasp.grasp_table import GraspTable
 from halfseen.tables.policy import decisions
@@ -205,3 +209,36 @@ def test_features_are_those_of_their_version():
         ),
     ):
         np.testing.assert_allclose(features.astype(float) @ np.cos(np.arange(features.shape[1])), probe, rtol=1e-4)
+
+
+def of_laws(policy):
+    """What else a folder may hold: log-odds made anew, a rule, with a grasp model or without."""
+    mending = Mending(
+        np.float32([-2.0, 0.1, 3.0]),
+        np.float32([-1.0, 0.0, 1.5]),
+        np.float32(np.log(policy.config.dirty_share / (1.0 - policy.config.dirty_share))),
+    )
+    table = GraspTable(np.linspace(0.1, 0.9, 12, dtype=np.float32).reshape(3, 2, 2), np.float32(0.5))
+    return {
+        "model": policy,
+        "mended": replace(policy, mending=mending),
+        "look alone": replace(policy, excess=None),
+        "rule": RulePolicy(policy.config, mending),
+        "rule of the log": RulePolicy(policy.config, None, table),
+        "other laws": replace(policy, mending=None, config=replace(FITTED, horizon=3)),
+    }
+
+
+@pytest.mark.parametrize("name", ["model", "mended", "look alone", "rule", "rule of the log", "other laws"])
+def test_a_policy_of_laws_comes_back_and_decides_the_same(logs, fitted, tmp_path, name):
+    learner = copy(fitted["laws"])
+    learner.policy_ = policy = of_laws(learner.policy_)[name]
+    write_policy(learner, logs["laws"], tmp_path / "policy")
+    again = read_policy(tmp_path / "policy")
+    assert (again.is_table, again.horizon, again.q_error) == (True, 3, None)
+    assert type(again.policy) is type(policy)
+    assert again.policy.config == policy.config
+    states = states_of(logs["laws"], 3)
+    assert again.policy.q_values(states).tobytes() == policy.q_values(states).tobytes()
+    state = first_state(Scene(HIDES), horizon=3, dirty_share=0.6)
+    assert decider_of(again).decide(state).reason

@@ -62,6 +62,14 @@ def of_features(**changed):
     return record(lambda r: r["schema"]["features"].update(changed))
 
 
+def of_laws(**changed):
+    return record(lambda r: r["schema"]["laws"].update(changed))
+
+
+def of_seeing(**changed):
+    return record(lambda r: r["schema"]["laws"]["seeing"].update(changed))
+
+
 def array(name, change):
     return arrays(lambda a: a.update({name: change(a.get(name))}))
 
@@ -116,6 +124,28 @@ REFUSED = {
         *((of_schema(seen=seen), "seen is") for seen in ("WASH", [["WASH"]], [[]] * 3, [["PUSH"]] * 3)),
         *((of_schema(seen=seen), "seen is") for seen in ([[["WASH"]]] * 3, [["WASH"], "LIFT", ["LIFT"]])),
     ],
+    "laws": [
+        (of_features(version=0), "the policy looks at features"),
+        (of_schema(basis="hope"), "basis is 'hope'; it is model or rule"),
+        (of_schema(horizon=4), "horizon is 4, and 3 in the laws"),
+        (record(lambda r: r["schema"].pop("laws")), "laws is None and not the laws"),
+        (of_laws(transport_s="1"), "transport_s is '1' and no finite number"),
+        (of_laws(horizon=0.5), "horizon is 0.5 and not a whole number"),
+        (of_laws(seeing=None), "seeing is None and not a law"),
+        (of_seeing(family="magic"), "seeing is of family 'magic'; it is independent or persistent"),
+        (of_seeing(more=1.0), "seeing holds ['family', 'floor', 'gain', 'more', 'power']"),
+        (of_seeing(floor=[0.5]), "floor is [0.5] and no finite number"),
+        (of_schema(dirty_share=1.0), "dirty_share is 1.0"),
+        (arrays(lambda a: a.pop("excess.low")), "array 'excess.low' is missing"),
+        (array("excess.high", lambda a: a[:1]), "asks for float32 of shape [3, 2]"),
+        (number("excess.coefficients", (1, 0, 3), np.nan), "'excess.coefficients' holds nan at [1, 0, 3]"),
+        (array("mending.recorded", lambda _: np.float32([0.0, 1.0])), "array 'mending."),
+        (
+            arrays(lambda a: a.update({f"mending.{name}": np.float32([1.0, 0.0]) for name in ("recorded", "mended")})),
+            "mending.recorded and mending.mended rise",
+        ),
+        (of_schema(basis="rule"), "array 'excess.coefficients' is none that a policy has"),
+    ],
     "team": [
         (of_record(version=2), "version 2 is not the 1 that halfseen"),
         (record(lambda r: r["schema"].pop("num_robots")), "num_robots is None and not a whole number"),
@@ -164,8 +194,10 @@ def places(of, at=()):
     return [place for key in keys for place in [(*at, key), *places(of[key], (*at, key))]]
 
 
-def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(written):
+@pytest.mark.parametrize("kind", ["flat", "laws"])
+def test_nonsense_anywhere_in_the_schema_is_refused_or_harmless(copied, kind):
     """No other error than a PolicyError comes of it, whatever stands where."""
+    written = copied(kind)
     whole = (written / RECORD).read_text()
     wanted = [
         place for place in places(json.loads(whole)) if place[0] not in ("learner", "diagnostics", "log", "versions")

@@ -29,7 +29,7 @@ def logs():
 
 @pytest.fixture(scope="module")
 def learner(logs):
-    return CensoredQLearner.for_table(HORIZON).fit(logs)
+    return CensoredQLearner.for_table(HORIZON, laws=None).fit(logs)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,9 @@ def test_what_was_learned_is_what_is_explained(learner, explainer, state):
 @pytest.mark.slow
 def test_the_more_paths_the_less_doubt(explainer, state):
     many = logs_of(480)
-    surer = LearnedExplainer.of(CensoredQLearner.for_table(HORIZON).fit(many), many, num_replicates=20).explain(state)
+    surer = LearnedExplainer.of(
+        CensoredQLearner.for_table(HORIZON, laws=None).fit(many), many, num_replicates=20
+    ).explain(state)
     found = explainer.explain(state)
     assert np.median(surer.high - surer.low) < 0.7 * np.median(found.high - found.low)
 
@@ -120,7 +122,7 @@ def test_what_cannot_be_explained_is_refused(learner, logs, explainer, state):
     with pytest.raises(ArgumentError, match="the log has 12 paths, but the learner was fitted to 60"):
         LearnedExplainer.of(learner, logs_of(12))
     with pytest.raises(ArgumentError, match="fit it to a log of tables"):
-        LearnedExplainer.of(CensoredQLearner.for_table(HORIZON), logs)
+        LearnedExplainer.of(CensoredQLearner.for_table(HORIZON, laws=None), logs)
     with pytest.raises(ArgumentError, match="num_replicates is 1"):
         LearnedExplainer.of(learner, logs, num_replicates=1)
     with pytest.raises(ArgumentError, match="the path is over"):

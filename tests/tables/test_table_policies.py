@@ -56,7 +56,7 @@ def logs(watched, scene):
 
 @pytest.fixture(scope="module")
 def learner(logs):
-    return CensoredQLearner.for_table(horizon=10).fit(logs)
+    return CensoredQLearner.for_table(horizon=10, laws=None).fit(logs)
 
 
 @pytest.mark.slow
@@ -79,7 +79,7 @@ def test_it_learns_the_same_from_the_same_log_whatever_the_names_of_objects(lear
     names = {k: f"cup {k}" for k in range(NUM_OBJECTS)}
     stages, objects = (table.assign(object=table["object"].map(names)) for table in (logs.stages, logs.objects))
     for same in (logs, Logs(stages, logs.paths, objects)):
-        again = CensoredQLearner.for_table(horizon=10).fit(same)
+        again = CensoredQLearner.for_table(horizon=10, laws=None).fit(same)
         assert np.array_equal(again.q_functions_.coefficients, learner.q_functions_.coefficients)
         assert again.policy_.coefficients.dtype == np.float32
 
@@ -100,7 +100,7 @@ def test_an_action_that_cannot_be_is_named(logs, spoil, told):
     row, changed = spoil(logs)
     tables = {"stages": logs.stages, "paths": logs.paths, "objects": logs.objects} | changed
     with pytest.raises(LogError, match=f"path {row['path']}, stage {row['stage']}: {told}"):
-        CensoredQLearner.for_table(horizon=10).fit(Logs(**tables))
+        CensoredQLearner.for_table(horizon=10, laws=None).fit(Logs(**tables))
 
 
 @pytest.mark.slow
@@ -128,7 +128,7 @@ def test_cuts_at_a_table_may_depend_on_the_attempt():
     names = fitted.cut_model_.fitted[0].model.covariates_
     assert names == ["num_objects", "mean_occlusion", "action=FINISH", "action=WASH", "target_occlusion"]
     with pytest.raises(ArgumentError, match="'weather' is none of a table's: num_objects, mean_occlusion, action"):
-        CensoredQLearner.for_table(10, censoring=Weighted("cox", covariates=["weather"])).fit(logs)
+        CensoredQLearner.for_table(10, laws=None, censoring=Weighted("cox", covariates=["weather"])).fit(logs)
 
 
 @pytest.mark.slow

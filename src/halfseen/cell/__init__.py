@@ -6,10 +6,11 @@ Read down: `contacts` (what holds in simulated contact) → `serial_arm` (what e
 any arm stands and waits) → `motion` (lines and schedules) → `commands` (what a robot is told) → `live_cell` (physics
 that goes on) → `looking`, `cut_by_arms` (the camera, the truth apart from it, and what an arm cuts from view) →
 `grasps`, `clearance` (where a hand could close, and what is in its way) → `planning` (how it gets there, or why not) →
-`fetching`, `racking`, `showing` (what is done with it) → `facts`, `memory` (what the robot knows) → `stops` (what cuts)
-→ `workcell` (all of that as one table and its robots) → `table_state` (what a policy decides in) → `truth`, `luck`,
-`account` (what it earns) → `clearing`, `episode` (one table to its end), `several` (the same with several arms) →
-`campaign` (many) → `summary`, `film`; `trying` → `calibration` (laws from what was tried).
+`fetching`, `racking`, `showing`, `attempt` (what is done with it, and what is told of that) → `facts`, `memory` (what
+the robot knows) → `camera_errors` (what it believes wrongly) → `stops` (what cuts) → `workcell` (all of that as one
+table and its robots) → `table_state` (what a policy decides in) → `truth`, `luck`, `account` (what it earns) →
+`clearing`, `episode` (one table to its end), `several` (the same with several arms) → `campaign` (many) → `summary`,
+`film`; `trying` → `calibration` (laws from what was tried).
 
 MuJoCo loads when one of these names is asked for, never when this package is imported.
 """

@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Rows
+from halfseen.cell.attempt import Attempt
 from halfseen.cell.luck import luck_of_table, luck_of_washing
 from halfseen.cell.truth import Truth
-from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.cell.workcell import Workcell
 from halfseen.shapes import Bool
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig

@@ -8,14 +8,15 @@ With several robots a look leaves out what an arm cuts, and what is not in view 
 
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Image
+from halfseen.cell.attempt import Attempt
+from halfseen.cell.camera_errors import Errors
 from halfseen.cell.clearance import ranked, surroundings
 from halfseen.cell.commands import Activity, Reserve
 from halfseen.cell.cut_by_arms import perceived_whole, without
@@ -44,60 +45,12 @@ MOST_TAKEN = 4
 """Plans whose way another robot takes, before the best of them is waited for."""
 
 
-@dataclass(frozen=True)
-class Attempt:
-    """How an attempt went, as the robot tells it.
-
-    Parameters
-    ----------
-    is_held
-        Whether the hand held something when it was lifted, and, of what was to be washed, put it into the rack.
-    duration_s
-        From the decision until that was known [s].
-    kind
-        Of the grasp; None where there was none to try.
-    reason
-        Why it did not hold; empty where it did.
-    is_too_far
-        Whether the robot reaches no grasp of it.
-    """
-
-    is_held: bool
-    duration_s: float
-    kind: str | None
-    reason: str = ""
-    is_too_far: bool = False
-
-
 class _Sight(NamedTuple):
     """An object as a look showed it, and that look."""
 
     seen: SeenObject
     view: View
     world_from_table: Float[np.ndarray, "4 4"]
-
-
-@dataclass(frozen=True)
-class Errors:
-    """How far the robot's idea of where its camera is may err.
-
-    Parameters
-    ----------
-    position_m
-        Standard deviation along each axis [m].
-    angle_rad
-        Standard deviation about each axis [rad].
-    """
-
-    position_m: float = 0.004
-    angle_rad: float = float(np.deg2rad(0.5))
-
-    def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
-        """Draw an error: a small motion of the world about the middle of the table."""
-        error, pivot_m = np.eye(4), np.array([0.0, 0.0, TABLE_TOP_M])
-        error[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3)).as_matrix()
-        error[:3, 3] = pivot_m - error[:3, :3] @ pivot_m + rng.normal(0.0, self.position_m, 3)
-        return error
 
 
 class Workcell:
@@ -157,7 +110,7 @@ class Workcell:
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
         labeller: Labeller = StainCounter(),  # noqa: B008 - frozen
-        errors: Errors = Errors(),
+        errors: Errors = Errors(),  # noqa: B008 - frozen
         stops: Stops | None = None,
     ) -> None:
         if not table.is_over_top.all():

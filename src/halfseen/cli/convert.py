@@ -4,10 +4,9 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
-from functools import partial
 from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -15,12 +14,11 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
+from halfseen.cli.clouds_of_bags import read_bags
 from halfseen.cli.messages import say
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
-    import numpy as np
-
     from halfseen.logs import Logs
 
 CSV, MINARI, SQL = "csv:", "minari:", "sql:"
@@ -265,7 +263,7 @@ def _read(kind: str, source: str, clouds: Path | None, **chosen: Any) -> "Logs":
     if kind == "parquet":
         return read_logs(source)
     if kind == "bag":
-        return _read_bags(_bags(Path(source)), chosen["mapping"], chosen["see"], clouds)
+        return read_bags(_bags(Path(source)), chosen["mapping"], chosen["see"], clouds)
     if kind == "sql":
         return _read_sql(source.removeprefix(SQL), **chosen)
     timed: dict[str, Any] = {name: chosen[name] for name in ("clock", "step_s")}
@@ -304,22 +302,6 @@ def _shown(source: str) -> str:
     return SQL + shown_url(source.removeprefix(SQL)) if source.startswith(SQL) else source
 
 
-def _read_bags(bags: list[Path], mapping: Path, see: bool, clouds: Path | None) -> "Logs":
-    from halfseen.logs.formats import read_bag
-
-    with Progress(None, "convert", "clouds") as bar:
-
-        def counted(work: Callable[..., Any]) -> Callable[..., Any]:
-            def count(*cloud: Any) -> Any:
-                bar.update()
-                return work(*cloud)
-
-            return count
-
-        keep = None if clouds is None else counted(partial(_kept, clouds))
-        return read_bag(bags, mapping, see=counted(_see) if see else None, keep=keep)
-
-
 def _write(logs: "Logs", target: str) -> None:
     from halfseen.logs import formats
 
@@ -329,34 +311,3 @@ def _write(logs: "Logs", target: str) -> None:
         formats.write_csv(logs, target.removeprefix(CSV))
     else:
         logs.write(target)
-
-
-def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:
-    """Write a cloud; its file is called like it."""
-    from halfseen.perception import Cloud, write_pcd
-
-    write_pcd(Cloud(points_m, _image_shape(shape), name=name), folder / f"{name}.pcd")
-    return f"{name}.pcd"
-
-
-def _see(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> dict[str, list[Any]]:
-    """Objects that a cloud shows, as columns; numbered anew in each cloud, the largest first."""
-    import numpy as np
-
-    from halfseen.perception import Cloud, perceive
-
-    view = perceive(Cloud(points_m, _image_shape(shape), name=name))
-    centroids = np.array([seen.centroid_m for seen in view.objects]).reshape(-1, 3)
-    return {
-        "object": [seen.id for seen in view.objects],
-        "occlusion": [seen.occlusion for seen in view.objects],
-        **{f"{axis}_m": centroids[:, k].tolist() for k, axis in enumerate("xyz")},
-        "height_m": [seen.height_m for seen in view.objects],
-        "is_upright": [seen.is_upright for seen in view.objects],
-        "num_points": [seen.num_points for seen in view.objects],
-        "hidden_by": view.hides.tolist(),
-    }
-
-
-def _image_shape(shape: tuple[int, int]) -> tuple[int, int] | None:
-    return shape if shape[0] > 1 else None

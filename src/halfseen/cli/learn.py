@@ -22,6 +22,11 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
+_BASES = {
+    "model": "one step ahead under laws fitted to the log, and by simulation what that misses",
+    "rule": "worth of a WASH; it never LIFTs",
+}
+"""What Q is where laws help, by what the policy is built on."""
 START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1
 """What each step takes of the time, roughly."""
 
@@ -83,6 +88,19 @@ class _Or(click.ParamType):
     type=options.Choice(["auto", "laplace", "beta"]),
     help="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
     "default the log decides.",
+)
+@click.option(
+    "--laws/--no-laws",
+    "has_laws",
+    default=True,
+    show_default=True,
+    help="Of a table: whether laws of seeing and grasping, fitted to LOGS, help to learn; without them eq. 3 alone.",
+)
+@click.option(
+    "--prior-law",
+    metavar="FOLDER",
+    help="Of a table: a law, as of `halfseen cell calibrate`, shipped or assumed, about which those of LOGS are fitted "
+    "(for logs of few attempts); by default none.",
 )
 @click.option("--reg", type=_Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over paths.")
 @click.option(
@@ -151,7 +169,8 @@ def learn(
         warnings.simplefilter("always", HalfseenWarning)
         targets, seed = _targets(chosen), chosen.pop("seed")
         log = opened(logs, in_passes)
-        choice = learner_for(log, censoring=targets, random_state=seed, **chosen)
+        prior = _prior_law(chosen.pop("prior_law"))
+        choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **chosen)
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "look", LEARN)
@@ -189,6 +208,17 @@ def _judged(
     return verdict, (f"the verdict is of policies learned from {told}",)
 
 
+def _prior_law(name: str | None) -> Any:
+    """The world of a law that is named; None where none is."""
+    if name is None:
+        return None
+    from halfseen.cli.laws import law_of
+    from halfseen.world import WorldConfig
+
+    law = law_of(name)
+    return WorldConfig() if law is None else law.config()
+
+
 def _targets(chosen: dict[str, Any]) -> "Targets | str":
     """What stands for what cuts took away, taken from the options that say it; auto where none does."""
     from halfseen.learning.targets import named_targets
@@ -212,19 +242,23 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
     num_robots, looks_at = schema.get("num_robots"), _looks_at(report["kind"], schema)
     cuts, positivity = learner["censoring"], report["diagnostics"]["positivity"]["text"].splitlines()[0]
     by = f", by {learner['censoring_by']}" if cuts in options.WEIGHTING else ""
-    rows = [
-        ("looks at", looks_at),
+    has_laws = "basis" in schema
+    of_q = [
         ("Q", f"{learner['q_function']}, stages {learner['stages']}, horizon {_horizon(schema)}"),
-        *(("chosen", sentence) for sentence in report["chosen"]),
         *([("pessimism", _pessimism(learner["pessimism"]))] if learner["pessimism"] else []),
         ("cuts", f"{cuts}{by}{', augmented' if learner['augmented'] else ''}"),
+        ("λ", _regs(**report["reg"])),
+    ]
+    rows = [
+        ("looks at", looks_at),
+        *([("Q", f"{_BASES[schema['basis']]}, horizon {_horizon(schema)}")] if has_laws else of_q),
+        *(("chosen", sentence) for sentence in report["chosen"]),
         (
             "weights",
             f"{weights['num_seen']} stages, with an effective sample size of "
             f"{weights['effective_sample_size']:.1f}; the largest weight is {weights['largest_weight']:.3g}",
         ),
         ("positivity", positivity),
-        ("λ", _regs(**report["reg"])),
         *(("warning", one) for one in report["warnings"] if one != positivity),
         *(("note", note) for note in report["notes"]),
     ]
@@ -243,7 +277,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
 def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:
     if kind == "team":
         return f"tables of {schema['num_robots']} robots, and what each is at; it decides for whichever is free"
-    return "tables" if kind == "table" else ", ".join(schema["covariates"]) or "nothing but the stage"
+    return "tables" if kind.startswith("table") else ", ".join(schema["covariates"]) or "nothing but the stage"
 
 
 def _horizon(schema: Mapping[str, Any]) -> str:

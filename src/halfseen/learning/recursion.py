@@ -85,7 +85,7 @@ class Step(NamedTuple):
     """Slices whose moments nobody has summed so far."""
 
 
-class Found(NamedTuple):
+class StepSums(NamedTuple):
     """Sums of rows for one step."""
 
     moments: tuple[Moments, ...]
@@ -96,11 +96,11 @@ class Found(NamedTuple):
     """For the next step, where it looks at the same states."""
 
 
-def found_in(rows: Rows, step: Step, regression: Regression, norms: Norms | None = None) -> Found:
+def sums_of_step(rows: Rows, step: Step, regression: Regression, norms: Norms | None = None) -> StepSums:
     """Sum up rows for one step, given norms of an earlier one."""
     values, norms = values_of(rows, step.successor, norms if regression.stages == "pooled" else None)
     moments = tuple(moments_of(rows, which, regression) for which in step.new)
-    return Found(moments, crosses_of(rows, step.slices, values, regression), rows.columns, norms)
+    return StepSums(moments, crosses_of(rows, step.slices, values, regression), rows.columns, norms)
 
 
 def fit_q(log: Transitions, regression: Regression) -> QFunctions:
@@ -121,7 +121,7 @@ def fit_each_stage(log: Transitions, regression: Regression) -> QFunctions:
     return stack_q([steps.fit(Step((stage,)))[0] for stage in range(log.action.shape[1])])
 
 
-def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], Found]:
+def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], StepSums]:
     largest = int(np.asarray(log.fold).max())
     if largest >= regression.num_folds:
         raise ArgumentError(
@@ -129,16 +129,16 @@ def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], Fou
         )
     rows, norms = packed(log, regression), None
 
-    def ask(step: Step) -> Found:
+    def ask(step: Step) -> StepSums:
         nonlocal norms
-        found = found_in(rows, step, regression, norms)
-        norms = found.norms
-        return found
+        sums = sums_of_step(rows, step, regression, norms)
+        norms = sums.norms
+        return sums
 
     return ask
 
 
-def backward(ask: Callable[[Step], Found], shape: tuple[int, int], regression: Regression) -> QFunctions:
+def backward(ask: Callable[[Step], StepSums], shape: tuple[int, int], regression: Regression) -> QFunctions:
     """Run eq. 3.
 
     Parameters
@@ -196,7 +196,7 @@ class _Equations(NamedTuple):
 class _Steps:
     """One backward step after the other."""
 
-    def __init__(self, ask: Callable[[Step], Found], num_paths: int, regression: Regression) -> None:
+    def __init__(self, ask: Callable[[Step], StepSums], num_paths: int, regression: Regression) -> None:
         self.regression, self._ask, self._num_paths = regression, ask, num_paths
         self._moments: dict[int, Moments] = {}
         self._equations: dict[tuple[int, ...], _Equations] = {}
@@ -204,15 +204,15 @@ class _Steps:
     def fit(self, step: Step) -> tuple[QFunctions, Float[np.ndarray, "K F"], Errors | None]:
         """Fit Q of one step; with its coefficients and, last, those of control variates; and how far it is lowered."""
         new = tuple(which for which in step.slices if which not in self._moments)
-        found = self._ask(step._replace(new=new))
+        sums = self._ask(step._replace(new=new))
         if self.regression.stages == "separate":
             self._moments, self._equations = {}, {}
-        self._moments |= dict(zip(new, found.moments, strict=True))
+        self._moments |= dict(zip(new, sums.moments, strict=True))
         if step.slices not in self._equations:
             each = [self._moments[which] for which in step.slices]
             moments = reduce(partial(mapped, np.add), each)
-            self._equations[step.slices] = self._factorised(moments, found.columns)
-        return self._solved(self._equations[step.slices], found, step.centre)
+            self._equations[step.slices] = self._factorised(moments, sums.columns)
+        return self._solved(self._equations[step.slices], sums, step.centre)
 
     def _factorised(self, moments: Moments, columns: Columns) -> _Equations:
         regs, num_paths, is_scaled = self.regression.regs, self._num_paths, self.regression.is_scaled
@@ -228,9 +228,9 @@ class _Steps:
         return _Equations(moments, ridge_of(main, regs, num_paths, is_scaled), outcome, seen)
 
     def _solved(
-        self, equations: _Equations, found: Found, centre: Float[np.ndarray, "K F"] | None
+        self, equations: _Equations, sums: StepSums, centre: Float[np.ndarray, "K F"] | None
     ) -> tuple[QFunctions, Float[np.ndarray, "K F"], Errors | None]:
-        columns, crosses, moments = found.columns, found.crosses.of_matrix, equations.moments.of_matrix
+        columns, crosses, moments = sums.columns, sums.crosses.of_matrix, equations.moments.of_matrix
         design, outcome = slice(columns.num_design), None
         cross = crosses[SHARE - 1][..., design]
         if equations.outcome is not None:
@@ -247,7 +247,7 @@ class _Steps:
         gram = moments[SEEN][..., design, design].sum(axis=0)
         # Σ w (X − βᵀx)² of the completed stages.
         explained = 2.0 * crosses[SEEN - 1][..., design].sum(axis=0) - np.einsum("kfg,kg->kf", gram, coefficients)
-        squares = np.maximum(found.crosses.squares - np.sum(coefficients * explained, axis=-1), 0.0)
+        squares = np.maximum(sums.crosses.squares - np.sum(coefficients * explained, axis=-1), 0.0)
         errors = standard_errors(equations.seen, reg * self._num_paths, squares, equations.moments.counts)
         root = errors.root * errors.deviation[:, None, None]
         lowered = errors._replace(deviation=self.regression.pessimism * errors.deviation)

@@ -26,7 +26,7 @@ from halfseen.learning.judging import with_stages
 from halfseen.learning.kept_parts import KeptParts, kept_parts
 from halfseen.learning.q_model import QModel, sampled
 from halfseen.learning.q_space import CrossValidation
-from halfseen.learning.recursion import Found, QFunctions, Step, backward, found_in
+from halfseen.learning.recursion import QFunctions, Step, StepSums, backward, sums_of_step
 from halfseen.learning.rows import PathArrays
 from halfseen.learning.sums import Rows, packed
 from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few
@@ -120,14 +120,14 @@ def _backward_in_passes(
     # The file has no name; it is gone with the last array that shows it.
     with one_thread(), TemporaryFile(prefix="halfseen-") as file, Progress(num_passes, "learn", "passes") as bar:
 
-        def ask(step: Step) -> Found:
+        def ask(step: Step) -> StepSums:
             nonlocal is_first
             total = None
-            for found, weight in pool.in_order(partial(_sums_of, work, step, is_first), dealt):
+            for sums, weight in pool.in_order(partial(_sums_of, work, step, is_first), dealt):
                 if weight is not None:
                     file.write(np.ascontiguousarray(weight).tobytes())
                     tally.add(weight)
-                total = _plus(total, found)
+                total = _plus(total, sums)
             assert total is not None
             is_first = False
             bar.update()
@@ -247,23 +247,23 @@ def _joined(looks: Iterable[_Look]) -> _Look:
 
 def _sums_of(
     work: _Work, step: Step, is_first: bool, dealt: tuple[Shard, Int[np.ndarray, " n"]]
-) -> tuple[Found, Float[np.ndarray, "n T"] | None]:
+) -> tuple[StepSums, Float[np.ndarray, "n T"] | None]:
     """Sum a shard up for one backward step, given the folds of its paths; in the first pass with all weights."""
     total, weights, keeps_norms = None, [], work.model.stages == "pooled"
     for part, rows, weight in work.rows_of(*dealt, is_first):
         known = work.kept.read("norms", part.number) if keeps_norms else None
         regression = work.model.regression(work.num_paths, len(rows.block_of_action))
-        found = found_in(rows, step, regression, known)
-        if keeps_norms and found.norms is not known:
-            work.kept.keep("norms", part.number, found.norms)
+        sums = sums_of_step(rows, step, regression, known)
+        if keeps_norms and sums.norms is not known:
+            work.kept.keep("norms", part.number, sums.norms)
         weights.append(weight)
-        total = _plus(total, found._replace(norms=None))
+        total = _plus(total, sums._replace(norms=None))
     assert total is not None
     return total, np.concatenate(weights) if is_first else None
 
 
-def _plus(total: Found | None, found: Found) -> Found:
+def _plus(total: StepSums | None, sums: StepSums) -> StepSums:
     if total is None:
-        return found
-    moments, crosses = mapped(np.add, (total.moments, total.crosses), (found.moments, found.crosses))
+        return sums
+    moments, crosses = mapped(np.add, (total.moments, total.crosses), (sums.moments, sums.crosses))
     return total._replace(moments=moments, crosses=crosses)

@@ -321,13 +321,13 @@ def _solved(
     for name, number in numbers.items():
         if number < 1:
             raise ArgumentError(f"{name} is {number}; at least 1 is needed")
-    with _nothing_collected():
+    with _without_garbage_collection():
         graph = Graph(Team(GridWorld(table, config, num_grip_nodes), workspace), max_states)
         return float(graph.worth(graph.root).item()), graph
 
 
 @contextmanager
-def _nothing_collected() -> Iterator[None]:
+def _without_garbage_collection() -> Iterator[None]:
     """Look for no garbage meanwhile: a graph that grows has none, and going through it takes a third of the time."""
     was_enabled = gc.isenabled()
     gc.disable()

@@ -119,7 +119,7 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
     helds, seconds = [], []
     for world in worlds:
         law, offset = known_grasping(world), _offsets(world, table.grip)
-        helds.append(_ONE - xp.exp(law.log_failure(occluded[:-1, None], offset)))
+        helds.append(_ONE - _failure(law, occluded[:-1, None], offset))
         seconds.append(law.expected_s(occluded[0], offset))
     own = helds[0][0]
     if robot is not None:
@@ -130,6 +130,15 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
         first = (missed, own, missed * held[0], own * held[0], attempt_s)
         attempts.append(xp.concatenate([*(each[None] for each in first), held]))
     return Setting(occluded, labels_in(worlds[0], table, occluded), tuple(attempts))
+
+
+def _failure(law: Any, occluded: Any, offset: Any) -> Any:
+    """P(an attempt misses)."""
+    told = getattr(law, "failure", None)
+    if told is not None:
+        return told(occluded, offset)
+    log_failure = law.log_failure(occluded, offset)
+    return library_of(log_failure).exp(log_failure)
 
 
 def _offsets(config: WorldConfig, grip: Float[Array, " N *B"]) -> Float[Array, "G N *B"]:

@@ -31,6 +31,8 @@ def learner_for(
     covariates: Sequence[str] | None = None,
     horizon: int | None = None,
     grasp: str | None = None,
+    has_laws: bool = True,
+    prior_law: Any = None,
     **parameters: Any,
 ) -> LearnerChoice:
     """Choose the learner for a log.
@@ -48,6 +50,10 @@ def learner_for(
     grasp
         What tells the probability of a grasp on a table: ``"auto"``, by the log (as None does); ``"laplace"``, the
         rule of succession; ``"beta"``, a Beta regression.
+    has_laws
+        Whether laws fitted to a log of one robot's tables help to learn.
+    prior_law
+        World with the laws about which they are fitted; None for none.
     parameters
         The others of `CensoredQLearner`.
 
@@ -63,10 +69,21 @@ def learner_for(
 
         num_robots = robots_in(logs)
         if num_robots:
+            if prior_law is not None:
+                raise ArgumentError(
+                    "--prior-law is for the tables of one robot, and the log is of a team: leave it out"
+                )
             return _of_team(logs, num_robots, horizon, grasp, parameters)
         length = max(TABLE_HORIZON, longest) if horizon is None else horizon
-        learner = CensoredQLearner.for_table(length, grasp=_grasp_named(grasp), **parameters)
+        laws: Any = AUTO if has_laws else None
+        if prior_law is not None:
+            if not has_laws:
+                raise ArgumentError("--prior-law is given and --no-laws, too; leave one of them out")
+            parameters |= {"prior_law": prior_law}
+        learner = CensoredQLearner.for_table(length, grasp=_grasp_named(grasp), laws=laws, **parameters)
         return LearnerChoice(learner, _horizon_notes(longest, horizon, length))
+    if prior_law is not None:
+        raise ArgumentError("--prior-law is for logs of tables; these have named actions: leave it out")
     if grasp is not None:
         raise ArgumentError("--grasp is for logs of tables; these have named actions: leave it out")
     columns, notes = _columns(logs, covariates)

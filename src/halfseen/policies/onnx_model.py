@@ -40,7 +40,8 @@ def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
 
         model, told = table_graph(policy, stored.horizon, num_objects or _most_objects(stored))
     else:
-        raise PolicyError(f"the policy is of kind {stored.record['kind']!r}, which is not exported: serve it")
+        without = "; learn it without laws (halfseen learn --no-laws)" if stored.is_table else ""
+        raise PolicyError(f"the policy is of kind {stored.record['kind']!r}, which is not exported: serve it{without}")
     model.producer_name, model.producer_version = "halfseen", halfseen.__version__
     helper.set_model_props(model, {name: json.dumps(value) for name, value in told.items()})
     try:

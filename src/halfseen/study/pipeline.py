@@ -227,6 +227,7 @@ class LoggedPaths:
         source = self.source
         return CensoredQLearner.for_table(
             source.world.horizon,
+            laws=None,
             grasp=grasp,
             censoring=CENSORING.get(treatment, "none"),
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),

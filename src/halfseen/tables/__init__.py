@@ -6,7 +6,10 @@ attempts) → `encoding` (logs → features, and what cuts may depend on) → `p
 robots) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the path so far
 → the state to decide in). Of several robots: `agent_logs`, `independent` (each for itself).
 
-Beside them, `laws`: a world whose laws were fitted to the same log, for planners that know no law.
+Beside them, `laws`: a world whose laws were fitted to the same log, for planners that know no law; and `assisted`, the
+learner that starts from what these laws imply: `features` and `synthetic` (the look one step ahead, and what it
+misses), `mending` (log-odds made anew), `law_test` (do the laws foretell the log), `choice` (by what, if they do not),
+`policy`, `learner`.
 """
 
 from typing import TYPE_CHECKING
@@ -15,6 +18,8 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.tables.agent_logs import agent_view
+    from halfseen.tables.assisted.learner import TableLearner
+    from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
     from halfseen.tables.explain import LearnedExplainer
     from halfseen.tables.grasp.attempts import attempts
     from halfseen.tables.grasp.beta_grasp import BetaGrasp
@@ -25,12 +30,15 @@ if TYPE_CHECKING:
     from halfseen.tables.task import TableTask, TeamTask
 
 __all__ = [
+    "AssistedPolicy",
     "BetaGrasp",
     "IndependentPolicies",
     "LearnedExplainer",
     "LinearTablePolicy",
     "LinearTeamPolicy",
+    "RulePolicy",
     "SVMGrasp",
+    "TableLearner",
     "TableTask",
     "TeamTask",
     "agent_view",
@@ -41,12 +49,15 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
+        "AssistedPolicy": "assisted.policy",
         "BetaGrasp": "grasp.beta_grasp",
         "IndependentPolicies": "independent",
         "LearnedExplainer": "explain",
         "LinearTablePolicy": "policy",
         "LinearTeamPolicy": "policy",
+        "RulePolicy": "assisted.policy",
         "SVMGrasp": "grasp.svm_grasp",
+        "TableLearner": "assisted.learner",
         "TableTask": "task",
         "TeamTask": "task",
         "agent_view": "agent_logs",

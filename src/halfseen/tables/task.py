@@ -219,7 +219,7 @@ class TeamTask(TableTask):
             return replace(self, caution=caution)
         try:
             views = [agent_view(logs, robot) for robot in range(num_robots)]
-            learner = CensoredQLearner.for_table(horizon // num_robots)
+            learner = CensoredQLearner.for_table(horizon // num_robots, laws=None)
             base = IndependentPolicies(tuple(learner.fit(view).policy_ for view in views))
         except (ArgumentError, LogError, PositivityError) as error:
             why = f"Q is that of the best policy, for what each robot does alone cannot be learned: {error}"

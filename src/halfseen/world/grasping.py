@@ -230,6 +230,12 @@ class FittedGrasping:
         # A product, so that there is no exponential for every pair of occlusion and offset.
         return -xp.log1p(xp.exp(log_odds) * xp.exp(offset))
 
+    def failure(self, occluded: Any, offset: Any) -> Any:
+        """P(an attempt misses | occ, offset); of a law that tells it, nothing takes the logarithm's exponential."""
+        log_odds = self.log_odds + self.log_odds_per_occlusion * occluded
+        xp = library_of(log_odds, offset)
+        return np.float32(1.0) / (np.float32(1.0) + xp.exp(log_odds) * xp.exp(offset))
+
     def expected_s(self, occluded: Any, offset: Any) -> Any:
         """Mean duration over both results, each a lognormal time that is cut at the limit [s]."""
         log_failure = self.log_failure(occluded, offset)

@@ -259,9 +259,11 @@ class PersistentSeeing:
         xp = library_of(shown, seen, says_dirty)
         return xp.where(says_dirty, 1.0, xp.maximum(seen, shown))
 
-    def found_by(self, share: Float[np.ndarray, " n"]) -> Float[np.ndarray, "2 n"]:
+    def found_by(self, share: Float[Array, "..."]) -> Float[Array, "2 ..."]:
         """Shares of dirty objects, and of clean ones, on which something was found by these shares of the surface."""
-        return np.stack([self._found_by(curve, share) for curve in (self.sensitivity, self.false_alarms)])
+        return library_of(share).stack(
+            [self._found_by(curve, share) for curve in (self.sensitivity, self.false_alarms)]
+        )
 
     def _found_now(self, curve: tuple[Number, ...], shown: Any, seen: Any) -> Any:
         xp = library_of(shown, seen)

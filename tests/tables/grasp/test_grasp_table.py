@@ -115,7 +115,7 @@ def test_a_policy_decides_with_its_own_table(beta, states):
 @pytest.mark.slow
 def test_the_learner_fits_the_grasp_model_to_its_log_and_leaves_the_one_given_alone(logs):
     given = BetaGrasp()
-    learner = CensoredQLearner.for_table(horizon=HORIZON, grasp=given).fit(logs)
+    learner = CensoredQLearner.for_table(horizon=HORIZON, grasp=given, laws=None).fit(logs)
     expected = tabulate(BetaGrasp().fit(attempts(logs, HORIZON)), HORIZON)
     assert not hasattr(given, "strength_")
     assert learner.policy_.grasp is learner.model_.task.grasp
@@ -126,10 +126,10 @@ def test_the_learner_fits_the_grasp_model_to_its_log_and_leaves_the_one_given_al
 @pytest.mark.slow
 def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(logs, beta):
     table = tabulate(beta, HORIZON)
-    fits = [CensoredQLearner.for_table(grasp=grasp).fit(logs) for grasp in (beta, table)]
+    fits = [CensoredQLearner.for_table(grasp=grasp, laws=None).fit(logs) for grasp in (beta, table)]
     np.testing.assert_array_equal(*(fit.q_functions_.coefficients for fit in fits))
     assert isinstance(table, GraspModel)
-    plain = CensoredQLearner.for_table().fit(logs)
+    plain = CensoredQLearner.for_table(laws=None).fit(logs)
     assert plain.model_.task.grasp is None
     assert plain.policy_.grasp is None
     assert np.abs(plain.q_functions_.coefficients - fits[0].q_functions_.coefficients).max() > 1e-3
@@ -137,7 +137,7 @@ def test_fitted_estimators_tables_and_models_of_ones_own_are_taken_as_they_are(l
 
 @pytest.mark.slow
 def test_an_svm_serves_as_well(logs):
-    learner = CensoredQLearner.for_table(grasp=SVMGrasp()).fit(logs)
+    learner = CensoredQLearner.for_table(grasp=SVMGrasp(), laws=None).fit(logs)
     spread = np.asarray(learner.model_.task.grasp.probabilities)
     assert ((spread >= 0) & (spread <= 1)).all()
     assert spread[0, 0, 0] > spread[-1, 0, 0], "what is hidden is harder to grasp"
@@ -146,7 +146,7 @@ def test_an_svm_serves_as_well(logs):
 @pytest.mark.parametrize("grasp", ["beta", BetaGrasp, 0.5])
 def test_what_is_no_grasp_model_is_refused(logs, grasp):
     with pytest.raises(ArgumentError, match="it is None, BetaGrasp"):
-        CensoredQLearner.for_table(grasp=grasp).fit(logs)
+        CensoredQLearner.for_table(grasp=grasp, laws=None).fit(logs)
 
 
 def test_tables_that_cannot_be_are_refused(beta):

@@ -12,18 +12,16 @@ from fitted_laws import FITTED
 from halfseen.tables.laws.evidence import Labels, of_first
 from halfseen.tables.laws.seeing import (
     INDEPENDENT_PRIOR,
+    Independent,
+    Persistent,
     facing_of,
-    fit_independent,
-    fit_persistent,
-    independent_law,
-    independent_loss,
-    intervals_of,
     masses,
-    persistent_loss,
     persistent_prior,
+    seeing_of,
     views_of,
 )
 from halfseen.world import PersistentSeeing, WorldConfig
+from halfseen.world.seeing import AssumedSeeing, label_evidence
 
 SHARE, FACING = 0.6, 0.3
 RNG = np.random.default_rng(3)
@@ -37,10 +35,12 @@ def some_labels(num=80, num_objects=15, seed=0):
     occlusion = np.where(rng.random(num) < 0.1, 1.0, rng.random(num))
     shown = rng.choice(3, num_objects)[target]
     no_views = np.zeros(num, dtype=bool), np.zeros(num), np.zeros(num)
-    return Labels(target // 3, target, occlusion, *no_views, rng.random(num) < 0.6, shown == 1, shown == 2)
+    return Labels(
+        target // 3, target, occlusion, *no_views, rng.random(num) < 0.6, shown == 1, shown == 2, np.zeros(num)
+    )
 
 
-def looks(num_objects, law, seed=0, num_looks=4):
+def looks(num_objects, law, seed=0, num_looks=4, recorder=None):
     """Looks at objects one by one, as a law has them; those that show nothing new leave no label."""
     rng = np.random.default_rng(seed)
     rows = []
@@ -54,7 +54,9 @@ def looks(num_objects, law, seed=0, num_looks=4):
             after = float(law.after(np.float64(occlusion), seen, says_dirty, is_held))
             if chance > 0.0:
                 truth = shown == 1 and is_dirty, shown == 1 and not is_dirty
-                rows.append((target // 3, target, occlusion, is_held, seen, after, says_dirty, *truth))
+                view = np.float64(occlusion), seen, is_held
+                moved = float(label_evidence(*(recorder or law).positive(*view), says_dirty))
+                rows.append((target // 3, target, occlusion, is_held, seen, after, says_dirty, *truth, moved))
             seen = after
     return Labels(*(np.array(column) for column in zip(*rows, strict=True)))
 
@@ -65,7 +67,17 @@ def persistent_law(theta):
 
 
 LABELS = looks(60, SEEING)
-KNOWN, PRIOR = intervals_of(LABELS, FACING), persistent_prior(FACING)
+PRIOR = persistent_prior(FACING)
+
+
+def fit_independent(told, share):
+    family = Independent(told, share)
+    return family.law(family.fitted(family.prior))
+
+
+def fit_persistent(told, share):
+    family = Persistent(told, share)
+    return family.law(family.fitted(family.prior))
 
 
 class Family(NamedTuple):
@@ -80,8 +92,8 @@ class Family(NamedTuple):
 
 INDEPENDENT = Family(
     some_labels(),
-    independent_law,
-    lambda theta: independent_loss(theta, some_labels(), SHARE),
+    Independent(some_labels(), SHARE).law,
+    lambda theta: Independent(some_labels(), SHARE).loss(theta, INDEPENDENT_PRIOR),
     INDEPENDENT_PRIOR,
     [INDEPENDENT_PRIOR.mode, np.array([0.4, -1.0, 0.4]), np.array([-1.0, -4.0, -0.6])],
     lambda law, occlusion, seen, is_held: (law.accuracy(occlusion), 1.0 - law.accuracy(occlusion)),
@@ -89,9 +101,9 @@ INDEPENDENT = Family(
 PERSISTENT = Family(
     LABELS,
     persistent_law,
-    lambda theta: persistent_loss(theta.reshape(2, 5), KNOWN, PRIOR, SHARE),
+    lambda theta: Persistent(LABELS, SHARE).loss(theta, PRIOR),
     PRIOR,
-    [PRIOR.mode, PRIOR.mode + RNG.normal(size=(2, 5)), 2.0 * RNG.normal(size=(2, 5))],
+    [PRIOR.mode, PRIOR.mode + RNG.normal(size=10), 2.0 * RNG.normal(size=10)],
     lambda law, occlusion, seen, is_held: law.positive(occlusion, seen, is_held),
 )
 BOTH = pytest.mark.parametrize("family", [INDEPENDENT, PERSISTENT], ids=["independent", "persistent"])
@@ -127,7 +139,7 @@ def test_without_labels_the_laws_are_the_priors():
 
 @pytest.mark.parametrize("scale", [1.0, 5.0, 12.0])
 def test_curves_rise_whatever_the_parameters(scale):
-    curves = np.cumsum(masses(scale * np.sign(RNG.normal(size=(2, 5)))), axis=1)
+    curves = np.cumsum(masses(scale * np.sign(RNG.normal(size=10))), axis=1)
     assert (np.diff(curves) >= 0.0).all()
     np.testing.assert_allclose(curves[:, -1], 1.0)
 
@@ -175,3 +187,56 @@ def test_what_is_washed_is_chosen_by_its_labels_which_the_fit_takes_in():
     assert np.mean(told.says_dirty[in_view & told.was_dirty]) > right + 0.02
     assert np.mean(~told.says_dirty[in_view & told.was_clean]) < right - 0.02
     assert abs(fit_independent(told, SHARE).accuracy(0.0) - right) < 0.012
+
+
+def wrong(law):
+    """A recorder that takes the whole view for surer than it is."""
+    return PersistentSeeing(
+        law.facing, law.views, (*law.sensitivity[:3], 0.95, 0.99), (*law.false_alarms[:3], 0.085, 0.09)
+    )
+
+
+@pytest.mark.parametrize("law", [SEEING, FITTED.seeing], ids=["quarters", "other knots"])
+def test_the_recorders_law_is_read_back_from_its_log_odds(law):
+    found = seeing_of(looks(300, law), SHARE)
+    assert not found.is_rejected
+    shown = np.linspace(0.01, 0.99, 50) * law.facing
+    np.testing.assert_allclose(found.recorder.found_by(shown), law.found_by(shown), atol=2e-3)
+    # Few labels move it little.
+    np.testing.assert_allclose(found.law.found_by(shown), law.found_by(shown), atol=0.05)
+
+
+def test_a_right_recorder_is_rejected_as_rarely_as_the_level_says():
+    rejected = [seeing_of(looks(120, SEEING, seed), SHARE).is_rejected for seed in range(20)]
+    assert sum(rejected) <= 1
+
+
+def test_labels_reject_a_recorder_that_is_too_sure_and_the_law_is_fitted_to_them():
+    found = seeing_of(looks(3000, SEEING, recorder=wrong(SEEING)), SHARE)
+    assert found.is_rejected
+    np.testing.assert_allclose(curves_of(found.law), curves_of(SEEING), atol=0.06)
+    np.testing.assert_allclose(curves_of(found.recorder), curves_of(wrong(SEEING)), atol=2e-3)
+
+
+def test_log_odds_that_no_law_of_the_family_made_tell_of_no_recorder():
+    told = looks(200, SEEING)
+    found = seeing_of(told._replace(moved=told.moved * np.where(np.arange(len(told.moved)) % 2, 1.0, 2.0)), SHARE)
+    assert found.recorder is None
+    np.testing.assert_allclose(curves_of(found.law), curves_of(fit_persistent(told, SHARE)))
+
+
+def test_an_independent_recorder_is_read_back_too():
+    law, told = AssumedSeeing(0.52, 0.31, 1.3), some_labels(num=400, num_objects=200)
+    evidence_of_labels = label_evidence(*law.positive(told.occlusion, told.seen), told.says_dirty)
+    found = seeing_of(told._replace(moved=evidence_of_labels), SHARE)
+    shares = np.linspace(0.0, 1.0, 9)
+    np.testing.assert_allclose(found.recorder.accuracy(shares), law.accuracy(shares), atol=1e-3)
+
+
+def test_a_law_that_is_given_is_where_few_labels_leave_it():
+    few = of_first(LABELS, 4)
+    contradictory = few._replace(moved=np.arange(len(few.moved), dtype=float) - 3.0)
+    found = seeing_of(contradictory, SHARE, known=SEEING)
+    assert found.recorder is None
+    shown = np.linspace(0.01, 0.3, 20)
+    np.testing.assert_allclose(found.law.found_by(shown), SEEING.found_by(shown), atol=0.05)

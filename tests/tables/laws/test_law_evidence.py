@@ -10,7 +10,7 @@ from fitted_laws import FITTED
 from halfseen.logs import Logs
 from halfseen.tables.laws.evidence import evidence_of
 from halfseen.tables.laws.grasping import choose_grasping
-from halfseen.tables.laws.seeing import choose_seeing
+from halfseen.tables.laws.seeing import seeing_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, FittedGrasping, PersistentSeeing, WorldConfig
 
 GRIP = [0.5, -0.5, 0.0, 1.0, -1.0]
@@ -157,4 +157,4 @@ def test_a_log_speaks_for_the_laws_that_made_it(config, families, cut_share):
     for begin in range(0, 200, 50):
         told = evidence_of(logs.select(logs.path_ids[begin : begin + 50]), config)
         assert isinstance(choose_grasping(told.tried, config.grasping.limit_s), families[0])
-        assert isinstance(choose_seeing(told.told, told.dirty_share), families[1])
+        assert isinstance(seeing_of(told.told, told.dirty_share).law, families[1])

@@ -7,13 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.cell.account import Account, Run
+from halfseen.cell.attempt import Attempt
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
 from halfseen.cell.commands import Activity, Rest
 from halfseen.cell.several.crew import Crew, Ended
 from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.several.touches import Touches
 from halfseen.cell.table_state import Belief, rows_of
-from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.cell.workcell import Workcell
 from halfseen.logs.recording.path_recorder import PathRecorder
 from halfseen.shapes import Bool
 from halfseen.world.actions import WAIT, Verb
@@ -139,8 +140,7 @@ class _Arms(Shift):
         return _Done(attempt, seconds)
 
     def go_on(self) -> bool:
-        # A stage has a length, even where another arm is free at once.
-        self._work(1)
+        # Where another arm is free, too, no time passes: a log takes an arm to be at its object until it decides again.
         while not self.account.truth.is_cleared(self.cell):
             if any(one.is_free for one in self.table.doing):
                 return False

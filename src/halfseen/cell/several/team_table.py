@@ -5,9 +5,10 @@ from typing import Any
 
 import numpy as np
 
+from halfseen.cell.attempt import Attempt
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, state_of
-from halfseen.cell.workcell import Attempt, Workcell
+from halfseen.cell.workcell import Workcell
 from halfseen.perception.clouds import Vector
 from halfseen.shapes import Bool
 from halfseen.world.actions import TARGETED, VERB_NAMES

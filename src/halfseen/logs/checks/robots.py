@@ -1,8 +1,10 @@
 """What must hold for a log of several robots: no two of them are at one object at once, and who dropped out is gone.
 
 A stage belongs to the robot that decided at its beginning, and what a robot began is over, at the latest, by the clock
-at which it decides again; what it began last may end at any time. A robot r that dropped out alone has the clock of
-that in r_out_s of its path.
+at which it decides again; what it began last may end at any time. Where stages tell in r_does what robot r is at as
+they begin ("WASH 3", "FREE"), that is believed: of two robots that are free at once, the first may take what the second
+has let go of, although that decides a moment later. A robot r that dropped out alone has the clock of that in r_out_s
+of its path.
 """
 
 import re
@@ -130,6 +132,8 @@ def _check_two_at_one(stages: pd.DataFrame, begin_s: pd.Series, path_row: Int[np
     robots = stages[ROBOT].to_numpy()
     is_still_there = decides_again_s[before] > begin_s.to_numpy()
     at_once = there & (robots[before] != robots) & is_still_there
+    for at in np.flatnonzero(at_once):
+        at_once[at] = not _has_let_go(stages, robots[before[at]], int(at))
 
     def told(at: int) -> str:
         target, other = shown(value_at(stages, "object", at)), shown(robots[before[at]])
@@ -140,3 +144,10 @@ def _check_two_at_one(stages: pd.DataFrame, begin_s: pd.Series, path_row: Int[np
         )
 
     refuse(stages, at_once, told)
+
+
+def _has_let_go(stages: pd.DataFrame, robot: Any, at: int) -> bool:
+    """Whether a stage tells that a robot is at something else than the object of that stage, or at nothing."""
+    column = f"{robot}_does"
+    does = value_at(stages, column, at) if column in stages.columns else None
+    return isinstance(does, str) and not does.endswith(f" {value_at(stages, 'object', at)}")

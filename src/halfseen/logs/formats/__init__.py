@@ -1,10 +1,10 @@
 """Logs in other forms: CSV folders, databases, bags, MCAP files, and datasets of Minari, LeRobot, RLDS and D4RL.
 
 Read down: `column_types` (what a column is, and its cells as text) → `losses` (what a form cannot hold) →
-`csv_folder` → `sql_rows` → `episodes` (steps of others as stages) → `minari_steps`, `minari_foreign`,
-`minari_dataset` → `arrow_tables`, `lerobot_folder`, `step_tables` → `step_arrays` → `ros_mapping`, `mcap_files`,
-`ros_messages`, `ros_paths`, `ros_bag`. The libraries of Minari, HDF5, MCAP, ROS and SQL are `extras`; they load when
-they are used.
+`csv_folder` → `sql_rows` → `step_values`, `episodes` (steps of others, column by column, as stages) → `minari_steps`,
+`minari_foreign`, `minari_dataset` → `arrow_tables`, `lerobot_folder`, `step_tables` → `step_arrays` → `ros_mapping`,
+`mcap_files`, `ros_messages`, `ros_paths`, `ros_bag`. The libraries of Minari, HDF5, MCAP, ROS and SQL are `extras`;
+they load when they are used.
 """
 
 from halfseen.logs.formats.csv_folder import read_csv, write_csv

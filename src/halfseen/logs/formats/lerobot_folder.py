@@ -23,16 +23,12 @@ import pyarrow as pa
 from halfseen.errors import LogError
 from halfseen.logs.columns import FINISHED
 from halfseen.logs.formats.arrow_tables import as_array, names_in, read_tables
-from halfseen.logs.formats.episodes import (
+from halfseen.logs.formats.episodes import StepColumns, StepRules, even_ends, logs_of_episodes, refuse_early
+from halfseen.logs.formats.step_values import (
     Columns,
-    StepColumns,
-    StepRules,
     actions_of,
-    even_ends,
     flags_of,
-    logs_of_episodes,
     observed_columns,
-    refuse_early,
     require,
     rewards_of,
     times_of,

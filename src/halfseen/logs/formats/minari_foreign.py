@@ -9,13 +9,13 @@ from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
 from halfseen.logs.formats.episodes import (
     Episode,
     StepRules,
-    columns_of,
     ends_of,
     even_ends,
     logs_of_episodes,
     refuse_early,
     step_of,
 )
+from halfseen.logs.formats.step_values import columns_of
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Float, Shaped
 

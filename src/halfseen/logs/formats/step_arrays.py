@@ -16,22 +16,18 @@ import numpy as np
 
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.formats.episodes import (
+from halfseen.logs.formats.episodes import StepColumns, StepRules, even_ends, logs_of_episodes, step_of
+from halfseen.logs.formats.extras import extra
+from halfseen.logs.formats.step_values import (
     Columns,
-    StepColumns,
-    StepRules,
     actions_of,
-    even_ends,
     flags_of,
-    logs_of_episodes,
     observed_columns,
     require,
     rewards_of,
-    step_of,
     times_of,
     warn,
 )
-from halfseen.logs.formats.extras import extra
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, reason_of
 from halfseen.shapes import Bool

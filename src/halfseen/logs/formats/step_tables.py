@@ -19,16 +19,18 @@ from halfseen.logs.formats.arrow_tables import as_array, flattened, read_tables
 from halfseen.logs.formats.episodes import (
     StepColumns,
     StepRules,
-    actions_of,
     ends_of,
     even_ends,
-    flags_of,
     logs_of_episodes,
-    observed_columns,
     refuse_early,
+    step_of,
+)
+from halfseen.logs.formats.step_values import (
+    actions_of,
+    flags_of,
+    observed_columns,
     require,
     rewards_of,
-    step_of,
     times_of,
     warn,
 )

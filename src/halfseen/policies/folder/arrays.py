@@ -94,10 +94,34 @@ def check_arrays(arrays: Arrays, shape: Shape, *, may_grasp: bool = False, other
         wanted[MARGIN] = (*wanted[COEFFICIENTS], 1 + num_inputs)
     if BEHAVIOUR in arrays:
         wanted[BEHAVIOUR] = (shape.num_blocks, 1 + shape.num_features)
+    check_shapes(arrays, wanted, shape.dtype, others)
+
+
+def check_shapes(
+    arrays: Arrays, wanted: Mapping[str, tuple[int, ...]], dtype: type, others: Collection[str] = ()
+) -> None:
+    """Refuse arrays that have not these shapes, or hold what is no number; `others` may have any shape.
+
+    Raises
+    ------
+    PolicyError
+        The array, what it is and what it should be are named.
+    """
     for name in sorted({*wanted, *arrays} - ({*others} - {*wanted})):
-        _check_shape(name, arrays.get(name), wanted.get(name), shape.dtype)
+        _check_shape(name, arrays.get(name), wanted.get(name), dtype)
     for name, array in arrays.items():
         _check_numbers(name, array)
+
+
+def sizes_of(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
+    """Shape of an array with so many axes.
+
+    Raises
+    ------
+    PolicyError
+        There is none.
+    """
+    return _sizes(arrays, name, ndim)
 
 
 def kernel_map_of(arrays: Any) -> KernelMap | None:

@@ -47,7 +47,12 @@ class PolicyKind(Protocol):
         ...
 
 
-_PLACES = {"flat": ("named_kind", "NamedKind"), "table": ("table_kind", "TableKind"), "team": ("team_kind", "TeamKind")}
+_PLACES = {
+    "flat": ("named_kind", "NamedKind"),
+    "table": ("table_kind", "TableKind"),
+    "table-laws": ("laws_kind", "LawsKind"),
+    "team": ("team_kind", "TeamKind"),
+}
 
 
 @cache

@@ -38,7 +38,7 @@ class StoredPolicy:
     @property
     def is_table(self) -> bool:
         """Whether it decides for tables of objects, for one robot."""
-        return self.record["kind"] == "table"
+        return self.record["kind"] in ("table", "table-laws")
 
     @property
     def num_robots(self) -> int | None:
@@ -67,7 +67,7 @@ class StoredPolicy:
     def q_error(self) -> QError | None:
         """What is known of the errors of Q; None in a folder without a margin."""
         pessimism = self.record["learner"].get("pessimism")
-        if self.policy.margin is None or not isinstance(pessimism, int | float) or not pessimism > 0:
+        if getattr(self.policy, "margin", None) is None or not isinstance(pessimism, int | float) or not pessimism > 0:
             return None
         lasting = LASTING_ERROR * float(self.record.get("reward_spread", 0.0))
         return QError(float(pessimism), tuple(map(float, self.record.get("stages_left", ()))), lasting)

@@ -42,17 +42,11 @@ class TableKind:
 
     def facts(self, logs: Logs) -> "TableFacts":
         """What a log tells of the prior, of views and of rewards."""
-        return TableFacts(prior_facts(logs), counts_views(logs), _least_rewards(logs))
+        return TableFacts(prior_facts(logs), counts_views(logs), least_rewards(logs))
 
     def schema(self, policy: LinearTablePolicy, facts: Sequence["TableFacts"]) -> dict[str, Any]:
         """Verbs, features, the prior of DIRTY that the log-odds of the log started from, what looks and verbs told."""
-        paid = {verb: [part.least_rewards[verb] for part in facts if verb in part.least_rewards] for verb in _VERBS}
-        return {
-            **schema_of(policy),
-            "dirty_share": dirty_share([part.prior for part in facts]),
-            "counts_views": any(part.counts_views for part in facts),
-            "least_rewards": {verb: min(least) for verb, least in paid.items() if least},
-        }
+        return {**schema_of(policy), **facts_schema(facts)}
 
     def seen(self, logs: Logs, policy: LinearTablePolicy, is_by_stage: bool) -> list[dict[str, Any]]:
         """Ranges over all stages: tables are alike in every stage."""
@@ -81,8 +75,18 @@ class TableKind:
             Its features are not those of this halfseen, its prior is none, or arrays do not fit.
         """
         policy = policy_in(record, arrays)
-        _check_facts(record)
+        check_facts(record)
         return policy
+
+
+def facts_schema(facts: Sequence["TableFacts"]) -> dict[str, Any]:
+    """The prior of DIRTY that the log-odds of a log started from, what looks counted, and the least each verb paid."""
+    paid = {verb: [part.least_rewards[verb] for part in facts if verb in part.least_rewards] for verb in _VERBS}
+    return {
+        "dirty_share": dirty_share([part.prior for part in facts]),
+        "counts_views": any(part.counts_views for part in facts),
+        "least_rewards": {verb: min(least) for verb, least in paid.items() if least},
+    }
 
 
 def schema_of(policy: LinearTablePolicy) -> dict[str, Any]:
@@ -116,7 +120,7 @@ class TableFacts(NamedTuple):
     least_rewards: dict[str, float]
 
 
-def _least_rewards(logs: Logs) -> dict[str, float]:
+def least_rewards(logs: Logs) -> dict[str, float]:
     """The least that each verb paid, where a stage of it was completed."""
     done: Any = logs.stages[logs.stages["reward"].notna()]
     paid = {str(verb): float(least) for verb, least in done.groupby("action", observed=True)["reward"].min().items()}
@@ -138,7 +142,14 @@ def _check_features(record: Mapping[str, Any]) -> None:
         )
 
 
-def _check_facts(record: Mapping[str, Any]) -> None:
+def check_facts(record: Mapping[str, Any]) -> None:
+    """Refuse a record whose prior or whose rewards are none.
+
+    Raises
+    ------
+    PolicyError
+        As above.
+    """
     schema = record["schema"]
     least_rewards = typed({"least_rewards": {}, **schema}, "least_rewards", dict, "an object")
     if not all(verb in _VERBS and isinstance(paid, float) for verb, paid in least_rewards.items()):

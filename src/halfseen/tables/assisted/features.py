@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Array, library_of
-from halfseen.planners.belief import Belief
 from halfseen.planners.one_step import (
     ATTEMPT_S,
     MISSED,
@@ -28,14 +27,12 @@ from halfseen.planners.one_step import (
     Outlook,
     Table,
     control_value,
-    left_price,
     outlook_of,
     setting_of,
-    table_of,
     tries_then,
     values_by,
 )
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Float
 from halfseen.world.config import WorldConfig
 
 FEATURES_VERSION = 1
@@ -56,12 +53,12 @@ class Ahead(NamedTuple):
     """Q_1 and Q° of WASH and LIFT of each object above leaving all; −∞ of what is not there."""
     control: Float[Array, "*B"]
     """V° above leaving all."""
-    of_table: Float[Array, "14 *B"]
+    of_table: Float[Array, " 14 *B"]
     own: Float[Array, "30 2 N *B"]
     """Of WASH and of LIFT of each object; 0 of what is not there."""
 
     @property
-    def one_step(self) -> Float[Array, "C *B"]:
+    def one_step(self) -> Float[Array, " C *B"]:
         """Q_1."""
         return self.values[0]
 
@@ -80,7 +77,7 @@ def _described(
     look: Outlook,
     gains: Float[Array, "2 M N *B"],
     values: Float[Array, "2 C *B"],
-) -> tuple[Float[Array, "14 *B"], Float[Array, "30 2 N *B"]]:
+) -> tuple[Float[Array, " 14 *B"], Float[Array, "30 2 N *B"]]:
     """Features of the table, and those of its own for each target."""
     xp, there = library_of(values), table.is_there
     expected, p = look.expected[0], table.is_dirty
@@ -144,8 +141,8 @@ def _described(
         (gain <= _ZERO) * holds,
         holds * reveal,
         holds * own,
-        (table.seen <= _ZERO) * _ONE,
-        (p > 0.8) * _ONE,
+        there * (table.seen <= _ZERO) * _ONE,
+        there * (p > 0.8) * _ONE,
         gain * scarce / 10.0,
         reveal * scarce / 3.0,
         own * scarce / 3.0,
@@ -160,8 +157,8 @@ def _described(
     of_verb = [
         short / 5.0,
         beyond / 5.0,
-        xp.maximum(short + _ONE, _ZERO),
-        xp.maximum(beyond + _ONE, _ZERO),
+        if_there(xp.maximum(short + _ONE, _ZERO)),
+        if_there(xp.maximum(beyond + _ONE, _ZERO)),
         rival / 5.0,
     ]
     both = xp.stack([xp.broadcast_to(if_there(each), above.shape) for each in by_target])

@@ -102,7 +102,7 @@ USED = {Verb.FINISH: (0,), Verb.WASH: (0, 1, 2, 3, 4, 5), Verb.LIFT: (0, 2, 3, 5
 """Which of the descriptions are tested, by verb."""
 
 
-def tested(found: Residuals, num_trajectories: int) -> LawTest:
+def hotelling_test(found: Residuals, num_trajectories: int) -> LawTest:
     """Test the laws."""
     columns, z = [], {}
     for verb, used in USED.items():

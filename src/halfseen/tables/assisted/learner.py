@@ -6,6 +6,7 @@
    is the rule of thumb that relies on them least, or linear eq. 3 where the log clearly speaks for it (`choice`).
 """
 
+from contextlib import suppress
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -20,11 +21,12 @@ from halfseen.learning.streaming import sample_of
 from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
+from halfseen.planners.belief import known_seeing
 from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
-from halfseen.tables.assisted.law_test import LawTest, Watched, residuals_of, tested
+from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
 from halfseen.tables.assisted.mending import Mending, mending_of
-from halfseen.tables.assisted.policy import AssistedPolicy, LawPolicy, RulePolicy
+from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
 from halfseen.tables.assisted.synthetic import fitted_excess
 from halfseen.tables.encoding import logged_actions, states_alone
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
@@ -129,9 +131,11 @@ def assisted_by_laws(
     known = paid_in(logs, model.horizon, _left(logs, states)) if known is None else known
     evidence = evidence_of(logs, known)
     laws = fitted_laws(evidence, known, prior)
-    mending = mending_of(evidence.told, laws.config.seeing, evidence.dirty_share) if laws.is_mended else None
-    watched, why_not = _watched(logs, states, mending)
-    test = LawTest(0.0, 1.0, {}) if watched is None else tested(residuals_of(laws.config, watched), logs.num_paths)
+    mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
+    watched, why_not = watched_in(logs, states, mending)
+    test = (
+        LawTest(0.0, 1.0, {}) if watched is None else hotelling_test(residuals_of(laws.config, watched), logs.num_paths)
+    )
     told = (laws.sentence, *([] if why_not is None else [why_not]))
     if not test.is_rejected:
         layouts = Layout(*(leaf[:, 0] for leaf in (states.hides, states.is_object, states.grip)))
@@ -147,7 +151,7 @@ def _left(logs: Logs, states: TableState) -> Float[np.ndarray, " rows"]:
     return is_dirty.sum(axis=-1)[stage_places(logs)]
 
 
-def _watched(logs: Logs, states: TableState, mending: Mending | None) -> tuple[Watched | None, str | None]:
+def watched_in(logs: Logs, states: TableState, mending: Mending | None = None) -> tuple[Watched | None, str | None]:
     """The log with its weights; or why there are none."""
     action = logged_actions(logs, states.horizon, states.num_objects)
     num_actions = ActionSpace(states.num_objects).num_actions
@@ -166,10 +170,8 @@ def _without_laws(
     logs: Logs, model: QModel, linear: Policy, states: TableState, rule: RulePolicy
 ) -> tuple[Policy, str, str]:
     """The rule, or linear eq. 3 where the log clearly speaks for that."""
-    try:
+    with suppress(HalfseenError):
         rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
-    except HalfseenError:
-        pass
     gain, low = gain_of(linear, rule, model, model.lay_out(logs), states)
     if low > 0.0:
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"

@@ -2,11 +2,9 @@
 
 from typing import ClassVar
 
-import numpy as np
-
 from halfseen.arrays import Array, library_of, record
 from halfseen.planners.belief import belief_of
-from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
 from halfseen.planners.one_step import laid_out, left_price, table_of
 from halfseen.shapes import Float
 from halfseen.tables.assisted.features import ahead_of
@@ -36,6 +34,11 @@ class LawPolicy:
 
     num_robots: ClassVar[int] = 1
 
+    @property
+    def horizon(self) -> int:
+        """T."""
+        return self.config.horizon
+
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose; deterministic."""
         return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
@@ -62,6 +65,11 @@ class AssistedPolicy(LawPolicy):
     """
 
     excess: Excess | None = None
+
+    @property
+    def grasp(self) -> GraspModel:
+        """P(an attempt succeeds), as the fitted law has it."""
+        return TrueGrasp(self.config)
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Q of every action; −∞ where an action is impossible."""

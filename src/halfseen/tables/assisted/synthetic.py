@@ -23,12 +23,12 @@ from halfseen.planners.one_step import Table, table_of
 from halfseen.planners.trajectories import picked, successor
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.assisted.features import NUM_FEATURES, NUM_TABLE, Ahead, ahead_of
-from halfseen.world.config import WorldConfig
 from halfseen.world import random
+from halfseen.world.config import WorldConfig
 from halfseen.world.state import Layout
 from halfseen.world.transition import start
 
-NUM_TRAJECTORIES = 1000
+NUM_TRAJECTORIES = 2000
 NUM_TRIED = 4
 """Actions that are tried at each belief."""
 RANDOM_SHARE = 0.3
@@ -59,7 +59,7 @@ class Excess:
         low, high = np.zeros((2, horizon, 2), dtype=np.float32)
         return cls(np.zeros((horizon, 2, 1 + NUM_FEATURES), dtype=np.float32), low, high)
 
-    def __call__(self, ahead: Ahead) -> Float[np.ndarray, "C *B"]:
+    def __call__(self, ahead: Ahead) -> Float[np.ndarray, " C *B"]:
         """E of WASH and LIFT of each object."""
         xp, to_go = library_of(ahead.own, self.coefficients), ahead.table.steps_to_go - 1
         weights, low, high = (_by_steps(each, to_go) for each in (self.coefficients, self.low, self.high))
@@ -69,7 +69,7 @@ class Excess:
         return values.reshape(-1, *values.shape[2:])
 
 
-def _by_steps(each: Float[np.ndarray, "T *S"], to_go: Int[np.ndarray, "*B"]) -> Float[np.ndarray, "*S *B"]:
+def _by_steps(each: Float[np.ndarray, "T ..."], to_go: Int[np.ndarray, "*B"]) -> Float[np.ndarray, "..."]:
     """Those of the steps to go of each table, the axes of the batch last."""
     xp, num_axes = library_of(each, to_go), np.ndim(to_go)
     return xp.moveaxis(xp.take(each, to_go, axis=0), range(num_axes), range(-num_axes, 0))
@@ -148,8 +148,8 @@ def simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray, 
     ahead = ahead_of(config, _begun(config, layouts, trajectory, seed))
     for to_go in range(config.horizon, 1, -1):
         tried, is_possible = _to_try(ahead, rng)
-        after = ahead_of(config, _after(config, ahead, tried, rng))
-        found[to_go] = _rows(ahead, tried, is_possible, after)
+        after = ahead_of(config, after_each(config, ahead, tried, rng))
+        found[to_go] = rows_of(ahead, tried, is_possible, after)
         # Trajectories that end here are followed no more.
         is_explored = rng.random(tried.shape[1]) < RANDOM_SHARE
         place = is_explored * is_possible[1]
@@ -179,7 +179,7 @@ def _to_try(ahead: Ahead, rng: np.random.Generator) -> tuple[Int[np.ndarray, "M 
     return tried, np.take_along_axis(perturbed, tried, axis=0) > -np.inf
 
 
-def _after(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"], rng: np.random.Generator) -> Table:
+def after_each(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"], rng: np.random.Generator) -> Table:
     """What is believed after each action that is tried."""
     lanes = np.tile(np.arange(tried.shape[1]), len(tried))
     table, look = picked((ahead.table, ahead.look), lanes)
@@ -187,7 +187,8 @@ def _after(config: WorldConfig, ahead: Ahead, tried: Int[np.ndarray, "M R"], rng
     return successor(config, table, look, tried.ravel(), draws)
 
 
-def _rows(ahead: Ahead, tried: Int[np.ndarray, "M R"], is_possible: Bool[np.ndarray, "M R"], after: Ahead) -> Tried:
+def rows_of(ahead: Ahead, tried: Int[np.ndarray, "M R"], is_possible: Bool[np.ndarray, "M R"], after: Ahead) -> Tried:
+    """Rows of what was tried, where it is possible, by what was believed after it."""
     choice, kept = tried.ravel(), is_possible.ravel()
     lanes = np.tile(np.arange(tried.shape[1]), len(tried))
     choice, lanes = choice[kept], lanes[kept]

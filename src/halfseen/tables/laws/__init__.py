@@ -12,6 +12,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 from halfseen.logs import Logs
+from halfseen.planners.belief import known_seeing
 from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.laws.grasping import choose_grasping
 from halfseen.tables.laws.seeing import seeing_of
@@ -83,7 +84,7 @@ def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | Non
     """
     limit_s, told = float(known.grasping.limit_s), evidence.told
     grasping = choose_grasping(evidence.tried, limit_s, None if prior is None else prior.grasping)
-    seen = seeing_of(told, evidence.dirty_share, None if prior is None else prior.seeing)
+    seen = seeing_of(told, evidence.dirty_share, None if prior is None else known_seeing(prior))
     config = replace(known, dirty_share=evidence.dirty_share, grasping=grasping, seeing=seen.law)
     is_mended = len(told.path) > 0 and (seen.recorder is None or seen.is_rejected)
     family = "looks that show nothing new are no news" if told.is_persistent else "each look is news"

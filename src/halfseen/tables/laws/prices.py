@@ -1,6 +1,7 @@
 """What a log of tables tells of prices and times, which nobody need say: rewards of each verb, transport and limit."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -82,10 +83,10 @@ def price_of_each(paid: Rows, left: Rows) -> float | None:
 
 def _washed(logs: Logs, horizon: int, reward: Rows, action: np.ndarray, is_over: np.ndarray) -> dict[str, float]:
     """Rewards of WASH: of what was dirty, of what was clean, and of a miss."""
-    tried = attempts(logs, horizon)
+    tried: Any = attempts(logs, horizon)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
-    key = pd.MultiIndex.from_frame(logs.stages[["path", "stage"]])
-    row = key.get_indexer(pd.MultiIndex.from_frame(tried[["path", "stage"]]))
+    keys: Any = logs.stages[["path", "stage"]]
+    row = pd.MultiIndex.from_frame(keys).get_indexer(pd.MultiIndex.from_frame(tried[["path", "stage"]]))
     is_wash = (action[row] == Verb.WASH.name) & np.isfinite(reward[row])
     held = tried["succeeded"].fillna(False).to_numpy(dtype=bool)
     paid_held, paid_missed = reward[row[is_wash & held & ~is_over[row]]], reward[row[is_wash & ~held & ~is_over[row]]]

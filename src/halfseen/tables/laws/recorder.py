@@ -7,10 +7,10 @@ Each label moved the log-odds of DIRTY of its object by
 a known function of the recorder's law and of what was in view. So the law is what reproduces all moves: least squares,
 exact but for rounding where the recorder was of that family. Where none does, nothing is read.
 
-A recorder's law may be wrong, and then its log-odds mislead whoever goes by them. The labels themselves tell: twice the
-log-likelihood ratio of the best law of the family to the recorder's is χ² with as many degrees of freedom as the family
-has numbers, were the recorder right [Wilks1938]_. Unless that is beyond `LEVEL`, the recorder's law is the centre of the
-prior of the fit by labels; else they are fitted without it, as where a log holds no log-odds of its own.
+A recorder's law may be wrong, and then its log-odds mislead whoever goes by them. The labels themselves tell: were the
+recorder right, twice the log-likelihood ratio of the best law of the family to the recorder's would be χ², with as many
+degrees of freedom as the family has numbers [Wilks1938]_. Unless that is beyond `LEVEL`, the recorder's law is the
+centre of the prior of the fit by labels; else they are fitted without it, as where a log holds no log-odds of its own.
 """
 
 from collections.abc import Callable

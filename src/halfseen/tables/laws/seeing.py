@@ -44,7 +44,7 @@ counts nothing, every look moved the log-odds, and will again.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -55,14 +55,17 @@ from halfseen.tables.laws.recorder import SPREAD, read_back, speaks_against
 from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing
 
 Theta = Float[np.ndarray, " k"]
-"""Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power. Of the
-persistent one: logits of h, first of dirty objects, then of clean ones."""
+"""Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power; of
+the persistent one: logits of h, first of dirty objects, then of clean ones."""
 
 INDEPENDENT_PRIOR = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
 """Right three times of four in full view, hardly better than a coin if hidden, straight between."""
 
-QUARTERS = np.array([0.25, 0.5, 0.75, 1.0])
-"""Parts of what an object shows in full view at which the curves are given; they are given at 1 too."""
+NUM_PARTS = 4
+"""Equal parts of what an object shows in full view at whose ends the curves are given; they are given at 1 too."""
+
+MORE_PARTS = (4, 12)
+"""In how many parts a recorder's own curves are looked for."""
 
 FOUND = np.array([0.5, 0.1])
 """Share of the dirty objects, and of the clean ones, that the prior takes a look in full view to find."""
@@ -124,7 +127,7 @@ def _shape(theta: Theta) -> tuple[np.float64, np.float64, np.float64]:
     return 0.5 * expit(theta[0]), expit(theta[1]), np.exp(theta[2])
 
 
-def _accuracy(theta: Independent, occlusion: Rows) -> tuple[Rows, Float[np.ndarray, "3 n"]]:
+def _accuracy(theta: Theta, occlusion: Rows) -> tuple[Rows, Float[np.ndarray, "3 n"]]:
     """Accuracy q of each label, and how each parameter changes it."""
     reach, floor, power = _shape(theta)
     shown = 1.0 - occlusion
@@ -164,10 +167,19 @@ class Intervals(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Persistent:
-    """Labels that persist as long as the view does; parameters as of `Independent`."""
+    """Labels that persist as long as the view does.
+
+    Parameters
+    ----------
+    told, dirty_share
+        As of `Independent`.
+    num_parts
+        Of what an object shows in full view, in which the curves are given.
+    """
 
     told: Labels
     dirty_share: float
+    num_parts: int = NUM_PARTS
 
     bounds: ClassVar[tuple[float, float]] = (-12.0, 12.0)
 
@@ -179,11 +191,15 @@ class Persistent:
     @cached_property
     def prior(self) -> Prior:
         """Prior of the curves, where nothing else is known."""
-        return persistent_prior(self.facing)
+        return persistent_prior(self.facing, self.num_parts)
+
+    @cached_property
+    def _views(self) -> Float[np.ndarray, " pieces"]:
+        return views_of(self.facing, self.num_parts)
 
     @cached_property
     def _intervals(self) -> Intervals:
-        return intervals_of(self.told, self.facing)
+        return intervals_of(self.told, self.facing, self.num_parts)
 
     def fitted(self, prior: Prior) -> Theta:
         """θ of the largest posterior density."""
@@ -193,15 +209,13 @@ class Persistent:
         """The law of these numbers."""
         curves = np.minimum(np.cumsum(masses(theta)[:, :-1], axis=1), 1.0)
         curves = np.maximum.accumulate(curves, axis=1)
-        return PersistentSeeing(
-            self.facing, tuple(views_of(self.facing).tolist()), *(tuple(curve) for curve in curves.tolist())
-        )
+        return PersistentSeeing(self.facing, tuple(self._views.tolist()), *(tuple(curve) for curve in curves.tolist()))
 
     def theta_of(self, law: KnownSeeing) -> Theta | None:
         """The numbers of a law at the shares at which the curves are given; None of one of the other family."""
         if not isinstance(law, PersistentSeeing):
             return None
-        found = law.found_by(views_of(self.facing))
+        found = law.found_by(self._views)
         before = np.pad(found, ((0, 0), (1, 0)))[:, :-1]
         hazard = np.clip((found - before) / np.maximum(1.0 - before, 1e-9), 1e-3, 1.0 - 1e-3)
         return (np.log(hazard) - np.log1p(-hazard)).ravel()
@@ -229,19 +243,19 @@ def facing_of(told: Labels) -> float:
     return float(np.clip(np.round(np.median(shares), 6), SAME_VIEW, 1.0))
 
 
-def views_of(facing: float) -> Float[np.ndarray, " pieces"]:
+def views_of(facing: float, num_parts: int = NUM_PARTS) -> Float[np.ndarray, " pieces"]:
     """Shares of the surface at which the curves are given."""
-    return np.unique(np.append(facing * QUARTERS, 1.0))
+    return np.unique(np.append(facing * np.arange(1, num_parts + 1) / num_parts, 1.0))
 
 
-def persistent_prior(facing: float) -> Prior:
+def persistent_prior(facing: float, num_parts: int = NUM_PARTS) -> Prior:
     """Prior of the curves."""
-    is_on_table = views_of(facing) <= facing
-    hazard = np.where(is_on_table, -np.expm1(np.log1p(-FOUND)[:, None] / len(QUARTERS)), FOUND[:, None])
+    is_on_table = views_of(facing, num_parts) <= facing
+    hazard = np.where(is_on_table, -np.expm1(np.log1p(-FOUND)[:, None] / num_parts), FOUND[:, None])
     return Prior((np.log(hazard) - np.log1p(-hazard)).ravel(), 1.5)
 
 
-def intervals_of(told: Labels, facing: float) -> Intervals:
+def intervals_of(told: Labels, facing: float, num_parts: int = NUM_PARTS) -> Intervals:
     """Take the labels of each object together.
 
     Parameters
@@ -250,11 +264,13 @@ def intervals_of(told: Labels, facing: float) -> Intervals:
         The labels.
     facing
         Share of the surface that an object in full view shows.
+    num_parts
+        Of it, in which the curves are given.
     """
     _, from_end = np.unique(told.object[::-1], return_index=True)
     last = Labels(*(values[::-1][from_end] for values in told))
     shown = np.where(last.is_held, 1.0, facing * (1.0 - last.occlusion))
-    views = views_of(facing)
+    views = views_of(facing, num_parts)
     seen_by, shown_by = (_covered(share, views) for share in (last.seen, np.maximum(shown, last.seen)))
     inside = np.where(last.says_dirty[:, None], shown_by - seen_by, 1.0 - shown_by)
     covered = np.column_stack([inside, ~last.says_dirty])
@@ -315,16 +331,23 @@ def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None
     known
         A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
     """
-    family = (Persistent if told.is_persistent else Independent)(told, dirty_share)
-    about = None if known is None else family.theta_of(known)
-    unaided = family.prior if about is None else Prior(about, SPREAD)
+    if told.is_persistent:
+        families: list[Any] = [Persistent(told, dirty_share, num_parts) for num_parts in MORE_PARTS]
+    else:
+        families = [Independent(told, dirty_share)]
+    plain = families[0]
+    about = None if known is None else plain.theta_of(known)
+    unaided = plain.prior if about is None else Prior(about, SPREAD)
     if not len(told.path):
-        return SeenBy(family.law(family.fitted(unaided)), None)
-    recorder = read_back(told, family.law, family.prior.mode, family.bounds)
-    if not recorder.is_consistent:
-        return SeenBy(family.law(family.fitted(unaided)), None)
+        return SeenBy(plain.law(plain.fitted(unaided)), None)
+    for family in families:
+        recorder = read_back(told, family.law, family.prior.mode, family.bounds)
+        if recorder.is_consistent:
+            break
+    else:
+        return SeenBy(plain.law(plain.fitted(unaided)), None)
     weak = Prior(recorder.theta, family.prior.spread)
     reached = family.log_likelihood(recorder.theta), family.log_likelihood(family.fitted(weak))
-    is_rejected = speaks_against(*reached, len(recorder.theta))
-    prior = unaided if is_rejected else Prior(recorder.theta, SPREAD)
-    return SeenBy(family.law(family.fitted(prior)), family.law(recorder.theta), is_rejected)
+    if speaks_against(*reached, len(recorder.theta)):
+        return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
+    return SeenBy(family.law(family.fitted(Prior(recorder.theta, SPREAD))), family.law(recorder.theta))

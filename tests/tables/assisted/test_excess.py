@@ -1,0 +1,124 @@
+"""E: what it looks at, against loops; what it regresses, against rollouts; and that it is worth having."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_tables import SCENES
+
+from fitted_laws import FITTED
+from halfseen.arrays import mapped
+from halfseen.planners.belief import belief_of
+from halfseen.planners.one_step import left_price, one_step_q, table_of
+from halfseen.planners.rollout import sampled_values
+from halfseen.tables.assisted.features import NUM_FEATURES, NUM_OWN, NUM_TABLE, ahead_of
+from halfseen.tables.assisted.policy import AssistedPolicy
+from halfseen.tables.assisted.synthetic import Excess, after_each, features_of, fitted_excess, rows_of
+from halfseen.world import WorldConfig, random
+from halfseen.world.policy import UniformPolicy
+from halfseen.world.rollout import play
+from halfseen.world.state import pad_scenes
+from halfseen.world.transition import start
+
+LAYOUTS = pad_scenes(SCENES)
+CONFIGS = [WorldConfig(), FITTED]
+
+
+def states_in_play(config, episodes=40):
+    played = play(config, LAYOUTS, UniformPolicy(), random.key_of(3), episodes)
+    taken = np.nonzero(played.is_taken)
+    return mapped(lambda leaf: leaf[taken], played.states)
+
+
+def ahead_in(config, states):
+    return ahead_of(config, table_of(belief_of(config, states)))
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_features_are_finite_and_the_same_alone_in_a_batch_and_with_padding(config):
+    states = states_in_play(config)
+    all_of, num = ahead_in(config, states), len(states.steps_to_go)
+    assert all_of.of_table.shape == (NUM_TABLE, num)
+    assert all_of.own.shape == (NUM_OWN, 2, 4, num)
+    assert np.isfinite(all_of.own).all()
+    assert np.isfinite(all_of.of_table).all()
+    for k in range(0, num, 7):
+        alone = ahead_in(config, mapped(lambda leaf, k=k: leaf[k], states))
+        np.testing.assert_allclose(alone.own, all_of.own[..., k], atol=1e-5)
+        np.testing.assert_allclose(alone.of_table, all_of.of_table[..., k], atol=1e-5)
+    gone = ~states.is_on_table.T
+    assert (all_of.own[:, :, gone] == 0.0).all()
+
+
+@pytest.mark.parametrize("config", CONFIGS)
+def test_nothing_missed_is_the_look_one_step_ahead(config):
+    states = states_in_play(config)
+    expected = one_step_q(config, belief_of(config, states))
+    policies = AssistedPolicy(config), AssistedPolicy(config, excess=Excess.none(config.horizon))
+    for policy in policies:
+        np.testing.assert_allclose(policy.q_values(states), expected, rtol=1e-6)
+
+
+def test_excess_is_its_coefficients_times_the_features_within_the_range_that_was_fitted():
+    rng = np.random.default_rng(0)
+    shape = (FITTED.horizon, 2)
+    coefficients = rng.normal(size=(*shape, 1 + NUM_FEATURES)).astype(np.float32)
+    excess = Excess(coefficients, np.full(shape, -1.0, dtype=np.float32), np.full(shape, 2.0, dtype=np.float32))
+    states = states_in_play(FITTED, 6)
+    ahead = ahead_in(FITTED, states)
+    found = excess(ahead)
+    for lane in range(len(states.steps_to_go)):
+        for choice in range(8):
+            features = features_of(ahead, np.array([choice]), np.array([lane]))[0]
+            of_verb = coefficients[states.steps_to_go[lane] - 1, choice // 4]
+            value = of_verb[0] + features @ of_verb[1:]
+            assert found[choice, lane] == pytest.approx(np.clip(value, -1.0, 2.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("to_go", [2, 3])
+def test_what_is_missed_over_two_steps_is_what_rollouts_of_the_look_find(to_go):
+    """E_2 is exact after one step; with more steps to go, what E of the steps after adds is still missing."""
+    short = replace(FITTED, horizon=to_go)
+    state, _ = start(short, mapped(lambda leaf: leaf[0], LAYOUTS), random.key_of(5))
+    worth = sampled_values(short, state, random.key_of(6), 3000)
+    lanes = 6000
+    many = mapped(lambda leaf: np.repeat(np.asarray(leaf)[None], lanes, axis=0), state)
+    ahead, rng = ahead_in(short, many), np.random.default_rng(0)
+    for choice in range(8):
+        tried = np.full((1, lanes), choice)
+        after = ahead_of(short, after_each(short, ahead, tried, rng))
+        rows = rows_of(ahead, tried, np.ones_like(tried, dtype=bool), after)
+        found = left_price(short, ahead.table) + ahead.one_step[choice] + rows.beyond
+        expected, own = worth[:, 1 + choice], found.std() / np.sqrt(lanes)
+        error = np.hypot(own, expected.std() / np.sqrt(len(expected)))
+        missing = found.mean() - expected.mean()
+        if to_go == 2:
+            assert missing == pytest.approx(0.0, abs=4.0 * error + 1e-4)
+        else:
+            assert missing == pytest.approx(0.0, abs=2.0)
+
+
+def test_one_seed_gives_the_same_numbers_again_and_another_others():
+    fits = [fitted_excess(FITTED, LAYOUTS, seed, 150) for seed in (1, 1, 2)]
+    for name in ("coefficients", "low", "high"):
+        one, same, other = (getattr(fit, name) for fit in fits)
+        assert one.tobytes() == same.tobytes()
+        assert one.tobytes() != other.tobytes()
+    assert (fits[0].coefficients[0] == 0.0).all(), "with one step to go nothing is missed"
+    assert (fits[0].low <= fits[0].high).all()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", CONFIGS)
+def test_it_earns_more_than_the_look_alone(config):
+    from halfseen.planners.control import controlled_rewards
+
+    layouts, episodes = LAYOUTS, np.arange(3000)
+    excess = fitted_excess(config, layouts, seed=0, num_trajectories=3000)
+    key = random.key_of(11)
+    with_excess, alone = (
+        controlled_rewards(config, layouts, policy, key, episodes)
+        for policy in (AssistedPolicy(config, excess=excess), AssistedPolicy(config))
+    )
+    gain = with_excess - alone
+    assert gain.mean() > -2.0 * gain.std() / np.sqrt(len(gain))

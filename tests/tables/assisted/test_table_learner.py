@@ -1,0 +1,131 @@
+"""The learner of tables: what it reads off a log, what it builds on, and what becomes of a wrong recorder."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from small_tables import SCENES, logs_of
+
+from fitted_laws import FITTED
+from halfseen.arrays import expit
+from halfseen.errors import ArgumentError
+from halfseen.learning import CensoredQLearner
+from halfseen.learning.rows import stage_places
+from halfseen.tables import TableLearner
+from halfseen.tables.assisted import learner as learning
+from halfseen.tables.assisted.mending import mending_of
+from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
+from halfseen.tables.encoding import states_alone
+from halfseen.tables.laws import fitted_laws
+from halfseen.tables.laws.evidence import evidence_of
+from halfseen.tables.laws.prices import paid_in
+from halfseen.tables.policy import LinearTablePolicy
+from halfseen.world import AssumedGrasping, AssumedSeeing, TableWorld, UniformPolicy, WorldConfig
+from halfseen.world.random import key_of
+from halfseen.world.rollout import evaluate
+from halfseen.world.state import pad_scenes
+
+HORIZON = FITTED.horizon
+PRICES = {
+    "transport_s": 2.5,
+    "reward_wash_dirty": 4.0,
+    "reward_wash_clean": -7.0,
+    "reward_wash_failed": -0.5,
+    "reward_lift_per_s": -0.2,
+    "reward_dirty_left": -3.0,
+}
+
+
+def left_in(logs):
+    states = states_alone(logs, HORIZON)
+    return np.where(states.is_on_table, expit(states.log_odds), 0.0).sum(axis=-1)[stage_places(logs)]
+
+
+@pytest.mark.parametrize("config", [WorldConfig(), FITTED])
+def test_prices_and_times_are_read_off_the_log(config):
+    logs = logs_of(150, replace(config, **PRICES))
+    found = paid_in(logs, HORIZON, left_in(logs))
+    assert {name: getattr(found, name) for name in PRICES} == pytest.approx(PRICES, rel=1e-4)
+    assert found.grasping.limit_s == pytest.approx(config.grasping.limit_s, rel=0.05)
+
+
+def test_what_a_log_does_not_tell_is_as_the_world_has_it():
+    logs = TableWorld().simulate(SCENES, UniformPolicy(), 2, seed=0)
+    stages = logs.stages[logs.stages["action"] == "FINISH"].iloc[:0]
+    assert len(stages) == 0
+    found = paid_in(logs, HORIZON, left_in(logs))
+    assert np.isfinite([getattr(found, name) for name in PRICES]).all()
+
+
+def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
+    assert type(CensoredQLearner.for_table(5)) is TableLearner
+    assert type(CensoredQLearner.for_table(5, censoring="cox", random_state=3)) is TableLearner
+    for given in ({"laws": None}, {"q_function": "linear"}, {"reg": 0.1}, {"pessimism": 0.0}, {"stages": "pooled"}):
+        assert type(CensoredQLearner.for_table(5, **given)) is CensoredQLearner
+    with pytest.raises(ArgumentError, match="laws is 'mine'; it is 'auto', or None"):
+        CensoredQLearner.for_table(5, laws="mine")
+
+
+def test_the_same_log_gives_the_same_bytes_again_and_the_parameters_are_scikit_learns():
+    logs = logs_of(60)
+    learner = CensoredQLearner.for_table(HORIZON, random_state=4).fit(logs)
+    again = learner.unfitted().fit(logs)
+    assert isinstance(learner.policy_, AssistedPolicy)
+    assert isinstance(learner.linear_policy_, LinearTablePolicy)
+    assert again.policy_.excess.coefficients.tobytes() == learner.policy_.excess.coefficients.tobytes()
+    assert again.policy_.config == learner.policy_.config
+    assert "prior_law" in learner.get_params()
+
+
+def test_few_logs_learn_more_than_linear_eq_3_does():
+    logs = logs_of(40)
+    learner = CensoredQLearner.for_table(HORIZON).fit(logs)
+    layouts, key = pad_scenes(SCENES), key_of(1)
+    own, linear = (
+        evaluate(FITTED, layouts, policy, key, 3000).reward for policy in (learner.policy_, learner.linear_policy_)
+    )
+    assert (own - linear).mean() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("wrong", "num"),
+    [
+        ({"seeing": AssumedSeeing(0.5, 0.3, 1.0)}, 200),
+        ({"grasping": AssumedGrasping(offset_std=0.2, log_time=3.0, log_time_per_occlusion=0.0, limit_s=8.0)}, 200),
+    ],
+)
+def test_where_laws_do_not_foretell_the_log_it_builds_on_a_rule_or_on_linear_eq_3(monkeypatch, wrong, num):
+    def forced(*given):
+        found = fitted_laws(*given)
+        return found._replace(config=replace(found.config, **wrong))
+
+    monkeypatch.setattr(learning, "fitted_laws", forced)
+    learner = CensoredQLearner.for_table(HORIZON).fit(logs_of(num))
+    assert learner.assisted_.test.is_rejected
+    assert learner.assisted_.basis in ("rule", "linear")
+    kind = RulePolicy if learner.assisted_.basis == "rule" else LinearTablePolicy
+    assert isinstance(learner.policy_, kind)
+    assert any("do not foretell the log" in sentence for sentence in learner.chosen_)
+
+
+def test_log_odds_are_made_anew_as_the_labels_say_them():
+    """A recorder that doubles every step: half of what it says is right, and it is made right where it is."""
+    logs, prior = logs_of(200), np.log(0.6 / 0.4)
+    evidence, states = evidence_of(logs, FITTED), states_alone(logs, HORIZON)
+    doubled = evidence.told._replace(moved=2.0 * evidence.told.moved)
+    mending = mending_of(doubled, FITTED.seeing, 0.6)
+    shown = states.is_on_table
+    recorded = replace(
+        states, log_odds=np.where(shown, prior + 2.0 * (states.log_odds - prior), 0.0).astype(np.float32)
+    )
+    np.testing.assert_allclose(mending(recorded).log_odds[shown], states.log_odds[shown], atol=0.25)
+    error = np.abs(mending(recorded).log_odds - states.log_odds)[shown]
+    assert error.mean() < 0.02
+    none = type(evidence.told)(*(values[:0] for values in evidence.told))
+    assert mending_of(none, FITTED.seeing, 0.6) is None
+
+
+def test_one_that_is_never_cut_and_one_whose_every_trajectory_is_one_stage_are_learned():
+    assert CensoredQLearner.for_table(HORIZON).fit(logs_of(30, cut_share=0.0)).assisted_.basis == "model"
+    short = replace(FITTED, horizon=1)
+    assert CensoredQLearner.for_table(1).fit(logs_of(30, short)).policy_.horizon == 1
