@@ -7,9 +7,12 @@ from halfseen.planners.myopic import MyopicPolicy
 from halfseen.shapes import Float
 from halfseen.tables.assisted.team_features import NUM_TEAM_FEATURES, team_described
 from halfseen.world.config import WorldConfig
+from halfseen.world.number import Number
 from halfseen.world.policy import Decision, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
+
+CAUTION = 0.1
 
 
 @record
@@ -17,21 +20,28 @@ class TeamExcess:
     """E of a team, linear: by how much an action is worth more beside the myopic one than the myopic look says."""
 
     coefficients: Float[np.ndarray, " F"]
-    low: Float[np.ndarray, ""]
-    high: Float[np.ndarray, ""]
+    low: Number
+    high: Number
     """E is kept within these."""
+    caution: Number = CAUTION
+    """By how much an action must be better than the myopic one."""
 
     @classmethod
     def none(cls) -> "TeamExcess":
         """E ≡ 0."""
-        return cls(np.zeros(NUM_TEAM_FEATURES, dtype=np.float32), np.float32(0.0), np.float32(0.0))
+        return cls(np.zeros(NUM_TEAM_FEATURES, dtype=np.float32), 0.0, 0.0)
 
     def __call__(self, state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A"]:
-        """E of every action; 0 of the best one by `q`, which is what the myopic look makes of each."""
+        """E of every action, less the caution; 0 of the best one by `q`, which is what the myopic look makes of each.
+
+        WAIT, which is asked again after each event, is never made more of: errors would add up.
+        """
         xp = library_of(q, self.coefficients)
-        values = team_described(state, q) @ self.coefficients
-        beside = values - at(values, xp.argmax(q, axis=-1))[..., None]
-        return xp.clip(beside, self.low, self.high)
+        values, best = team_described(state, q) @ self.coefficients, xp.argmax(q, axis=-1)[..., None]
+        beside = xp.clip(values - at(values, best[..., 0])[..., None], self.low, self.high)
+        beside = xp.concatenate([beside[..., :-1], xp.minimum(beside[..., -1:], np.float32(0.0))], axis=-1)
+        is_best = xp.arange(q.shape[-1]) == best
+        return xp.where(is_best, np.float32(0.0), beside - self.caution).astype(np.float32)
 
 
 @record

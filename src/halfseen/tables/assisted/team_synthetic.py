@@ -22,7 +22,7 @@ from halfseen.planners.futures import future_rewards
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.shapes import Bool, Float
 from halfseen.tables.assisted.team_features import team_described
-from halfseen.tables.assisted.team_policy import AssistedTeamPolicy, TeamExcess
+from halfseen.tables.assisted.team_policy import TeamExcess
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, surely
@@ -30,7 +30,7 @@ from halfseen.world.random import Key
 from halfseen.world.rollout import play
 from halfseen.world.state import Layout, TableState
 
-NUM_STATES, NUM_FUTURES = 2500, 3
+NUM_STATES, NUM_FUTURES = 5000, 2
 NUM_TRIED = 4
 """Actions that are tried in each state, the myopic one among them."""
 RANDOM_SHARE = 0.3
@@ -117,7 +117,7 @@ def fitted_team_excess(
         return TeamExcess.none()
     coefficients = _regressed(*tried)
     low, high = np.quantile(tried.features @ coefficients, RANGE)
-    return TeamExcess(coefficients.astype(np.float32), np.float32(min(low, 0.0)), np.float32(max(high, 0.0)))
+    return TeamExcess(coefficients.astype(np.float32), float(min(low, 0.0)), float(max(high, 0.0)))
 
 
 def visited(config: WorldConfig, layouts: Layout, seed: int, num_states: int) -> TableState:
@@ -157,11 +157,7 @@ def _regressed(features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R
     return np.linalg.solve(gram, unit.T @ target / len(unit)) / scale
 
 
-def improved(config: WorldConfig, layouts: Layout, seed: int) -> AssistedTeamPolicy:
-    """The myopic look under these laws, and E."""
-    return AssistedTeamPolicy(config, fitted_team_excess(config, layouts, seed))
-
 
 def hurried(config: WorldConfig, least_per_s: float) -> WorldConfig:
-    """The same team, in which a second costs at least so much."""
+    """The same team, in which a second of the table's clock costs at least so much [1/s]."""
     return replace(config, reward_per_s=min(float(config.reward_per_s), -least_per_s))
