@@ -36,7 +36,7 @@ from halfseen.world.state import Layout, TableState
 
 MODEL, WITHOUT_LAWS = "model", "without laws"
 
-LEAST_PRICE_PER_ROBOT_S = 0.017
+LEAST_PRICE_PER_ROBOT_S = 0.015
 """At which a second of each of several robots is counted at least [1/s]. Where time is for nothing they wait for
 whatever may still be seen, and try what hardly pays: two then take .7 of the seconds of one, where a little less reward
 lets them take .6."""

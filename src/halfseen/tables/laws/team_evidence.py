@@ -2,11 +2,13 @@
 
 *Looks.* What another robot holds in the air hides nothing and is seen whole, and no log says since when it is held. So
 labels count only where nobody was at an object when they were made, and where the stage brought one look: in a stage
-in which a robot parked there were two. Which looks those are does not depend on what they said.
+in which a robot came to its end, which frees nobody, there were two. Which looks those are does not depend on what they
+said.
 
 *Washing.* The reward of a stage holds what all robots did in it. Failures, LIFTs and seconds have known prices, so that
 what is left over, where one object left the table, shows whether it was dirty. The last stage of a trajectory tells
-nothing, as its reward holds the price of what is left, too.
+nothing, as its reward holds the price of what is left, too; nor does one in which a robot was at the last of its
+decisions, as nobody wrote down when that ended.
 """
 
 import numpy as np
@@ -19,6 +21,7 @@ from halfseen.tables.encoding import logged_actions
 from halfseen.tables.rewards import outcomes_of
 from halfseen.world.actions import FINISH, ActionSpace
 from halfseen.world.config import WorldConfig
+from halfseen.world.others import is_decider
 from halfseen.world.state import TableState
 
 FAILED, LIFTED_S, LASTED_S, NUM_LEFT, DIRT_LEFT, DIRT_BEFORE = range(6)
@@ -30,8 +33,8 @@ def is_plain_look(states: TableState) -> Bool[np.ndarray, "n T"]:
     robots = states.robots
     assert robots is not None
     is_nobody_at_work = ~np.any(robots.is_busy & np.isin(robots.verb, (1, 2)), axis=-1)
-    num_parked = robots.is_parked.sum(axis=-1)
-    return is_nobody_at_work & (np.diff(num_parked, axis=1, prepend=0) == 0)
+    num_done = robots.is_done.sum(axis=-1)
+    return is_nobody_at_work & (np.diff(num_done, axis=1, prepend=0) == 0)
 
 
 @record
@@ -43,7 +46,9 @@ class Brought:
     reward: Float[np.ndarray, "n T"]
     """NaN where not completed."""
     goes_on: Bool[np.ndarray, "n T"]
-    """Completed stages that another one follows."""
+    """Completed stages that another one follows, in which no robot is at the last of its decisions."""
+    is_last: Bool[np.ndarray, "n T"]
+    """Completed stages after which the trajectory had come to its end, or was cut at once."""
     is_finish: Bool[np.ndarray, "n T"]
     """Stages that a FINISH began."""
     has_left: Bool[np.ndarray, "n T N"]
@@ -60,11 +65,16 @@ def brought_by(logs: Logs, states: TableState) -> Brought:
     is_stage = np.zeros((num, horizon + 1), dtype=bool)
     is_stage[at] = True
     lasted_s = np.nan_to_num(np.diff(clock_s, axis=1, prepend=0.0))
+    robots = states.robots
+    assert robots is not None
+    is_at_last = (is_decider(states) & (robots.decisions_to_go == 1)) | (robots.is_busy & (robots.decisions_to_go == 0))
+    goes_on = np.isfinite(reward) & is_stage[:, 1:]
     after = np.concatenate([states.is_on_table[:, 1:], np.zeros_like(states.is_on_table[:, :1])], axis=1)
     return Brought(
         outcomes_of(states, space.verb(action), space.target(action), lasted_s),
         reward,
-        np.isfinite(reward) & is_stage[:, 1:],
+        goes_on & ~np.any(is_at_last, axis=-1),
+        np.isfinite(reward) & ~is_stage[:, 1:],
         is_stage[:, :-1] & (action == FINISH),
         states.is_on_table & ~after,
     )

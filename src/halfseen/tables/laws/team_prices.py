@@ -90,9 +90,8 @@ def _last_to_park(
     """Completed stages in which the last robot went home, and how long each robot took for that [s]."""
     robots, decider = states.robots, states.decider
     assert robots is not None and decider is not None
-    is_done = np.isfinite(brought.reward) & ~brought.goes_on
     others_done = np.sum(robots.is_parked, axis=-1) == robots.num_robots - 1
-    parks = is_done & others_done & ~np.any(robots.is_busy, axis=-1) & brought.is_finish
+    parks = brought.is_last & others_done & ~np.any(robots.is_busy, axis=-1) & brought.is_finish
     seconds = brought.outcome[..., LASTED_S]
     return parks, {k: seconds[parks & (decider == k)] for k in range(robots.num_robots)}
 
