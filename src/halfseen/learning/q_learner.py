@@ -34,7 +34,7 @@ from halfseen.learning.recursion import QFunctions
 from halfseen.learning.streaming import learned_from
 from halfseen.learning.support import unseen_in_words
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
-from halfseen.learning.task import AUTO, Task, assisted_learner, named_task
+from halfseen.learning.task import AUTO, Task, assisted_learner, assisted_team_learner, named_task
 from halfseen.logs import Logs, LogStream
 from halfseen.shapes import Float
 from halfseen.workers import Workers
@@ -183,6 +183,7 @@ class CensoredQLearner(Estimator):
         grasp: Any = AUTO,
         reduces_variance: bool = True,
         base: Any = AUTO,
+        laws: str | None = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
         """Make a learner for logs of several robots at one table (see `halfseen.tables.TeamTask`).
@@ -195,20 +196,29 @@ class CensoredQLearner(Estimator):
             Decisions of each robot; T is K times as many.
         grasp, reduces_variance, base
             Of the task.
+        laws
+            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.assisted.team_learner`), unless
+            `base` is given, or something is said of Q, its stages, λ or pessimism; None without laws.
         **parameters
             Of the learner.
 
         Raises
         ------
         ArgumentError
-            `num_robots` or `horizon` is below 1, or no whole number.
+            `num_robots` or `horizon` is below 1, or no whole number; `laws` is neither.
         """
+        if laws not in (AUTO, None):
+            raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None to learn without laws")
         if not is_count(num_robots):
             raise ArgumentError(f"num_robots is {num_robots!r}; a team has a whole number of robots, at least 1")
         if not is_count(horizon):
             raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
-        return cls(num_robots * horizon, task, **parameters)
+        is_auto = _is_auto(base) and all(
+            parameters.get(name, default) == default for name, default in OF_LINEAR.items()
+        )
+        maker = assisted_team_learner() if is_auto and laws is not None else cls
+        return maker(num_robots * horizon, task, **parameters)
 
     @classmethod
     def of_paper(

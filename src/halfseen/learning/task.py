@@ -166,3 +166,8 @@ def named_task(name: str, **parameters: Any) -> Task:
 def assisted_learner() -> type:
     """The learner of tables that laws assist; it loads where it is asked for."""
     return import_module("halfseen.tables.assisted.learner").TableLearner
+
+
+def assisted_team_learner() -> type:
+    """The learner of teams that laws assist; it loads where it is asked for."""
+    return import_module("halfseen.tables.assisted.team_learner").TeamLearner

@@ -155,9 +155,14 @@ def less_luck(
 
 
 def future_rewards(
-    config: WorldConfig, state: TableState, policy: Policy, key: Key, num_futures: int
+    config: WorldConfig,
+    state: TableState,
+    policy: Policy,
+    key: Key,
+    num_futures: int,
+    tried: Bool[Array, "*B A"] | None = None,
 ) -> Float[Array, "*B S A"]:
-    """Reward to the trajectory's end of each action followed by a policy, in each of S futures; −∞ if impossible.
+    """Reward to the trajectory's end of each action followed by a policy, in each of S futures; −∞ if not tried.
 
     All actions meet the same hidden truth and the same draws.
 
@@ -173,10 +178,13 @@ def future_rewards(
         What is drawn from.
     num_futures
         S.
+    tried
+        Which of the possible actions are tried; None for all.
     """
-    xp, is_possible, num_axes = library_of(state.is_on_table), possible_actions(state), state.steps_to_go.ndim
+    xp, num_axes = library_of(state.is_on_table), state.steps_to_go.ndim
+    tried = possible_actions(state) if tried is None else tried
     hidden_key, world_key, policy_key = random.split(random.keys_of(key, num_futures), 3)
-    states, is_tried = spread((state, is_possible), num_futures, num_axes)
+    states, is_tried = spread((state, tried), num_futures, num_axes)
     hidden = imagined(config, states, hidden_key)
     rows = np.nonzero(is_tried) if xp is np else tuple(xp.indices(is_tried.shape).reshape(is_tried.ndim, -1))
     begin = mapped(lambda leaf: leaf[rows[:-1]], (states, hidden, world_key, policy_key))

@@ -119,11 +119,11 @@ def hotelling_test(found: Residuals, num_trajectories: int) -> LawTest:
         ]
         columns, means = columns + sums, [*means, sums[0]]
         z[verb.name] = float(sums[0].sum() / max(np.sqrt((sums[0] ** 2).sum()), 1e-12))
-    (statistic, p_of_all), (_, p_of_means) = (_hotelling(np.column_stack(each)) for each in (columns, means))
+    (statistic, p_of_all), (_, p_of_means) = (hotelling(np.column_stack(each)) for each in (columns, means))
     return LawTest(statistic, min(1.0, 2.0 * min(p_of_all, p_of_means)), z)
 
 
-def _hotelling(each: Float[np.ndarray, "n k"]) -> tuple[float, float]:
+def hotelling(each: Float[np.ndarray, "n k"]) -> tuple[float, float]:
     """T² of the mean of rows being 0, and its p-value; columns that hardly ever differ from 0 are left out."""
     from scipy.special import fdtrc
 

@@ -15,6 +15,7 @@ from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.laws.team_evidence import brought_by, is_plain_look, shown_by_washing
 from halfseen.tables.prior import logged_dirty_share
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
@@ -102,9 +103,10 @@ def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
     Parameters
     ----------
     logs
-        As `states_of` and `attempts` read them; where its objects have a column grip, it is used.
+        As `states_of` and `attempts` read them, of one robot or several; where its objects have a column grip, it is
+        used.
     known
-        Of which the horizon, transport_s, the limit of an attempt and the rewards of WASH are used.
+        Of which the horizon, transport_s, speed, the limit of an attempt and the rewards are used.
 
     Raises
     ------
@@ -131,7 +133,9 @@ def _watched(tried: pd.DataFrame, path: RowIds, is_held: RowMask, known: WorldCo
     """
     occlusion, grip, time_s = (tried[name].to_numpy(dtype=np.float64) for name in ("occlusion", "grip", "time_s"))
     is_missed, limit_s = tried["is_finished"].to_numpy(dtype=bool) & ~is_held, float(known.grasping.limit_s)
-    until_s = np.clip(time_s - float(known.transport_s), 0.0, limit_s)
+    # What takes a robot so long takes the world that, times its speed.
+    speed = np.asarray(known.speed, dtype=np.float64)[tried["robot"]] if "robot" in tried.columns else 1.0
+    until_s = np.clip(time_s * speed - float(known.transport_s), 0.0, limit_s)
     watched_s = np.where(is_missed & (until_s >= AT_LIMIT * limit_s), limit_s, until_s)
     return Watched(path, tried["object"].to_numpy(dtype=np.int64), occlusion, grip, watched_s, is_held, is_missed)
 
@@ -142,19 +146,22 @@ def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowId
     By how much the recorder let them move is its own belief in its labels (`recorder`). A look that moved nothing
     was no news, and is left out, unless it added to what counts as seen: then nothing was found in what it showed. The
     reward of a WASH that held shows what the object was; one in the last step of the horizon is left out, as its reward
-    also holds the price of what is left.
+    also holds the price of what is left. Of several robots, see `team_evidence`.
     """
-    states = states_of(logs, known.horizon)
+    states = states_of(logs, known.num_stages)
     is_held = np.diff(states.lifts, axis=1, prepend=0) > 0
     moved = _moved(states, dirty_share)
     shows_more = np.diff(states.seen, axis=1, prepend=0.0) > SAME_VIEW
-    path, stage, target = at = np.nonzero(((np.abs(moved) > NO_NEWS) | shows_more) & states.is_on_table)
+    is_news = ((np.abs(moved) > NO_NEWS) | shows_more) & states.is_on_table
+    if states.robots is None:
+        was = _shown(logs, known, held_path, held_row, (len(states.lifts), states.num_objects))
+    else:
+        is_counted = is_plain_look(states)[..., None]
+        # What is washed depends on what looks said that are left out, so that it tells nothing of those objects.
+        was = shown_by_washing(brought_by(logs, states), known) & ~np.any(is_news & ~is_counted, axis=1)
+        is_news = is_news & is_counted
+    path, stage, target = at = np.nonzero(is_news)
     seen = states.seen.astype(np.float64)
-    was = np.zeros((2, len(states.lifts), states.num_objects), dtype=bool)
-    is_wash = (logs.stages["action"] == Verb.WASH.name).to_numpy(dtype=bool)[held_row]
-    paid = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)[held_row]
-    is_clean = np.abs(paid - known.reward_wash_dirty) >= np.abs(paid - known.reward_wash_clean)
-    was[is_clean[is_wash].astype(np.int64), held_path[is_wash], begun_objects(logs)[held_row[is_wash]]] = True
     return Labels(
         path=path,
         object=path * states.num_objects + target,
@@ -167,6 +174,18 @@ def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowId
         was_clean=was[1, path, target],
         moved=moved[at].astype(np.float64),
     )
+
+
+def _shown(
+    logs: Logs, known: WorldConfig, held_path: RowIds, held_row: RowIds, shape: tuple[int, int]
+) -> Bool[np.ndarray, "2 n N"]:
+    """Which objects washing showed to be dirty, and which clean."""
+    was = np.zeros((2, *shape), dtype=bool)
+    is_wash = (logs.stages["action"] == Verb.WASH.name).to_numpy(dtype=bool)[held_row]
+    paid = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)[held_row]
+    is_clean = np.abs(paid - known.reward_wash_dirty) >= np.abs(paid - known.reward_wash_clean)
+    was[is_clean[is_wash].astype(np.int64), held_path[is_wash], begun_objects(logs)[held_row[is_wash]]] = True
+    return was
 
 
 def _moved(states: TableState, dirty_share: float) -> Float[np.ndarray, "n T N"]:

@@ -45,7 +45,7 @@ def paid_in(logs: Logs, horizon: int, left: Rows) -> WorldConfig:
     finished = done & (action == Verb.FINISH.name)
     if finished.any():
         found["transport_s"] = float(np.median(seconds[finished]))
-        price = _price_of_each(reward[finished], left[finished])
+        price = price_of_each(reward[finished], left[finished])
         if price is not None:
             found["reward_dirty_left"] = price
     found |= _washed(logs, horizon, reward, action, is_over)
@@ -67,7 +67,7 @@ def _durations(logs: Logs) -> Float[np.ndarray, " rows"]:
     return (elapsed - before).to_numpy(dtype=np.float64, na_value=np.nan)
 
 
-def _price_of_each(paid: Rows, left: Rows) -> float | None:
+def price_of_each(paid: Rows, left: Rows) -> float | None:
     """Price of one object left dirty: what all that FINISH paid is a multiple of; else by regression."""
     some = paid < 0.0
     if not some.any():
