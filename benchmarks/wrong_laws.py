@@ -5,9 +5,9 @@ python benchmarks/wrong_laws.py [--cases NAME …] [--sizes 25 100 800] [--logs 
 Truth is the law that comes with the package, or the assumed one. Cases: laws fitted by another family only (*news*:
 each look is news; *exponential*; *both*; *hopeful*: the whole view is taken for surer than it is; *logistic*, of an
 assumed truth), a *recorder* whose log-odds are too sure, *speckled* objects whose labels err by what no log holds,
-objects that *stick*; and *right*. All logs have half of their trajectories cut. Rewards are those over the best rule that knows the
-true laws, with a standard error over logs, on tables that all policies of a log share; by control variates where the
-world's laws have probabilities, else as they fall.
+objects that *stick*; and *right*. All logs have half of their trajectories cut. Rewards are those over the best rule
+that knows the true laws, with a standard error over logs, on tables that all policies of a log share; by control
+variates where the world's laws have probabilities, else as they fall.
 """
 
 import argparse

@@ -275,7 +275,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
 
 
 def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:
-    if kind == "team":
+    if kind.startswith("team"):
         return f"tables of {schema['num_robots']} robots, and what each is at; it decides for whichever is free"
     return "tables" if kind.startswith("table") else ", ".join(schema["covariates"]) or "nothing but the stage"
 

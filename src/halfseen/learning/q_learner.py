@@ -170,8 +170,7 @@ class CensoredQLearner(Estimator):
         if laws not in (AUTO, None):
             raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None for eq. 3 without laws")
         task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
-        is_plain = any(parameters.get(name, default) != default for name, default in OF_LINEAR.items())
-        maker = cls if laws is None or is_plain else assisted_learner()
+        maker = assisted_learner() if laws is not None and _is_unsaid(parameters) else _without_laws(cls, parameters)
         return maker(horizon, task, **parameters)
 
     @classmethod
@@ -214,10 +213,8 @@ class CensoredQLearner(Estimator):
         if not is_count(horizon):
             raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
-        is_auto = _is_auto(base) and all(
-            parameters.get(name, default) == default for name, default in OF_LINEAR.items()
-        )
-        maker = assisted_team_learner() if is_auto and laws is not None else cls
+        is_auto = _is_auto(base) and laws is not None and _is_unsaid(parameters)
+        maker = assisted_team_learner() if is_auto else _without_laws(cls, parameters)
         return maker(num_robots * horizon, task, **parameters)
 
     @classmethod
@@ -347,3 +344,19 @@ class CensoredQLearner(Estimator):
 
 def _is_auto(value: Any) -> bool:
     return isinstance(value, str) and value == AUTO
+
+
+def _is_unsaid(parameters: Mapping[str, Any]) -> bool:
+    """Whether nothing is said of Q, its stages, λ or pessimism."""
+    return all(parameters.get(name, default) == default for name, default in OF_LINEAR.items())
+
+
+def _without_laws(learner: type, parameters: Mapping[str, Any]) -> type:
+    """The learner without laws, of which nothing can be said then."""
+    for name in ("prior_law", "world"):
+        if parameters.get(name) is not None:
+            raise ArgumentError(
+                f"{name} is given, but no law helps to learn where {', '.join(OF_LINEAR)} or laws=None are; leave one "
+                "of them out"
+            )
+    return learner

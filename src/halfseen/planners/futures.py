@@ -182,9 +182,9 @@ def future_rewards(
         Which of the possible actions are tried; None for all.
     """
     xp, num_axes = library_of(state.is_on_table), state.steps_to_go.ndim
-    tried = possible_actions(state) if tried is None else tried
+    wanted: Any = possible_actions(state) if tried is None else tried
     hidden_key, world_key, policy_key = random.split(random.keys_of(key, num_futures), 3)
-    states, is_tried = spread((state, tried), num_futures, num_axes)
+    states, is_tried = spread((state, wanted), num_futures, num_axes)
     hidden = imagined(config, states, hidden_key)
     rows = np.nonzero(is_tried) if xp is np else tuple(xp.indices(is_tried.shape).reshape(is_tried.ndim, -1))
     begin = mapped(lambda leaf: leaf[rows[:-1]], (states, hidden, world_key, policy_key))

@@ -52,6 +52,7 @@ _PLACES = {
     "table": ("table_kind", "TableKind"),
     "table-laws": ("laws_kind", "LawsKind"),
     "team": ("team_kind", "TeamKind"),
+    "team-laws": ("team_laws_kind", "TeamLawsKind"),
 }
 
 

@@ -43,7 +43,7 @@ class StoredPolicy:
     @property
     def num_robots(self) -> int | None:
         """For how many robots of a team it decides; None for one that decides for a robot by itself."""
-        return self.record["schema"]["num_robots"] if self.record["kind"] == "team" else None
+        return self.record["schema"]["num_robots"] if self.record["kind"] in ("team", "team-laws") else None
 
     @property
     def horizon(self) -> int:

@@ -1,4 +1,4 @@
-"""A world of one robot, its laws included, as plain values of policy.json, and back."""
+"""A world, its robots and its laws included, as plain values of policy.json, and back."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -47,6 +47,11 @@ def values_of_world(config: WorldConfig) -> dict[str, Any]:
             )
         numbers = {each.name: _plain(getattr(law, each.name)) for each in fields(law)}
         found[name] = {"family": family, **numbers}
+    if config.num_robots > 1:
+        out = config.drop_out_rate
+        found["speed"] = [float(each) for each in config.speed]
+        found["reward_per_s"] = float(config.reward_per_s)
+        found["drop_out_rate"] = None if out is None else [float(each) for each in out]
     return found
 
 
@@ -67,8 +72,12 @@ def world_of_values(values: Mapping[str, Any]) -> WorldConfig:
     if not 0.0 < numbers["dirty_share"] < 1.0:
         raise PolicyError(f"dirty_share is {numbers['dirty_share']}; it lies between 0 and 1: learn the policy anew")
     laws = {name: _law(name, typed(values, name, dict, "a law"), families) for name, families in LAWS.items()}
+    robots: dict[str, Any] = {}
+    if "speed" in values:
+        robots = {"speed": _curve(values, "speed"), "reward_per_s": _number(values, "reward_per_s")}
+        robots["drop_out_rate"] = None if values.get("drop_out_rate") is None else _curve(values, "drop_out_rate")
     try:
-        return WorldConfig(horizon=horizon, **numbers, **laws)
+        return WorldConfig(horizon=horizon, **numbers, **laws, **robots)
     except HalfseenError as error:
         raise PolicyError(f"laws: {error}; learn the policy anew") from error
 

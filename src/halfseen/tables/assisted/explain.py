@@ -92,4 +92,5 @@ def laws_in_words(laws: FittedLaws, tried: Watched) -> str:
             parts.append(f"{chance[is_it].mean():.2f} of the {is_it.sum():,} objects that were {words}")
     held = f"a first grasp holds for {' and '.join(parts)}; " if parts else ""
     found, falsely = (float(each) for each in config.seeing.positive(0.0, 0.0))
-    return f"by its laws {held}a first look in full view calls dirty {found:.0%} of what is and {falsely:.0%} of what is not"
+    looks = f"a first look in full view calls dirty {found:.0%} of what is and {falsely:.0%} of what is not"
+    return f"by its laws {held}{looks}"

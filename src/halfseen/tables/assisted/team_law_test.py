@@ -13,7 +13,7 @@ Each has mean 0, weighted by δ / Ĝ(U⁻) of the stage in which it shows, times
 trajectories are tested together by Hotelling's T². The last two are about the log-odds that the policy goes by.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -78,7 +78,7 @@ def _z(each: Float[np.ndarray, " n"]) -> float:
 
 def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[np.ndarray, "n T"]) -> Foretold:
     """Of attempts whose end was seen; each counts by the weight of the stage in which it ended."""
-    tried = attempts(logs)
+    tried: Any = attempts(logs)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
     row = logs.stages.set_index(["path", "stage"]).index.get_indexer(tried.set_index(["path", "stage"]).index)
     trajectory, stage, target = stage_places(logs)[0][row], tried["stage"].to_numpy() - 1, begun_objects(logs)[row]

@@ -64,6 +64,16 @@ class AssistedTeamPolicy:
         """K."""
         return self.config.num_robots
 
+    @property
+    def num_stages(self) -> int:
+        """Decisions of all robots together, for which it was learned."""
+        return self.config.num_stages
+
+    @property
+    def horizon(self) -> int:
+        """The same."""
+        return self.config.num_stages
+
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose; deterministic."""
         return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))

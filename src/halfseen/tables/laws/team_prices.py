@@ -7,6 +7,7 @@ objects cost that are left dirty. The last one to park alone takes what going ho
 """
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def _times(home_s: dict[int, Float[np.ndarray, " k"]], num_robots: int) -> dict[
 
 def _limit_s(logs: Logs, known: WorldConfig) -> float | None:
     """Longest attempt without its transport, as robot 0 would take [s]."""
-    tried = attempts(logs)
+    tried: Any = attempts(logs)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
     if not len(tried):
         return None
