@@ -37,8 +37,8 @@ class RewardDesign:
     num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
     episodes_per_scene: int = 10
-    planners: tuple[tuple[int, int], ...] = ((128, 25), (512, 8))
-    fitted_episodes: int = 5
+    planners: tuple[tuple[int, int], ...] = ((128, 25), (512, 20))
+    fitted_episodes: int = 8
     planned_repetitions: int = 40
     selection_blocks: int = 4
     selection_planned: int = 30
