@@ -6,7 +6,7 @@
    is what a team learns without laws: each alone, and one Q for the team upon it.
 """
 
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from halfseen.tables.assisted.team_synthetic import fitted_team_excess, hurried
 from halfseen.tables.encoding import logged_actions, team_states
 from halfseen.tables.laws import fitted_laws
 from halfseen.tables.laws.evidence import evidence_of
+from halfseen.tables.laws.seeing import seeing_of
 from halfseen.tables.laws.team_evidence import brought_by
 from halfseen.tables.laws.team_prices import paid_in_team
 from halfseen.workers import Workers
@@ -124,13 +125,18 @@ def team_laws(
 ) -> tuple[WorldConfig, str]:
     """Fit laws and prices to the log of a team, and say what became of the recorder's law of seeing.
 
-    Log-odds are left as they were recorded: what they are worth is tested on the log, with all else.
+    Log-odds are left as they were recorded, and the law that made them goes with them, whatever labels say: what both
+    are worth is tested on the log, with all else.
     """
     known = paid_in_team(logs, states) if known is None else known
-    laws = fitted_laws(evidence_of(logs, known), known, prior)
-    if laws.is_mended:
-        return laws.config, "the law of seeing is fitted to the labels, which contradict the log’s own log-odds"
-    return laws.config, laws.sentence
+    evidence = evidence_of(logs, known)
+    laws = fitted_laws(evidence, known, prior)
+    if not laws.is_mended:
+        return laws.config, laws.sentence
+    recorder = seeing_of(evidence.told, evidence.dirty_share).recorder
+    if recorder is None:
+        return laws.config, "no one law of seeing made the log’s log-odds: it is fitted to the labels"
+    return replace(laws.config, seeing=recorder), "the law of seeing is the one that made the log’s own log-odds"
 
 
 def layouts_of(states: TableState) -> Layout:
