@@ -214,7 +214,9 @@ class CensoredQLearner(Estimator):
         if not is_count(horizon):
             raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
-        is_auto = _is_auto(base) and all(parameters.get(name, default) == default for name, default in OF_LINEAR.items())
+        is_auto = _is_auto(base) and all(
+            parameters.get(name, default) == default for name, default in OF_LINEAR.items()
+        )
         maker = assisted_team_learner() if is_auto and laws is not None else cls
         return maker(num_robots * horizon, task, **parameters)
 

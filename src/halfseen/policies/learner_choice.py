@@ -104,7 +104,8 @@ def _of_team(
     if horizon is not None and horizon < had:
         raise ArgumentError(f"--horizon is {horizon}, and a robot of the log has {had} decisions to go; give {had}")
     length = had if horizon is None else horizon
-    learner = CensoredQLearner.for_team(num_robots, length, grasp=_grasp_named(grasp), **parameters)
+    # Folders do not hold what a team learns with laws yet.
+    learner = CensoredQLearner.for_team(num_robots, length, grasp=_grasp_named(grasp), laws=None, **parameters)
     return LearnerChoice(learner, num_robots=num_robots)
 
 

@@ -139,9 +139,9 @@ def test_log_odds_that_are_too_sure_of_themselves_are_not_relied_upon(logs):
     assert any("the laws do not foretell the log" in said for said in learner.chosen_)
 
 
-def test_a_second_counts_as_at_least_so_much(world):
-    assert synthetic.hurried(world.played_config, 0.02).reward_per_s == -0.05
-    assert synthetic.hurried(world.played_config, 0.2).reward_per_s == -0.2
+def test_a_second_that_costs_nothing_is_counted_all_the_same(world):
+    assert synthetic.hurried(world.played_config, 0.2).reward_per_s == -0.05
+    assert synthetic.hurried(replace(world.played_config, reward_per_s=0.0), 0.02).reward_per_s == -0.02
 
 
 def test_e_is_cautious_of_all_but_the_myopic_action_and_makes_no_more_of_waiting(states, world):
@@ -174,7 +174,9 @@ def test_futures_of_what_is_tried_are_those_of_all(states, world):
     every = future_rewards(config, states, base, key, 2)
     is_tried, _ = synthetic.drawn(base.q_values(states), key)
     some = future_rewards(config, states, base, key, 2, is_tried)
-    np.testing.assert_allclose(some[np.broadcast_to(is_tried[:, None], some.shape)], every[is_tried[:, None] & (every > -np.inf)], rtol=1e-5)
+    np.testing.assert_allclose(
+        some[np.broadcast_to(is_tried[:, None], some.shape)], every[is_tried[:, None] & (every > -np.inf)], rtol=1e-5
+    )
     assert (some[np.broadcast_to(~is_tried[:, None], some.shape)] == -np.inf).all()
 
 

@@ -37,10 +37,11 @@ from halfseen.world.state import Layout, TableState
 
 MODEL, WITHOUT_LAWS = "model", "without laws"
 
-LEAST_PRICE_PER_ROBOT_S = 0.015
-"""At which a second of each of several robots is counted at least [1/s]. Where time is for nothing they wait for
-whatever may still be seen, and try what hardly pays: two then take .7 of the seconds of one, where a little less reward
-lets them take .6."""
+UNPRICED_PER_ROBOT_S = 0.02
+"""At which a second of each of several robots is counted where the log pays nothing for time [1/s]. Counted as
+nothing, they wait for whatever may still be seen and try what hardly pays: two take .65 of the seconds of one, where a
+little less reward lets them take .52."""
+
 
 
 class AssistedTeam(NamedTuple):
@@ -68,8 +69,8 @@ class TeamLearner(CensoredQLearner):
         What is known of the team, its prices and times; None to read them off the log. Its laws are not looked at.
     prior_law
         Laws about which those of the log are fitted, such as a cell's own; None for weak priors.
-    least_price_per_robot_s
-        At which a second of each of several robots is counted at least; 0 for what the log says alone [1/s].
+    unpriced_per_robot_s
+        At which a second of each of several robots is counted where the log pays nothing for time; 0 or above [1/s].
 
     Attributes
     ----------
@@ -82,7 +83,7 @@ class TeamLearner(CensoredQLearner):
     _: KW_ONLY
     world: WorldConfig | None = None
     prior_law: WorldConfig | None = None
-    least_price_per_robot_s: float | int = LEAST_PRICE_PER_ROBOT_S
+    unpriced_per_robot_s: float | int = UNPRICED_PER_ROBOT_S
 
     assisted_: AssistedTeam = field(init=False)
     linear_policy_: Any = field(init=False)
@@ -115,7 +116,7 @@ class TeamLearner(CensoredQLearner):
         if test.is_rejected:
             return AssistedTeam(self.linear_policy_, WITHOUT_LAWS, config, test, sentences)
         num_sharing = config.num_robots if config.num_robots > 1 else 0
-        counted = hurried(config, num_sharing * float(self.least_price_per_robot_s))
+        counted = hurried(config, num_sharing * float(self.unpriced_per_robot_s))
         excess = fitted_team_excess(counted, layouts_of(states), self.random_state)
         return AssistedTeam(AssistedTeamPolicy(counted, excess), MODEL, config, test, sentences)
 
