@@ -37,7 +37,7 @@ from halfseen.world.state import Layout, TableState
 
 MODEL, WITHOUT_LAWS = "model", "without laws"
 
-UNPRICED_PER_ROBOT_S = 0.02
+UNPRICED_PER_ROBOT_S = 0.018
 """At which a second of each of several robots is counted where the log pays nothing for time [1/s]. Counted as
 nothing, they wait for whatever may still be seen and try what hardly pays: two take .65 of the seconds of one, where a
 little less reward lets them take .52."""
