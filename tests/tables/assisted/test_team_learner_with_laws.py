@@ -216,4 +216,4 @@ def test_e_earns_more_than_the_myopic_look_where_time_costs(world):
         for each in (excess, None)
     )
     gain = with_e - without
-    assert gain.mean() > -2.0 * gain.std(ddof=1) / np.sqrt(len(gain))
+    assert gain.mean() > 2.0 * gain.std(ddof=1) / np.sqrt(len(gain))
