@@ -43,7 +43,6 @@ nothing, they wait for whatever may still be seen and try what hardly pays: two 
 little less reward lets them take .52."""
 
 
-
 class AssistedTeam(NamedTuple):
     """What was learned of a team with the help of laws."""
 
