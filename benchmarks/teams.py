@@ -48,6 +48,7 @@ LAWS = ("shipped", "assumed", "unlike")
 CLUMSY = 8.0
 """By how much the log-odds of robot 1 to hold are lower, where robots are unlike."""
 RULES = ("rule, reserving", "one step ahead", "greedy, reserving", "rule, round robin", "rule, one at a time")
+WITH_LAWS = "learned, with laws"
 ONE_Q, BEST_Q, ALONE, RULE_ALONE = "learned, one Q", "learned, Q of the best", "learned, each alone", "rule, each alone"
 
 
@@ -78,10 +79,11 @@ def rules(world):
 def learned(world, logs, without=()):
     """What is learned from a log: by the team, upon each alone and without it, and by each from its own part."""
     num_robots = len(world.robots)
-    policy = CensoredQLearner.for_team(num_robots).fit(logs).policy_
+    with_laws = CensoredQLearner.for_team(num_robots).fit(logs)
+    policy = with_laws.linear_policy_
     if num_robots == 1:
-        return {ONE_Q: policy}
-    found = {ONE_Q: policy, ALONE: policy.base}
+        return {WITH_LAWS: with_laws.policy_, ONE_Q: policy}
+    found = {WITH_LAWS: with_laws.policy_, ONE_Q: policy, ALONE: policy.base}
     if BEST_Q not in without:
         found[BEST_Q] = CensoredQLearner.for_team(num_robots, base=None).fit(logs).policy_
     return found
@@ -225,8 +227,8 @@ def main():
     arguments.add_argument("--out", type=Path, default=Path("runs/benchmarks/teams.json"))
     given = arguments.parse_args()
     of_learners = len(given.paths) * len(given.cut) * given.logs
-    of_team = 6 + (3 - len(given.without)) * of_learners
-    total = sum(len(given.price) * ((2 + of_learners) if k == 1 else of_team) for k in given.robots)
+    of_team = 6 + (4 - len(given.without)) * of_learners
+    total = sum(len(given.price) * ((2 + 2 * of_learners) if k == 1 else of_team) for k in given.robots)
     rows = []
     with tqdm(total=total, unit="policy", mininterval=2) as bar:
         for k, price in product(given.robots, given.price):

@@ -49,7 +49,7 @@ NEW = {
     "trial": partial(CensoredQLearner, 3, {1: ["A", "B"], 2: ["A", "B", "C"], 3: ["A", "B"]}, ["wellness", "tumour"]),
     "tables": partial(CensoredQLearner.for_table, 10),
     "given tables": partial(CensoredQLearner, 10, GivenTables(grasp=None)),
-    "team": partial(CensoredQLearner.for_team, 2, 10),
+    "team": partial(CensoredQLearner.for_team, 2, 10, laws=None),
 }
 FOUR = {
     "pooled-imputed": {"stages": "pooled"},

@@ -116,7 +116,7 @@ def test_the_view_of_an_agent_is_what_it_was(robot):
     ("learner", "log", "states_of"),
     [
         (CensoredQLearner.for_table(10, laws=None), TABLE_LOG, states_alone),
-        (CensoredQLearner.for_team(2, 10), TEAM_LOG, team_states),
+        (CensoredQLearner.for_team(2, 10, laws=None), TEAM_LOG, team_states),
     ],
     ids=["one robot", "beyond independent policies"],
 )

@@ -11,7 +11,7 @@ from halfseen.policies.folder.arrays import Arrays, check_shapes
 from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.world_values import values_of_world, world_of_values
-from halfseen.tables.assisted.team_features import NUM_TEAM_FEATURES
+from halfseen.tables.assisted.team_features import NUM_TEAM_FEATURES, TEAM_FEATURES_VERSION
 from halfseen.tables.assisted.team_policy import AssistedTeamPolicy, TeamExcess
 from halfseen.world.actions import VERB_NAMES
 
@@ -20,9 +20,8 @@ if TYPE_CHECKING:
 else:
     Logs = Any  # Who reads a policy loads no log.
 
-FEATURES_VERSION = 1
 _VERBS = list(VERB_NAMES)
-_FEATURES = {"of": "team-laws", "version": FEATURES_VERSION, "number": NUM_TEAM_FEATURES}
+_FEATURES = {"of": "team-laws", "version": TEAM_FEATURES_VERSION, "number": NUM_TEAM_FEATURES}
 _COEFFICIENTS = "excess.coefficients"
 _NUMBERS = ("low", "high", "caution")
 

@@ -6,7 +6,7 @@
    is what a team learns without laws: each alone, and one Q for the team upon it.
 """
 
-from dataclasses import KW_ONLY, dataclass, field
+from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,6 +26,7 @@ from halfseen.tables.assisted.team_synthetic import fitted_team_excess, hurried
 from halfseen.tables.encoding import logged_actions, team_states
 from halfseen.tables.laws import fitted_laws
 from halfseen.tables.laws.evidence import evidence_of
+from halfseen.tables.laws.seeing import seeing_of
 from halfseen.tables.laws.team_evidence import brought_by
 from halfseen.tables.laws.team_prices import paid_in_team
 from halfseen.workers import Workers
@@ -36,10 +37,10 @@ from halfseen.world.state import Layout, TableState
 
 MODEL, WITHOUT_LAWS = "model", "without laws"
 
-LEAST_PRICE_PER_ROBOT_S = 0.015
-"""At which a second of each of several robots is counted at least [1/s]. Where time is for nothing they wait for
-whatever may still be seen, and try what hardly pays: two then take .7 of the seconds of one, where a little less reward
-lets them take .6."""
+UNPRICED_PER_ROBOT_S = 0.018
+"""At which a second of each of several robots is counted where the log pays nothing for time [1/s]. Counted as
+nothing, they wait for whatever may still be seen and try what hardly pays: two take .65 of the seconds of one, where a
+little less reward lets them take .52."""
 
 
 class AssistedTeam(NamedTuple):
@@ -67,8 +68,8 @@ class TeamLearner(CensoredQLearner):
         What is known of the team, its prices and times; None to read them off the log. Its laws are not looked at.
     prior_law
         Laws about which those of the log are fitted, such as a cell's own; None for weak priors.
-    least_price_per_robot_s
-        At which a second of each of several robots is counted at least; 0 for what the log says alone [1/s].
+    unpriced_per_robot_s
+        At which a second of each of several robots is counted where the log pays nothing for time; 0 or above [1/s].
 
     Attributes
     ----------
@@ -81,7 +82,7 @@ class TeamLearner(CensoredQLearner):
     _: KW_ONLY
     world: WorldConfig | None = None
     prior_law: WorldConfig | None = None
-    least_price_per_robot_s: float | int = LEAST_PRICE_PER_ROBOT_S
+    unpriced_per_robot_s: float | int = UNPRICED_PER_ROBOT_S
 
     assisted_: AssistedTeam = field(init=False)
     linear_policy_: Any = field(init=False)
@@ -114,7 +115,7 @@ class TeamLearner(CensoredQLearner):
         if test.is_rejected:
             return AssistedTeam(self.linear_policy_, WITHOUT_LAWS, config, test, sentences)
         num_sharing = config.num_robots if config.num_robots > 1 else 0
-        counted = hurried(config, num_sharing * float(self.least_price_per_robot_s))
+        counted = hurried(config, num_sharing * float(self.unpriced_per_robot_s))
         excess = fitted_team_excess(counted, layouts_of(states), self.random_state)
         return AssistedTeam(AssistedTeamPolicy(counted, excess), MODEL, config, test, sentences)
 
@@ -124,13 +125,18 @@ def team_laws(
 ) -> tuple[WorldConfig, str]:
     """Fit laws and prices to the log of a team, and say what became of the recorder's law of seeing.
 
-    Log-odds are left as they were recorded: what they are worth is tested on the log, with all else.
+    Log-odds are left as they were recorded, and the law that made them goes with them, whatever labels say: what both
+    are worth is tested on the log, with all else.
     """
     known = paid_in_team(logs, states) if known is None else known
-    laws = fitted_laws(evidence_of(logs, known), known, prior)
-    if laws.is_mended:
-        return laws.config, "the law of seeing is fitted to the labels, which contradict the log’s own log-odds"
-    return laws.config, laws.sentence
+    evidence = evidence_of(logs, known)
+    laws = fitted_laws(evidence, known, prior)
+    if not laws.is_mended:
+        return laws.config, laws.sentence
+    recorder = seeing_of(evidence.told, evidence.dirty_share).recorder
+    if recorder is None:
+        return laws.config, "no one law of seeing made the log’s log-odds: it is fitted to the labels"
+    return replace(laws.config, seeing=recorder), "the law of seeing is the one that made the log’s own log-odds"
 
 
 def layouts_of(states: TableState) -> Layout:

@@ -90,7 +90,8 @@ def _last_to_park(
 ) -> tuple[Bool[np.ndarray, "n T"], dict[int, Float[np.ndarray, " k"]]]:
     """Completed stages in which the last robot went home, and how long each robot took for that [s]."""
     robots, decider = states.robots, states.decider
-    assert robots is not None and decider is not None
+    assert robots is not None
+    assert decider is not None
     others_done = np.sum(robots.is_parked, axis=-1) == robots.num_robots - 1
     parks = brought.is_last & others_done & ~np.any(robots.is_busy, axis=-1) & brought.is_finish
     seconds = brought.outcome[..., LASTED_S]
