@@ -13,7 +13,6 @@ from pictures.page_figures import PICTURES as OF_PAGES
 from pictures.pick_cell_learners import PICK_CELL_LEARNERS
 from pictures.report_values import REPORT_VALUES
 from pictures.study_figure import FIGURE1, OPENING
-from pictures.ten_thousand import COST_OF_CUTS, TEN_THOUSAND
 from pictures.tiger_doors import TIGER
 from pictures.treatments import TREATMENTS
 from pictures.two_planners import TWO_PLANNERS
@@ -24,5 +23,5 @@ PICTURES = (
     *(OPENING, FIGURE1, WAY_OF_THE_DATA, *FILMS, WATCHED, HELD, *EXAMPLES),
     *(*OF_LOGS, *OF_PAGES, *OF_VIEWS),
     *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, REPORT_VALUES, TIGER),
-    *(LOST_WORKER, TEN_THOUSAND, COST_OF_CUTS),
+    LOST_WORKER,
 )

@@ -13,12 +13,15 @@ from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.cli.cell_calibrate import calibrate
 from halfseen.logs import read_logs
 from pictures.intervals import INTERVALS
-from pictures.picture import ROOT
-from pictures.ten_thousand import TEN_THOUSAND_NUMBERS
+from pictures.picture import NUMBERS, ROOT
 
 CELL = "docs/guide/physical-cell.md"
 TOLD = {
-    "README.md": ("{logs} parts and {later} later ones", "{half} points ({half_span}), and by {uncut}"),
+    "README.md": (
+        "{logs} parts and {later} later ones",
+        "by {best_800} points a table from 800 trajectories of which half were cut ({best_800_span})",
+        "by {best_25} from 25 ({best_25_span})",
+    ),
     "examples/README.md": (
         "{logs} paths of which a third are cut, and {later} later ones",
         "holds {cleared} tables that an arm cleared",
@@ -48,16 +51,6 @@ TOLD = {
         "{cleared_cut} were cut: {hard} by a contact that was too hard, {lost} by a lost camera, {long} by an attempt",
         "{tables} tables at which the arm tried",
     ),
-    "docs/guide/ten-thousand-repetitions.md": (
-        "{few_lost} points a table are lost with 25 paths ({few_span})",
-        "{many_lost} with 800 ({many_span})",
-        "{gained} gained",
-        "still {doubled} points a table",
-        "{uncut} points more where nothing was cut ({uncut_span})",
-        "{half} where half was ({half_span})",
-        "between {half_low} less and {half_high} more",
-        "({tie}; −{tie_low} to {tie_high})",
-    ),
 }
 """By page: what it says, with the names of its numbers."""
 WORDS = {2: "Two", 40: "forty"}
@@ -70,11 +63,6 @@ def prose(page):
 @pytest.fixture(scope="module")
 def law():
     return read_law(shipped_law()).law
-
-
-@pytest.fixture(scope="module")
-def repetitions():
-    return pd.DataFrame(TEN_THOUSAND_NUMBERS.read())
 
 
 def counts(law):
@@ -112,53 +100,26 @@ def counts(law):
     )
 
 
-def means(rows):
-    """What ten thousand repetitions tell of some questions [points a table]."""
-
-    def of(question, against, size, share):
-        asked = (rows["question"] == question) & (rows["against"].astype(str) == against) & (rows["num_paths"] == size)
-        return rows[asked & ((rows["cut_share"] - share).abs() < 1e-6)].squeeze()
-
-    few, many = of("cuts", "no cuts", 25, 0.5), of("cuts", "no cuts", 800, 0.5)
-    uncut, half = (of("rule", "history-penalty", 800, share) for share in (0, 0.5))
-    tie = of("rule", "history-penalty", 400, 1 / 6)
-    doubled = [of("more", "400.0", 800, share)["mean"] for share in (0, 1 / 6, 1 / 3, 0.5)]
-    found = {
-        "few_lost": -few["mean"],
-        "many_lost": -many["mean"],
-        "uncut": uncut["mean"],
-        "half": half["mean"],
-        "gained": of("cuts", "no cuts", 200, 0.5)["few_mean"],
-        "tie": tie["mean"],
-        "half_low": -half["few_low"],
-        "half_high": half["few_high"],
-        "tie_low": -tie["low"],
-        "tie_high": tie["high"],
-    }
-    spans = {
-        "few_span": (-few["high"], -few["low"]),
-        "many_span": (-many["high"], -many["low"]),
-        "uncut_span": (uncut["low"], uncut["high"]),
-        "half_span": (half["low"], half["high"]),
-        "doubled": (min(doubled), max(doubled)),
-    }
-    return {name: f"{value:.2f}" for name, value in found.items()} | {
-        name: f"{low:.2f} to {high:.2f}" for name, (low, high) in spans.items()
-    }
+def gains():
+    """What the learned policy earns over the best rule in the study [points a table]."""
+    rows = pd.read_csv(NUMBERS / "study-figure1.csv")
+    learned = rows[(rows["policy"] == "censored_q") & ((rows["cut_share"] - 0.5).abs() < 1e-6)].set_index("num_paths")
+    found = {}
+    for size in (25, 800):
+        row = learned.loc[size]
+        found[f"best_{size}"] = f"{row['gain']:.2f}"
+        found[f"best_{size}_span"] = f"{row['gain_low']:.2f} to {row['gain_high']:.2f}"
+    return found
 
 
-def test_a_number_in_prose_is_that_of_the_log_the_law_or_the_measurement(law, repetitions):
-    told = counts(law) | means(repetitions)
+def test_a_number_in_prose_is_that_of_the_log_the_law_or_the_measurement(law):
+    told = counts(law) | gains()
     for page, sentences in TOLD.items():
         text = prose(page)
         assert [words for words in sentences if words.format(**told) not in text] == [], page
     for page in [ROOT / "README.md", *(ROOT / "docs").rglob("*.md"), *(ROOT / "examples").rglob("*.md")]:
         others = set(re.findall(r"(\d[\d,]*) parts\b", page.read_text(encoding="utf-8")))
         assert others <= {told["logs"], told["later"]}, page
-    text = prose("docs/guide/ten-thousand-repetitions.md")
-    for question, some in repetitions.groupby("question"):
-        clear = [((some[f"{begin}low"] > 0) | (some[f"{begin}high"] < 0)).sum() for begin in ("few_", "")]
-        assert f"| {len(some)} | {clear[0]} | {clear[1]} |" in text, question
 
 
 EFFECTS = {

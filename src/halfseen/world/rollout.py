@@ -106,6 +106,7 @@ class SideBySide:
         self._policies = policies
 
     def decide(self, state: TableState, key: Key) -> Decision:
+        """Let each choose for its part."""
         size = len(key) // len(self._policies)
         parts = [slice(k * size, (k + 1) * size) for k in range(len(self._policies))]
         each = [

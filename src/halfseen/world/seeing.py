@@ -16,6 +16,7 @@ and likewise by fp for a clean object. So labels are consistent without any hidd
 was seen before finds nothing. Once something was found, no look is news.
 """
 
+from itertools import pairwise
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -273,9 +274,7 @@ class PersistentSeeing:
     def _found_by(self, share: Any) -> tuple[Any, Any]:
         """Both curves at a share of the surface: each piece adds its rise, as far as the share covers it."""
         clip, knots = library_of(share).clip, (0.0, *self.views)
-        covered = [
-            clip((share - begin) / (end - begin), 0.0, 1.0) for begin, end in zip(knots[:-1], knots[1:], strict=True)
-        ]
+        covered = [clip((share - begin) / (end - begin), 0.0, 1.0) for begin, end in pairwise(knots)]
 
         def height(curve: tuple[Number, ...]) -> Any:
             heights = (0.0, *curve)

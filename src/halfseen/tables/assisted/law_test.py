@@ -106,7 +106,7 @@ USED = {Verb.FINISH: (0,), Verb.WASH: (0, 1, 2, 3, 4, 5), Verb.LIFT: (0, 2, 3, 5
 
 
 def hotelling_test(found: Residuals, num_trajectories: int) -> LawTest:
-    """Test the laws: the mean residuals of the verbs, and these with all that describes a target; both count (Bonferroni).
+    """Test the laws: mean residuals of the verbs, and these with all that describes a target; both count (Bonferroni).
 
     Few trajectories can tell little of many means, and many tell more by what residuals depend on.
     """
