@@ -168,7 +168,12 @@ def measured(case: str, index: int, sizes: list[int]) -> list[dict[str, Any]]:
             "rule, fitted laws": rule(found.laws.config),
         }
         gains = {name: float((worth(policy) - base).mean()) for name, policy in policies.items()}
-        told = {"basis": found.basis, "p": found.test.p_value, "is_mended": found.laws.is_mended}
+        told = {
+            "basis": found.basis,
+            "p": found.test.p_value,
+            "is_rejected": found.test.is_rejected,
+            "is_mended": found.laws.is_mended,
+        }
         rows.append({"case": case, "size": size, "log": index, **told, "gains": gains})
     return rows
 
@@ -186,7 +191,7 @@ def lines_of(rows: list[dict[str, Any]]) -> list[str]:
             gains = np.array([row["gains"][name] for row in some])
             error = gains.std(ddof=1) / np.sqrt(len(gains)) if len(gains) > 1 else np.nan
             cells.append(f"{gains.mean():+.2f} ± {error:.2f}")
-        rejected = sum(row["p"] < 0.01 for row in some)
+        rejected = sum(row["is_rejected"] for row in some)
         bases = [row["basis"] for row in some]
         built = ", ".join(f"{bases.count(basis)} {basis}" for basis in dict.fromkeys(bases))
         lines.append(f"| {case} | {size} | {' | '.join(cells)} | {rejected} of {len(some)} | {built} |")

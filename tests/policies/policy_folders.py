@@ -4,6 +4,7 @@ import hashlib
 import json
 from functools import partial
 
+import numpy as np
 import pytest
 import safetensors.numpy
 
@@ -11,6 +12,7 @@ from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.policies.folder import read_policy
 from halfseen.policies.folder.files import ARRAYS, DIGESTS, RECORD
+from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig
 from played_teams import logged, played, team_of
 from small_logs import flat_log, table_log
 from text_logs import COVARIATES, text_log
@@ -18,10 +20,18 @@ from text_logs import COVARIATES, text_log
 FILES = (RECORD, ARRAYS, DIGESTS)
 FLAT = partial(CensoredQLearner.of_paper, 2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
 TABLES = partial(CensoredQLearner.for_table, 3, reg=0.1)
+
+
+def played_log():
+    """Tables of a world whose laws a log tells."""
+    hides = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.4, 0.0]])
+    return TableWorld(WorldConfig(horizon=3)).simulate(Scene(hides), UniformPolicy(), 60, seed=0, cut_share=0.3)
+
+
 LEARNERS = {
     "flat": (flat_log, FLAT),
     "tables": (table_log, TABLES),
-    "laws": (table_log, partial(CensoredQLearner.for_table, 3)),
+    "laws": (played_log, partial(CensoredQLearner.for_table, 3)),
     "text": (text_log, partial(CensoredQLearner.of_paper, 2, ["A", "B"], COVARIATES, reg=0.1)),
     "team": (
         lambda: logged(played(team_of(2, horizon=3), 60, seed=2), 0.4),

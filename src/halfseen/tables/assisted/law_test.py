@@ -24,7 +24,8 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.state import TableState, attempt_counts
 
 LEVEL = 0.02
-"""Probability with which right laws are taken for wrong ones, at most."""
+"""Probability with which right laws are taken for wrong ones, at most; of n trajectories at most 1/n, as wrong laws show
+the better, the longer the log."""
 
 
 class Watched(NamedTuple):
@@ -60,11 +61,12 @@ class LawTest(NamedTuple):
     p_value: float
     z: dict[str, float]
     """Mean residual of each verb, in its standard errors."""
+    level: float = LEVEL
 
     @property
     def is_rejected(self) -> bool:
         """Whether the laws foretell the log worse than chance allows."""
-        return self.p_value < LEVEL
+        return self.p_value < self.level
 
 
 def residuals_of(config: WorldConfig, log: Watched) -> Residuals:
@@ -120,7 +122,8 @@ def hotelling_test(found: Residuals, num_trajectories: int) -> LawTest:
         columns, means = columns + sums, [*means, sums[0]]
         z[verb.name] = float(sums[0].sum() / max(np.sqrt((sums[0] ** 2).sum()), 1e-12))
     (statistic, p_of_all), (_, p_of_means) = (hotelling(np.column_stack(each)) for each in (columns, means))
-    return LawTest(statistic, min(1.0, 2.0 * min(p_of_all, p_of_means)), z)
+    level = min(LEVEL, 1.0 / num_trajectories)
+    return LawTest(statistic, min(1.0, 2.0 * min(p_of_all, p_of_means)), z, level)
 
 
 def hotelling(each: Float[np.ndarray, "n k"]) -> tuple[float, float]:
