@@ -49,7 +49,7 @@ def repetitions_in(folder: Path) -> Table:
 
     rows: Table = []
     for file in sorted((folder / PIECES).glob("repetition-*.json")):
-        piece = json.loads(file.read_text(encoding="utf-8"))
+        piece = json.loads(file.read_text(encoding="utf-8"))["piece"]
         rows += [
             {"policy": "censored_q", "num_paths": row["num_paths"], "cut_share": row["cut_share"]}
             | {"repetition": piece["index"], "reward": row["reward"]}

@@ -24,8 +24,8 @@ from halfseen.world.config import WorldConfig
 from halfseen.world.state import TableState, attempt_counts
 
 LEVEL = 0.02
-"""Probability with which right laws are taken for wrong ones, at most; of n trajectories at most 1/n, as wrong laws show
-the better, the longer the log."""
+"""Probability with which right laws are taken for wrong ones, at most; of n trajectories at most 1/n, as wrong laws
+show the better, the longer the log."""
 
 
 class Watched(NamedTuple):
