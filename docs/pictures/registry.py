@@ -18,10 +18,12 @@ from pictures.treatments import TREATMENTS
 from pictures.two_planners import TWO_PLANNERS
 from pictures.view_figures import PICTURES as OF_VIEWS
 from pictures.way_of_the_data import WAY_OF_THE_DATA
+from pictures.wrong_laws import WRONG_LAWS
 
 PICTURES = (
     *(OPENING, FIGURE1, WAY_OF_THE_DATA, *FILMS, WATCHED, HELD, *EXAMPLES),
     *(*OF_LOGS, *OF_PAGES, *OF_VIEWS),
     *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, REPORT_VALUES, TIGER),
     LOST_WORKER,
+    WRONG_LAWS,
 )
