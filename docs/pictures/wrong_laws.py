@@ -54,7 +54,7 @@ def draw_wrong_laws(rows: Table) -> Figure:
     """Draw the means over logs of 800 trajectories, with two standard errors, by case."""
     some = [row for row in rows if row["size"] == SHOWN]
     cases = list(dict.fromkeys(row["case"] for row in some))
-    made, axes = panel(4.2, f"points a table above the best rule, learned from {SHOWN} trajectories", "")
+    made, axes = panel(4.2, "points a table above the best rule")
     for place, (name, (marker, colour)) in enumerate(LOOKS.items()):
         for at, case in enumerate(cases):
             gains = np.array([row["gain"] for row in some if (row["case"], row["policy"]) == (case, name)])
