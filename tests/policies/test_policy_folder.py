@@ -223,13 +223,16 @@ def of_laws(policy):
         "model": policy,
         "mended": replace(policy, mending=mending),
         "look alone": replace(policy, excess=None),
+        "never lifts": replace(policy, is_seen=np.array([True, True, False])),
         "rule": RulePolicy(policy.config, mending),
         "rule of the log": RulePolicy(policy.config, None, table),
         "other laws": replace(policy, mending=None, config=replace(FITTED, horizon=3)),
     }
 
 
-@pytest.mark.parametrize("name", ["model", "mended", "look alone", "rule", "rule of the log", "other laws"])
+@pytest.mark.parametrize(
+    "name", ["model", "mended", "look alone", "never lifts", "rule", "rule of the log", "other laws"]
+)
 def test_a_policy_of_laws_comes_back_and_decides_the_same(logs, fitted, tmp_path, name):
     learner = copy(fitted["laws"])
     learner.policy_ = policy = of_laws(learner.policy_)[name]

@@ -127,6 +127,7 @@ REFUSED = {
     "laws": [
         (of_features(version=0), "the policy looks at features"),
         (of_schema(basis="hope"), "basis is 'hope'; it is model or rule"),
+        (of_schema(seen=["PUSH"]), "seen is ['PUSH']; it lists verbs, FINISH, WASH, LIFT"),
         (of_schema(horizon=4), "horizon is 4, and 3 in the laws"),
         (record(lambda r: r["schema"].pop("laws")), "laws is None and not the laws"),
         (of_laws(transport_s="1"), "transport_s is '1' and no finite number"),

@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP, Arrays, check_shapes, sizes_of
-from halfseen.policies.folder.json_values import horizon_of, typed
+from halfseen.policies.folder.json_values import horizon_of, names_in, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_kind import TableFacts, check_facts, counts_views, facts_schema, least_rewards
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of
@@ -45,12 +45,14 @@ class LawsKind:
 
     def schema(self, policy: LawPolicy, facts: Sequence[TableFacts]) -> dict[str, Any]:
         """What it is built on, the laws, and what the log told of looks and verbs."""
+        seen = getattr(policy, "is_seen", None)
         basis = next(name for name, kind in _BASES.items() if isinstance(policy, kind))
         return {
             "horizon": policy.config.horizon,
             "actions": _VERBS,
             "features": _FEATURES,
             "basis": basis,
+            "seen": _VERBS if seen is None else [verb for verb, is_it in zip(_VERBS, seen, strict=True) if is_it],
             "laws": values_of_world(policy.config),
             **facts_schema(facts),
         }
@@ -114,7 +116,11 @@ class LawsKind:
         if schema["basis"] == "rule":
             return RulePolicy(config, mending, grasp_of(single))
         excess = Excess(*(single[f"excess.{name}"] for name in _EXCESS)) if "excess.low" in arrays else None
-        return AssistedPolicy(config, mending, excess)
+        seen = names_in(schema, "seen", (str,))
+        if not set(seen) <= set(_VERBS):
+            raise PolicyError(f"seen is {list(seen)}; it lists verbs, {', '.join(_VERBS)}: learn the policy anew")
+        is_seen = None if set(seen) == set(_VERBS) else np.array([verb in seen for verb in _VERBS])
+        return AssistedPolicy(config, mending, excess, is_seen)
 
 
 def _wanted(arrays: Arrays, horizon: int, basis: str) -> dict[str, tuple[int, ...]]:

@@ -38,12 +38,14 @@ from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.laws.prices import paid_in
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
-from halfseen.world.actions import ActionSpace
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import Layout, TableState
 
 MODEL, RULE, LINEAR = "model", "rule", "linear"
+KNOWN = ("FINISH", "WASH", "LIFT")
+"""Verbs that laws say something of."""
 
 
 class Assisted(NamedTuple):
@@ -73,8 +75,8 @@ class TableLearner(CensoredQLearner):
 
     Attributes
     ----------
-    assisted_ : Assisted
-        The laws, what the log says of them, and what the policy is built on.
+    assisted_ : Assisted or None
+        The laws, what the log says of them, and what the policy is built on; None where a verb has been added.
     linear_policy_ : LinearTablePolicy
         What linear eq. 3 learns without laws.
     """
@@ -83,7 +85,7 @@ class TableLearner(CensoredQLearner):
     world: WorldConfig | None = None
     prior_law: WorldConfig | None = None
 
-    assisted_: Assisted = field(init=False)
+    assisted_: Assisted | None = field(init=False)
     linear_policy_: Any = field(init=False)
 
     @in_one_thread
@@ -97,11 +99,22 @@ class TableLearner(CensoredQLearner):
         """
         super().fit(logs, workers)
         self.linear_policy_ = self.policy_
+        unknown = [verb.name for verb in Verb if verb.name not in KNOWN]
+        if unknown:
+            why = f"no law says what comes of {', '.join(unknown)}, so Q is linear eq. 3 without laws"
+            self.assisted_, self.chosen_ = None, (*self.chosen_, why)
+            return self
         some = logs if isinstance(logs, Logs) else sample_of(logs, self.random_state)
-        self.assisted_ = assisted_by_laws(some, self.model_, self.policy_, self.world, self.prior_law)
-        self.policy_ = self.assisted_.policy
-        self.chosen_ = (*self.chosen_, *self.assisted_.sentences)
+        found = assisted_by_laws(some, self.model_, self.policy_, self.world, self.prior_law)
+        self.assisted_, self.policy_ = found, self._of_what_was_seen(found.policy)
+        self.chosen_ = (*self.chosen_, *found.sentences)
         return self
+
+    def _of_what_was_seen(self, policy: Policy) -> Policy:
+        """A verb that was never completed is never taken, whatever laws imply for it."""
+        assert self.model_.support is not None
+        seen = np.any(self.model_.support.is_seen(self.model_.stages), axis=0)
+        return replace(policy, is_seen=seen) if isinstance(policy, AssistedPolicy) and not seen.all() else policy
 
 
 def assisted_by_laws(

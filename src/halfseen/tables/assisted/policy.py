@@ -2,11 +2,13 @@
 
 from typing import ClassVar
 
+import numpy as np
+
 from halfseen.arrays import Array, library_of, record
 from halfseen.planners.belief import belief_of
 from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
 from halfseen.planners.one_step import laid_out, left_price, table_of
-from halfseen.shapes import Float
+from halfseen.shapes import Bool, Float
 from halfseen.tables.assisted.features import ahead_of
 from halfseen.tables.assisted.mending import Mending
 from halfseen.tables.assisted.synthetic import Excess
@@ -61,10 +63,13 @@ class AssistedPolicy(LawPolicy):
     config, mending
         As of `LawPolicy`.
     excess
-        E.
+        E; None for the look alone.
+    is_seen
+        Which verbs the log has seen completed, the others are never taken; None for all.
     """
 
     excess: Excess | None = None
+    is_seen: Bool[Array, " V"] | None = None
 
     @property
     def grasp(self) -> GraspModel:
@@ -76,7 +81,11 @@ class AssistedPolicy(LawPolicy):
         ahead = ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
         left = left_price(self.config, ahead.table)
         above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
-        return laid_out(left, left + above)
+        q = laid_out(left, left + above)
+        if self.is_seen is None:
+            return q
+        xp, verbs = library_of(q, self.is_seen), ActionSpace(state.num_objects).verbs
+        return xp.where(xp.asarray(self.is_seen)[verbs], q, np.float32(-np.inf))
 
 
 @record
