@@ -178,7 +178,7 @@ def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowId
 
 def _shown(
     logs: Logs, known: WorldConfig, held_path: RowIds, held_row: RowIds, shape: tuple[int, int]
-) -> Bool[np.ndarray, "2 n N"]:
+) -> Bool[np.ndarray, "2 paths N"]:
     """Which objects washing showed to be dirty, and which clean."""
     was = np.zeros((2, *shape), dtype=bool)
     is_wash = (logs.stages["action"] == Verb.WASH.name).to_numpy(dtype=bool)[held_row]

@@ -19,6 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Rows
+from halfseen.shapes import Float
 from halfseen.tables.laws.evidence import Labels
 from halfseen.world.seeing import KnownSeeing, label_evidence
 
@@ -62,7 +63,7 @@ def read_back(
     """
     from scipy.optimize import least_squares
 
-    def left(theta: Rows) -> Rows:
+    def left(theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
         moves = moved_by(law_of(theta), told)
         return np.concatenate([moves - told.moved, 1e-4 * (theta - centre)])
 

@@ -283,7 +283,7 @@ def _covered(share: Rows, views: Float[np.ndarray, " pieces"]) -> Float[np.ndarr
     return np.clip((share[:, None] - begins) / (views - begins), 0.0, 1.0)
 
 
-def masses(theta: Theta) -> Float[np.ndarray, "2 pieces+1"]:
+def masses(theta: Theta) -> Float[np.ndarray, "2 parts"]:
     """Probability that V lies in each piece, and that it is in none: of dirty objects, and of clean ones."""
     from scipy.special import log_expit
 
