@@ -81,4 +81,4 @@ def speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool
     """Whether labels reject a law, given its log-likelihood and the best of its family."""
     from scipy.special import chdtri
 
-    return 2.0 * (best - log_likelihood) > chdtri(num_numbers, LEVEL)
+    return bool(2.0 * (best - log_likelihood) > chdtri(num_numbers, LEVEL))
