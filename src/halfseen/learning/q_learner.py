@@ -34,14 +34,11 @@ from halfseen.learning.recursion import QFunctions
 from halfseen.learning.streaming import learned_from
 from halfseen.learning.support import unseen_in_words
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
-from halfseen.learning.task import AUTO, Task, assisted_learner, assisted_team_learner, named_task
+from halfseen.learning.task import AUTO, Task, learner_of, named_task
 from halfseen.logs import Logs, LogStream
 from halfseen.shapes import Float
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
-
-OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO}
-"""Parameters of eq. 3 without laws; where one is given, that is what is wanted of a table."""
 
 PESSIMISM = 2.0
 """Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
@@ -167,11 +164,8 @@ class CensoredQLearner(Estimator):
         ArgumentError
             `laws` is neither.
         """
-        if laws not in (AUTO, None):
-            raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None for eq. 3 without laws")
         task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
-        maker = assisted_learner() if laws is not None and _is_unsaid(parameters) else _without_laws(cls, parameters)
-        return maker(horizon, task, **parameters)
+        return learner_of("table", cls, laws, parameters)(horizon, task, **parameters)
 
     @classmethod
     def for_team(
@@ -206,16 +200,13 @@ class CensoredQLearner(Estimator):
         ArgumentError
             `num_robots` or `horizon` is below 1, or no whole number; `laws` is neither.
         """
-        if laws not in (AUTO, None):
-            raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None to learn without laws")
         if not is_count(num_robots):
             raise ArgumentError(f"num_robots is {num_robots!r}; a team has a whole number of robots, at least 1")
         if not is_count(horizon):
             raise ArgumentError(f"horizon is {horizon!r}; give the decisions of each robot, a whole number, at least 1")
         task = named_task("team", grasp=grasp, reduces_variance=reduces_variance, num_robots=num_robots, base=base)
-        is_auto = _is_auto(base) and laws is not None and _is_unsaid(parameters)
-        maker = assisted_team_learner() if is_auto else _without_laws(cls, parameters)
-        return maker(num_robots * horizon, task, **parameters)
+        learner = learner_of("team", cls, laws if _is_auto(base) else None, parameters)
+        return learner(num_robots * horizon, task, **parameters)
 
     @classmethod
     def of_paper(
@@ -344,19 +335,3 @@ class CensoredQLearner(Estimator):
 
 def _is_auto(value: Any) -> bool:
     return isinstance(value, str) and value == AUTO
-
-
-def _is_unsaid(parameters: Mapping[str, Any]) -> bool:
-    """Whether nothing is said of Q, its stages, λ or pessimism."""
-    return all(parameters.get(name, default) == default for name, default in OF_LINEAR.items())
-
-
-def _without_laws(learner: type, parameters: Mapping[str, Any]) -> type:
-    """The learner without laws, of which nothing can be said then."""
-    for name in ("prior_law", "world"):
-        if parameters.get(name) is not None:
-            raise ArgumentError(
-                f"{name} is given, but no law helps to learn where {', '.join(OF_LINEAR)} or laws=None are; leave one "
-                "of them out"
-            )
-    return learner

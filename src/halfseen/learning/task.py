@@ -4,7 +4,7 @@
 task of one's own needs the names below and nothing else.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, runtime_checkable
 
@@ -163,11 +163,43 @@ def named_task(name: str, **parameters: Any) -> Task:
     return getattr(import_module(module), attribute)(**parameters)
 
 
-def assisted_learner() -> type:
-    """The learner of tables that laws assist; it loads where it is asked for."""
-    return import_module("halfseen.tables.assisted.learner").TableLearner
+LAWS = {
+    "table": "halfseen.tables.assisted.learner:TableLearner",
+    "team": "halfseen.tables.assisted.team_learner:TeamLearner",
+}
+"""Learners that fit laws to the log, by the name of the task."""
+OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO}
+"""Parameters of eq. 3 without laws; where one is given, that is what is wanted."""
 
 
-def assisted_team_learner() -> type:
-    """The learner of teams that laws assist; it loads where it is asked for."""
-    return import_module("halfseen.tables.assisted.team_learner").TeamLearner
+def learner_of(name: str, plain: type, laws: str | None, parameters: Mapping[str, Any]) -> type:
+    """Choose who learns a task that has a name: with the help of laws, or by eq. 3 alone.
+
+    Parameters
+    ----------
+    name
+        Of the task.
+    plain
+        The learner without laws.
+    laws
+        ``"auto"`` or None.
+    parameters
+        Of the learner.
+
+    Raises
+    ------
+    ArgumentError
+        `laws` is neither, or something is said of laws where none help.
+    """
+    if laws not in (AUTO, None):
+        raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None for eq. 3 without laws")
+    if laws is not None and all(parameters.get(each, default) == default for each, default in OF_LINEAR.items()):
+        module, attribute = LAWS[name].split(":")
+        return getattr(import_module(module), attribute)
+    for said in ("prior_law", "world"):
+        if parameters.get(said) is not None:
+            raise ArgumentError(
+                f"{said} is given, but no law helps to learn where laws=None or one of {', '.join(OF_LINEAR)} is; "
+                "leave one of them out"
+            )
+    return plain

@@ -14,8 +14,9 @@ import pandas as pd
 from halfseen.errors import HalfseenError
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import PathArrays
-from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, layouts_of, rule_or_linear, weighed
+from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, rule_or_linear
 from halfseen.tables.assisted.policy import RulePolicy
+from halfseen.tables.assisted.weighted_log import layouts_of, weighed
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.choice import grasp_model_by
 from halfseen.tables.laws.evidence import Evidence, evidence_of
@@ -69,5 +70,5 @@ def helped(
             rule = replace(rule, grasp=grasp_model_by(BetaGrasp(), tried, world.horizon))
         return rule_or_linear(rule, *linear, states)
 
-    watched = weighed(linear.paths, states)
-    return assisted_by(evidence, watched, layouts_of(states), world, linear.model.random_state, without)
+    log = weighed(linear.paths, states)
+    return assisted_by(evidence, log, layouts_of(states), world, linear.model.random_state, without)

@@ -8,8 +8,8 @@ robots) → `explain` (why, and how sure it may be) → `present` (what is seen 
 
 Beside them, `laws`: a world whose laws were fitted to the same log, for planners that know no law; and `assisted`, the
 learner that starts from what these laws imply: `features` and `synthetic` (the look one step ahead, and what it
-misses), `mending` (log-odds made anew), `law_test` (do the laws foretell the log), `choice` (by what, if they do not),
-`policy`, `learner`.
+misses), `mending` (log-odds made anew), `policy`, `law_test` (does the log contradict the laws), `choice` (by which
+policy, if it does), `learner`.
 """
 
 from typing import TYPE_CHECKING

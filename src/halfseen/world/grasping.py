@@ -225,16 +225,18 @@ class FittedGrasping:
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
         """Log P(an attempt misses | occ, offset) = −log(1 + exp(a + b·occ + offset))."""
+        odds = self._odds(occluded, offset)
+        return -library_of(odds).log1p(odds)
+
+    def failure(self, occluded: Any, offset: Any) -> Any:
+        """P(an attempt misses | occ, offset), which takes less time than its logarithm."""
+        return np.float32(1.0) / (np.float32(1.0) + self._odds(occluded, offset))
+
+    def _odds(self, occluded: Any, offset: Any) -> Any:
         log_odds = self.log_odds + self.log_odds_per_occlusion * occluded
         xp = library_of(log_odds, offset)
         # A product, so that there is no exponential for every pair of occlusion and offset.
-        return -xp.log1p(xp.exp(log_odds) * xp.exp(offset))
-
-    def failure(self, occluded: Any, offset: Any) -> Any:
-        """P(an attempt misses | occ, offset); of a law that tells it, nothing takes the logarithm's exponential."""
-        log_odds = self.log_odds + self.log_odds_per_occlusion * occluded
-        xp = library_of(log_odds, offset)
-        return np.float32(1.0) / (np.float32(1.0) + xp.exp(log_odds) * xp.exp(offset))
+        return xp.exp(log_odds) * xp.exp(offset)
 
     def expected_s(self, occluded: Any, offset: Any) -> Any:
         """Mean duration over both results, each a lognormal time that is cut at the limit [s]."""

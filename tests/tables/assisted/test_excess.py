@@ -75,10 +75,8 @@ def test_excess_is_its_coefficients_times_the_features_within_the_range_that_was
             assert found[choice, lane] == pytest.approx(np.clip(value, -1.0, 2.0), abs=1e-4)
 
 
-@pytest.mark.parametrize("to_go", [2, 3])
-def test_what_is_missed_over_two_steps_is_what_rollouts_of_the_look_find(to_go):
-    """E_2 is exact after one step; with more steps to go, what E of the steps after adds is still missing."""
-    short = replace(FITTED, horizon=to_go)
+def test_what_is_missed_with_two_steps_to_go_is_what_rollouts_of_the_look_find():
+    short = replace(FITTED, horizon=2)
     state, _ = start(short, mapped(lambda leaf: leaf[0], LAYOUTS), random.key_of(5))
     worth = sampled_values(short, state, random.key_of(6), 3000)
     lanes = 6000
@@ -91,11 +89,7 @@ def test_what_is_missed_over_two_steps_is_what_rollouts_of_the_look_find(to_go):
         found = left_price(short, ahead.table) + ahead.one_step[choice] + rows.beyond
         expected, own = worth[:, 1 + choice], found.std() / np.sqrt(lanes)
         error = np.hypot(own, expected.std() / np.sqrt(len(expected)))
-        missing = found.mean() - expected.mean()
-        if to_go == 2:
-            assert missing == pytest.approx(0.0, abs=4.0 * error + 1e-4)
-        else:
-            assert missing == pytest.approx(0.0, abs=2.0)
+        assert found.mean() == pytest.approx(expected.mean(), abs=4.0 * error + 1e-4)
 
 
 def test_one_seed_gives_the_same_numbers_again_and_another_others():
@@ -121,7 +115,7 @@ def test_it_earns_more_than_the_look_alone(config):
         for policy in (AssistedPolicy(config, excess=excess), AssistedPolicy(config))
     )
     gain = with_excess - alone
-    assert gain.mean() > -2.0 * gain.std() / np.sqrt(len(gain))
+    assert gain.mean() > 2.0 * gain.std() / np.sqrt(len(gain))
 
 
 def test_where_all_tables_are_soon_cleared_nothing_is_missed_at_steps_that_none_reaches():

@@ -11,6 +11,7 @@ from halfseen.arrays import expit
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.rows import stage_places
+from halfseen.logs import Logs
 from halfseen.tables import TableLearner
 from halfseen.tables.assisted import learner as learning
 from halfseen.tables.assisted.mending import mending_of
@@ -18,9 +19,9 @@ from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
 from halfseen.tables.encoding import states_alone
 from halfseen.tables.laws import fitted_laws
 from halfseen.tables.laws.evidence import evidence_of
-from halfseen.tables.laws.prices import paid_in
+from halfseen.tables.laws.prices import dirty_and_clean, paid_in, price_of_each
 from halfseen.tables.policy import LinearTablePolicy
-from halfseen.world import AssumedGrasping, AssumedSeeing, TableWorld, UniformPolicy, WorldConfig
+from halfseen.world import AssumedGrasping, AssumedSeeing, WorldConfig
 from halfseen.world.random import key_of
 from halfseen.world.rollout import evaluate
 from halfseen.world.state import pad_scenes
@@ -49,12 +50,43 @@ def test_prices_and_times_are_read_off_the_log(config):
     assert found.grasping.limit_s == pytest.approx(config.grasping.limit_s, rel=0.05)
 
 
-def test_what_a_log_does_not_tell_is_as_the_world_has_it():
-    logs = TableWorld().simulate(SCENES, UniformPolicy(), 2, seed=0)
-    stages = logs.stages[logs.stages["action"] == "FINISH"].iloc[:0]
-    assert len(stages) == 0
-    found = paid_in(logs, HORIZON, left_in(logs))
-    assert np.isfinite([getattr(found, name) for name in PRICES]).all()
+@pytest.mark.parametrize(
+    ("paid", "expected"),
+    [
+        ([], {}),
+        ([5.0] * 3, {"reward_wash_dirty": 5.0}),
+        ([-10.0] * 3, {"reward_wash_clean": -10.0}),
+        ([2.0] * 30, {"reward_wash_dirty": 2.0, "reward_wash_clean": 2.0}),
+        ([5.1, 4.9, -9.0, -10.0, -11.0], {"reward_wash_dirty": 5.0, "reward_wash_clean": -10.0}),
+    ],
+)
+def test_the_dirty_are_told_from_the_clean_by_what_they_pay(paid, expected):
+    assert dirty_and_clean(np.array(paid)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("paid", "left", "expected"),
+    [
+        ([-5.0, -10.0, 0.0], [1.2, 1.9, 0.3], -5.0),
+        ([-10.0, -20.0, -10.0], [1.8, 4.1, 2.2], -5.0),
+        ([-4.6, -11.0, -0.2], [1.0, 2.2, 0.1], -4.928),
+        ([0.0, 0.0], [4.0, 3.0], 0.0),
+        ([0.0, 0.0], [0.2, 0.3], None),
+        ([], [], None),
+    ],
+)
+def test_the_price_of_what_is_left_is_that_of_one(paid, left, expected):
+    found = price_of_each(np.array(paid), np.array(left))
+    assert found == (expected if expected is None else pytest.approx(expected, abs=1e-2))
+
+
+def test_a_log_that_does_not_tell_what_became_of_attempts_is_learned_without_laws():
+    logs = logs_of(30)
+    untold = Logs(logs.stages, logs.paths, logs.objects.drop(columns=["successes"]))
+    learner = CensoredQLearner.for_table(HORIZON).fit(untold)
+    assert learner.assisted_ is None
+    assert isinstance(learner.policy_, LinearTablePolicy)
+    assert "Q is linear eq. 3 without laws: objects: there is no column 'successes'" in learner.chosen_[-1]
 
 
 def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
@@ -94,7 +126,7 @@ def test_few_logs_learn_more_than_linear_eq_3_does():
         ({"grasping": AssumedGrasping(offset_std=0.2, log_time=3.0, log_time_per_occlusion=0.0, limit_s=8.0)}, 200),
     ],
 )
-def test_where_laws_do_not_foretell_the_log_it_builds_on_a_rule_or_on_linear_eq_3(monkeypatch, wrong, num):
+def test_where_the_log_contradicts_the_laws_it_builds_on_a_rule_or_on_linear_eq_3(monkeypatch, wrong, num):
     def forced(*given):
         found = fitted_laws(*given)
         return found._replace(config=replace(found.config, **wrong))
@@ -105,7 +137,7 @@ def test_where_laws_do_not_foretell_the_log_it_builds_on_a_rule_or_on_linear_eq_
     assert learner.assisted_.basis in ("rule", "linear")
     kind = RulePolicy if learner.assisted_.basis == "rule" else LinearTablePolicy
     assert isinstance(learner.policy_, kind)
-    assert any("do not foretell the log" in sentence for sentence in learner.chosen_)
+    assert any("the log contradicts the laws" in sentence for sentence in learner.chosen_)
 
 
 def test_log_odds_are_made_anew_as_the_labels_say_them():

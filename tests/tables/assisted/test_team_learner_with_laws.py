@@ -15,8 +15,9 @@ from halfseen.planners.rules import ReservingPolicy
 from halfseen.tables.assisted import team_learner as learning
 from halfseen.tables.assisted import team_synthetic as synthetic
 from halfseen.tables.assisted.team_features import NUM_TEAM_FEATURES, team_described
-from halfseen.tables.assisted.team_learner import TeamLearner, layouts_of, team_laws
+from halfseen.tables.assisted.team_learner import TeamLearner, team_laws
 from halfseen.tables.assisted.team_policy import AssistedTeamPolicy, TeamExcess
+from halfseen.tables.assisted.weighted_log import layouts_of
 from halfseen.tables.encoding import team_states
 from halfseen.tables.laws.team_evidence import brought_by, is_plain_look, shown_by_washing
 from halfseen.tables.laws.team_prices import paid_in_team
@@ -121,7 +122,7 @@ def test_a_learned_policy_follows_the_myopic_look_and_what_it_misses(logs, monke
     assert learner.assisted_.basis == learning.MODEL
     assert learner.policy_.num_robots == 2
     assert not learner.assisted_.test.is_rejected
-    assert any("the laws foretell the log" in said for said in learner.chosen_)
+    assert any("the log does not contradict the laws" in said for said in learner.chosen_)
     states = team_states(logs, 2 * HORIZON)
     q = learner.policy_.q_values(states)
     is_stage = states.is_on_table.any(axis=-1)
@@ -136,12 +137,12 @@ def test_log_odds_that_are_too_sure_of_themselves_are_not_relied_upon(logs):
     learner = CensoredQLearner.for_team(2, HORIZON).fit(wrong)
     assert learner.assisted_.basis == learning.WITHOUT_LAWS
     assert learner.policy_ is learner.linear_policy_
-    assert any("the laws do not foretell the log" in said for said in learner.chosen_)
+    assert any("the log contradicts the laws" in said for said in learner.chosen_)
 
 
 def test_a_second_that_costs_nothing_is_counted_all_the_same(world):
-    assert synthetic.hurried(world.played_config, 0.2).reward_per_s == -0.05
-    assert synthetic.hurried(replace(world.played_config, reward_per_s=0.0), 0.02).reward_per_s == -0.02
+    assert synthetic.counting_time(world.played_config, 0.2).reward_per_s == -0.05
+    assert synthetic.counting_time(replace(world.played_config, reward_per_s=0.0), 0.02).reward_per_s == -0.02
 
 
 def test_e_is_cautious_of_all_but_the_myopic_action_and_makes_no_more_of_waiting(states, world):

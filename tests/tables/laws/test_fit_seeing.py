@@ -10,6 +10,7 @@ from simulated_tables import CALIBRATED, SEEING, evidence
 
 from fitted_laws import FITTED
 from halfseen.tables.laws.evidence import Labels, of_first
+from halfseen.tables.laws.recorder import seeing_of
 from halfseen.tables.laws.seeing import (
     INDEPENDENT_PRIOR,
     Independent,
@@ -17,7 +18,6 @@ from halfseen.tables.laws.seeing import (
     facing_of,
     masses,
     persistent_prior,
-    seeing_of,
     views_of,
 )
 from halfseen.world import PersistentSeeing, WorldConfig

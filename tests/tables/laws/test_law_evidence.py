@@ -10,7 +10,7 @@ from fitted_laws import FITTED
 from halfseen.logs import Logs
 from halfseen.tables.laws.evidence import evidence_of
 from halfseen.tables.laws.grasping import choose_grasping
-from halfseen.tables.laws.seeing import seeing_of
+from halfseen.tables.laws.recorder import seeing_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, FittedGrasping, PersistentSeeing, WorldConfig
 
 GRIP = [0.5, -0.5, 0.0, 1.0, -1.0]

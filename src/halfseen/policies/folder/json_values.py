@@ -56,3 +56,19 @@ def plain(value: Any) -> Any:
     if isinstance(value, (Sequence, np.ndarray)):
         return [plain(entry) for entry in value]
     return repr(value)
+
+
+def check_features(record: Mapping[str, Any], features: Mapping[str, Any], verbs: Sequence[str]) -> None:
+    """Refuse a policy that looks at other features, or knows other verbs, than this halfseen.
+
+    Raises
+    ------
+    PolicyError
+        As above.
+    """
+    found = record["schema"].get("features")
+    if found != features or record["schema"].get("actions") != verbs:
+        raise PolicyError(
+            f"the policy looks at features {found}, and this halfseen knows {features}; use the halfseen that "
+            f"wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
+        )

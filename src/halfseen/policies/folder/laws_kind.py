@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP, Arrays, check_shapes, sizes_of
-from halfseen.policies.folder.json_values import horizon_of, names_in, typed
+from halfseen.policies.folder.json_values import check_features, horizon_of, names_in, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_kind import TableFacts, check_facts, counts_views, facts_schema, least_rewards
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of
@@ -92,11 +92,7 @@ class LawsKind:
             Its features are not those of this halfseen, its laws are none, or arrays do not fit.
         """
         schema, horizon = record["schema"], horizon_of(record)
-        if schema.get("features") != _FEATURES or schema.get("actions") != _VERBS:
-            raise PolicyError(
-                f"the policy looks at features {schema.get('features')}, and this halfseen knows {_FEATURES}; use the "
-                f"halfseen that wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
-            )
+        check_features(record, _FEATURES, _VERBS)
         if schema.get("basis") not in list(_BASES):
             raise PolicyError(f"basis is {schema.get('basis')!r}; it is {' or '.join(_BASES)}: learn the policy anew")
         check_facts(record)

@@ -17,7 +17,7 @@ from halfseen.policies.folder.arrays import (
     kernel_map_of,
     policy_arrays,
 )
-from halfseen.policies.folder.json_values import horizon_of, typed
+from halfseen.policies.folder.json_values import check_features, horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of, is_seen_of, seen_verbs
 from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
@@ -104,7 +104,7 @@ def policy_in(record: Mapping[str, Any], arrays: Arrays) -> LinearTablePolicy:
     PolicyError
         Its features are not those of this halfseen, or arrays do not fit.
     """
-    _check_features(record)
+    check_features(record, _FEATURES, _VERBS)
     check_arrays(arrays, Shape(horizon_of(record), len(Verb), NUM_FEATURES, np.float32), may_grasp=True)
     single: Any = dict(arrays)
     grasp, kernel_map, margin = grasp_of(single), kernel_map_of(single), single.get(MARGIN)
@@ -130,16 +130,6 @@ def least_rewards(logs: Logs) -> dict[str, float]:
 def counts_views(logs: Logs) -> bool:
     """Whether the recorder counted how much of an object has been in view, so that a second look may be no news."""
     return logs.objects is not None and "seen" in logs.objects.columns and bool((logs.objects["seen"] > 0.0).any())
-
-
-def _check_features(record: Mapping[str, Any]) -> None:
-    schema = record["schema"]
-    features = schema.get("features")
-    if features != _FEATURES or schema.get("actions") != _VERBS:
-        raise PolicyError(
-            f"the policy looks at features {features}, and this halfseen knows {_FEATURES}; use the halfseen that "
-            f"wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
-        )
 
 
 def check_facts(record: Mapping[str, Any]) -> None:

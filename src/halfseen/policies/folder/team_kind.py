@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder.arrays import Arrays, Shape, check_arrays, kernel_map_of, policy_arrays
-from halfseen.policies.folder.json_values import horizon_of, typed
+from halfseen.policies.folder.json_values import check_features, horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_parts import is_seen_of, seen_verbs
 from halfseen.policies.folder.team_base import base_arrays, base_of, base_schema, split_arrays
@@ -121,13 +121,8 @@ def _check_caution(caution: np.ndarray | None) -> None:
 
 
 def _check_schema(record: Mapping[str, Any]) -> None:
+    check_features(record, _FEATURES, _VERBS)
     schema = record["schema"]
-    features = schema.get("features")
-    if features != _FEATURES or schema.get("actions") != _VERBS:
-        raise PolicyError(
-            f"the policy looks at features {features}, and this halfseen knows {_FEATURES}; use the halfseen that "
-            f"wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
-        )
     num_robots, horizon = typed(schema, "num_robots", int, "a whole number"), horizon_of(record)
     if num_robots < 1 or horizon % num_robots:
         raise PolicyError(

@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.arrays import Arrays, check_shapes
-from halfseen.policies.folder.json_values import horizon_of, typed
+from halfseen.policies.folder.json_values import check_features, horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.world_values import values_of_world, world_of_values
 from halfseen.tables.assisted.team_features import NUM_TEAM_FEATURES, TEAM_FEATURES_VERSION
@@ -70,11 +70,7 @@ class TeamLawsKind:
             Its features are not those of this halfseen, its laws are none, or arrays do not fit.
         """
         schema, horizon = record["schema"], horizon_of(record)
-        if schema.get("features") != _FEATURES or schema.get("actions") != _VERBS:
-            raise PolicyError(
-                f"the policy looks at features {schema.get('features')}, and this halfseen knows {_FEATURES}; use the "
-                f"halfseen that wrote it ({record['versions'].get('halfseen')}), or learn the policy anew"
-            )
+        check_features(record, _FEATURES, _VERBS)
         if schema.get("basis") != "model":
             raise PolicyError(f"basis is {schema.get('basis')!r}; it is model: learn the policy anew")
         config = world_of_values(typed(schema, "laws", dict, "the laws"))

@@ -1,4 +1,4 @@
-"""Which of two policies a log speaks for, where laws do not foretell it: fitted Q evaluation, and a lower bound.
+"""Which of two policies a log speaks for, where it contradicts the laws: fitted Q evaluation, and a lower bound.
 
 Q of each policy is fitted by eq. 3 with its own action in place of the best one, in the linear class without laws, to
 all trajectories and to all but each of some groups; the delete-a-group jackknife tells the standard error of the

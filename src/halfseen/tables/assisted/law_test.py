@@ -1,4 +1,4 @@
-"""Do fitted laws foretell what the log shows? By the residuals of eq. 3 on the weighted log.
+"""Does a log contradict the laws that were fitted to it? By the residuals of eq. 3 on the weighted log.
 
 Under the true laws Q°(S, A) = E[R + V°(S') | S, A] (`halfseen.planners.one_step`), so that with w = δ / Ĝ(U⁻)
 
@@ -17,8 +17,9 @@ import numpy as np
 from halfseen.arrays import mapped
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import left_price, table_of
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Float, Int
 from halfseen.tables.assisted.features import Ahead, ahead_of
+from halfseen.tables.assisted.weighted_log import WeightedLog
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.state import TableState, attempt_counts
@@ -26,19 +27,6 @@ from halfseen.world.state import TableState, attempt_counts
 LEVEL = 0.02
 """Probability with which right laws are taken for wrong ones, at most; of n trajectories at most 1/n, as wrong laws
 show the better, the longer the log."""
-
-
-class Watched(NamedTuple):
-    """A log of tables, as far as it was seen."""
-
-    states: TableState
-    """Axes (n, T)."""
-    action: Int[np.ndarray, "n T"]
-    reward: Float[np.ndarray, "n T"]
-    weight: Float[np.ndarray, "n T"]
-    """δ / Ĝ(U⁻)."""
-    is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which the trajectory had come to its own end."""
 
 
 class Residuals(NamedTuple):
@@ -65,11 +53,18 @@ class LawTest(NamedTuple):
 
     @property
     def is_rejected(self) -> bool:
-        """Whether the laws foretell the log worse than chance allows."""
+        """Whether the log contradicts the laws."""
         return self.p_value < self.level
 
+    @property
+    def sentence(self) -> str:
+        """What was found."""
+        z = ", ".join(f"{name} {of:+.1f}" for name, of in self.z.items())
+        found = "contradicts" if self.is_rejected else "does not contradict"
+        return f"the log {found} the laws (p = {self.p_value:.2g}; mean residuals in standard errors: {z})"
 
-def residuals_of(config: WorldConfig, log: Watched) -> Residuals:
+
+def residuals_of(config: WorldConfig, log: WeightedLog) -> Residuals:
     """Compute the residuals under some laws."""
     at = np.nonzero(log.weight > 0.0)
     after = at[0], np.minimum(at[1] + 1, log.weight.shape[1] - 1)

@@ -2,7 +2,7 @@
 
 1. *Laws*, fitted to the log under censoring (`halfseen.tables.laws`).
 2. *Q_h = Q_1 + E_h*: the look one step ahead under them, in closed form, and what it misses (`synthetic`).
-3. *Do the laws foretell the log?* Tested by the weighted residuals of eq. 3 (`law_test`). Where they do not, the policy
+3. *Does the log contradict the laws?* Tested by the weighted residuals of eq. 3 (`law_test`). Where it does, the policy
    is the rule of thumb that relies on them least, or linear eq. 3 where the log clearly speaks for it (`choice`).
 """
 
@@ -14,23 +14,22 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.arrays import expit
-from halfseen.errors import HalfseenError, PositivityError
+from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
-from halfseen.learning.rows import PathArrays, path_arrays, stage_places
+from halfseen.learning.rows import PathArrays, stage_places
 from halfseen.learning.streaming import sample_of
-from halfseen.learning.targets import Weighted
-from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
 from halfseen.planners.belief import known_seeing
 from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
 from halfseen.tables.assisted.explain import laws_in_words
-from halfseen.tables.assisted.law_test import LawTest, Watched, hotelling_test, residuals_of
-from halfseen.tables.assisted.mending import Mending, mending_of
+from halfseen.tables.assisted.law_test import LawTest, hotelling_test, residuals_of
+from halfseen.tables.assisted.mending import mending_of
 from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
 from halfseen.tables.assisted.synthetic import fitted_excess
-from halfseen.tables.encoding import logged_actions, states_alone
+from halfseen.tables.assisted.weighted_log import WeightedLog, layouts_of, weighted_log
+from halfseen.tables.encoding import states_alone
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
 from halfseen.tables.grasp.choice import grasp_model_of
 from halfseen.tables.laws import FittedLaws, fitted_laws
@@ -38,7 +37,7 @@ from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.laws.prices import paid_in
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
-from halfseen.world.actions import ActionSpace, Verb
+from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.state import Layout, TableState
@@ -66,8 +65,8 @@ class TableLearner(CensoredQLearner):
     Parameters
     ----------
     horizon, actions, covariates, q_function, censoring, stages, reg, pessimism, random_state
-        As of `CensoredQLearner`: linear eq. 3 without laws, which is learned beside, and decides where the laws do not
-        foretell the log and the log speaks for it.
+        As of `CensoredQLearner`: linear eq. 3 without laws, which is learned beside, and decides where the log
+        contradicts the laws and speaks for it.
     world
         What is known of prices and times; None to read them off the log. Its laws are not looked at.
     prior_law
@@ -76,7 +75,7 @@ class TableLearner(CensoredQLearner):
     Attributes
     ----------
     assisted_ : Assisted or None
-        The laws, what the log says of them, and what the policy is built on; None where a verb has been added.
+        The laws, what the log says of them, and what the policy is built on; None where none can be fitted.
     linear_policy_ : LinearTablePolicy
         What linear eq. 3 learns without laws.
     """
@@ -99,13 +98,12 @@ class TableLearner(CensoredQLearner):
         """
         super().fit(logs, workers)
         self.linear_policy_ = self.policy_
-        unknown = [verb.name for verb in Verb if verb.name not in KNOWN]
-        if unknown:
-            why = f"no law says what comes of {', '.join(unknown)}, so Q is linear eq. 3 without laws"
-            self.assisted_, self.chosen_ = None, (*self.chosen_, why)
-            return self
         some = logs if isinstance(logs, Logs) else sample_of(logs, self.random_state)
-        found = assisted_by_laws(some, self.model_, self.policy_, self.world, self.prior_law)
+        try:
+            found = assisted_by_laws(some, self.model_, self.policy_, self.world, self.prior_law)
+        except HalfseenError as error:
+            self.assisted_, self.chosen_ = None, (*self.chosen_, f"Q is linear eq. 3 without laws: {error}")
+            return self
         self.assisted_, self.policy_ = found, self._of_what_was_seen(found.policy)
         self.chosen_ = (*self.chosen_, *found.sentences)
         return self
@@ -139,9 +137,14 @@ def assisted_by_laws(
 
     Raises
     ------
+    ArgumentError
+        There is a verb of which no law says what comes of it.
     LogError
-        The log breaks a rule of tables.
+        The log breaks a rule of tables, or does not tell what became of its attempts.
     """
+    unknown = [verb.name for verb in Verb if verb.name not in KNOWN]
+    if unknown:
+        raise ArgumentError(f"no law says what comes of {', '.join(unknown)}")
     states = states_alone(logs, model.horizon)
     known = paid_in(logs, model.horizon, _left(logs, states)) if known is None else known
 
@@ -150,14 +153,13 @@ def assisted_by_laws(
             rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
         return rule_or_linear(rule, linear, model, model.lay_out(logs), states)
 
-    watched, why_not = watched_in(logs, states)
-    found = str(why_not) if watched is None else watched
-    return assisted_by(evidence_of(logs, known), found, layouts_of(states), known, model.random_state, without, prior)
+    evidence, log = evidence_of(logs, known), weighted_log(logs, states)
+    return assisted_by(evidence, log, layouts_of(states), known, model.random_state, without, prior)
 
 
 def assisted_by(
     evidence: Evidence,
-    watched: Watched | str,
+    log: WeightedLog | str,
     layouts: Layout,
     known: WorldConfig,
     seed: int,
@@ -170,8 +172,8 @@ def assisted_by(
     ----------
     evidence
         What it tells.
-    watched
-        The log on which laws are tested, as `weighed` says.
+    log
+        On which the laws are tested; or why they cannot be.
     layouts
         Tables that its trajectories began with.
     known, prior
@@ -179,26 +181,22 @@ def assisted_by(
     seed
         Of the synthetic trajectories.
     without
-        Chooses what the policy is where the laws do not foretell the log; it is given the rule of thumb.
+        Chooses what the policy is where the log contradicts the laws; it is given the rule of thumb.
     """
     laws = fitted_laws(evidence, known, prior)
     mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
     told: tuple[str, ...] = (laws.sentence, laws_in_words(laws, evidence.tried))
-    if isinstance(watched, str):
-        test, told = LawTest(0.0, 1.0, {}), (*told, watched)
+    if isinstance(log, str):
+        test, said = LawTest(0.0, 1.0, {}), log
     else:
-        states = watched.states if mending is None else mending(watched.states)
-        test = hotelling_test(residuals_of(laws.config, watched._replace(states=states)), len(watched.weight))
+        states = log.states if mending is None else mending(log.states)
+        test = hotelling_test(residuals_of(laws.config, log._replace(states=states)), len(log.weight))
+        said = test.sentence
     if not test.is_rejected:
         excess = fitted_excess(laws.config, layouts, seed)
-        return Assisted(AssistedPolicy(laws.config, mending, excess), MODEL, laws, test, (*told, _foretold(test)))
+        return Assisted(AssistedPolicy(laws.config, mending, excess), MODEL, laws, test, (*told, said))
     policy, basis, why = without(RulePolicy(laws.config, mending))
-    return Assisted(policy, basis, laws, test, (*told, _foretold(test), why))
-
-
-def layouts_of(states: TableState) -> Layout:
-    """Tables that trajectories began with, of states with axes (n, T)."""
-    return Layout(*(leaf[:, 0] for leaf in (states.hides, states.is_object, states.grip)))
+    return Assisted(policy, basis, laws, test, (*told, said, why))
 
 
 def _left(logs: Logs, states: TableState) -> Float[np.ndarray, " rows"]:
@@ -207,28 +205,8 @@ def _left(logs: Logs, states: TableState) -> Float[np.ndarray, " rows"]:
     return is_dirty.sum(axis=-1)[stage_places(logs)]
 
 
-def watched_in(logs: Logs, states: TableState, mending: Mending | None = None) -> tuple[Watched | None, str | None]:
-    """The log with its weights; or why there are none."""
-    action = logged_actions(logs, states.horizon, states.num_objects)
-    num_actions = ActionSpace(states.num_objects).num_actions
-    nothing = Encoded(np.zeros((*action.shape, 1, 0)), np.ones((*action.shape, num_actions), dtype=bool), action)
-    states = states if mending is None else mending(states)
-    found = weighed(path_arrays(logs, nothing, None), states)
-    return (None, found) if isinstance(found, str) else (found, None)
-
-
-def weighed(paths: PathArrays, states: TableState) -> Watched | str:
-    """A log with its weights; or a sentence on why there are none."""
-    try:
-        weighted = Weighted()
-        weight = weighted.weights(paths, weighted.fit_cuts(paths.clocks))
-    except PositivityError as error:
-        return f"the laws are not tested on the log: {error}"
-    return Watched(states, paths.action, paths.reward, weight, paths.is_last)
-
-
 class Chosen(NamedTuple):
-    """What the policy is where laws do not foretell the log, what it is built on, and a sentence on why."""
+    """What the policy is where the log contradicts the laws, what it is built on, and a sentence on why."""
 
     policy: Policy
     basis: str
@@ -256,13 +234,3 @@ def rule_or_linear(rule: RulePolicy, linear: Policy, model: QModel, paths: PathA
         f"(it is worth {gain:.2g} more, perhaps {low:.2g})"
     )
     return Chosen(rule, RULE, why)
-
-
-def _foretold(test: LawTest) -> str:
-    said = ", ".join(f"{verb} {z:+.1f}" for verb, z in test.z.items())
-    if not test.is_rejected:
-        return (
-            f"the laws foretell the log (p = {test.p_value:.2g}; residuals in standard errors: {said}), so Q is what "
-            "they imply"
-        )
-    return f"the laws do not foretell the log (p = {test.p_value:.2g}; residuals in standard errors: {said})"

@@ -90,7 +90,7 @@ class AssistedPolicy(LawPolicy):
 
 @record
 class RulePolicy(LawPolicy):
-    """The rule of thumb that counts history and penalty: where laws do not foretell the log, it relies on them least.
+    """The rule of thumb that counts history and penalty: where the log contradicts the laws, it relies on them least.
 
     Parameters
     ----------

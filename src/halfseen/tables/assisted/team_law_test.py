@@ -1,4 +1,4 @@
-"""Do fitted laws foretell the log of a team? By what ended in each stage, on the weighted log.
+"""Does the log of a team contradict the laws that were fitted to it? By what ended in each stage, on the weighted log.
 
 The value that a team's myopic look puts on what follows is no exact expectation, so that R + V(S') − Q(S, A) does not
 have mean 0 under true laws, as it has for one robot (`law_test`). What laws say of a single step is exact:

@@ -2,38 +2,33 @@
 
 1. *Laws and prices*, read off the log under censoring (`halfseen.tables.laws`).
 2. *Q = Q of the myopic look + E*: under them, and what it misses (`team_synthetic`).
-3. *Do the laws foretell the log?* Tested by what ended in each stage (`team_law_test`). Where they do not, the policy
+3. *Does the log contradict the laws?* Tested by what ended in each stage (`team_law_test`). Where it does, the policy
    is what a team learns without laws: each alone, and one Q for the team upon it.
 """
 
 from dataclasses import KW_ONLY, dataclass, field, replace
 from typing import Any, NamedTuple
 
-import numpy as np
-
-from halfseen.errors import PositivityError
+from halfseen.errors import HalfseenError
 from halfseen.learning.q_learner import CensoredQLearner
-from halfseen.learning.rows import path_arrays
 from halfseen.learning.streaming import sample_of
-from halfseen.learning.targets import Weighted
-from halfseen.learning.task import Encoded
 from halfseen.logs import Logs, LogStream
-from halfseen.shapes import Float
 from halfseen.tables.assisted.law_test import LawTest
 from halfseen.tables.assisted.team_law_test import tested_on_team
 from halfseen.tables.assisted.team_policy import AssistedTeamPolicy
-from halfseen.tables.assisted.team_synthetic import fitted_team_excess, hurried
-from halfseen.tables.encoding import logged_actions, team_states
+from halfseen.tables.assisted.team_synthetic import counting_time, fitted_team_excess
+from halfseen.tables.assisted.weighted_log import layouts_of, weighted_log
+from halfseen.tables.encoding import team_states
 from halfseen.tables.laws import fitted_laws
 from halfseen.tables.laws.evidence import evidence_of
-from halfseen.tables.laws.seeing import seeing_of
+from halfseen.tables.laws.recorder import seeing_of
 from halfseen.tables.laws.team_evidence import brought_by
 from halfseen.tables.laws.team_prices import paid_in_team
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
-from halfseen.world.state import Layout, TableState
+from halfseen.world.state import TableState
 
 MODEL, WITHOUT_LAWS = "model", "without laws"
 
@@ -62,8 +57,8 @@ class TeamLearner(CensoredQLearner):
     Parameters
     ----------
     horizon, actions, covariates, q_function, censoring, stages, reg, pessimism, random_state
-        As of `CensoredQLearner`: what a team learns without laws, which is learned beside, and decides where the laws
-        do not foretell the log.
+        As of `CensoredQLearner`: what a team learns without laws, which is learned beside, and decides where the log
+        contradicts the laws.
     world
         What is known of the team, its prices and times; None to read them off the log. Its laws are not looked at.
     prior_law
@@ -73,8 +68,8 @@ class TeamLearner(CensoredQLearner):
 
     Attributes
     ----------
-    assisted_ : AssistedTeam
-        The laws, what the log says of them, and what the policy is built on.
+    assisted_ : AssistedTeam or None
+        The laws, what the log says of them, and what the policy is built on; None where none can be fitted.
     linear_policy_ : LinearTeamPolicy
         What is learned without laws.
     """
@@ -84,7 +79,7 @@ class TeamLearner(CensoredQLearner):
     prior_law: WorldConfig | None = None
     unpriced_per_robot_s: float | int = UNPRICED_PER_ROBOT_S
 
-    assisted_: AssistedTeam = field(init=False)
+    assisted_: AssistedTeam | None = field(init=False)
     linear_policy_: Any = field(init=False)
 
     @in_one_thread
@@ -99,23 +94,30 @@ class TeamLearner(CensoredQLearner):
         super().fit(logs, workers)
         self.linear_policy_ = self.policy_
         some = logs if isinstance(logs, Logs) else sample_of(logs, self.random_state)
-        self.assisted_ = self._assisted(some)
-        self.policy_ = self.assisted_.policy
-        self.chosen_ = (*self.chosen_, *self.assisted_.sentences)
+        try:
+            found = self._assisted(some)
+        except HalfseenError as error:
+            self.assisted_, self.chosen_ = None, (*self.chosen_, f"Q is learned without laws: {error}")
+            return self
+        self.assisted_, self.policy_ = found, found.policy
+        self.chosen_ = (*self.chosen_, *found.sentences)
         return self
 
     def _assisted(self, logs: Logs) -> AssistedTeam:
         states = team_states(logs, self.horizon)
         config, told = team_laws(logs, states, self.world, self.prior_law)
-        weight, why_not = _weights(logs, states)
-        test = LawTest(0.0, 1.0, {})
-        if weight is not None:
-            test = tested_on_team(config, logs, states, brought_by(logs, states), weight)
-        sentences = (told, *([] if why_not is None else [why_not]), _foretold(test))
+        log = weighted_log(logs, states, is_team=True)
+        if isinstance(log, str):
+            test, said = LawTest(0.0, 1.0, {}), log
+        else:
+            test = tested_on_team(config, logs, states, brought_by(logs, states), log.weight)
+            said = test.sentence
         if test.is_rejected:
-            return AssistedTeam(self.linear_policy_, WITHOUT_LAWS, config, test, sentences)
+            why = f"{said}, so the policy is what is learned without them"
+            return AssistedTeam(self.linear_policy_, WITHOUT_LAWS, config, test, (told, why))
         num_sharing = config.num_robots if config.num_robots > 1 else 0
-        counted = hurried(config, num_sharing * float(self.unpriced_per_robot_s))
+        counted = counting_time(config, num_sharing * float(self.unpriced_per_robot_s))
+        sentences = (told, said, *_counted_in_words(config, counted))
         excess = fitted_team_excess(counted, layouts_of(states), self.random_state)
         return AssistedTeam(AssistedTeamPolicy(counted, excess), MODEL, config, test, sentences)
 
@@ -139,30 +141,11 @@ def team_laws(
     return replace(laws.config, seeing=recorder), "the law of seeing is the one that made the log’s own log-odds"
 
 
-def layouts_of(states: TableState) -> Layout:
-    """The tables with which trajectories begin."""
-    first = (states.hides, states.is_object, states.grip)
-    workspace = states.workspace
-    assert workspace is not None
-    begun = type(workspace)(workspace.is_in_reach[:, 0], workspace.is_near[:, 0])
-    return Layout(*(leaf[:, 0] for leaf in first), workspace=begun)
-
-
-def _weights(logs: Logs, states: TableState) -> tuple[Float[np.ndarray, "n T"] | None, str | None]:
-    """δ / Ĝ(U⁻) of each stage; or why there are none."""
-    shape = states.steps_to_go.shape
-    action = logged_actions(logs, shape[1], states.num_objects, is_team=True)
-    nothing = Encoded(np.zeros((*shape, 1, 0)), np.ones((*shape, int(action.max()) + 1), dtype=bool), action)
-    paths, weighted = path_arrays(logs, nothing, None), Weighted()
-    try:
-        return weighted.weights(paths, weighted.fit_cuts(paths.clocks)), None
-    except PositivityError as error:
-        return None, f"the laws are not tested on the log: {error}"
-
-
-def _foretold(test: LawTest) -> str:
-    said = ", ".join(f"{name} {z:+.1f}" for name, z in test.z.items())
-    numbers = f"(p = {test.p_value:.2g}; residuals in standard errors: {said})"
-    if test.is_rejected:
-        return f"the laws do not foretell the log {numbers}, so the policy is what is learned without them"
-    return f"the laws foretell the log {numbers}, so Q is what they imply"
+def _counted_in_words(paid: WorldConfig, counted: WorldConfig) -> tuple[str, ...]:
+    """Say so where seconds are counted that the log does not pay for."""
+    if paid.reward_per_s == counted.reward_per_s:
+        return ()
+    return (
+        f"the log pays nothing for time; a second is counted {-float(counted.reward_per_s):.3g}, so that robots do not "
+        "wait for what hardly pays (unpriced_per_robot_s=0 counts none)",
+    )

@@ -157,6 +157,6 @@ def _regressed(features: Float[np.ndarray, "R F"], target: Float[np.ndarray, " R
     return np.linalg.solve(gram, unit.T @ target / len(unit)) / scale
 
 
-def hurried(config: WorldConfig, unpriced_per_s: float) -> WorldConfig:
+def counting_time(config: WorldConfig, unpriced_per_s: float) -> WorldConfig:
     """The same team, in which a second of the table's clock costs so much where it costs nothing [1/s]."""
     return config if config.reward_per_s else replace(config, reward_per_s=-unpriced_per_s)

@@ -5,7 +5,7 @@ steps a path may have, how long transport takes and when an attempt is given up;
 family the laws are, too.
 
 Read down: `evidence` (logs → attempts, as far as each was watched, and what looks said; what all fits maximise) →
-`grasping` and `seeing`, two families of laws each.
+`grasping` and `seeing`, two families of laws each → `recorder` (whose law made the log-odds); and `prices`.
 """
 
 from dataclasses import replace
@@ -15,7 +15,7 @@ from halfseen.logs import Logs
 from halfseen.planners.belief import known_seeing
 from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.laws.grasping import choose_grasping
-from halfseen.tables.laws.seeing import seeing_of
+from halfseen.tables.laws.recorder import seeing_of
 from halfseen.world.config import WorldConfig
 
 

@@ -14,6 +14,10 @@ from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping
 
+ENOUGH_LEFT = 5.0
+"""Dirty objects expected to be left, from which on FINISHes that paid nothing say that leaving them costs nothing."""
+ENOUGH_HELD = 20
+"""WASHes that held, from which on one reward of all of them is that of dirty objects and of clean ones."""
 SAME = 1e-3
 """By how much multiples of a price may be off, in units of it."""
 
@@ -68,10 +72,13 @@ def _durations(logs: Logs) -> Float[np.ndarray, " rows"]:
 
 
 def price_of_each(paid: Rows, left: Rows) -> float | None:
-    """Price of one object left dirty: what all that FINISH paid is a multiple of; else by regression."""
+    """Price of one object left dirty: what all that FINISH paid is a multiple of; else by regression.
+
+    None where too little was left to tell.
+    """
     some = paid < 0.0
     if not some.any():
-        return None
+        return 0.0 if left.sum() > ENOUGH_LEFT else None
     slope = float(paid @ left / (left @ left))
     for of_least in (1, 2, 3):
         price = float(paid[some].max()) / of_least
@@ -93,10 +100,20 @@ def _washed(logs: Logs, horizon: int, reward: Rows, action: np.ndarray, is_over:
     found: dict[str, float] = {}
     if len(paid_missed):
         found["reward_wash_failed"] = float(np.median(paid_missed))
-    if len(paid_held):
-        middle = (paid_held.min() + paid_held.max()) / 2.0
-        well, badly = paid_held[paid_held >= middle], paid_held[paid_held < middle]
-        found["reward_wash_dirty"] = float(np.median(well))
-        if len(badly):
-            found["reward_wash_clean"] = float(np.median(badly))
-    return found
+    return found | dirty_and_clean(paid_held)
+
+
+def dirty_and_clean(paid: Rows) -> dict[str, float]:
+    """Rewards of what was dirty and of what was clean: the upper and the lower of those that WASHes paid.
+
+    Where few all paid alike, what pays is of dirty objects, and what costs is of clean ones.
+    """
+    if not len(paid):
+        return {}
+    if np.ptp(paid) == 0.0:
+        if len(paid) >= ENOUGH_HELD:
+            return dict.fromkeys(("reward_wash_dirty", "reward_wash_clean"), float(paid[0]))
+        return {"reward_wash_dirty" if paid[0] > 0.0 else "reward_wash_clean": float(paid[0])}
+    is_dirty = paid >= (paid.min() + paid.max()) / 2.0
+    each = {"reward_wash_dirty": paid[is_dirty], "reward_wash_clean": paid[~is_dirty]}
+    return {name: float(np.median(some)) for name, some in each.items()}

@@ -14,19 +14,22 @@ centre of the prior of the fit by labels; else they are fitted without it, as wh
 """
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from halfseen.arrays import Rows
 from halfseen.shapes import Float
-from halfseen.tables.laws.evidence import Labels
-from halfseen.world.seeing import KnownSeeing, label_evidence
+from halfseen.tables.laws.evidence import Labels, Prior
+from halfseen.tables.laws.seeing import Independent, Persistent
+from halfseen.world.seeing import AssumedSeeing, KnownSeeing, PersistentSeeing, label_evidence
 
 LEVEL = 0.01
 """Probability with which a right recorder is taken for a wrong one, at most."""
 ROUNDING = 2e-3
 """Root mean square of what is left of moves that are rounded."""
+PARTS = (4, 12)
+"""In how many parts of what an object shows in full view a recorder's own curves are looked for."""
 SPREAD = 0.1
 """Standard deviation of the prior about the recorder's law, in logits."""
 
@@ -82,3 +85,43 @@ def speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool
     from scipy.special import chdtri
 
     return bool(2.0 * (best - log_likelihood) > chdtri(num_numbers, LEVEL))
+
+
+class SeenBy(NamedTuple):
+    """A law of seeing, and what became of the recorder's."""
+
+    law: AssumedSeeing | PersistentSeeing
+    recorder: AssumedSeeing | PersistentSeeing | None
+    """The law that made the log's own log-odds; None where no law of the family did."""
+    is_rejected: bool = False
+    """Whether the labels speak against it."""
+
+
+def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
+    """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
+
+    Parameters
+    ----------
+    told
+        The labels; without any, the law's numbers are the prior's.
+    dirty_share
+        π, which is known.
+    known
+        A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
+    """
+    families: list[Any] = [Independent(told, dirty_share)]
+    if told.is_persistent:
+        families = [Persistent(told, dirty_share, num_parts) for num_parts in PARTS]
+    plain = families[0]
+    about = None if known is None else plain.theta_of(known)
+    unaided = plain.prior if about is None else Prior(about, SPREAD)
+    each = ((family, read_back(told, family.law, family.prior.mode, family.bounds)) for family in families)
+    found = next((pair for pair in each if pair[1].is_consistent), None) if len(told.path) else None
+    if found is None:
+        return SeenBy(plain.law(plain.fitted(unaided)), None)
+    family, recorder = found
+    best = family.fitted(Prior(recorder.theta, family.prior.spread))
+    reached = family.log_likelihood(recorder.theta), family.log_likelihood(best)
+    if speaks_against(*reached, len(recorder.theta)):
+        return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
+    return SeenBy(family.law(family.fitted(Prior(recorder.theta, SPREAD))), family.law(recorder.theta))

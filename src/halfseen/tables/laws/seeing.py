@@ -44,14 +44,13 @@ counts nothing, every look moved the log-odds, and will again.
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.shapes import Float
 from halfseen.tables.laws.evidence import Labels, Prior, least
-from halfseen.tables.laws.recorder import SPREAD, read_back, speaks_against
 from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing
 
 Theta = Float[np.ndarray, " k"]
@@ -63,9 +62,6 @@ INDEPENDENT_PRIOR = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
 
 NUM_PARTS = 4
 """Equal parts of what an object shows in full view at whose ends the curves are given; they are given at 1 too."""
-
-MORE_PARTS = (4, 12)
-"""In how many parts a recorder's own curves are looked for."""
 
 FOUND = np.array([0.5, 0.1])
 """Share of the dirty objects, and of the clean ones, that the prior takes a look in full view to find."""
@@ -307,47 +303,3 @@ def persistent_likelihood(theta: Theta, known: Intervals, dirty_share: float) ->
     hazard = expit(theta.reshape(2, -1))
     slope = count[:, :-1] * (1.0 - hazard) - later[:, :-1] * hazard
     return float(np.log(likelihood).sum()), slope.ravel()
-
-
-class SeenBy(NamedTuple):
-    """A law of seeing, and what became of the recorder's."""
-
-    law: AssumedSeeing | PersistentSeeing
-    recorder: AssumedSeeing | PersistentSeeing | None
-    """The law that made the log's own log-odds; None where no law of the family did."""
-    is_rejected: bool = False
-    """Whether the labels speak against it."""
-
-
-def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
-    """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
-
-    Parameters
-    ----------
-    told
-        The labels; without any, the law's numbers are the prior's.
-    dirty_share
-        π, which is known.
-    known
-        A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
-    """
-    if told.is_persistent:
-        families: list[Any] = [Persistent(told, dirty_share, num_parts) for num_parts in MORE_PARTS]
-    else:
-        families = [Independent(told, dirty_share)]
-    plain = families[0]
-    about = None if known is None else plain.theta_of(known)
-    unaided = plain.prior if about is None else Prior(about, SPREAD)
-    if not len(told.path):
-        return SeenBy(plain.law(plain.fitted(unaided)), None)
-    for family in families:
-        recorder = read_back(told, family.law, family.prior.mode, family.bounds)
-        if recorder.is_consistent:
-            break
-    else:
-        return SeenBy(plain.law(plain.fitted(unaided)), None)
-    weak = Prior(recorder.theta, family.prior.spread)
-    reached = family.log_likelihood(recorder.theta), family.log_likelihood(family.fitted(weak))
-    if speaks_against(*reached, len(recorder.theta)):
-        return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
-    return SeenBy(family.law(family.fitted(Prior(recorder.theta, SPREAD))), family.law(recorder.theta))

@@ -15,7 +15,7 @@ from halfseen.arrays import Rows
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.laws.prices import price_of_each
+from halfseen.tables.laws.prices import dirty_and_clean, price_of_each
 from halfseen.tables.laws.team_evidence import (
     DIRT_BEFORE,
     FAILED,
@@ -77,12 +77,7 @@ def _certain(brought: Brought) -> dict[str, float]:
 def _washed(brought: Brought, known: WorldConfig) -> dict[str, float]:
     """Rewards of what was dirty, and of what was clean."""
     paid = beside_prices(brought, known)[brought.goes_on & (brought.outcome[..., NUM_LEFT] == 1)]
-    if not len(paid):
-        return {}
-    middle = (paid.min() + paid.max()) / 2.0
-    well, badly = paid[paid >= middle], paid[paid < middle]
-    found = {"reward_wash_dirty": float(np.median(well))}
-    return found | ({"reward_wash_clean": float(np.median(badly))} if len(badly) else {})
+    return dirty_and_clean(paid)
 
 
 def _last_to_park(
