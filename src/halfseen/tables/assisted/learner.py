@@ -105,7 +105,8 @@ class TableLearner(CensoredQLearner):
             self.assisted_, self.chosen_ = None, (*self.chosen_, f"Q is linear eq. 3 without laws: {error}")
             return self
         self.assisted_, self.policy_ = found, self._of_what_was_seen(found.policy)
-        self.chosen_ = (*self.chosen_, *found.sentences)
+        # What was chosen for linear eq. 3 matters where that decides.
+        self.chosen_ = (*(self.chosen_ if found.basis == LINEAR else ()), *found.sentences)
         return self
 
     def _of_what_was_seen(self, policy: Policy) -> Policy:

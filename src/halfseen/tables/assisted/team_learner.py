@@ -100,7 +100,8 @@ class TeamLearner(CensoredQLearner):
             self.assisted_, self.chosen_ = None, (*self.chosen_, f"Q is learned without laws: {error}")
             return self
         self.assisted_, self.policy_ = found, found.policy
-        self.chosen_ = (*self.chosen_, *found.sentences)
+        # What was chosen without laws matters where that decides.
+        self.chosen_ = (*(() if found.basis == MODEL else self.chosen_), *found.sentences)
         return self
 
     def _assisted(self, logs: Logs) -> AssistedTeam:
