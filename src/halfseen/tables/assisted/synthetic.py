@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import library_of, mapped, record
+from halfseen.arrays import Array, library_of, mapped, record
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import Table, table_of
 from halfseen.planners.trajectories import picked, successor
@@ -59,7 +59,7 @@ class Excess:
         low, high = np.zeros((2, horizon, 2), dtype=np.float32)
         return cls(np.zeros((horizon, 2, 1 + NUM_FEATURES), dtype=np.float32), low, high)
 
-    def __call__(self, ahead: Ahead) -> Float[np.ndarray, " C *B"]:
+    def __call__(self, ahead: Ahead) -> Float[Array, " C *B"]:
         """E of WASH and LIFT of each object."""
         xp, to_go = library_of(ahead.own, self.coefficients), ahead.table.steps_to_go - 1
         weights, low, high = (_by_steps(each, to_go) for each in (self.coefficients, self.low, self.high))
@@ -69,7 +69,7 @@ class Excess:
         return values.reshape(-1, *values.shape[2:])
 
 
-def _by_steps(each: Float[np.ndarray, "T ..."], to_go: Int[np.ndarray, "*B"]) -> Float[np.ndarray, "..."]:
+def _by_steps(each: Float[Array, "T ..."], to_go: Int[Array, "*B"]) -> Float[Array, "..."]:
     """Those of the steps to go of each table, the axes of the batch last."""
     xp, num_axes = library_of(each, to_go), np.ndim(to_go)
     return xp.moveaxis(xp.take(each, to_go, axis=0), range(num_axes), range(-num_axes, 0))
