@@ -3,14 +3,15 @@
 python benchmarks/closed_loop.py [--logs FOLDER] [--law FOLDER] [--tables 200] [--seed 2026] [--out FILE]
 python benchmarks/closed_loop.py --from FILE [FILE …]
 
-From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, and laws are
-fitted for a planner. They, the heuristics and the planner that knows the law that is believed in clear the same tables,
-of which nothing is cut. It prints the reward of each in physics, how much of it was the luck of which cups were dirty
-(near 0 where P(DIRTY) is calibrated), what the world under the law foretells for the same tables, the gap, and by how
-much the learned policy is ahead, table by table: two-sided signed-rank tests, by Holm's procedure. Whether P(DIRTY) is
-calibrated is printed, too: of all objects as they looked at first and at last, and of those that were to be washed, how
-many were said to be dirty, and how many were. A run that was stopped goes on where it was, if it is called again.
-With --from, nothing is driven: what runs have written, of some policies each, or on other tables, is compared together.
+From the logs, which a cell recorded and cut, `halfseen learn` as it is called by default learns a policy, from the
+first `FEW` of them another one, and a planner believes in the laws that were fitted. They, the heuristics and the
+planner that knows the law that is believed in clear the same tables, of which nothing is cut. It prints the reward of
+each in physics, how much of it was the luck of which cups were dirty (near 0 where P(DIRTY) is calibrated), what the
+world under the law foretells for the same tables, the gap, and by how much the learned policy is ahead, table by table:
+two-sided signed-rank tests, by Holm's procedure. Whether P(DIRTY) is calibrated is printed, too: of all objects as they
+looked at first and at last, and of those that were to be washed, how many were said to be dirty, and how many were. A
+run that was stopped goes on where it was, if it is called again. With --from, nothing is driven: what runs have
+written, of some policies each, or on other tables, is compared together.
 """
 
 import argparse
@@ -35,7 +36,6 @@ from halfseen.planners.named import HEURISTICS, named_policy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.policies.learner_choice import learner_for
 from halfseen.study.statistics import holm, signed_rank_test
-from halfseen.tables.laws import fit_world
 from halfseen.workers import Workers
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
@@ -43,18 +43,23 @@ from halfseen.world.log_checks import TABLE
 from halfseen.world.policy import Policy
 from halfseen.writing import write_file
 
-LEARNED = "learned"
+LEARNED, FEW = "learned", 100
 FITTED, PLANNER = "planner, fitted laws", "planner, calibrated law"
 LOGS = Path(__file__).parents[1] / "examples" / "physical_cell" / "logs"
 
 
 def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]:
     """All who take part."""
-    learned = learner_for(logs, censoring="auto", random_state=seed).learner.fit(logs).policy_
+    learned, of_few = (
+        learner_for(some, censoring="auto", random_state=seed).learner.fit(some)
+        for some in (logs, logs.select(logs.path_ids[:FEW]))
+    )
+    laws = learned.assisted_.laws.config
     return {
-        LEARNED: learned,
+        LEARNED: learned.policy_,
+        f"learned from {FEW}": of_few.policy_,
         **{name: named_policy(name, config) for name in HEURISTICS},
-        FITTED: POMDPPolicy(fit_world(logs, config), planning_horizon=config.horizon),
+        FITTED: POMDPPolicy(laws, planning_horizon=config.horizon),
         PLANNER: POMDPPolicy(config, planning_horizon=config.horizon),
     }
 

@@ -169,6 +169,18 @@ def test_a_cup_is_lifted_and_stands_where_it_was_then_goes_into_the_rack_and_sta
     assert cell.memory.objects[front].is_gone
 
 
+def test_a_lift_shows_what_stands_behind(numbers):
+    front, behind = numbers
+    cell = one_arm_cell(surfaces=SURFACES)
+    cell.look()
+    hidden = cell.memory.occlusion(behind)
+    assert hidden > 2.0 * MORE_IN_VIEW
+    assert cell.lift(front).is_held
+    assert cell.memory.objects[behind].glances == [Glance(hidden, False, False), Glance(0.0, False, False)]
+    # What hides it is known as before: it stands there again.
+    assert cell.memory.occlusion(behind) == hidden
+
+
 @pytest.mark.parametrize(
     ("limit_s", "force_n", "lost_per_s", "cause"),
     [(3.0, 1e9, 0.0, TIME_OUT), (1e9, 5.0, 0.0, EMERGENCY_STOP), (1e9, 1e9, 1.0, SENSOR_LOST)],

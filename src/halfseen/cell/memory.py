@@ -189,9 +189,10 @@ class Memory:
         hides[np.ix_(is_seen, is_seen)] = view.hides[np.ix_(picked, picked)]
         return hides
 
-    def occlusion(self, number: int) -> float:
-        """Hidden share of an object, as states have it: 1 − Π_j (1 − hides[i, j])."""
-        return float(1.0 - np.prod(1.0 - self.hides[number]))
+    def occlusion(self, number: int, in_hand: Sequence[Known] = ()) -> float:
+        """Hidden share of an object, as states have it: 1 − Π_j (1 − hides[i, j]); what is in a hand hides nothing."""
+        is_hiding = np.array([known not in in_hand for known in self.objects], dtype=bool)
+        return float(1.0 - np.prod(1.0 - self.hides[number], where=is_hiding))
 
     def places_m(self) -> Points:
         """Where each object was last seen: on the table, right, away from the camera and up [m]."""

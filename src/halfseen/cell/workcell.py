@@ -19,7 +19,7 @@ from halfseen.cell.attempt import Attempt
 from halfseen.cell.camera_errors import Errors
 from halfseen.cell.clearance import ranked, surroundings
 from halfseen.cell.commands import Activity, Reserve
-from halfseen.cell.cut_by_arms import perceived_whole, without
+from halfseen.cell.cut_by_arms import perceived_whole
 from halfseen.cell.fetching import come, draw_back, feels, open_hand, pick_up, put_down, with_home
 from halfseen.cell.grasps import GRASPING
 from halfseen.cell.live_cell import LiveCell
@@ -34,7 +34,7 @@ from halfseen.errors import PlanError, SceneError
 from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.labels import Labeller, StainCounter
 from halfseen.perception.range_image import range_image
-from halfseen.perception.view import SeenObject, View, perceive
+from halfseen.perception.view import SeenObject, View
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
@@ -251,12 +251,9 @@ class Workcell:
         is_held = np.zeros(len(cloud.points_m), dtype=bool)
         for arm in self.in_hand:
             is_held |= self._is_in_hand(cloud, arm)
-        if len(self.stations) > 1:
-            self.view, self.cloud = perceived_whole(cloud, robots_m, is_held)
-        else:
-            self.cloud = without(cloud, is_held)
-            self.view = perceive(self.cloud)
-        self.memory.update(self.view, self.world_from_table, tuple(self.in_hand.values()))
+        in_hand = tuple(self.in_hand.values())
+        self.view, self.cloud = perceived_whole(cloud, robots_m, is_held)
+        self.memory.update(self.view, self.world_from_table, in_hand)
         for number, known in enumerate(self.memory.objects):
             if known.seen is not None:
                 self._sights[number] = _Sight(known.seen, self.view, self.world_from_table)
@@ -265,7 +262,7 @@ class Workcell:
                 number = self.memory.number_of(seen.id)
                 if number is not None and label.is_dirty is not None:
                     known = self.memory.objects[number]
-                    known.label(self.memory.occlusion(number), label.is_dirty, is_held=False)
+                    known.label(self.memory.occlusion(number, in_hand), label.is_dirty, is_held=False)
         return self.view
 
     def _is_in_hand(self, cloud: Cloud, arm: int) -> Bool[np.ndarray, " n"]:

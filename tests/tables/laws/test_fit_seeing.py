@@ -225,6 +225,17 @@ def test_log_odds_that_no_law_of_the_family_made_tell_of_no_recorder():
     np.testing.assert_allclose(curves_of(found.law), curves_of(fit_persistent(told, SHARE)))
 
 
+@pytest.mark.parametrize(("share", "is_read"), [(0.03, True), (0.2, False)])
+def test_some_views_that_are_remembered_otherwise_hide_no_recorder(share, is_read):
+    told = looks(300, SEEING)
+    is_other = np.random.default_rng(1).random(len(told.moved)) < share
+    occlusion = np.where(is_other & ~told.is_held, 0.5 * told.occlusion, told.occlusion)
+    recorder = seeing_of(told._replace(occlusion=occlusion), SHARE).recorder
+    assert (recorder is not None) is is_read
+    if recorder is not None:
+        np.testing.assert_allclose(curves_of(recorder), curves_of(SEEING), atol=2e-3)
+
+
 def test_an_independent_recorder_is_read_back_too():
     law, told = AssumedSeeing(0.52, 0.31, 1.3), some_labels(num=400, num_objects=200)
     evidence_of_labels = label_evidence(*law.positive(told.occlusion, told.seen), told.says_dirty)

@@ -25,6 +25,7 @@ from halfseen.shapes import Float
 from halfseen.tables.assisted.choice import gain_of
 from halfseen.tables.assisted.explain import laws_in_words
 from halfseen.tables.assisted.law_test import LawTest, hotelling_test, residuals_of
+from halfseen.tables.assisted.lift_price import with_lift_price
 from halfseen.tables.assisted.mending import mending_of
 from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
 from halfseen.tables.assisted.synthetic import fitted_excess
@@ -190,8 +191,10 @@ def assisted_by(
     if isinstance(log, str):
         test, said = LawTest(0.0, 1.0, {}), log
     else:
-        states = log.states if mending is None else mending(log.states)
-        test = hotelling_test(residuals_of(laws.config, log._replace(states=states)), len(log.weight))
+        log = log if mending is None else log._replace(states=mending(log.states))
+        config, priced = with_lift_price(laws.config, log)
+        laws, told = laws._replace(config=config), (*told, *([] if priced is None else [priced]))
+        test = hotelling_test(residuals_of(config, log), len(log.weight))
         said = test.sentence
     if not test.is_rejected:
         excess = fitted_excess(laws.config, layouts, seed)

@@ -4,8 +4,10 @@ Each label moved the log-odds of DIRTY of its object by
 
     log P(label | dirty) − log P(label | clean),
 
-a known function of the recorder's law and of what was in view. So the law is what reproduces all moves: least squares,
-exact but for rounding where the recorder was of that family. Where none does, nothing is read.
+a known function of the recorder's law and of what was in view. So the law is what reproduces the moves: robust least
+squares, exact but for rounding where the recorder was of that family. A robot that works remembers now and then what
+hides an object otherwise than its camera saw it, so `MOST` of the moves must be reproduced, not all. Where no law does,
+nothing is read.
 
 A recorder's law may be wrong, and then its log-odds mislead whoever goes by them. The labels themselves tell: were the
 recorder right, twice the log-likelihood ratio of the best law of the family to the recorder's would be χ², with as many
@@ -28,6 +30,10 @@ LEVEL = 0.01
 """Probability with which a right recorder is taken for a wrong one, at most."""
 ROUNDING = 2e-3
 """Root mean square of what is left of moves that are rounded."""
+MOST = 0.95
+"""Share of the moves that one law must have made."""
+ENOUGH = 1000
+"""Moves among which a law is looked for; `MOST` of all must bear it out."""
 PARTS = (4, 12)
 """In how many parts of what an object shows in full view a recorder's own curves are looked for."""
 SPREAD = 0.1
@@ -40,11 +46,11 @@ class Recorder(NamedTuple):
     theta: Rows
     """Numbers of the law, in the family that the log speaks for."""
     error: float
-    """Root mean square of what is left of the moves."""
+    """Root mean square of what is left of `MOST` of the moves."""
 
     @property
     def is_consistent(self) -> bool:
-        """Whether one law made all the moves."""
+        """Whether one law made them."""
         return self.error <= ROUNDING
 
 
@@ -66,12 +72,18 @@ def read_back(
     """
     from scipy.optimize import least_squares
 
-    def left(theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
-        moves = moved_by(law_of(theta), told)
-        return np.concatenate([moves - told.moved, 1e-4 * (theta - centre)])
+    some = Labels(*(values[:: 1 + len(told.moved) // ENOUGH] for values in told))
 
-    found = least_squares(left, centre, bounds=bounds)
-    return Recorder(found.x, float(np.sqrt(np.mean(found.fun[: len(told.moved)] ** 2))))
+    def left(theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
+        return np.concatenate([moved_by(law_of(theta), some) - some.moved, 1e-4 * (theta - centre)])
+
+    def read(loss: str) -> Recorder:
+        theta = least_squares(left, centre, bounds=bounds, loss=loss, f_scale=ROUNDING).x
+        squares = np.sort((moved_by(law_of(theta), told) - told.moved) ** 2)
+        return Recorder(theta, float(np.sqrt(np.mean(squares[: int(np.ceil(MOST * len(squares)))]))))
+
+    exact = read("linear")
+    return exact if exact.is_consistent else read("soft_l1")
 
 
 def moved_by(law: KnownSeeing, told: Labels) -> Rows:

@@ -265,7 +265,8 @@ def intervals_of(told: Labels, facing: float, num_parts: int = NUM_PARTS) -> Int
     """
     _, from_end = np.unique(told.object[::-1], return_index=True)
     last = Labels(*(values[::-1][from_end] for values in told))
-    shown = np.where(last.is_held, 1.0, facing * (1.0 - last.occlusion))
+    # Where a look found nothing, what it showed is what the recorder counts as seen.
+    shown = np.where(last.says_dirty, np.where(last.is_held, 1.0, facing * (1.0 - last.occlusion)), last.seen_after)
     views = views_of(facing, num_parts)
     seen_by, shown_by = (_covered(share, views) for share in (last.seen, np.maximum(shown, last.seen)))
     inside = np.where(last.says_dirty[:, None], shown_by - seen_by, 1.0 - shown_by)
