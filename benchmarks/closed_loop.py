@@ -54,7 +54,8 @@ def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]
         learner_for(some, censoring="auto", random_state=seed).learner.fit(some)
         for some in (logs, logs.select(logs.path_ids[:FEW]))
     )
-    laws = learned.assisted_.laws.config
+    # With objects in the log it is the learner of tables.
+    laws = getattr(learned, "assisted_").laws.config  # noqa: B009
     return {
         LEARNED: learned.policy_,
         f"learned from {FEW}": of_few.policy_,

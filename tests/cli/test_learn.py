@@ -55,7 +55,7 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
 def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, told):
     verdict, reason = told.lower().split(": ")
     judged = HeldOutVerdict(verdict, reason, 5)
-    monkeypatch.setattr(held_out, "held_out_verdict", lambda learner, logs, on_progress, workers: judged)
+    monkeypatch.setattr(held_out, "held_out_verdict", lambda learner, logs, **_: judged)
     arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1)
     lines = run(*arguments, has_verdict=True).stdout.splitlines()
     assert lines[-3] == judged.sentence

@@ -47,6 +47,7 @@ WORK = {"start": 1, "evaluate": 4}
     help="Doubly robust towards cuts, or by weights alone; by default the first, if every action was logged.",
 )
 @options.propensity
+@options.trust
 @options.policys_truncation
 @click.option(
     "--level",
@@ -101,12 +102,13 @@ def evaluate(
         raise ArgumentError(f"--team is {team}, robots of the world that --world plays; leave it out")
     if against and in_world:
         raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
-    stored = read_policy(policy)
+    stored, trust = read_policy(policy), options.trusted(chosen)
     if logs is None:
         robots = _team_for(stored, policy, team)
         report, lines = _by_world(stored, robots, clouds, law or ASSUMED, episodes, seed, level)
     else:
-        report, lines = _by_logs(stored, logs, seed, level, against=list(against) or None, workers=workers, **chosen)
+        asked: Any = {"against": list(against) or None, "trust": trust, "workers": workers}
+        report, lines = _by_logs(stored, logs, seed, level, **asked, **chosen)
     report = {"policy": str(policy), "seed": seed, **report}
     say(json.dumps(report, indent=2) if as_json else "\n".join(lines))
 
@@ -119,6 +121,7 @@ def _by_logs(
     *,
     against: list[str] | None,
     propensity: str,
+    trust: tuple[str, ...],
     workers: "Workers",
     **chosen: Any,
 ) -> tuple[dict[str, Any], list[str]]:
@@ -133,7 +136,13 @@ def _by_logs(
         logs = read_logs(folder)
         bar.begin("evaluate", WORK["start"])
         spec = specification_of(stored, logs, **chosen)
-        settings: Any = {"against": against, "propensity": propensity, "level": level, "random_state": seed}
+        settings: Any = {
+            "trust": trust,
+            "against": against,
+            "propensity": propensity,
+            "level": level,
+            "random_state": seed,
+        }
         settings["workers"] = workers
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
     notes = [*answer.notes, *(str(one.message) for one in caught if issubclass(one.category, HalfseenWarning))]

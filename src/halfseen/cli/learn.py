@@ -126,6 +126,7 @@ class _Or(click.ParamType):
     help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
     "long.",
 )
+@options.trust
 @worker_options
 @options.seed("policy")
 @options.overwrite("a policy that is")
@@ -167,14 +168,14 @@ def learn(
         from halfseen.policies.shares import action_shares
 
         warnings.simplefilter("always", HalfseenWarning)
-        targets, seed = _targets(chosen), chosen.pop("seed")
+        targets, seed, trust = _targets(chosen), chosen.pop("seed"), options.trusted(chosen)
         log = opened(logs, in_passes)
         prior = _prior_law(chosen.pop("prior_law"))
         choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **chosen)
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "look", LEARN)
-        verdict, not_all = _judged(learner, log, seed, bar, workers) if has_verdict else (None, ())
+        verdict, not_all = _judged(learner, log, seed, bar, trust, workers) if has_verdict else (None, ())
         bar.reach(total - LOOK)
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
@@ -191,7 +192,12 @@ def learn(
 
 
 def _judged(
-    learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress, workers: "Workers"
+    learner: "CensoredQLearner",
+    log: "Logs | LogStream",
+    seed: int,
+    bar: Progress,
+    trust: tuple[str, ...],
+    workers: "Workers",
 ) -> tuple[dict[str, Any], tuple[str, ...]]:
     """Judge this way of learning by the log; beside the verdict stands a note if that is of a sample of its paths."""
     # What judges takes longer to load than all that learns.
@@ -201,7 +207,7 @@ def _judged(
 
     judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
     told = partial(bar.update, FOLDS / NUM_FOLDS)
-    verdict = held_out_verdict(learner, judging, on_progress=told, workers=workers).as_dict()
+    verdict = held_out_verdict(learner, judging, on_progress=told, trust=trust, workers=workers).as_dict()
     if judging.num_paths == log.num_paths:
         return verdict, ()
     told = f"{judging.num_paths:,} of the {log.num_paths:,} paths, drawn at random"

@@ -66,6 +66,26 @@ propensity = click.option(
 )
 
 
+TRUST = {
+    "probabilities": "are true, though they look as if no policy had had them",
+    "covariates": "were known before the action, though they depend on it or on its outcome",
+    "endings": "are ends, though they look like cuts",
+}
+"""What a log may be trusted in, against what it looks like; without, no verdict rests on it."""
+
+
+def trust(command: Any) -> Any:
+    """The options by which a log is trusted."""
+    for name, told in reversed(TRUST.items()):
+        command = click.option(f"--trust-{name}", is_flag=True, help=f"Say that {name} of the log {told}.")(command)
+    return command
+
+
+def trusted(chosen: dict[str, Any]) -> tuple[str, ...]:
+    """Take out of what was chosen in what the log is trusted."""
+    return tuple(name for name in TRUST if chosen.pop(f"trust_{name}"))
+
+
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
 """That a command plays, and that a path has; programs that need more call the library, part by part."""
 MOST_WORKERS = 1024

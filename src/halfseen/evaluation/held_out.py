@@ -8,7 +8,7 @@ policy that was learned from all of it differs a little from each of them, and i
 """
 
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -83,6 +83,7 @@ def held_out_verdict(
     level: float = 0.95,
     num_folds: int = NUM_FOLDS,
     on_progress: Callable[[], object] = lambda: None,
+    trust: Collection[str] = (),
     workers: Workers = ALONE,
 ) -> HeldOutVerdict:
     """Judge a way of learning by the log that was learned from, cross-fitted.
@@ -97,7 +98,7 @@ def held_out_verdict(
         Fitted to `logs`.
     logs
         The log. Probabilities that it does not have are estimated.
-    against, level
+    against, level, trust
         As for `evaluate`.
     num_folds
         Number K of folds, and of policies that are learned.
@@ -120,7 +121,7 @@ def held_out_verdict(
             warnings.simplefilter("ignore", HalfseenWarning)
             with workers.ready_if_worth() as pool:
                 policy = learn_by_folds(learner, logs, num_folds, on_progress, pool)
-            evaluation = _evaluation(policy, learner, logs, against, level, workers)
+            evaluation = _evaluation(policy, learner, logs, against, level, trust, workers)
     except HalfseenError as error:
         return HeldOutVerdict("cannot be said", str(error), num_folds)
     on_progress()
@@ -185,7 +186,13 @@ def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
 
 
 def _evaluation(
-    policy: CrossFitted, learner: CensoredQLearner, logs: Logs, against: Any, level: float, workers: Workers
+    policy: CrossFitted,
+    learner: CensoredQLearner,
+    logs: Logs,
+    against: Any,
+    level: float,
+    trust: Collection[str],
+    workers: Workers,
 ) -> Evaluation:
     spec = specification(learner.policy_, described(learner.model_), logs)
     is_logged = "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
@@ -198,5 +205,6 @@ def _evaluation(
         propensity="logged" if is_logged else "estimated",
         level=level,
         random_state=learner.random_state,
+        trust=trust,
         workers=workers,
     )

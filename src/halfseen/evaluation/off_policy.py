@@ -1,6 +1,6 @@
 """From a policy and a log to an `Evaluation`."""
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -9,6 +9,7 @@ import numpy as np
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.comparison import Comparison, Contender, compared, deciding, joint_reason
+from halfseen.evaluation.doubts import doubt_of
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.fitted_q import jackknifed
@@ -79,6 +80,7 @@ def evaluate(
     random_state: int = 0,
     num_folds: int = 10,
     is_hourly: bool = False,
+    trust: Collection[str] = (),
     workers: Workers = ALONE,
 ) -> Evaluation:
     """Estimate the value of a policy from a log of another one of which paths were right-censored.
@@ -112,6 +114,9 @@ def evaluate(
         Folds of the cross-fitting, and of the jackknife behind the interval of fitted Q.
     is_hourly
         Work out what is earned in an hour of the clock, too.
+    trust
+        In what the log is trusted, though it looks untrue (`halfseen.evaluation.doubts.TRUST`): without that its
+        verdict is "cannot be said".
     workers
         Who fits Q without each fold; they begin once a fit takes long. The answer is the same.
 
@@ -132,14 +137,27 @@ def evaluate(
         raise ArgumentError(
             f"the log has {logs.num_paths} path(s), and {num_folds} folds need {2 * num_folds}; record more"
         )
+    is_logged = propensity == "logged"
     opponents = opponents_of(DEFAULT if against is None else against, logs)
     spec, widened = default_q(policy, logs) if q is None else (q, logs)
     targets = default_targets(logs) if censoring is None else targets_of(censoring)
     model = q_model_of(policy, widened, targets, spec, random_state)
+    doubt = doubt_of(logs, task_of(policy, logs) if spec.task is None else spec.task, is_logged, trust)
     problem = problem_of(policy, widened, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
     with workers.ready_if_worth() as pool:
         shared = problem._replace(pool=pool)
-        return _evaluation(shared, logs, opponents, propensity == "logged", against is None, level, is_hourly)
+        found = _evaluation(shared, logs, opponents, is_logged, against is None, level, is_hourly)
+    return found if doubt is None else _undecided(found, doubt)
+
+
+def _undecided(found: Evaluation, doubt: str) -> Evaluation:
+    """The same numbers, by which nothing is called better or worse; what cannot be said anyway has its own reason."""
+    comparisons = tuple(
+        one if one.verdict == "cannot be said" else replace(one, verdict="cannot be said", reason=doubt)
+        for one in found.comparisons
+    )
+    reason = found.reason if found.verdict == "cannot be said" else doubt
+    return replace(found, comparisons=comparisons, verdict="cannot be said", reason=reason)
 
 
 def default_targets(logs: Logs) -> Targets:

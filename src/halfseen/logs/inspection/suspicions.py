@@ -11,7 +11,12 @@ from typing import Any
 import pandas as pd
 from pandas.util import hash_pandas_object
 
-from halfseen.logs.inspection.units import covariates, mixed_clocks, mixed_covariates
+from halfseen.logs.inspection.choices import no_alternative, one_action
+from halfseen.logs.inspection.endings import cuts_called_finished
+from halfseen.logs.inspection.foretelling import outcomes_among_covariates
+from halfseen.logs.inspection.identifiers import identifiers, numbers_as_text
+from halfseen.logs.inspection.probabilities import leaks, untrue_probabilities
+from halfseen.logs.inspection.units import covariates, long_clocks, mixed_clocks, mixed_covariates
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
 
@@ -183,10 +188,19 @@ def _was(names: list[str]) -> str:
 
 _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "all-cut": _all_cut,
+    "untrue-probability": untrue_probabilities,
+    "leak": leaks,
+    "outcome-as-covariate": outcomes_among_covariates,
+    "cut-called-finished": cuts_called_finished,
+    "identifier": identifiers,
+    "number-as-text": numbers_as_text,
+    "one-action": one_action,
+    "no-alternative": no_alternative,
     "end-among-causes": _ends_among_causes,
     "horizon-as-cut": _horizons,
     "cuts-in-one-stage": _one_stage,
     "mixed-clock-units": mixed_clocks,
+    "long-clock": long_clocks,
     "mixed-covariate-units": mixed_covariates,
     "spelling": _spelling,
     "rare-action": _rare_actions,

@@ -16,6 +16,8 @@ from halfseen.logs.refusal import shown
 
 FEWEST_PATHS, FEWEST_SHARE = 3, 0.01
 GAP, RATIO = 30.0, 300.0
+LONG_S = (900.0, 1e6)
+"""Beyond a quarter of an hour, below what takes days [s]."""
 
 
 def mixed_clocks(logs: Logs) -> Iterator[str]:
@@ -26,6 +28,16 @@ def mixed_clocks(logs: Logs) -> Iterator[str]:
     is_long = far_apart(duration_s)
     if is_long is not None:
         yield _told(logs, "stages last", duration_s, is_long, " s") + ": are some clocks in milliseconds?"
+
+
+def long_clocks(logs: Logs) -> Iterator[str]:
+    """Tell of stages that last longer than any robot's."""
+    stages: Any = logs.stages
+    lasted_s = (stages["elapsed_s"] - stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)).dropna()
+    middle_s = float(lasted_s.median()) if len(lasted_s) else 0.0
+    if LONG_S[0] < middle_s < LONG_S[1]:
+        hours = middle_s / 3600.0
+        yield f"half of the stages last {middle_s:,.0f} s or more, which is {hours:.1f} h: are clocks in ms?"
 
 
 def mixed_covariates(logs: Logs) -> Iterator[str]:

@@ -1,0 +1,181 @@
+"""Logs that cannot be true: each lie is found in a cell of four actions, and an honest log of it raises no doubt."""
+
+import warnings
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.errors import ArgumentError
+from halfseen.evaluation import evaluate
+from halfseen.evaluation.targets import FixedSequence
+from halfseen.logs import Logs
+from halfseen.logs.inspection.foretelling import outcomes_among_covariates
+from halfseen.logs.inspection.groups import grouped
+from halfseen.logs.inspection.probabilities import excess_p, imbalance_p
+from halfseen.logs.inspection.suspicions import suspicions
+
+ACTIONS = ("vacuum", "fingers", "shake", "skip")
+CHANCE = {"vacuum": 0.8, "fingers": 0.5, "shake": 0.0, "skip": 0.0}
+
+
+def a_part(number, rng):
+    """Stages of one part, each with its outcome, and when it was cut."""
+    shine, elapsed_s, cut_s, rows = rng.random(), 0.0, rng.exponential(25.0), []
+    for stage in range(1, 6):
+        p = np.full(4, 0.0625)
+        p[0 if shine < 0.7 else 2] += 0.75
+        action = ACTIONS[rng.choice(4, p=p)]
+        is_won, lasts_s = rng.random() < CHANCE[action] * (1.0 - 0.6 * shine), rng.gamma(6.0, 0.8)
+        row = {"path": number, "stage": stage, "action": action, "probability": p[ACTIONS.index(action)]}
+        row |= {"shine": shine, "won": float(is_won)}
+        if elapsed_s + lasts_s > cut_s:
+            rows.append(row | {"elapsed_s": np.nan, "reward": np.nan})
+            return rows, {"path": number, "end_s": cut_s, "ending": "cut", "cause": "operator"}
+        elapsed_s += lasts_s
+        rows.append(row | {"elapsed_s": elapsed_s, "reward": float(is_won)})
+        if is_won or action == "skip":
+            break
+        shine = rng.random()
+    return rows, {"path": number, "end_s": elapsed_s, "ending": "finished", "cause": None}
+
+
+def tables(num_parts=400, seed=0):
+    rng = np.random.default_rng(seed)
+    rows, paths = zip(*(a_part(number, rng) for number in range(num_parts)), strict=True)
+    return pd.DataFrame([row for each in rows for row in each]), pd.DataFrame(paths)
+
+
+def kinds(stages, paths):
+    logs = Logs(stages.drop(columns="won", errors="ignore"), paths)
+    return {each.kind for each in suspicions(logs)}
+
+
+def as_finished(stages, paths):
+    end_s = stages["path"].map(paths.set_index("path")["end_s"])
+    stages = stages.assign(elapsed_s=stages["elapsed_s"].fillna(end_s), reward=stages["reward"].fillna(0.0))
+    return stages, paths.assign(ending="finished", cause=None)
+
+
+def with_clock(stages, paths):
+    begun_s = stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
+    return stages.assign(clock=1.7e9 + 60.0 * stages["path"] + begun_s), paths
+
+
+LIES = {
+    "the rule's own chance": ("untrue-probability", lambda s, p: (s.assign(probability=0.8125), p)),
+    "one probability for all": ("untrue-probability", lambda s, p: (s.assign(probability=0.25), p)),
+    "the outcome among covariates": ("outcome-as-covariate", lambda s, p: (s.assign(vacuum_bar=s["won"]), p)),
+    "cuts called finished": ("cut-called-finished", as_finished),
+    "the number of the part": ("identifier", lambda s, p: (s.assign(part=s["path"] + 70_000), p)),
+    "the clock": ("identifier", with_clock),
+    "milliseconds": (
+        "long-clock",
+        lambda s, p: (s.assign(elapsed_s=1000 * s["elapsed_s"]), p.assign(end_s=1000 * p["end_s"])),
+    ),
+    "decimal commas": (
+        "number-as-text",
+        lambda s, p: (s.assign(shine=[f"{x:.1f}".replace(".", ",") for x in s["shine"]]), p),
+    ),
+    "separators of thousands": (
+        "number-as-text",
+        lambda s, p: (s.assign(mass_mg=[f"{int(900 + 400 * round(x, 1)):,}" for x in s["shine"]]), p),
+    ),
+    "one action": ("one-action", lambda s, p: (s.assign(action="vacuum", probability=1.0), p)),
+    "no alternative": (
+        "no-alternative",
+        lambda s, p: (s.assign(action=s["action"].where(s["shine"] < 0.7, "shake")), p),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", LIES)
+def test_a_lie_is_found(name):
+    kind, lie = LIES[name]
+    assert kind in kinds(*lie(*tables()))
+
+
+def test_what_depends_on_the_action_was_written_down_after_it():
+    stages, paths = tables(1500)
+    load = stages["action"].eq("fingers") + 0.3 * np.random.default_rng(1).standard_normal(len(stages))
+    assert kinds(stages.assign(load=load), paths) == {"leak"}
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_an_honest_log_raises_no_doubt(seed):
+    assert kinds(*tables(300, seed)) == set()
+
+
+@pytest.mark.slow
+def test_hardly_an_honest_log_raises_a_doubt():
+    assert sum(bool(kinds(*tables(num, seed))) for num in (60, 300) for seed in range(100, 200)) <= 4
+
+
+def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
+    rng, num = np.random.default_rng(0), 500
+    x, action = rng.random(num), rng.integers(0, 2, num)
+    stages = pd.DataFrame({"path": range(num), "stage": 1, "elapsed_s": rng.gamma(4.0, 1.0, num), "x": x})
+    stages = stages.assign(action=np.where(action, "A", "B"), probability=0.5, reward=3.0 * x + 0.1 * action)
+    paths = pd.DataFrame({"path": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None})
+    assert kinds(stages, paths) == set()
+    # Without probabilities nobody can tell.
+    told = list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), paths)))
+    assert len(told) == 1
+    assert list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), paths), of=("y",))) == []
+
+
+def evaluated(stages, paths, **options):
+    logs = Logs(stages.drop(columns="won", errors="ignore"), paths)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging", **options)
+
+
+def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():
+    stages, paths = tables(1500)
+    honest, told = evaluated(stages, paths), evaluated(stages.assign(probability=0.8125), paths)
+    assert honest.verdict == "better"
+    assert told.verdict == told.comparisons[0].verdict == "cannot be said"
+    assert "the log cannot be true" in told.reason
+    assert "--trust-probabilities" in told.reason
+    trusted = evaluated(stages.assign(probability=0.8125), paths, trust=("probabilities",))
+    assert trusted.verdict == "better"
+    assert trusted.doubly_robust == told.doubly_robust
+    with pytest.raises(ArgumentError, match="trust is 'all'; a log may be trusted in probabilities, covariates"):
+        evaluated(stages, paths, trust=("all",))
+
+
+@pytest.mark.parametrize("lie", [as_finished, lambda s, p: (s.assign(vacuum_bar=s["won"]), p)], ids=["ends", "leak"])
+def test_no_verdict_rests_on_cuts_called_ends_or_on_outcomes_among_covariates(lie):
+    stages, paths = lie(*tables(1500))
+    logs = Logs(stages.drop(columns="won"), paths)
+    assert evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging").verdict == "cannot be said"
+
+
+def test_the_bound_of_an_excess_holds():
+    rng, group = np.random.default_rng(0), np.zeros(200, dtype=np.int64)
+    p = 0.25
+    found = []
+    for _ in range(2000):
+        took = rng.random(200) < p
+        found.append(excess_p(np.full(took.sum(), 1.0 / p), group[took], 1, np.array([200.0]))[0])
+    assert np.mean(np.array(found) < 0.05) <= 0.05
+
+
+def test_an_imbalance_is_rare_where_there_is_none_and_sure_where_there_is_one():
+    rng, group = np.random.default_rng(0), np.arange(400) % 4
+    even = [imbalance_p(rng.random(400) < 0.5, np.full(400, 0.5), group, 4) for _ in range(1000)]
+    assert np.mean(np.array(even) < 0.05) < 0.08
+    assert imbalance_p(rng.random(400) < np.where(group == 0, 0.9, 0.4), np.full(400, 0.5), group, 4) < 1e-6
+
+
+def test_values_are_grouped_by_fifths_and_names_by_name():
+    numbers, names = grouped("x", pd.Series(np.arange(100.0))), grouped("colour", pd.Series(["red", "blue", "red"]))
+    assert numbers is not None
+    assert names is not None
+    assert np.bincount(numbers.group).tolist() == [20] * 5
+    assert numbers.words[0] == "19.8 or less"
+    assert (names.group.tolist(), names.words) == ([0, 1, 0], ("'red'", "'blue'"))
+    assert grouped("number", pd.Series([f"part {k}" for k in range(50)])) is None
+    assert grouped("same", pd.Series([1.0, 1.0])) is None
+    assert grouped("parts", pd.Series([[1], [2]])) is None
