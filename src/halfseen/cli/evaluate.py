@@ -128,6 +128,7 @@ def _by_logs(
     with Progress(sum(WORK.values()), "start") as bar, warnings.catch_warnings(record=True) as caught:
         from halfseen.errors import HalfseenWarning
         from halfseen.evaluation import evaluate as evaluated
+        from halfseen.evaluation.kept import earned_here, kept_promise
         from halfseen.evaluation.stored_model import specification_of
         from halfseen.logs import read_logs
         from halfseen.policies.folder import log_digest
@@ -145,8 +146,12 @@ def _by_logs(
         }
         settings["workers"] = workers
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
+        is_own = log_digest(logs) == stored.record["log"].get("sha256")
+        promise = None if is_own else stored.record.get("promise")
+        kept = (
+            None if promise is None else kept_promise(promise, logs, *earned_here(stored.policy, logs, spec.q, answer))
+        )
     notes = [*answer.notes, *(str(one.message) for one in caught if issubclass(one.category, HalfseenWarning))]
-    is_own = log_digest(logs) == stored.record["log"].get("sha256")
     if is_own:
         notes.insert(
             0, "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
@@ -154,12 +159,14 @@ def _by_logs(
     report = {"logs": str(folder), "propensity": propensity, "is_learned_from_these_logs": is_own}
     report |= {
         **spec.as_dict(),
+        "kept": None if kept is None else asdict(kept),
         "sentence": answer.sentence,
         "sensitivity": answer.sensitivity,
         **answer.as_dict(),
         "notes": notes,
     }
-    return report, [*str(answer).splitlines(), *([""] if notes else []), *(f"note: {note}" for note in notes)]
+    first = [*kept.lines, ""] if kept is not None and kept.lines else []
+    return report, [*first, *str(answer).splitlines(), *([""] if notes else []), *(f"note: {note}" for note in notes)]
 
 
 def _team_for(stored: "StoredPolicy", policy: Path, file: Path | None) -> "Team | None":

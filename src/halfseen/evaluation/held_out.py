@@ -16,6 +16,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
+from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import evaluate
 from halfseen.evaluation.stored_model import specification
@@ -70,8 +71,13 @@ class HeldOutVerdict:
             "reason": self.reason,
             "sentence": self.sentence,
             "num_folds": self.num_folds,
+            "value": None if self.evaluation is None else _plain(self.evaluation.doubly_robust),
             "comparisons": [asdict(each) for each in comparisons],
         }
+
+
+def _plain(estimate: Estimate) -> dict[str, float]:
+    return {name: float(getattr(estimate, name)) for name in ("value", "low", "high", "standard_error")}
 
 
 @in_one_thread

@@ -10,6 +10,7 @@ import halfseen
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.json_values import names_in, plain, typed
 from halfseen.policies.folder.kinds import kind_of
+from halfseen.policies.promise import check_promise
 from halfseen.reading import json_of
 
 FORMAT, VERSION = "halfseen-policy", 1
@@ -44,6 +45,11 @@ def from_json(data: bytes) -> dict[str, Any]:
     for name in ("schema", "learner", "log", "diagnostics", "reg", "versions"):
         typed(record, name, dict, "an object")
     _check_doubts(record)
+    if record.get("promise") is not None:
+        try:
+            check_promise(record["promise"])
+        except (AttributeError, KeyError, TypeError, ValueError) as error:
+            raise PolicyError(f"promise cannot be read ({error}); learn the policy anew") from error
     spread = typed({"reward_spread": 0.0, **record}, "reward_spread", float, "a standard deviation")
     if not 0.0 <= spread < np.inf:
         raise PolicyError(f"reward_spread is {spread}; it is a standard deviation: learn the policy anew")

@@ -25,6 +25,7 @@ from halfseen.policies.folder.log_facts import log_facts
 from halfseen.policies.folder.record import FORMAT, VERSION, as_json
 from halfseen.policies.folder.specification import described
 from halfseen.policies.folder.stored import policy_of
+from halfseen.policies.promise import promised_states
 
 
 def write_policy(
@@ -117,6 +118,10 @@ def record_of(
         "diagnostics": _diagnostics(learner, facts.summary.horizon, positivity),
         "warnings": _warnings(sample, positivity),
         "verdict": None if verdict is None else dict(verdict),
+        "promise": {
+            "value": None if verdict is None else verdict.get("value"),
+            "stages": promised_states(sample, facts.schema.get("covariates", ())),
+        },
     }
 
 

@@ -1,0 +1,117 @@
+"""What a policy was promised, beside a log of the same cell, of another, and of swapped columns."""
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.errors import PolicyError
+from halfseen.evaluation.estimate import around
+from halfseen.evaluation.kept import drifts_of, kept_promise
+from halfseen.logs import Logs
+from halfseen.policies.promise import check_promise, promised_states
+
+COLUMNS = ("weight", "shine", "colour", "jams")
+
+
+def log(seed=0, num=400, **changed):
+    rng = np.random.default_rng(seed)
+    stages = pd.DataFrame({"path": np.repeat(np.arange(num), 2), "stage": np.tile([1, 2], num)})
+    stages["elapsed_s"] = np.tile([1.0, 2.0], num)
+    stages["action"], stages["reward"] = "PICK", rng.random(2 * num)
+    stages["weight"], stages["shine"] = rng.gamma(2.0, 3.0, 2 * num), rng.random(2 * num)
+    stages["colour"] = rng.choice(["red", "blue"], 2 * num, p=[0.7, 0.3])
+    stages["jams"] = rng.poisson(0.3, 2 * num)
+    paths = pd.DataFrame({"path": np.arange(num), "end_s": 2.0, "ending": "finished", "cause": None})
+    return Logs(stages.assign(**{name: change(stages) for name, change in changed.items()}), paths)
+
+
+PROMISED = promised_states(log(), COLUMNS)
+
+
+def test_the_distribution_is_what_a_loop_counts():
+    logs = log()
+    for stage in PROMISED:
+        rows: Any = logs.stages[logs.stages["stage"] == stage["stage"]]
+        told = stage["covariates"]["weight"]
+        for value, share in zip(told["values"], told["below"], strict=True):
+            assert share == np.mean([each <= value for each in rows["weight"]])
+        assert dict(zip(*stage["covariates"]["colour"].values(), strict=True)) == pytest.approx(
+            rows["colour"].value_counts(normalize=True).to_dict()
+        )
+    assert PROMISED[0]["covariates"]["jams"]["values"][0] == 0.0
+
+
+@pytest.mark.parametrize("seed", range(1, 11))
+def test_a_log_of_the_same_cell_has_not_drifted(seed):
+    assert drifts_of(PROMISED, log(seed)) == ()
+
+
+@pytest.mark.parametrize(
+    ("name", "change"),
+    [
+        ("weight", lambda s: 1000.0 * s["weight"]),
+        ("shine", lambda s: s["shine"] ** 2),
+        ("colour", lambda s: np.where(s["shine"] < 0.5, "red", "blue")),
+        ("colour", lambda s: "green"),
+        ("jams", lambda s: s["jams"] + 1),
+        ("jams", lambda s: s["jams"].astype(str)),
+    ],
+)
+def test_a_covariate_that_drifted_is_named(name, change):
+    found = drifts_of(PROMISED, log(1, **{name: change}))
+    assert len(found) == 1
+    assert f"covariate {name} is distributed otherwise" in found[0]
+    assert "from stage 1 on" in found[0]
+
+
+def test_what_drifts_in_a_later_stage_is_told_of_that():
+    (found,) = drifts_of(PROMISED, log(1, shine=lambda s: s["shine"].where(s["stage"] == 1, 0.5 * s["shine"])))
+    assert "from stage 2 on" in found
+
+
+def test_swapped_columns_are_told_as_such():
+    found = drifts_of(PROMISED, log(1, weight=lambda s: s["shine"], shine=lambda s: s["weight"]))
+    assert found == ("covariates weight and shine look swapped",)
+
+
+@pytest.mark.parametrize(
+    ("value", "is_own", "words"),
+    [
+        (0.5, True, "it earned 0.5 a path here (0.402 to 0.598): as promised."),
+        (0.2, True, ": less than promised."),
+        (0.9, False, "it would earn 0.9 a path here (0.802 to 0.998): more than promised."),
+    ],
+)
+def test_what_was_earned_is_beside_what_was_promised(value, is_own, words):
+    promise = {"value": {"value": 0.52, "low": 0.4, "high": 0.64, "standard_error": 0.06}, "stages": PROMISED}
+    found = kept_promise(promise, log(), around(value, 0.05, 100, np.inf, 0.95), is_own)
+    assert found.lines == [found.sentence]
+    assert found.sentence.startswith("Promised 0.52 a path (0.4 to 0.64); ")
+    assert found.sentence.endswith(words)
+    nothing = kept_promise(promise | {"value": None}, log(), around(value, 0.05, 100, np.inf, 0.95), is_own)
+    assert nothing.lines == []
+
+
+@pytest.mark.parametrize(
+    "promise",
+    [
+        {"value": {"value": 1.0}, "stages": []},
+        {"value": {"value": np.nan, "low": 0.0, "high": 1.0, "standard_error": 1.0}, "stages": []},
+        {"value": None, "stages": [{"stage": 0, "num_states": 3, "covariates": {}}]},
+        {"value": None, "stages": [{"stage": 1, "num_states": 3, "covariates": {"x": {"values": [], "below": []}}}]},
+        {
+            "value": None,
+            "stages": [{"stage": 1, "num_states": 3, "covariates": {"x": {"values": [2, 1], "below": [0, 1]}}}],
+        },
+        {
+            "value": None,
+            "stages": [{"stage": 1, "num_states": 3, "covariates": {"x": {"names": ["a"], "shares": [2.0]}}}],
+        },
+    ],
+)
+def test_what_is_no_promise_is_refused(promise):
+    with pytest.raises((PolicyError, KeyError)):
+        check_promise(promise)
+    check_promise({"value": None, "stages": PROMISED})
