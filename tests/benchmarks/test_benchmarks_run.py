@@ -28,6 +28,7 @@ pytestmark = pytest.mark.slow
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("teams.py", "--robots", "2", "--price", "-0.05", "--paths", "60", "--logs", "1", "--episodes", "50"),
         ("recorder.py", "--paths", "3"),
+        ("lies.py", "--logs", "1", "--paths", "60"),
         ("wrong_laws.py", "--cases", "news", "stick", "--sizes", "30", "--logs", "1"),
         ("learners.py", "--logs", "1", "--worlds", "trial", "--shares", "0.3", "--methods", "quadratic, imputed"),
     ],

@@ -1,8 +1,9 @@
 """Endings that do not look like ends: paths that are called finished and stop in mid-task, as a cut would stop them.
 
 Where a task ends, something tells: the action that ends it, what it paid, or the number of stages. Stages of one action
-that paid the same, with paths going on after them and paths ending, differ in nothing that is known. If those that end
-are clearly shorter, too, somebody or something stopped them.
+that paid the same, with paths going on after them and paths ending, differ in nothing that is known; and where no stage
+pays 0 but some that end paths do, that 0 may stand for what nobody saw. If those that end are clearly shorter, too,
+somebody or something stopped them.
 """
 
 from collections.abc import Iterator
@@ -21,27 +22,26 @@ def cuts_called_finished(logs: Logs) -> Iterator[str]:
     from scipy.stats import mannwhitneyu
 
     stages: Any = logs.stages
-    duration_s = stages["elapsed_s"] - stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
+    lasted_s = stages["elapsed_s"] - stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
     is_last = ~stages.duplicated("path", keep="last")
     finished = set(logs.paths["path"][logs.is_finished])
     is_end = is_last & stages["path"].isin(finished) & (stages["stage"] < logs.horizon)
     reward = stages["reward"].astype(float)
     for name, rows in stages.groupby(stages["action"].astype(str)).groups.items():
-        ends, goes_on = reward.loc[rows][is_end.loc[rows]], reward.loc[rows][~is_last.loc[rows]]
-        if len(ends) < FEWEST or len(goes_on) < FEWEST:
-            continue
-        paid = goes_on.mode().iloc[0] if goes_on.nunique() <= len(goes_on) / 2 else None
-        if paid is None:
-            continue
-        alike_end, alike_on = ends.index[ends == paid], goes_on.index[goes_on == paid]
-        if len(alike_end) < FEWEST or len(alike_on) < FEWEST:
-            continue
-        shorter = mannwhitneyu(duration_s[alike_end], duration_s[alike_on], alternative="less")
-        if shorter.pvalue < LEVEL:
-            ended_s, went_on_s = (float(np.median(duration_s[each])) for each in (alike_end, alike_on))
-            yield (
-                f"{len(alike_end)} paths are called finished after a {name} that paid {paid:g} and lasted "
-                f"{ended_s:.2g} s, yet {len(alike_on)} went on after one that paid the same and lasted "
-                f"{went_on_s:.2g} s: if something stopped them, their ending is 'cut', and that stage has neither "
-                "reward nor elapsed_s"
-            )
+        of_action = reward.loc[rows].dropna()
+        ends, goes_on = of_action[is_end.loc[of_action.index]], of_action[~is_last.loc[of_action.index]]
+        for paid in {0.0, *goes_on.mode().iloc[:1]}:
+            alike = ends.index[ends == paid]
+            others, words = goes_on.index[goes_on == paid], "went on after one that paid the same"
+            if len(others) < FEWEST:
+                others, words = of_action.index[of_action != paid], "of the same action paid otherwise"
+            if min(len(alike), len(others)) < FEWEST:
+                continue
+            if mannwhitneyu(lasted_s[alike], lasted_s[others], alternative="less").pvalue < LEVEL:
+                ended_s, other_s = (float(np.median(lasted_s[each])) for each in (alike, others))
+                yield (
+                    f"{len(alike)} paths are called finished after a {name} that paid {paid:g} and lasted "
+                    f"{ended_s:.2g} s, yet {len(others)} {words} and lasted {other_s:.2g} s: if something stopped "
+                    "them, their ending is 'cut', and that stage has neither reward nor elapsed_s"
+                )
+                break
