@@ -254,8 +254,9 @@ def _contender(name: str, problem: Problem, judged: Judged | None = None) -> Con
     added = problem.contribution(problem.judged(problem.nuisances[:-1]) if judged is None else judged)
     size, num_paths = problem.effective_sample_size, problem.paths.num_paths
     why = why_unknown(name, problem.support, size, problem.unseen, num_paths, problem.paths_for_one)
-    return Contender(name, *added, size, why)
+    return Contender(name, effective_sample_size=size, why_unknown=why, **added._asdict())
 
 
 def _logging(problem: Problem) -> Contender:
-    return Contender(LOGGING, *logging_contribution(problem), as_logged(problem).effective_sample_size)
+    size = as_logged(problem).effective_sample_size
+    return Contender(LOGGING, effective_sample_size=size, **logging_contribution(problem)._asdict())

@@ -9,8 +9,11 @@ from halfseen.shapes import Float
 
 Verdict = Literal["better", "not better", "cannot be said"]
 
-FEWEST_PATHS = 10.0
-"""Below this effective sample size no interval is believed."""
+FEWEST_PATHS = 2.0
+"""Below this effective sample size no interval is believed: one path has no spread."""
+
+ENOUGH_PATHS = 10.0
+"""Effective sample size that a larger log is said to be large enough for."""
 
 MANY_PATHS = 1e6
 """More than anybody records."""
@@ -55,7 +58,7 @@ def why_unknown(
     if effective_sample_size < FEWEST_PATHS:
         return (
             f"the effective sample size is {effective_sample_size:.1f} paths that follow {who}, and fewer than "
-            f"{FEWEST_PATHS:g} tell nothing; {_remedy(num_paths, FEWEST_PATHS * paths_for_one)}"
+            f"{FEWEST_PATHS:g} tell nothing; {_remedy(num_paths, ENOUGH_PATHS * paths_for_one)}"
         )
     return None
 
