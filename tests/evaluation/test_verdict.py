@@ -54,10 +54,11 @@ NONE_WOULD = "no log of a size that can be recorded would do"
     ],
 )
 def test_it_says_how_many_paths_would_do(paths_for_one, said):
-    why = why_unknown("the policy", np.ones(2), 1.6, None, 400, paths_for_one)
-    assert "the effective sample size is 1.6" in why
+    why = why_unknown("the policy", np.ones(2), 2.6, None, 400, paths_for_one)
+    assert "the effective sample size is 2.6" in why
     assert said in why
-    assert why_unknown("the policy", np.ones(2), 2.0, None, 400, paths_for_one) is None
+    assert why_unknown("the policy", np.ones(2), 10.0, None, 400, paths_for_one) is None
+    assert why_unknown("the policy", np.ones(2), 2.6, None, 400, paths_for_one, 2.0) is None
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ from halfseen.errors import ArgumentError
 from halfseen.evaluation.cross_fitting import Nuisances, nuisances_by_folds, nuisances_of
 from halfseen.evaluation.doubly_robust import cross_fitted
 from halfseen.evaluation.fitted_q import judged_by_folds
+from halfseen.evaluation.history import CLEARLY, history_deviate
 from halfseen.evaluation.marginal import Marginal, marginal_weights
 from halfseen.evaluation.possible import Possible, possible
 from halfseen.evaluation.propensity import estimated_propensity, logged_propensity
@@ -70,6 +71,8 @@ class Problem(NamedTuple):
     """Whether the log itself says where the policy was followed."""
     marginal: Marginal | None = None
     """Weights by states; None where ρ itself weighs."""
+    has_history: bool = False
+    """Whether the log shows that states do not tell all."""
     pool: Pool = Pool(None)
     """Who fits Q."""
 
@@ -98,6 +101,22 @@ class Problem(NamedTuple):
         """By ρ, of the stages that have a target: begun ones if targets are imputed, else completed ones."""
         stage_weights = completed_weights if given.imputation is None else begun_weights
         return stage_weights(self.ratio, given.uncut, self.paths)
+
+    def settled(self, judged: Judged) -> "Problem":
+        """The same with products of ratios where the history of a stage tells more of it than its state."""
+        if self.marginal is None or self.history_deviate(judged) <= CLEARLY:
+            return self
+        return self._replace(marginal=None, has_history=True)
+
+    def history_deviate(self, judged: Judged) -> float:
+        """How clearly the history of a stage tells more of it than its state."""
+        target, taken = (
+            np.asarray(leaf)[self.fold, np.arange(len(self.fold))] for leaf in (judged.target, judged.taken)
+        )
+        is_imputed = self.nuisances[-1].imputation is not None
+        return history_deviate(
+            target - taken, self.paths.is_begun if is_imputed else self.paths.is_completed, self.paths
+        )
 
     def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
         """What Qs of the policy say, each fitted with one of these."""
@@ -188,8 +207,9 @@ def following(
     is_taken: Bool[np.ndarray, "n T"] | None = None,
 ) -> Problem:
     """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
-    paths, uncut = problem.paths, np.stack([given.uncut for given in problem.nuisances])
+    paths = problem.paths
     followed = probabilities if is_taken is None else _one_hot(paths) * is_taken[..., None]
+    uncut = np.stack([given.uncut for given in problem.nuisances])
     single = single_ratios(followed, problem.likely, paths)
     is_imputed = problem.nuisances[-1].imputation is not None
     # A set of objects is no state of covariates that all actions share.
@@ -202,6 +222,7 @@ def following(
         unseen=_unseen(probabilities, paths, problem.model),
         is_revealed=is_taken is not None,
         marginal=marginal_weights(single, uncut, paths, problem.fold, is_imputed) if has_states else None,
+        has_history=False,
     )
 
 
