@@ -9,8 +9,8 @@ S_t alone, only their mean given S_t matters, the ratio of how often policy and 
 
 no product is ever formed. The mean is that of `state_regression`, fitted without the path's own fold. In the doubly
 robust value an error of ρ̄ is multiplied by one of Q̂; on products of ratios Q̂ may be what it likes, and a past that S_t
-does not tell may matter. So where a log shows that it does (`history`), products are taken, and whole: Q̂ is wrong there,
-too, and what is cut off would leave it uncorrected.
+does not tell may matter. So where a log shows that it does (`history`), products are taken, and whole: Q̂ is wrong
+there, too, and what is cut off would leave it uncorrected.
 
 A weight beyond √n belongs to fewer than √n of n paths, and is cut off there [Ionides2008]_: what it takes away is at
 most an error of Q̂ times the weight that is lost, which `Marginal.lost` tells.
