@@ -23,7 +23,7 @@ import numpy as np
 from halfseen.evaluation.ratios import StageWeights, uncut_before
 from halfseen.evaluation.state_regression import mean_by_state
 from halfseen.learning.rows import PathArrays
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Bool, Float, Int
 
 
 class Marginal(NamedTuple):
@@ -76,7 +76,7 @@ def marginal_weights(
 
 
 def _next_by_state(
-    completed: Float[np.ndarray, "B n"], stage: int, paths: PathArrays, is_fitted: Float[np.ndarray, "B n"]
+    completed: Float[np.ndarray, "B n"], stage: int, paths: PathArrays, is_fitted: Bool[np.ndarray, "B n"]
 ) -> Float[np.ndarray, "B n"]:
     """ρ̄ of the states of a stage (from 0); 0 where it was not begun."""
     answer = np.zeros_like(completed)
