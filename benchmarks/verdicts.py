@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
+from worlds.bin import Bin
 from worlds.examples import Cell, Trial
 from worlds.haze import Haze
 from worlds.policies import policies_of
@@ -40,7 +41,7 @@ SETTINGS: dict[str, Judge] = {
         "cox, weights": Weighted("cox", by="pooled"),
     }.items()
 }
-WORLDS: dict[str, Callable[[], World]] = {"cell": Cell, "trial": Trial, "haze": Haze, "wide": Wide}
+WORLDS: dict[str, Callable[[], World]] = {"cell": Cell, "trial": Trial, "haze": Haze, "wide": Wide, "bin": Bin}
 
 
 def measured(

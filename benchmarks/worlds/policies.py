@@ -25,7 +25,7 @@ class Drawn:
 
 
 def policies_of(world: World) -> dict[str, Drawn]:
-    """Policies to be judged, by name.
+    """Policies to be judged, by name; a null that a world does not have is left out.
 
     best        the optimum
     plain       a rule of thumb
@@ -35,17 +35,17 @@ def policies_of(world: World) -> dict[str, Drawn]:
     """
     own = world.value(world.logging)
 
+    def gain(family: Callable[[World, float], Chances], share: float) -> float:
+        return world.value(family(world, share)) - own
+
     def null(family: Callable[[World, float], Chances]) -> Chances:
-        root: Any = brentq(lambda share: world.value(family(world, share)) - own, 0.0, 1.0, xtol=1e-3)
+        root: Any = brentq(lambda share: gain(family, share), 0.0, 1.0, xtol=1e-3)
         return family(world, root)
 
-    named = {
-        "best": world.best,
-        "plain": world.plain,
-        "null, near": null(_near),
-        "null, far": null(_far),
-        "null, split": null(_split),
-    }
+    families = {"null, near": _near, "null, far": _far, "null, split": _split}
+    # Where the better half of the states is worth more than the rule earns in all, nothing undoes it in the other.
+    exist = {name: family for name, family in families.items() if gain(family, 0.0) * gain(family, 1.0) <= 0.0}
+    named = {"best": world.best, "plain": world.plain, **{name: null(family) for name, family in exist.items()}}
     by_stage = {stage: list(names) for stage, names in world.actions_by_stage.items()}
     rest = (tuple(world.actions), len(by_stage), tuple(world.covariates), by_stage)
     return {name: Drawn(chances, *rest) for name, chances in named.items()}

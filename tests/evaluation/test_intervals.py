@@ -65,7 +65,8 @@ def test_what_two_policies_share_is_not_held_against_their_difference():
     """Half of the paths are cut, and a long stage nearly always: values may be biased, their difference hardly."""
     logs = trial(4, num_paths=400, cut_rate=0.25)
     found = evaluate(StatePolicy((0.3, 0.7)), logs, against="logging", censoring=BOUNDED)
-    assert 0.0 < found.difference.bias < 0.2 * found.logging.bias
+    # Weights by states share a little less with those of the log than products do.
+    assert 0.0 < found.difference.bias < 0.3 * found.logging.bias
 
 
 # How strong an unrecorded cause of cuts undoes a verdict

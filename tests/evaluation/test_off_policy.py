@@ -148,10 +148,10 @@ def test_verdicts_of_all_three_kinds():
     assert worse.verdict == "not better"
     assert worse.sentence.startswith("Not better: it earns ")
     assert found_of(StatePolicy((0.31, 0.59)), trial(12, num_paths=50)).verdict == "cannot be said"
-    few = found_of(StatePolicy((1.0, 0.0)), trial(13, num_paths=40, cut_rate=0.15))
-    assert few.doubly_robust.effective_sample_size < 10
+    few = found_of(StatePolicy((1.0, 0.0)), trial(20, num_paths=20, cut_rate=0.15))
+    assert few.doubly_robust.effective_sample_size < 2
     assert few.verdict == "cannot be said"
-    assert "fewer than 10" in few.reason
+    assert "fewer than 2" in few.reason
 
 
 def test_an_action_that_a_stage_never_saw_is_named():

@@ -58,6 +58,7 @@ def test_it_says_how_many_paths_would_do(paths_for_one, said):
     assert "the effective sample size is 2.6" in why
     assert said in why
     assert why_unknown("the policy", np.ones(2), 10.0, None, 400, paths_for_one) is None
+    assert why_unknown("the policy", np.ones(2), 2.6, None, 400, paths_for_one, 2.0) is None
 
 
 @pytest.mark.parametrize(

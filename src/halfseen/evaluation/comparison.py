@@ -18,14 +18,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.evaluation.estimate import Estimate, estimate_of
+from halfseen.evaluation.estimate import Estimate, estimate_of, within
+from halfseen.evaluation.possible import Possible
 from halfseen.evaluation.sensitivity import undone_at
 from halfseen.evaluation.verdict import Verdict, verdict_of
 from halfseen.shapes import Float
 
 WRONG_BY = 0.5
 """Standard deviations (of targets about Q) by which the regression of cut stages may be wrong where no weight corrects
-it; two policies meet the same mistake. Our choice, made on logs of the cell that `benchmarks/verdicts.py` has not."""
+it, where two policies meet the same mistake; and Q where weights were cut off, where each policy makes its own. Our
+choice, made on logs of the cell that `benchmarks/verdicts.py` has not."""
 
 
 class Contender(NamedTuple):
@@ -40,6 +42,10 @@ class Contender(NamedTuple):
     """What 1/Ĝ of each completed stage is multiplied by in it."""
     uncorrected: float = 0.0
     """What it is off by for each standard deviation that the regression of cut stages is [reward]."""
+    truncated: float = 0.0
+    """The same for each one that Q is, where weights were cut off."""
+    possible: Possible | None = None
+    """What a path can earn at all."""
     effective_sample_size: float = 0.0
     why_unknown: str | None = None
     """Why nothing is to be believed, if so."""
@@ -47,8 +53,9 @@ class Contender(NamedTuple):
     def estimate(self, level: float) -> Estimate:
         """What it earns."""
         assert self.values is not None
-        bias = WRONG_BY * abs(self.uncorrected)
-        return estimate_of(self.values, self.effective_sample_size, level, self.without, bias)
+        bias = WRONG_BY * (abs(self.uncorrected) + self.truncated)
+        found = estimate_of(self.values, self.effective_sample_size, level, self.without, bias)
+        return found if self.possible is None else within(found, *self.possible)
 
     def less(self, other: "Contender", level: float) -> Estimate:
         """How much more it earns than another, path by path."""
@@ -56,8 +63,12 @@ class Contender(NamedTuple):
         assert other.values is not None
         size = min(self.effective_sample_size, other.effective_sample_size)
         without = None if self.without is None or other.without is None else self.without - other.without
-        bias = WRONG_BY * abs(self.uncorrected - other.uncorrected)
-        return estimate_of(self.values - other.values, size, level, without, bias)
+        bias = WRONG_BY * (abs(self.uncorrected - other.uncorrected) + self.truncated + other.truncated)
+        found = estimate_of(self.values - other.values, size, level, without, bias)
+        if self.possible is None:
+            return found
+        theirs = other.estimate(level)
+        return within(found, self.possible.low - theirs.high, self.possible.high - theirs.low)
 
 
 SEVERITY: dict[Verdict, int] = {"not better": 0, "cannot be said": 1, "better": 2}

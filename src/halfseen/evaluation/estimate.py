@@ -1,6 +1,6 @@
 """A number with its interval, from what each path adds to it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -107,6 +107,11 @@ def around(
     shift = bias / standard_error if standard_error > 0.0 else np.inf
     reach = bias if np.isinf(shift) else _quantile(level, shift, known) * standard_error
     return Estimate(value, value - reach, value + reach, standard_error, float(effective_sample_size), known, bias)
+
+
+def within(estimate: Estimate, low: float, high: float) -> Estimate:
+    """The same, with an interval that ends where the value is known to."""
+    return replace(estimate, low=max(estimate.low, low), high=min(estimate.high, high))
 
 
 def _beyond(x: float, shift: float, freedom: float) -> float:

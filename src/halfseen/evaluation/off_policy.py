@@ -28,7 +28,7 @@ from halfseen.evaluation.propensity import Propensity, check_propensity
 from halfseen.evaluation.quotient import share_of
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.evaluation.targets import horizon_of, is_alike, task_of
-from halfseen.evaluation.verdict import why_unknown
+from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_PATHS, why_unknown
 from halfseen.learning.judging import Judged
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
@@ -41,6 +41,12 @@ from halfseen.workers.threads import in_one_thread
 
 LARGEST_WEIGHT = 10.0
 """Bound of 1/Ĝ where a user has said nothing of cuts."""
+
+HISTORY_COUNTS = (
+    "what went before a stage foretells its outcome beyond the covariates, so trajectories are weighted as a whole; "
+    "record what they have in common as a covariate"
+)
+"""Said where states do not tell all."""
 
 LITTLE_REG = 1e-3
 """λ where a user has said nothing of Q. One that held-out stages choose suits those that are seen to end, and shrinks
@@ -205,10 +211,12 @@ def _evaluation(
     is_hourly: bool,
 ) -> Evaluation:
     judged = problem.judged(problem.nuisances)
+    problem = problem.settled(judged)
     ours, own = _contender("the policy", problem, judged), _logging(problem)
     theirs, notes = _contenders(opponents, own, problem, logs, has_probability, is_default)
     comparisons = _with_shares(compared(ours, theirs, level, problem.excess, logs.reward_unit), theirs, own, level)
     main = deciding(comparisons)
+    notes = (*notes, HISTORY_COUNTS) if problem.has_history else notes
     num_paths, num_folds = problem.paths.num_paths, int(problem.fold.max()) + 1
     completed = problem.completed
     by_ratio = estimate_of(completed.influence(problem.paths.reward), completed.effective_sample_size, level)
@@ -269,11 +277,15 @@ def _contenders(
 
 
 def _contender(name: str, problem: Problem, judged: Judged | None = None) -> Contender:
-    added = problem.contribution(problem.judged(problem.nuisances[:-1]) if judged is None else judged)
+    judged = problem.judged(problem.nuisances[:-1]) if judged is None else judged
+    problem = problem.settled(judged)
+    added = problem.contribution(judged)
     size, num_paths = problem.effective_sample_size, problem.paths.num_paths
-    why = why_unknown(name, problem.support, size, problem.unseen, num_paths, problem.paths_for_one)
-    return Contender(name, *added, size, why)
+    fewest = FEWEST_PATHS if problem.marginal is None else FEWEST_BY_STATES
+    why = why_unknown(name, problem.support, size, problem.unseen, num_paths, problem.paths_for_one, fewest)
+    return Contender(name, effective_sample_size=size, why_unknown=why, **added._asdict())
 
 
 def _logging(problem: Problem) -> Contender:
-    return Contender(LOGGING, *logging_contribution(problem), as_logged(problem).effective_sample_size)
+    size = as_logged(problem).effective_sample_size
+    return Contender(LOGGING, effective_sample_size=size, **logging_contribution(problem)._asdict())

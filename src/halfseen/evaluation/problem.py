@@ -9,6 +9,9 @@ from halfseen.errors import ArgumentError
 from halfseen.evaluation.cross_fitting import Nuisances, nuisances_by_folds, nuisances_of
 from halfseen.evaluation.doubly_robust import cross_fitted
 from halfseen.evaluation.fitted_q import judged_by_folds
+from halfseen.evaluation.history import CLEARLY, history_deviate
+from halfseen.evaluation.marginal import Marginal, marginal_weights
+from halfseen.evaluation.possible import Possible, possible
 from halfseen.evaluation.propensity import estimated_propensity, logged_propensity
 from halfseen.evaluation.ratios import (
     StageWeights,
@@ -16,6 +19,8 @@ from halfseen.evaluation.ratios import (
     completed_weights,
     likelihood_ratios,
     mean_squared_ratio,
+    single_ratios,
+    uncut_before,
 )
 from halfseen.evaluation.targets import is_alike, target_probabilities
 from halfseen.learning.judging import Judged
@@ -37,6 +42,10 @@ class Contribution(NamedTuple):
     """What 1/Ĝ of each completed stage is multiplied by."""
     uncorrected: float = 0.0
     """What the value is off by for each standard deviation that the regression of cut stages is [reward]."""
+    truncated: float = 0.0
+    """The same for each one that Q is, where weights were cut off."""
+    possible: Possible | None = None
+    """What a path can earn at all."""
 
 
 class Problem(NamedTuple):
@@ -60,18 +69,27 @@ class Problem(NamedTuple):
     """E[ρ²] of whole paths."""
     is_revealed: bool = False
     """Whether the log itself says where the policy was followed."""
+    marginal: Marginal | None = None
+    """Weights by states; None where ρ itself weighs."""
+    has_history: bool = False
+    """Whether the log shows that states do not tell all."""
     pool: Pool = Pool(None)
     """Who fits Q."""
 
     @property
     def effective_sample_size(self) -> float:
         """Of the paths that follow the policy."""
-        return self.weights(self.nuisances[-1]).effective_sample_size
+        return self.stage_weights[-1].effective_sample_size
+
+    @property
+    def stage_weights(self) -> tuple[StageWeights, ...]:
+        """Of the stages that have a target, without each fold, and last of all paths."""
+        return self.marginal.by_fold if self.marginal else tuple(self.weights(given) for given in self.nuisances)
 
     @property
     def paths_for_one(self) -> float:
         """How many paths like those of the log are worth one that follows the policy, about."""
-        in_spite_of_cuts = self._replace(ratio=np.ones_like(self.ratio)).effective_sample_size
+        in_spite_of_cuts = as_logged(self).effective_sample_size
         return self.squared_ratio * self.paths.num_paths / in_spite_of_cuts if in_spite_of_cuts > 0 else np.inf
 
     @property
@@ -80,9 +98,25 @@ class Problem(NamedTuple):
         return completed_weights(self.ratio, self.nuisances[-1].uncut, self.paths)
 
     def weights(self, given: Nuisances) -> StageWeights:
-        """Of the stages that have a target: begun ones if targets are imputed, else completed ones."""
+        """By ρ, of the stages that have a target: begun ones if targets are imputed, else completed ones."""
         stage_weights = completed_weights if given.imputation is None else begun_weights
         return stage_weights(self.ratio, given.uncut, self.paths)
+
+    def settled(self, judged: Judged) -> "Problem":
+        """The same with products of ratios where the history of a stage tells more of it than its state."""
+        if self.marginal is None or self.history_deviate(judged) <= CLEARLY:
+            return self
+        return self._replace(marginal=None, has_history=True)
+
+    def history_deviate(self, judged: Judged) -> float:
+        """How clearly the history of a stage tells more of it than its state."""
+        target, taken = (
+            np.asarray(leaf)[self.fold, np.arange(len(self.fold))] for leaf in (judged.target, judged.taken)
+        )
+        is_imputed = self.nuisances[-1].imputation is not None
+        return history_deviate(
+            target - taken, self.paths.is_begun if is_imputed else self.paths.is_completed, self.paths
+        )
 
     def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
         """What Qs of the policy say, each fitted with one of these."""
@@ -93,17 +127,30 @@ class Problem(NamedTuple):
         # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it
         # may stand for Q, and then the value is right even where a model of the policy says another action.
         judged = judged._replace(taken=judged.value) if self.is_revealed else judged
-        values, without = cross_fitted(judged, [self.weights(given) for given in self.nuisances[:-1]], self.fold)
+        values, without = cross_fitted(judged, self.stage_weights[:-1], self.fold)
         value, taken = (np.asarray(leaf)[self.fold, np.arange(len(self.fold))] for leaf in (judged.value, judged.taken))
         successor = np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
         target = self.paths.reward + np.where(self.paths.is_last, 0.0, successor)
         residual = target - taken
-        return Contribution(values, without, self.errors(residual), self.uncorrected_weight * self.deviation(residual))
+        deviation, within = self.deviation(residual), possible(self.paths)
+        lost = self.marginal.lost if self.marginal else 0.0
+        return Contribution(
+            within.moved_within(values),
+            without,
+            self.errors(residual),
+            self.uncorrected_weight * deviation,
+            lost * deviation,
+            within,
+        )
 
     def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
         """What 1/Ĝ of each completed stage is multiplied by, where the stage adds its weighted residual."""
-        uncut = self.nuisances[-1].uncut
-        return np.where(uncut > 0, self.completed.normalised / np.where(uncut > 0, uncut, 1.0) * residual, 0.0)
+        uncut, weights = self.nuisances[-1].uncut, self.completed
+        per = uncut
+        if self.marginal:
+            weights = self.marginal.by_fold[-1]
+            per = uncut if self.nuisances[-1].imputation is None else uncut_before(uncut)
+        return np.where(uncut > 0, weights.normalised / np.where(uncut > 0, per, 1.0) * residual, 0.0)
 
     @property
     def uncorrected_weight(self) -> float:
@@ -115,7 +162,7 @@ class Problem(NamedTuple):
         if given.imputation is None:
             return 0.0
         missing = np.where(self.paths.is_begun, 1.0 - given.imputation.share, 0.0)
-        return max(0.0, float((self.weights(given).normalised * missing).sum() / self.paths.num_paths))
+        return max(0.0, float((self.stage_weights[-1].normalised * missing).sum() / self.paths.num_paths))
 
     def deviation(self, residual: Float[np.ndarray, "n T"]) -> float:
         """Standard deviation of the targets of stages about Q."""
@@ -162,6 +209,11 @@ def following(
     """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
     paths = problem.paths
     followed = probabilities if is_taken is None else _one_hot(paths) * is_taken[..., None]
+    uncut = np.stack([given.uncut for given in problem.nuisances])
+    single = single_ratios(followed, problem.likely, paths)
+    is_imputed = problem.nuisances[-1].imputation is not None
+    # A set of objects is no state of covariates that all actions share.
+    has_states = problem.model.task.is_shared
     return problem._replace(
         log=problem.log._replace(policy=probabilities),
         ratio=likelihood_ratios(followed, problem.likely, paths),
@@ -169,13 +221,17 @@ def following(
         support=_support(followed, paths)[: problem.logs.horizon],
         unseen=_unseen(probabilities, paths, problem.model),
         is_revealed=is_taken is not None,
+        marginal=marginal_weights(single, uncut, paths, problem.fold, is_imputed) if has_states else None,
+        has_history=False,
     )
 
 
 def as_logged(problem: Problem) -> Problem:
     """The same log, with the logged action for a policy: ρ is 1, and no propensity is needed."""
     log = problem.log._replace(policy=_one_hot(problem.paths))
-    return problem._replace(log=log, ratio=np.ones_like(problem.ratio), squared_ratio=1.0, is_revealed=False)
+    return problem._replace(
+        log=log, ratio=np.ones_like(problem.ratio), squared_ratio=1.0, is_revealed=False, marginal=None
+    )
 
 
 def logging_contribution(problem: Problem) -> Contribution:
@@ -188,7 +244,7 @@ def logging_contribution(problem: Problem) -> Contribution:
         kept = own.fold != k
         without.append(own.weights(given).take(kept).influence(reward[kept]).mean())
     values = own.weights(own.nuisances[-1]).influence(reward)
-    return Contribution(values, np.array(without), own.errors(reward))
+    return Contribution(values, np.array(without), own.errors(reward), possible=possible(own.paths))
 
 
 def _one_hot(paths: PathArrays) -> Float[np.ndarray, "n T A"]:

@@ -18,7 +18,12 @@ def share_of(policy: Contender, today: Contender, level: float) -> Estimate | No
 
     None where the other's interval holds 0, or what it earns is not above 0.
     """
-    return _quotient(policy, today, level, lambda share: abs(policy.uncorrected - share * today.uncorrected))
+    return _quotient(
+        policy,
+        today,
+        level,
+        lambda share: abs(policy.uncorrected - share * today.uncorrected) + _truncated(policy, share, today),
+    )
 
 
 def rate_of(earned: Contender, took: Contender, level: float) -> Estimate | None:
@@ -26,7 +31,12 @@ def rate_of(earned: Contender, took: Contender, level: float) -> Estimate | None
 
     None where nobody knows that it took anything.
     """
-    return _quotient(earned, took, level, lambda rate: abs(earned.uncorrected) + abs(rate * took.uncorrected))
+    return _quotient(
+        earned,
+        took,
+        level,
+        lambda rate: abs(earned.uncorrected) + abs(rate * took.uncorrected) + _truncated(earned, rate, took),
+    )
 
 
 def _quotient(
@@ -42,6 +52,10 @@ def _quotient(
     size = min(above.effective_sample_size, below.effective_sample_size)
     bias = WRONG_BY * uncorrected_at(quotient) / lower.value
     return estimate_of(influence, size, level, _without(above, below), bias)
+
+
+def _truncated(above: Contender, quotient: float, below: Contender) -> float:
+    return above.truncated + abs(quotient) * below.truncated
 
 
 def _without(above: Contender, below: Contender) -> Float[np.ndarray, " K"] | None:

@@ -73,7 +73,7 @@ def likelihood_ratios(
         The log.
     """
     known = paths.is_begun & paths.has_action
-    return np.where(known, np.cumprod(_single(probabilities, propensity, paths), axis=1), 0.0)
+    return np.where(known, np.cumprod(single_ratios(probabilities, propensity, paths), axis=1), 0.0)
 
 
 def mean_squared_ratio(
@@ -89,13 +89,13 @@ def mean_squared_ratio(
     probabilities, propensity, paths
         As for `likelihood_ratios`.
     """
-    known, squares = paths.is_begun & paths.has_action, _single(probabilities, propensity, paths) ** 2
+    known, squares = paths.is_begun & paths.has_action, single_ratios(probabilities, propensity, paths) ** 2
     mean = np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     whole = paths.clocks.is_finished if paths.clocks.is_finished.any() else np.ones(paths.num_paths, dtype=bool)
     return float(np.prod(np.where(known[whole], mean, 1.0), axis=1).mean())
 
 
-def _single(
+def single_ratios(
     probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
 ) -> Float[np.ndarray, "n T"]:
     """π/b of each begun stage whose action is known; 1 elsewhere."""
@@ -113,10 +113,14 @@ def completed_weights(
 
 def begun_weights(ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], paths: PathArrays) -> StageWeights:
     """ρ_t / Ĝ(U_{t−1}⁻) of begun stages; once a path has ended, ρ_L / Ĝ(U_L⁻) stands for it."""
-    before = np.concatenate([np.ones((paths.num_paths, 1)), uncut[:, :-1]], axis=1)
-    weight = np.where(paths.is_begun, ratio * before, 0.0)
+    weight = np.where(paths.is_begun, ratio * uncut_before(uncut), 0.0)
     ended = _stand_on(np.where(paths.is_completed, ratio * uncut, 0.0), paths)
     return StageWeights(weight, np.where(paths.is_begun, weight, ended))
+
+
+def uncut_before(uncut: Float[np.ndarray, "*B n T"]) -> Float[np.ndarray, "*B n T"]:
+    """δ_{t−1} / Ĝ(U_{t−1}⁻), which is 1 in the first stage."""
+    return np.concatenate([np.ones_like(uncut[..., :1]), uncut[..., :-1]], axis=-1)
 
 
 def _stand_on(weight: Float[np.ndarray, "n T"], paths: PathArrays) -> Float[np.ndarray, "n T"]:

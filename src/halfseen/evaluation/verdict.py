@@ -10,7 +10,10 @@ from halfseen.shapes import Float
 Verdict = Literal["better", "not better", "cannot be said"]
 
 FEWEST_PATHS = 10.0
-"""Below this effective sample size no interval is believed."""
+"""Below this effective sample size no interval is believed where products of ratios weigh."""
+
+FEWEST_BY_STATES = 2.0
+"""The same where states weigh, whose spread is known from more paths than the one that leads to them."""
 
 MANY_PATHS = 1e6
 """More than anybody records."""
@@ -23,6 +26,7 @@ def why_unknown(
     unseen: str | None = None,
     num_paths: int = 0,
     paths_for_one: float = np.inf,
+    fewest: float = FEWEST_PATHS,
 ) -> str | None:
     """Say why a log tells nothing of what a policy earns; None if it does.
 
@@ -40,6 +44,8 @@ def why_unknown(
         Paths of the log.
     paths_for_one
         How many paths like those of the log are worth one that follows it.
+    fewest
+        The least effective sample size that is believed.
     """
     if unseen is not None:
         return (
@@ -52,10 +58,10 @@ def why_unknown(
             f"no logged action of stage {lacking[0] + 1} is one that {who} would take; log some paths that take "
             "them, uniformly at random now and then"
         )
-    if effective_sample_size < FEWEST_PATHS:
+    if effective_sample_size < fewest:
         return (
             f"the effective sample size is {effective_sample_size:.1f} paths that follow {who}, and fewer than "
-            f"{FEWEST_PATHS:g} tell nothing; {_remedy(num_paths, FEWEST_PATHS * paths_for_one)}"
+            f"{fewest:g} tell nothing; {_remedy(num_paths, FEWEST_PATHS * paths_for_one)}"
         )
     return None
 
