@@ -138,6 +138,10 @@ def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trust
     assert told.verdict == told.comparisons[0].verdict == "cannot be said"
     assert "the log cannot be true" in told.reason
     assert "--trust-probabilities" in told.reason
+    # What cannot be said anyway keeps its reason, and the doubt is noted.
+    few = evaluated(*(each[each["path"] < 60] for each in (stages.assign(probability=0.8125), paths)))
+    assert (few.verdict, few.reason == told.reason) == ("cannot be said", False)
+    assert "the log cannot be true" in few.notes[0]
     trusted = evaluated(stages.assign(probability=0.8125), paths, trust=("probabilities",))
     assert trusted.verdict == "better"
     assert trusted.doubly_robust == told.doubly_robust

@@ -157,13 +157,17 @@ def evaluate(
 
 
 def _undecided(found: Evaluation, doubt: str) -> Evaluation:
-    """The same numbers, by which nothing is called better or worse; what cannot be said anyway has its own reason."""
+    """The same numbers, by which nothing is called better or worse.
+
+    What cannot be said anyway keeps its own reason, and the doubt is noted.
+    """
     comparisons = tuple(
         one if one.verdict == "cannot be said" else replace(one, verdict="cannot be said", reason=doubt)
         for one in found.comparisons
     )
-    reason = found.reason if found.verdict == "cannot be said" else doubt
-    return replace(found, comparisons=comparisons, verdict="cannot be said", reason=reason)
+    if found.verdict == "cannot be said":
+        return replace(found, comparisons=comparisons, notes=(doubt, *found.notes))
+    return replace(found, comparisons=comparisons, verdict="cannot be said", reason=doubt)
 
 
 def default_targets(logs: Logs) -> Targets:
