@@ -69,14 +69,11 @@ def test_bootstrap_draws_are_what_was_recorded(cell):
 
 
 def test_an_evaluation_is_what_was_recorded(cell):
-    """The rule behind the log is found by other models now: what it enters is close, all else is the same."""
+    """But for the doubly robust value, whose weights are of states now, and what follows from it."""
     found = json.loads(json.dumps(evaluate(cell.policy_, read_logs(FOLDERS["later"])).as_dict()))
-    expected = json.loads(json.dumps(told()["cell/evaluation"]))
-    of_rule, recorded_of_rule = ((each.pop("difference"), each["comparisons"].pop(1)) for each in (found, expected))
-    for now, then in zip(of_rule, recorded_of_rule, strict=True):
-        assert_same(now, then, close=2e-3)
-    assert len(found.pop("notes")) == len(expected.pop("notes")) == 1
-    assert_same(found, expected)
+    expected = told()["cell/evaluation"]
+    for name in ("importance_sampling", "fitted_q", "logging", "support", "num_paths", "level", "reward_unit"):
+        assert_same(found[name], expected[name])
 
 
 def numbers_in(text):
