@@ -1,6 +1,6 @@
 """Do the intervals of `evaluate` hold, and is "better" said of what is better, when paths of the log were cut?
 
-python benchmarks/verdicts.py [--out FILE] [--logs 400] [--paths 800] [--world NAME ...] [--share SHARE ...]
+python benchmarks/verdicts.py [--out FILE] [--logs 60] [--paths 800] [--world NAME ...] [--share SHARE ...]
 
 Worlds and policies are those of `worlds`; cuts take none, a third or half of the paths of a log. For each
 policy: how often the 95 % interval of its doubly robust value, and of the difference from the logging policy, held the
@@ -105,7 +105,7 @@ HEAD = (
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/verdicts.json"))
-    parser.add_argument("--logs", type=int, default=400)
+    parser.add_argument("--logs", type=int, default=60)
     parser.add_argument("--paths", type=int, default=NUM_PATHS)
     parser.add_argument("--world", choices=WORLDS, nargs="+", default=list(WORLDS))
     parser.add_argument("--share", choices=SHARES, nargs="+", default=list(SHARES))
