@@ -124,6 +124,28 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
     assert list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), paths), of=("y",))) == []
 
 
+@pytest.mark.parametrize(
+    ("name", "values", "kind"),
+    [
+        ("jam", pd.array([k % 2 == 0 for k in range(120)], dtype="boolean"), set()),
+        ("jam", np.arange(120) % 2 == 0, set()),
+        ("part", pd.array(range(120), dtype="Int64"), {"identifier"}),
+        ("colour", pd.Categorical(["red", "blue"] * 60), set()),
+        ("mass", pd.array([f"{k},5" for k in range(120)], dtype="string"), {"number-as-text"}),
+        ("probability", np.full(120, 1e-300), {"untrue-probability"}),
+    ],
+    ids=["boolean", "bool", "Int64", "category", "string", "tiny"],
+)
+def test_columns_of_all_kinds_are_looked_at_without_a_warning(name, values, kind):
+    rng, num = np.random.default_rng(0), 120
+    stages = pd.DataFrame({"path": range(num), "stage": 1, "elapsed_s": rng.gamma(3.0, 1.0, num), "probability": 0.5})
+    stages = stages.assign(action=rng.choice(["A", "B"], num), reward=rng.random(num), x=rng.random(num))
+    paths = pd.DataFrame({"path": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None})
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert kinds(stages.assign(**{name: values}), paths) == kind
+
+
 def evaluated(stages, paths, **options):
     logs = Logs(stages.drop(columns="won", errors="ignore"), paths)
     with warnings.catch_warnings():

@@ -27,8 +27,10 @@ def identifiers(logs: Logs) -> Iterator[str]:
     begun_s = stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
     for name in logs.stage_covariates:
         values = stages[name]
-        if not pd.api.types.is_numeric_dtype(values.dtype) or values.isna().any() or values.dtype == bool:
+        is_number = pd.api.types.is_numeric_dtype(values.dtype) and not pd.api.types.is_bool_dtype(values.dtype)
+        if not is_number or values.isna().any():
             continue
+        values = values.astype(np.float64)
         first = values[stages["stage"] == 1]
         is_counted = (first % 1 == 0).all() and np.ptp(first) < 3.0 * len(first)
         if is_counted and first.nunique() >= NEARLY_ALL * len(first):

@@ -22,6 +22,7 @@ from halfseen.shapes import Float
 LEVEL = 1e-3
 """Chance with which what is true is called impossible, at most, over all that is looked at in one check."""
 FEWEST = 30
+TINY = 1e-100
 
 
 def excess_p(inverse: Rows, group: RowIds, num_groups: int, sizes: Float[np.ndarray, " G"]) -> Float[np.ndarray, " G"]:
@@ -147,7 +148,8 @@ def _known(logs: Logs) -> tuple[Any, Rows] | None:
         return None
     rows = logs.stages["probability"].notna() & logs.stages["action"].notna()
     stages: Any = logs.stages[rows]
-    return (stages, stages["probability"].to_numpy(dtype=np.float64)) if len(stages) else None
+    # So that no square of 1/p overflows.
+    return (stages, np.maximum(stages["probability"].to_numpy(dtype=np.float64), TINY)) if len(stages) else None
 
 
 def _too_few_others(probability: Rows) -> Iterator[str]:
