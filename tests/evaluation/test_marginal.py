@@ -60,15 +60,15 @@ def test_the_mean_by_state_is_the_loop(seed):
     ]
     best = [forms[int(np.argmin(errors))] for forms in each]
     wanted = [m * w[kept].sum() / m[kept].sum() for m, w, kept in zip(best, weight, is_fitted, strict=True)]
-    np.testing.assert_allclose(regression.mean_by_state(weight, states, is_fitted), wanted, rtol=1e-7, atol=1e-12)
+    np.testing.assert_allclose(regression.mean_by_state(weight, [states], is_fitted), wanted, rtol=1e-7, atol=1e-12)
 
 
 def test_weights_that_states_tell_are_found_and_equal_ones_stay():
     weight, states, is_fitted = rows(0, num_rows=300)
     by_state = np.broadcast_to(1.0 + states[:, 0] * states[:, 1] + states[:, 0] ** 2, weight.shape)
-    np.testing.assert_allclose(regression.mean_by_state(by_state, states, is_fitted), by_state, rtol=0.02)
+    np.testing.assert_allclose(regression.mean_by_state(by_state, [states], is_fitted), by_state, rtol=0.02)
     np.testing.assert_allclose(
-        regression.mean_by_state(np.full_like(weight, 2.5), states, is_fitted), np.full_like(weight, 2.5), rtol=1e-9
+        regression.mean_by_state(np.full_like(weight, 2.5), [states], is_fitted), np.full_like(weight, 2.5), rtol=1e-9
     )
 
 
@@ -77,7 +77,7 @@ def test_few_places_stand_for_many_states(monkeypatch, num_places):
     monkeypatch.setattr(regression, "MOST_PLACES", num_places)
     states = np.random.default_rng(1).normal(size=(400, 2))
     weight = np.exp(states[:, 0])[None]
-    found = regression.mean_by_state(weight, states, np.ones((1, 400), dtype=bool))
+    found = regression.mean_by_state(weight, [states], np.ones((1, 400), dtype=bool))
     assert found.shape == (1, 400)
     assert (found >= 0).all()
     assert found.sum() == pytest.approx(weight.sum())
@@ -105,7 +105,7 @@ def naive_weights(single, uncut, paths, fold, k):
             here = np.flatnonzero(paths.is_begun[:, t + 1])
             own = regression.mean_by_state(
                 np.stack([passed[here]] * len(uncut)),
-                paths.features[here, t + 1, 0],
+                [paths.features[here, t + 1, 0]],
                 fold[here] != np.arange(len(uncut))[:, None],
             )
             by_state = np.zeros(num)
@@ -120,7 +120,7 @@ def test_weights_by_states_are_the_loop(monkeypatch):
     given = problem(trial(0, num_paths=60, cut_rate=0.15))
     uncut = np.stack([each.uncut for each in given.nuisances])
     single = single_ratios(given.log.policy, given.likely, given.paths)
-    found = marginal_weights(single, uncut, given.paths, given.fold, is_imputed=True)
+    found = marginal_weights(single, uncut, given.paths, given.beyond, given.fold, is_imputed=True)
     for k, each in enumerate(found.by_fold):
         weight, standing, lost = naive_weights(single, uncut, given.paths, given.fold, k)
         np.testing.assert_allclose(each.weight, weight, rtol=1e-9)

@@ -49,7 +49,7 @@ def test_where_states_tell_all_it_is_a_normal_deviate():
         rng = np.random.default_rng(seed)
         # What paths share, and what is theirs in a stage.
         residual = rng.normal(size=(300, 1)) + rng.normal(size=(300, 2)) * (1.0 + given.paths.action)
-        found.append(history_deviate(residual, given.paths.is_begun, given.paths))
+        found.append(history_deviate(residual, given.paths.is_begun, given.paths, given.beyond))
     assert np.mean(found) == pytest.approx(0.0, abs=0.25)
     assert np.std(found) == pytest.approx(1.0, abs=0.15)
 
@@ -65,8 +65,9 @@ def test_the_statistic_is_its_definition_and_directions_without_scores_do_not_co
 
 def test_a_path_of_one_stage_has_no_history():
     logs = trial(1, num_paths=60)
-    paths = problem(logs).paths
-    assert history_deviate(np.ones((60, 2)), paths.is_begun & [True, False], paths) == -np.inf
+    given = problem(logs)
+    paths = given.paths
+    assert history_deviate(np.ones((60, 2)), paths.is_begun & [True, False], paths, given.beyond) == -np.inf
 
 
 def test_a_past_that_matters_is_found_and_then_products_weigh():

@@ -24,7 +24,10 @@ ROWS_PER_COLUMN = 5
 
 
 def history_deviate(
-    residual: Float[np.ndarray, "n T"], has_target: Bool[np.ndarray, "n T"], paths: PathArrays
+    residual: Float[np.ndarray, "n T"],
+    has_target: Bool[np.ndarray, "n T"],
+    paths: PathArrays,
+    beyond: Float[np.ndarray, "n T G"],
 ) -> float:
     """W as a normal deviate; −∞ where no stage has one before it.
 
@@ -36,14 +39,17 @@ def history_deviate(
         Stages that have one.
     paths
         The log.
+    beyond
+        Covariates of each stage that Q does not look at.
     """
     path, before = np.nonzero(has_target[:, 1:])
     if not len(path):
         return -np.inf
     now, taken = before + 1, np.eye(paths.is_possible.shape[-1])
-    known = _known(paths.features[path, now, 0], taken[paths.action[path, now]])
+    states = np.concatenate([paths.features[:, :, 0], beyond], axis=2)
+    known = _known(states[path, now], taken[paths.action[path, now]])
     history = np.column_stack(
-        [taken[paths.action[path, before]][:, 1:], paths.features[path, before, 0], paths.reward[path, before]]
+        [taken[paths.action[path, before]][:, 1:], states[path, before], paths.reward[path, before]]
     )
     freed = _freed(np.column_stack([history, residual[path, now]]), known)
     history, left = _varied(freed[:, :-1], history), freed[:, -1]

@@ -17,13 +17,11 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
-from pandas.api.types import is_numeric_dtype
-
 from halfseen.evaluation.rule_models import Shares, forest_shares, logit_shares
+from halfseen.evaluation.states import states_of
 from halfseen.learning.behaviour import conditional_logit
-from halfseen.learning.covariates import Covariates
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.rows import PathArrays, stage_places
+from halfseen.learning.rows import PathArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
@@ -153,7 +151,7 @@ def _choices(logs: Logs, paths: PathArrays, task: Task) -> list[Choice]:
         features, is_possible = paths.features[begun], paths.is_possible[begun]
         blocks = task.block_of_action(is_possible.shape[1])
         return [lambda weight: conditional_logit(features, is_possible, taken, blocks, weight).argmax(axis=1)]
-    states, stage = _states(logs, paths, task), np.nonzero(begun)[1]
+    states, stage = states_of(logs, paths, task.categories, added=["stage"])[begun], np.nonzero(begun)[1]
     was_taken = np.zeros(paths.is_possible.shape[1:], dtype=bool)
     was_taken[stage[paths.has_action[begun]], taken[paths.has_action[begun]]] = True
     possible = was_taken[stage]
@@ -161,17 +159,6 @@ def _choices(logs: Logs, paths: PathArrays, task: Task) -> list[Choice]:
         lambda weight, each=each: _likeliest(each, states, taken, weight, possible)
         for each in (forest_shares, logit_shares)
     ]
-
-
-def _states(logs: Logs, paths: PathArrays, task: NamedActions) -> Float[np.ndarray, "rows F"]:
-    """All covariates that can be looked at, and the stage; in the order of paths and their stages."""
-    categories = task.fitted(logs, logs.horizon).categories
-    is_number = logs.stages.dtypes.map(is_numeric_dtype)
-    looked_at = tuple(name for name in logs.stage_covariates if is_number[name] or name in categories)
-    numbers = Covariates((*looked_at, "stage"), categories).encode(logs.stages)
-    spread = np.zeros((*paths.is_begun.shape, numbers.shape[1]))
-    spread[stage_places(logs)] = numbers
-    return spread[paths.is_begun]
 
 
 def _likeliest(

@@ -7,9 +7,10 @@ S_t alone, only their mean given S_t matters, the ratio of how often policy and 
     w_t = min(ρ̄_t(S_t) π(A_t | S_t) / b(A_t | S_t), √n),
     ρ̄_1 = 1,  ρ̄_{t+1}(s) = E[w_t δ_t / K̂_t | S_{t+1} = s],  K̂_t = Ĝ(U_t⁻) / Ĝ(U_{t−1}⁻),
 
-no product is ever formed. The mean is that of `state_regression`, fitted without the path's own fold. In the doubly
-robust value an error of ρ̄ is multiplied by one of Q̂; on products of ratios Q̂ may be what it likes, and a past that S_t
-does not tell may matter. So where a log shows that it does (`history`), products are taken, and whole: Q̂ is wrong
+no product is ever formed. The mean is that of `state_regression`, fitted without the path's own fold. S_t is all that
+the log tells of a stage, whether or not Q̂ looks at it: so weights may be right where Q̂ is not. In the doubly robust
+value an error of ρ̄ is multiplied by one of Q̂; on products of ratios Q̂ may be what it likes, and a past that S_t does
+not tell may matter. So where a log shows that it does (`history`), products are taken, and whole: Q̂ is wrong
 there, too, and what is cut off would leave it uncorrected.
 
 A weight beyond √n belongs to fewer than √n of n paths, and is cut off there [Ionides2008]_: what it takes away is at
@@ -39,6 +40,7 @@ def marginal_weights(
     single: Float[np.ndarray, "n T"],
     uncut: Float[np.ndarray, "B n T"],
     paths: PathArrays,
+    beyond: Float[np.ndarray, "n T G"],
     fold: Int[np.ndarray, " n"],
     is_imputed: bool,
 ) -> Marginal:
@@ -52,6 +54,8 @@ def marginal_weights(
         δ_t / Ĝ(U_t⁻), fitted without each fold, and last to all paths.
     paths
         The log.
+    beyond
+        Covariates of each stage that Q does not look at.
     fold
         Of each path.
     is_imputed
@@ -71,19 +75,24 @@ def marginal_weights(
         weight[..., t] = begun if is_imputed else completed
         standing[..., t] = np.where(paths.is_begun[:, t], weight[..., t], ended)
         ended = np.where(is_finished & (last == t), completed, ended)
-        by_state = _next_by_state(completed, t + 1, paths, is_fitted)
+        by_state = _next_by_state(completed, t + 1, paths, beyond, is_fitted)
     return Marginal(tuple(StageWeights(*each) for each in zip(weight, standing, strict=True)), lost)
 
 
 def _next_by_state(
-    completed: Float[np.ndarray, "B n"], stage: int, paths: PathArrays, is_fitted: Bool[np.ndarray, "B n"]
+    completed: Float[np.ndarray, "B n"],
+    stage: int,
+    paths: PathArrays,
+    beyond: Float[np.ndarray, "n T G"],
+    is_fitted: Bool[np.ndarray, "B n"],
 ) -> Float[np.ndarray, "B n"]:
     """ρ̄ of the states of a stage (from 0); 0 where it was not begun."""
     answer = np.zeros_like(completed)
     if stage < paths.action.shape[1] and paths.is_begun[:, stage].any():
         rows = np.flatnonzero(paths.is_begun[:, stage])
-        states = paths.features[rows, stage, 0]
-        answer[:, rows] = mean_by_state(completed[:, rows], states, is_fitted[:, rows])
+        looked_at, others = paths.features[rows, stage, 0], beyond[rows, stage]
+        sets = [looked_at, np.column_stack([looked_at, others])] if others.shape[1] else [looked_at]
+        answer[:, rows] = mean_by_state(completed[:, rows], sets, is_fitted[:, rows])
     return answer
 
 

@@ -22,8 +22,10 @@ from halfseen.evaluation.ratios import (
     single_ratios,
     uncut_before,
 )
+from halfseen.evaluation.states import states_of
 from halfseen.evaluation.targets import is_alike, target_probabilities
 from halfseen.learning.judging import Judged
+from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import PathArrays, Transitions
 from halfseen.logs import Logs
@@ -63,6 +65,8 @@ class Problem(NamedTuple):
     ratio: Float[np.ndarray, "n T"]
     support: Float[np.ndarray, " L"]
     """Of the stages that the log holds."""
+    beyond: Float[np.ndarray, "n T G"]
+    """Covariates that Q does not look at."""
     unseen: str | None
     """An action that the policy takes and that the log never saw completed, in words."""
     squared_ratio: float = 1.0
@@ -115,7 +119,7 @@ class Problem(NamedTuple):
         )
         is_imputed = self.nuisances[-1].imputation is not None
         return history_deviate(
-            target - taken, self.paths.is_begun if is_imputed else self.paths.is_completed, self.paths
+            target - taken, self.paths.is_begun if is_imputed else self.paths.is_completed, self.paths, self.beyond
         )
 
     def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
@@ -198,7 +202,14 @@ def problem_of(
     fold = rng.permutation(paths.num_paths) % num_folds
     nuisances = (*nuisances_by_folds(model, paths, whole, fold), whole)
     alike, support = np.ones_like(likely), np.ones(logs.horizon)
-    return following(Problem(logs, paths, log, model, fold, likely, nuisances, alike, support, None), probabilities)
+    task = model.task
+    beyond = (
+        states_of(logs, paths, task.categories, left_out=task.covariates)
+        if isinstance(task, NamedActions)
+        else np.zeros((*paths.is_begun.shape, 0))
+    )
+    given = Problem(logs, paths, log, model, fold, likely, nuisances, alike, support, beyond, None)
+    return following(given, probabilities)
 
 
 def following(
@@ -221,7 +232,9 @@ def following(
         support=_support(followed, paths)[: problem.logs.horizon],
         unseen=_unseen(probabilities, paths, problem.model),
         is_revealed=is_taken is not None,
-        marginal=marginal_weights(single, uncut, paths, problem.fold, is_imputed) if has_states else None,
+        marginal=marginal_weights(single, uncut, paths, problem.beyond, problem.fold, is_imputed)
+        if has_states
+        else None,
         has_history=False,
     )
 

@@ -8,7 +8,7 @@ two guesses and some widths h, up to one that makes neighbours of all, the one i
 paths that were left out best. Weights are no less than 0, and their mean is kept: m is scaled to the sum of ω.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -35,7 +35,7 @@ class Neighbours(NamedTuple):
 
 
 def mean_by_state(
-    weight: Float[np.ndarray, "B m"], states: Float[np.ndarray, "m F"], is_fitted: Bool[np.ndarray, "B m"]
+    weight: Float[np.ndarray, "B m"], states: Sequence[Float[np.ndarray, "m _"]], is_fitted: Bool[np.ndarray, "B m"]
 ) -> Float[np.ndarray, "B m"]:
     """Work out m of every row, for each of B weightings.
 
@@ -44,13 +44,12 @@ def mean_by_state(
     weight
         ω of each row.
     states
-        Covariates.
+        Covariates; where there are several sets of them, the one is taken that foretells the weights best.
     is_fitted
         Rows that each weighting is fitted to; by the others the form is chosen.
     """
-    scaled = standardised(states)
-    near = neighbours(scaled)
-    each = list(_forms(weight, scaled, near, is_fitted))
+    scaled = [standardised(some) for some in states]
+    each = [found for some in scaled for found in _forms(weight, some, neighbours(some), is_fitted)]
     errors = [float(np.sum(np.where(is_fitted, 0.0, weight - found) ** 2)) for found in each]
     return _with_sums(each[int(np.argmin(errors))], weight, is_fitted)
 

@@ -1,0 +1,31 @@
+"""All that a log tells of the state of a stage, whether or not Q looks at it."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from halfseen.learning.covariates import Categories, Covariates, fit_covariates, learned_categories
+from halfseen.learning.rows import PathArrays, stage_places
+from halfseen.logs import Logs
+from halfseen.shapes import Float
+
+
+def states_of(
+    logs: Logs, paths: PathArrays, known: Categories, left_out: Sequence[str] = (), added: Sequence[str] = ()
+) -> Float[np.ndarray, "n T F"]:
+    """Lay out the covariates that can be looked at; zeros where no stage was begun.
+
+    Parameters
+    ----------
+    logs, paths
+        The log, and the same laid out.
+    known
+        Categories that are given.
+    left_out, added
+        Covariates that are not wanted, and other columns that are.
+    """
+    names = [name for name in fit_covariates(logs) if name not in left_out]
+    numbers = Covariates((*names, *added), learned_categories([logs], names, known)).encode(logs.stages)
+    states = np.zeros((*paths.is_begun.shape, numbers.shape[1]))
+    states[stage_places(logs)] = numbers
+    return states
