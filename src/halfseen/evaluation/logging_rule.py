@@ -17,6 +17,7 @@ from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+
 from halfseen.evaluation.rule_models import Shares, forest_shares, logit_shares
 from halfseen.evaluation.states import states_of
 from halfseen.learning.behaviour import conditional_logit
