@@ -8,7 +8,8 @@ from enumerated_trial import CHANCE_B, StatePolicy, trial, truth
 
 from halfseen.evaluation import evaluate
 from halfseen.evaluation.history import CLEARLY, history_deviate, wald
-from halfseen.evaluation.off_policy import HISTORY_COUNTS, default_q, default_targets, q_model_of
+from halfseen.evaluation.judge import HISTORY_COUNTS
+from halfseen.evaluation.off_policy import default_q, default_targets, q_model_of
 from halfseen.evaluation.problem import problem_of
 from halfseen.evaluation.ratios import begun_weights
 from halfseen.logs import Logs
