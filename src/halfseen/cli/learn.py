@@ -16,6 +16,7 @@ from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
+    from halfseen.evaluation.held_out import HeldOutVerdict
     from halfseen.learning.q_learner import CensoredQLearner
     from halfseen.learning.targets import Targets
     from halfseen.logs import Logs, LogStream
@@ -126,6 +127,14 @@ class _Or(click.ParamType):
     help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
     "long.",
 )
+@click.option(
+    "--trust",
+    "trusted",
+    type=options.Choice(["vouched", "best"]),
+    default="vouched",
+    show_default=True,
+    help="Which policy is written: the one for whose gain LOGS can vouch most, or the best guess.",
+)
 @options.trust
 @worker_options
 @options.seed("policy")
@@ -136,6 +145,7 @@ def learn(
     out: Path,
     in_passes: bool | None,
     has_verdict: bool,
+    trusted: str,
     overwrite: bool,
     as_json: bool,
     workers: "Workers",
@@ -151,9 +161,10 @@ def learn(
     robots at a table, one policy decides for whichever is free, and may let it WAIT.
 
     It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
-    exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. The
-    verdict is kept with the policy, and `halfseen act` repeats it where nothing speaks for the policy. Where that takes
-    long, workers do it.
+    exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. They are
+    judged as they are, the best guess, and with more caution, which more often leaves things as LOGS do them; written
+    is the one for which LOGS can vouch most. The verdict is kept with the policy, and `halfseen act` repeats it where
+    nothing speaks for the policy. Where that takes long, workers do it.
     """
     from halfseen.policies.folder.files import check_target
 
@@ -161,6 +172,7 @@ def learn(
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as told:
         from halfseen.errors import HalfseenWarning
+        from halfseen.learning.caution import more_cautious_learner
         from halfseen.logs.stream import opened, parts_of
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.json_values import plain
@@ -175,11 +187,15 @@ def learn(
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "look", LEARN)
-        verdict, not_all = _judged(learner, log, seed, bar, trust, workers) if has_verdict else (None, ())
+        judged, not_all = _judged(learner, log, seed, bar, trust, workers) if has_verdict else (None, ())
+        if judged is not None:
+            judged = judged.of_best if trusted == "best" else judged
+            learner = more_cautious_learner(learner, judged.caution)
         bar.reach(total - LOOK)
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
-        write_policy(learner, log, out, overwrite=overwrite, verdict=verdict)
+        kept = None if judged is None else judged.as_dict()
+        write_policy(learner, log, out, overwrite=overwrite, verdict=kept)
     notes = [
         *choice.notes,
         *not_all,
@@ -198,7 +214,7 @@ def _judged(
     bar: Progress,
     trust: tuple[str, ...],
     workers: "Workers",
-) -> tuple[dict[str, Any], tuple[str, ...]]:
+) -> tuple["HeldOutVerdict", tuple[str, ...]]:
     """Judge this way of learning by the log; beside the verdict stands a note if that is of a sample of its paths."""
     # What judges takes longer to load than all that learns.
     from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
@@ -207,7 +223,7 @@ def _judged(
 
     judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
     told = partial(bar.update, FOLDS / NUM_FOLDS)
-    verdict = held_out_verdict(learner, judging, on_progress=told, trust=trust, workers=workers).as_dict()
+    verdict = held_out_verdict(learner, judging, on_progress=told, trust=trust, workers=workers)
     if judging.num_paths == log.num_paths:
         return verdict, ()
     told = f"{judging.num_paths:,} of the {log.num_paths:,} paths, drawn at random"
@@ -275,7 +291,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         "",
         *_action_lines(report["actions"]),
         "",
-        *([report["verdict"]["sentence"], ""] if report["verdict"] else []),
+        *([report["verdict"]["sentence"], *report["verdict"]["claims"], ""] if report["verdict"] else []),
         _next(report["policy"], num_robots),
     ]
 

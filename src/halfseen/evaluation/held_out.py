@@ -5,23 +5,29 @@ paths of its own fold; what those add, path by path, is pooled over the folds in
 opponent, with one interval. That is a statement about the policies of the folds, each learned from a little less than
 the whole log (a data-adaptive parameter [Hubbard2016]_), and so about *this way of learning from such a log*: the
 policy that was learned from all of it differs a little from each of them, and is as a rule a little better.
+
+A policy that holds margins is learned once and judged several times: as it is, the *best guess*, and with more caution.
+That for which most can be claimed is *vouched for* (`vouching`), and the verdict is on it.
 """
 
 import warnings
 from collections.abc import Callable, Collection
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
+from halfseen.evaluation.claims import claim_of, guess_of
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
-from halfseen.evaluation.off_policy import evaluate
+from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.stored_model import specification
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
+from halfseen.evaluation.vouching import vouched
+from halfseen.learning.caution import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
@@ -30,6 +36,9 @@ from halfseen.workers import ALONE, Pool, Workers
 from halfseen.workers.threads import in_one_thread
 
 NUM_FOLDS = 5
+
+CAUTIONS = (1.0, 2.0, 4.0, 8.0)
+"""How many times its margin a policy may go by."""
 
 MOST_JUDGED = 10_000
 """Paths by which what was learned from a log in passes is judged."""
@@ -49,12 +58,35 @@ class HeldOutVerdict:
         Number K of folds: each policy was learned from all but one.
     evaluation
         The pooled folds in full; None where there is none.
+    caution
+        How many times its margin the policy goes by that is judged.
+    best
+        The same of the policy as it was learned; None where there is none.
     """
 
     verdict: Verdict
     reason: str
     num_folds: int
     evaluation: Evaluation | None = None
+    caution: float = 1.0
+    best: Evaluation | None = None
+
+    @property
+    def of_best(self) -> "HeldOutVerdict":
+        """The verdict on the policy as it was learned."""
+        best = self.best
+        return (
+            self
+            if best is None
+            else replace(self, verdict=best.verdict, reason=best.reason, evaluation=best, caution=1.0)
+        )
+
+    @property
+    def claims(self) -> tuple[str, ...]:
+        """What is vouched for, and the best guess, in a sentence each."""
+        if self.evaluation is None or self.best is None:
+            return ()
+        return f"Vouched for: {claim_of(self.evaluation)}.", f"Best guess: {guess_of(self.best)}."
 
     @property
     def sentence(self) -> str:
@@ -70,7 +102,9 @@ class HeldOutVerdict:
             "verdict": self.verdict,
             "reason": self.reason,
             "sentence": self.sentence,
+            "claims": list(self.claims),
             "num_folds": self.num_folds,
+            "caution": self.caution,
             "value": None if self.evaluation is None else _plain(self.evaluation.doubly_robust),
             "comparisons": [asdict(each) for each in comparisons],
         }
@@ -95,8 +129,9 @@ def held_out_verdict(
     """Judge a way of learning by the log that was learned from, cross-fitted.
 
     The verdict is of `num_folds` policies that were learned as `learner` was, each from the paths outside one fold, and
-    not of the learner's own policy, which saw every path. Where that cannot be done (too few paths, none of a fold that
-    finished, probabilities that are missing), the verdict is ``"cannot be said"``, and the reason says why.
+    not of the learner's own policy, which saw every path. They go by as much more caution as lets most be claimed.
+    Where that cannot be done (too few paths, none of a fold that finished, probabilities that are missing), the verdict
+    is ``"cannot be said"``, and the reason says why.
 
     Parameters
     ----------
@@ -127,11 +162,11 @@ def held_out_verdict(
             warnings.simplefilter("ignore", HalfseenWarning)
             with workers.ready_if_worth() as pool:
                 policy = learn_by_folds(learner, logs, num_folds, on_progress, pool)
-            evaluation = _evaluation(policy, learner, logs, against, level, trust, workers)
+            found = _judged(policy, learner, logs, num_folds, against, level, trust, workers)
     except HalfseenError as error:
         return HeldOutVerdict("cannot be said", str(error), num_folds)
     on_progress()
-    return HeldOutVerdict(evaluation.verdict, evaluation.reason, num_folds, evaluation)
+    return found
 
 
 def learn_by_folds(
@@ -191,18 +226,20 @@ def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
     return np.flatnonzero(fold != k)
 
 
-def _evaluation(
+def _judged(
     policy: CrossFitted,
     learner: CensoredQLearner,
     logs: Logs,
+    num_folds: int,
     against: Any,
     level: float,
     trust: Collection[str],
     workers: Workers,
-) -> Evaluation:
+) -> HeldOutVerdict:
     spec = specification(learner.policy_, described(learner.model_), logs)
     is_logged = "probability" in logs.stages.columns and bool(logs.stages["probability"].notna().to_numpy().any())
-    return evaluate(
+    cautions = CAUTIONS if has_margin(learner.policy_) else CAUTIONS[:1]
+    with judging(
         policy,
         logs,
         against=against,
@@ -213,4 +250,8 @@ def _evaluation(
         random_state=learner.random_state,
         trust=trust,
         workers=workers,
-    )
+    ) as judge:
+        cases = [judge.case(judge.problem_of(policy.more_cautious(times))) for times in cautions]
+        found = vouched([case.contender for case in cases], judge.opponents, policy.fold, level)
+        best, safe = judge.evaluation(cases[0]), judge.evaluation(cases[found.chosen], ours=found.claim)
+    return HeldOutVerdict(safe.verdict, safe.reason, num_folds, safe, cautions[found.chosen], best)

@@ -1,13 +1,14 @@
 """What the policy that is evaluated would have done in each stage of a log: π(a | S_t)."""
 
 from collections.abc import Hashable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError
+from halfseen.learning.caution import more_cautious
 from halfseen.learning.covariates import fit_covariates
 from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
@@ -73,6 +74,10 @@ class CrossFitted:
     policies: tuple[Any, ...]
     fold: Int[np.ndarray, " n"]
     horizon: int
+
+    def more_cautious(self, times: float) -> "CrossFitted":
+        """The same policies with so many times their margins."""
+        return replace(self, policies=tuple(more_cautious(policy, times) for policy in self.policies))
 
     def target_probabilities(self, logs: Logs, horizon: int, task: Task) -> Float[np.ndarray, "n T A"]:
         """π(a | S_t) of each path, by the policy of its fold."""

@@ -1,0 +1,194 @@
+"""Which actions to try more often, and in which states, so that the next log says more of a policy.
+
+What a stage adds to the variance of a doubly robust value is (w_t (Y_t − Q̂_t))². Where the log takes the action of the
+policy more often, the weights of that stage and of all later ones are smaller in proportion. So in a region c of
+states, in which the log takes that action in a share p of n stages on which V of the variance hangs, theirs and what
+comes after them, another share p′ would leave about V·p/p′. With as many tries Σ n p′ as the log now spends there on
+actions that are not its most frequent one, least is left by
+
+    p′ ∝ √(V p / n),
+
+the allocation of Neyman [Neyman1934]_. Regions are the leaves of a small tree, grown where V differs, of the states in
+which the policy would not do what the log mostly does.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from halfseen.evaluation.judge import Case
+from halfseen.learning.named_task import NamedActions
+from halfseen.logs import Logs
+from halfseen.shapes import Float, Int
+
+MOST_REGIONS = 4
+"""Of one action."""
+FEWEST_STAGES = 30
+"""Of a region."""
+LARGEST_SHARE = 0.5
+"""That is worth trying: from there on the rule of today is what is tried."""
+LEAST_PART = 0.02
+"""Of the variance; regions that carry less are left out."""
+
+
+class Exploration(NamedTuple):
+    """What to try, and what for."""
+
+    regions: tuple["Region", ...]
+    """Those on which most hangs first."""
+    narrower: float
+    """How many times as narrow the interval would be, about, with as many paths."""
+
+
+class Region(NamedTuple):
+    """Where an action of the policy is to be tried more often."""
+
+    conditions: dict[str, str]
+    """By column what has to hold, as in a rule."""
+    action: str
+    now: float
+    """Share of its stages in which the log takes the action."""
+    wanted: float
+    """Share of them that lets the same number of tries say most."""
+    part: float
+    """Of the variance, that hangs on the tries; regions may share what hangs on several."""
+
+
+def exploration_of(case: Case) -> Exploration:
+    """Find where to try what a policy does; nowhere, if stages are no rows of covariates or the log does it often.
+
+    Parameters
+    ----------
+    case
+        A deterministic policy, and what a log says of it.
+    """
+    problem, task = case.problem, case.problem.model.task
+    if not isinstance(task, NamedActions) or problem.log.policy is None:
+        return Exploration((), 1.0)
+    paths, each = problem.paths, _variance(case)
+    begun = paths.is_begun & paths.has_action
+    wanted, taken = problem.log.policy[begun].argmax(axis=1), paths.action[begun]
+    hangs = np.where(taken == wanted, each[:, ::-1].cumsum(axis=1)[:, ::-1][begun], 0.0)
+    names, columns = _numbers(problem.logs, task)
+    leaves = [
+        _Leaf(names, limits, int(action), rows, taken[rows], hangs[rows])
+        for action in np.unique(wanted)
+        for limits, rows in _leaves(columns, hangs, np.flatnonzero(wanted == action))
+    ]
+    least = LEAST_PART * each.sum()
+    kept = [leaf for leaf in leaves if leaf.share < LARGEST_SHARE and leaf.hanging > 0 and leaf.hanging >= least]
+    if not kept:
+        return Exploration((), 1.0)
+    shares = _allotted(kept)
+    ratio = np.ones(len(wanted))
+    for leaf, share in zip(kept, shares, strict=True):
+        ratio[leaf.rows] = leaf.share / share
+    factor = np.ones(begun.shape)
+    factor[begun] = np.where(taken == wanted, ratio, 1.0)
+    left = float((each * factor.cumprod(axis=1)).sum() / each.sum())
+    order = sorted(range(len(kept)), key=lambda k: -kept[k].hanging)
+    regions = [
+        Region(
+            kept[k].conditions, str(task.names[kept[k].action]), kept[k].share, shares[k], kept[k].hanging / each.sum()
+        )
+        for k in order
+    ]
+    return Exploration(tuple(regions), left**-0.5)
+
+
+def _numbers(logs: Logs, task: NamedActions) -> tuple[list[str], Float[np.ndarray, "m G"]]:
+    """Stage and covariates that are numbers, of each stage whose action is known."""
+    known = logs.stages[logs.stages["action"].notna()]
+    own = [name for name in task.covariates if name in known.columns and "*" not in name]
+    names = [name for name in dict.fromkeys(["stage", *own]) if pd.api.types.is_numeric_dtype(known[name].dtype)]
+    return names, known[names].to_numpy(dtype=np.float64)
+
+
+def _variance(case: Case) -> Float[np.ndarray, "n T"]:
+    """(w_t (Y_t − Q̂_t))² of each stage."""
+    problem, judged = case.problem, case.judged
+    path = np.arange(problem.paths.num_paths)
+    target, taken = (np.asarray(leaf)[problem.fold, path] for leaf in (judged.target, judged.taken))
+    weight = problem.stage_weights[-1].normalised
+    return np.where(weight > 0, weight * (target - taken), 0.0) ** 2
+
+
+class _Leaf(NamedTuple):
+    names: Sequence[str]
+    limits: dict[int, tuple[float, float]]
+    action: int
+    rows: Int[np.ndarray, " m"]
+    taken: Int[np.ndarray, " m"]
+    hangs: Float[np.ndarray, " m"]
+
+    @property
+    def share(self) -> float:
+        """Share of its stages in which the action was taken."""
+        return float((self.taken == self.action).mean())
+
+    @property
+    def tries(self) -> float:
+        """Stages in which another than the most frequent action was taken."""
+        return float(len(self.taken) - np.bincount(self.taken).max())
+
+    @property
+    def hanging(self) -> float:
+        """V."""
+        return float(self.hangs.sum())
+
+    @property
+    def conditions(self) -> dict[str, str]:
+        """By column what has to hold."""
+        told = {}
+        for column, (low, high) in self.limits.items():
+            parts = [f"> {low:.6g}"] * bool(np.isfinite(low)) + [f"<= {high:.6g}"] * bool(np.isfinite(high))
+            told[self.names[column]] = " and ".join(parts)
+        return told
+
+
+def _leaves(
+    columns: Float[np.ndarray, "m G"], hangs: Float[np.ndarray, " m"], rows: Int[np.ndarray, " k"]
+) -> list[tuple[dict[int, tuple[float, float]], Int[np.ndarray, " l"]]]:
+    """Limits and rows of each region of some rows."""
+    from sklearn.tree import DecisionTreeRegressor
+
+    if len(rows) < 2 * FEWEST_STAGES:
+        return [({}, rows)]
+    grown = DecisionTreeRegressor(max_leaf_nodes=MOST_REGIONS, min_samples_leaf=FEWEST_STAGES, random_state=0)
+    tree = grown.fit(columns[rows], hangs[rows]).tree_
+    leaf_of, found = tree.apply(columns[rows].astype(np.float32)), []
+
+    def walk(node: int, limits: dict[int, tuple[float, float]]) -> None:
+        if tree.children_left[node] < 0:
+            found.append((limits, rows[leaf_of == node]))
+            return
+        column, at = int(tree.feature[node]), float(tree.threshold[node])
+        low, high = limits.get(column, (-np.inf, np.inf))
+        walk(tree.children_left[node], limits | {column: (low, min(high, at))})
+        walk(tree.children_right[node], limits | {column: (max(low, at), high)})
+
+    walk(0, {})
+    return found
+
+
+def _allotted(leaves: Sequence[_Leaf]) -> list[float]:
+    """p′ of each region."""
+    size = np.array([float(len(leaf.rows)) for leaf in leaves])
+    by = np.sqrt([leaf.hanging * leaf.share for leaf in leaves] / size)
+    return _shares(by, size, sum(leaf.tries for leaf in leaves)).tolist()
+
+
+def _shares(by: Float[np.ndarray, " c"], size: Float[np.ndarray, " c"], tries: float) -> Float[np.ndarray, " c"]:
+    """Shares in proportion to `by` that make so many tries of all regions; none above the largest."""
+    share, is_free = np.full(len(by), LARGEST_SHARE), np.ones(len(by), dtype=bool)
+    while is_free.any():
+        left = tries - float(size[~is_free] @ share[~is_free])
+        free = left * by[is_free] / float(size[is_free] @ by[is_free])
+        if (free <= LARGEST_SHARE).all():
+            share[is_free] = np.maximum(free, 0.0)
+            break
+        over = np.flatnonzero(is_free)[free > LARGEST_SHARE]
+        is_free[over] = False
+    return share
