@@ -23,7 +23,6 @@ from verdicts import SHARES, WORLDS
 from worlds.world import Chances, World
 
 from halfseen.errors import HalfseenWarning
-from halfseen.evaluation.advice import needed
 from halfseen.evaluation.comparison import deciding
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.held_out import held_out_verdict
@@ -56,7 +55,7 @@ def told(found: Evaluation) -> dict[str, Any]:
     """What is said of a policy."""
     main = deciding(found.comparisons)
     is_known = main.difference is not None and main.p is not None
-    advice = needed(main.difference, found.num_paths) if is_known and main.difference else None
+    advice = main.needed if is_known else None
     return {
         "verdict": found.verdict,
         "value": found.difference.value,
@@ -65,7 +64,7 @@ def told(found: Evaluation) -> dict[str, Any]:
         "bias": found.difference.bias,
         "effective_sample_size": found.difference.effective_sample_size,
         "fitted_q": found.fitted_q.value - found.logging.value,
-        "needed": None if advice is None else list(advice),
+        "needed": None if advice is None else [times * found.num_paths for times in advice[:3]],
     }
 
 

@@ -16,6 +16,7 @@ from halfseen.cli.workers import worker_options
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
+    from halfseen.evaluation.exploring import Region
     from halfseen.evaluation.held_out import HeldOutVerdict
     from halfseen.learning.q_learner import CensoredQLearner
     from halfseen.learning.targets import Targets
@@ -135,6 +136,12 @@ class _Or(click.ParamType):
     show_default=True,
     help="Which policy is written: the one for whose gain LOGS can vouch most, or the best guess.",
 )
+@click.option(
+    "--exploration",
+    type=options.PATH,
+    metavar="FILE",
+    help="Write which actions to try more often, and where, for `halfseen serve --explore FILE`, as CSV.",
+)
 @options.trust
 @worker_options
 @options.seed("policy")
@@ -146,6 +153,7 @@ def learn(
     in_passes: bool | None,
     has_verdict: bool,
     trusted: str,
+    exploration: Path | None,
     overwrite: bool,
     as_json: bool,
     workers: "Workers",
@@ -169,6 +177,8 @@ def learn(
     from halfseen.policies.folder.files import check_target
 
     check_target(out, overwrite)
+    if exploration is not None:
+        _check_exploration(exploration, has_verdict, overwrite)
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as told:
         from halfseen.errors import HalfseenWarning
@@ -196,6 +206,8 @@ def learn(
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
         kept = None if judged is None else judged.as_dict()
         write_policy(learner, log, out, overwrite=overwrite, verdict=kept)
+        if exploration is not None and judged is not None:
+            _write_exploration(exploration, judged.exploration.regions)
     notes = [
         *choice.notes,
         *not_all,
@@ -228,6 +240,25 @@ def _judged(
         return verdict, ()
     told = f"{judging.num_paths:,} of the {log.num_paths:,} paths, drawn at random"
     return verdict, (f"the verdict is of policies learned from {told}",)
+
+
+def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
+    from halfseen.errors import ArgumentError
+    from halfseen.writing import refuse_taken
+
+    if not has_verdict:
+        raise ArgumentError("--exploration rests on the verdict; leave --no-verdict out")
+    if file.suffix.lower() != ".csv":
+        raise ArgumentError(f"--exploration is {file}; `halfseen serve` takes a file that ends in .csv")
+    refuse_taken(file, overwrite, None, "table")
+
+
+def _write_exploration(file: Path, regions: "Sequence[Region]") -> None:
+    from halfseen.policies.exploration_table import as_csv
+    from halfseen.writing import write_file
+
+    each = [region.conditions for region in regions], [region.action for region in regions]
+    write_file(file, as_csv(*each, [region.wanted for region in regions]).encode())
 
 
 def _prior_law(name: str | None) -> Any:
@@ -291,9 +322,31 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         "",
         *_action_lines(report["actions"]),
         "",
-        *([report["verdict"]["sentence"], *report["verdict"]["claims"], ""] if report["verdict"] else []),
+        *([*_verdict_lines(report["verdict"]), ""] if report["verdict"] else []),
         _next(report["policy"], num_robots),
     ]
+
+
+def _verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
+    """The verdict, what is claimed, and where it cannot be said, what to try."""
+    lines, tried = [verdict["sentence"], *verdict["claims"]], verdict["exploration"]
+    if verdict["verdict"] != "cannot be said" or not tried["regions"]:
+        return lines
+    rows = [
+        (
+            region["action"],
+            ", ".join(f"{name} {told}" for name, told in region["conditions"].items()) or "everywhere",
+            f"{region['now']:.0%}",
+            f"{region['wanted']:.0%}",
+            f"{region['part']:.0%}",
+        )
+        for region in tried["regions"]
+    ]
+    told = (
+        f"Or try more often what says most: the interval of as many paths would be {tried['narrower']:.1f} times as "
+        "narrow (for `halfseen serve --explore FILE`, which --exploration FILE writes)."
+    )
+    return [*lines, told, "", *aligned([("try", "where", "now", "then", "of the variance"), *rows], left=(0, 1))]
 
 
 def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:

@@ -2,6 +2,7 @@
 
 from contextlib import nullcontext
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -9,9 +10,24 @@ from halfseen.cli import options
 from halfseen.cli.laws import SHIPPED, law_of, law_option
 from halfseen.cli.watch import port_option
 
+if TYPE_CHECKING:
+    from halfseen.policies.exploration_table import ExplorationTable
+
 TOKEN = "HALFSEEN_TOKEN"
 HERE = "127.0.0.1"
 SHORTEST_TOKEN = 16
+
+
+class _ShareOrTable(click.ParamType):
+    """A share below 1, or a CSV file."""
+
+    name = "share|file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | Path:
+        """Tell them apart by how it ends."""
+        if isinstance(value, str) and value.lower().endswith(".csv"):
+            return Path(value)
+        return click.FloatRange(0.0, 1.0, max_open=True).convert(value, param, ctx)
 
 
 @click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")
@@ -22,10 +38,11 @@ SHORTEST_TOKEN = 16
 @click.option("--record", type=options.PATH, metavar="LOGS", help="Record what is decided into this folder of logs.")
 @click.option(
     "--explore",
-    type=click.FloatRange(0.0, 1.0, max_open=True),
-    default=0.0,
+    type=_ShareOrTable(),
+    default="0",
     show_default=True,
-    help="Share of decisions that are drawn at random among the actions that are possible.",
+    help="Share of decisions that are drawn at random among the actions that are possible; or a CSV table of what to "
+    "try where, as `halfseen learn --exploration` writes.",
 )
 @law_option(None, f"Of clouds of a table, where it is {SHIPPED} by default. ")
 @click.option("--extrapolate", is_flag=True, help="Decide even far outside what the logs showed, with a warning.")
@@ -36,7 +53,7 @@ def serve(
     port: int,
     token: str | None,
     record: Path | None,
-    explore: float,
+    explore: float | Path,
     law: str | None,
     extrapolate: bool,
     seed: int,
@@ -65,14 +82,24 @@ def serve(
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
     is_table = served.service.stored.is_table
+    epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
         nullcontext() if record is None else RecordedPaths(record, is_of_tables=is_table) as paths,
     ):
-        served.answering = Answering(explore, np.random.default_rng(seed), paths)
+        served.answering = Answering(epsilon, table, np.random.default_rng(seed), paths)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
         answer(app_of(served, token), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
+
+
+def _table(stored: Any, path: Path) -> "ExplorationTable":
+    from halfseen.errors import ArgumentError
+    from halfseen.policies.exploration_table import read_exploration
+
+    if stored.is_table:
+        raise ArgumentError(f"--explore {path}: the policy is of tables of objects; give a share, such as 0.1")
+    return read_exploration(path, stored.policy.actions, stored.policy.covariates)
 
 
 def _check_token(host: str, token: str | None) -> None:

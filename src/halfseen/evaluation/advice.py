@@ -1,11 +1,12 @@
 """How many paths like those of a log would decide whether a policy is better.
 
-The standard error σ of a difference shrinks as 1/√n, for it is the spread of what paths add. If δ is the difference,
+The half-width of an interval shrinks as 1/√n: its standard error σ is the spread of what paths add, and the bias β that
+it allows for is of stages that more paths see end. With a difference of δ,
 
-    n* = n·((z₀.₉₇₅ + z₀.₈) σ / (|δ| − β))²
+    n* = n·((β + (z₀.₉₇₅ + z₀.₈) σ) / |δ|)²
 
-paths find it in four logs of five, with β the bias that the interval allows for. δ is known no better than to σ, and so
-n* to what one more or less of it makes.
+paths show it in four logs of five. For δ stands what Q alone says, which errs less than the estimate that has to be
+shown, and not with it: a log that missed a difference has most often a low estimate of it. δ is taken to be known to σ.
 """
 
 from statistics import NormalDist
@@ -22,49 +23,32 @@ MANY_TIMES = 100.0
 
 
 class Needed(NamedTuple):
-    """Paths that decide, about; ∞ where no log of a size that can be recorded does."""
+    """How many times as many paths decide, at least 1; ∞ where no log of a size that can be recorded does."""
 
-    paths: float
+    times: float
     low: float
     high: float
+    gain: float
+    """δ."""
 
 
-def needed(difference: Estimate, num_paths: int, level: float = 0.95) -> Needed:
-    """Tell n*, and between what it lies as far as δ is known.
+def needed(difference: Estimate, gain: float, level: float) -> Needed:
+    """Tell n*/n, and between what it lies as far as δ is known.
 
     Parameters
     ----------
     difference
-        δ, σ and β.
-    num_paths
-        n of the log.
+        σ and β.
+    gain
+        δ.
     level
         Of the interval that is to exclude 0.
     """
-    normal = NormalDist()
-    reach = normal.inv_cdf((1.0 + level) / 2.0) + normal.inv_cdf(POWER)
+    normal, error = NormalDist(), difference.standard_error
+    reach = difference.bias + (normal.inv_cdf((1.0 + level) / 2.0) + normal.inv_cdf(POWER)) * error
 
-    def paths(gain: float) -> float:
-        known = gain - difference.bias
-        found = num_paths * (reach * difference.standard_error / known) ** 2 if known > 0 else np.inf
-        return found if found <= MANY_TIMES * num_paths else np.inf
+    def times(known: float) -> float:
+        found = (reach / known) ** 2 if known > 0 else np.inf
+        return max(found, 1.0) if found <= MANY_TIMES else np.inf
 
-    gain, error = abs(difference.value), difference.standard_error
-    return Needed(paths(gain), paths(gain + error), paths(gain - error))
-
-
-def paths_that_decide(difference: Estimate, num_paths: int, level: float = 0.95) -> str:
-    """Say so in a clause."""
-    found = needed(difference, num_paths, level)
-    if np.isinf(found.paths):
-        return "no log of a size that can be recorded would show so small a difference"
-    most = f"to {_rounded(found.high)}" if np.isfinite(found.high) else "or many more"
-    more = max(found.paths - num_paths, 0.0)
-    total = f"{_rounded(found.paths)} in all ({_rounded(found.low)} {most})"
-    return f"about {_rounded(more)} more paths like these would decide, {total}"
-
-
-def _rounded(number: float) -> str:
-    """Two digits."""
-    size = 10.0 ** max(np.floor(np.log10(max(number, 1.0))) - 1.0, 0.0)
-    return f"{np.round(number / size) * size:,.0f}"
+    return Needed(times(abs(gain)), times(abs(gain) + error), times(abs(gain) - error), gain)

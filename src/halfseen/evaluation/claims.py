@@ -1,6 +1,8 @@
 """What can be claimed of a policy, what is guessed, and how long a log would decide, in plain words."""
 
-from halfseen.evaluation.advice import paths_that_decide
+import numpy as np
+
+from halfseen.evaluation.advice import Needed
 from halfseen.evaluation.comparison import deciding
 from halfseen.evaluation.evaluation import Evaluation
 
@@ -21,7 +23,21 @@ def guess_of(found: Evaluation) -> str:
     told = f"{abs(gain):.3g}{_unit(found)} {'more' if gain > 0 else 'less'} a path than {main.opponent}"
     if found.verdict == "better":
         return told
-    return f"{told}, not yet provable; {paths_that_decide(main.difference, found.num_paths)}"
+    return f"{told}, not yet provable; {more_paths(main.needed, found.num_paths)}"
+
+
+def more_paths(needed: Needed | None, num_paths: int) -> str:
+    """How many more paths would decide."""
+    if needed is None or np.isinf(needed.times):
+        return "no log of a size that can be recorded would show so small a difference"
+
+    def more(times: float) -> str:
+        number = (times - 1.0) * num_paths
+        size = 10.0 ** max(np.floor(np.log10(max(number, 1.0))) - 1.0, 0.0)
+        return f"{np.ceil(number / size) * size:,.0f}"
+
+    most = more(needed.high) if np.isfinite(needed.high) else "many"
+    return f"about {more(needed.times)} more paths like these would decide ({more(needed.low)} to {most})"
 
 
 def _unit(found: Evaluation) -> str:

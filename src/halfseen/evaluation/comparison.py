@@ -18,6 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from halfseen.evaluation.advice import Needed, needed
 from halfseen.evaluation.estimate import Estimate, estimate_of, within
 from halfseen.evaluation.possible import Possible
 from halfseen.evaluation.sensitivity import undone_at
@@ -46,6 +47,8 @@ class Contender(NamedTuple):
     """The same for each one that Q is, where weights were cut off."""
     possible: Possible | None = None
     """What a path can earn at all."""
+    by_model: float = np.nan
+    """What Q alone says."""
     effective_sample_size: float = 0.0
     why_unknown: str | None = None
     """Why nothing is to be believed, if so."""
@@ -100,6 +103,8 @@ class Comparison:
     share
         What the opponent earns as a multiple of what the logging policy does; None where that is not known to be
         above 0.
+    needed
+        How many times as many paths would decide; None where that is not known.
     """
 
     opponent: str
@@ -111,6 +116,7 @@ class Comparison:
     reason: str
     gamma: float | None = None
     share: Estimate | None = None
+    needed: Needed | None = None
 
 
 def compared(
@@ -171,13 +177,20 @@ def _comparison(
     level: float,
     unit: str | None,
 ) -> Comparison:
+    more = None if difference is None else needed(difference, _by_model(ours, opponent, difference), level)
     if difference is None or adjusted_p is None:
         why = ours.why_unknown or opponent.why_unknown
         verdict, reason = "cannot be said", why or f"nothing is known of what {opponent.name} earns"
     else:
-        verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level, unit)
+        verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level, unit, more)
     value = None if opponent.values is None else opponent.estimate(level)
-    return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason)
+    return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason, needed=more)
+
+
+def _by_model(ours: Contender, opponent: Contender, difference: Estimate) -> float:
+    """The difference that Q alone says, where there is a Q of both."""
+    found = ours.by_model - opponent.by_model
+    return found if np.isfinite(found) else difference.value
 
 
 def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:

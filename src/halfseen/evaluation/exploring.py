@@ -13,12 +13,13 @@ which the policy would not do what the log mostly does.
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from halfseen.evaluation.judge import Case
+from halfseen.evaluation.states import laid_out
+from halfseen.learning.covariates import is_numeric
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
@@ -40,6 +41,10 @@ class Exploration(NamedTuple):
     """Those on which most hangs first."""
     narrower: float
     """How many times as narrow the interval would be, about, with as many paths."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Everything, ready for JSON."""
+        return {"regions": [region._asdict() for region in self.regions], "narrower": self.narrower}
 
 
 class Region(NamedTuple):
@@ -71,39 +76,33 @@ def exploration_of(case: Case) -> Exploration:
     begun = paths.is_begun & paths.has_action
     wanted, taken = problem.log.policy[begun].argmax(axis=1), paths.action[begun]
     hangs = np.where(taken == wanted, each[:, ::-1].cumsum(axis=1)[:, ::-1][begun], 0.0)
-    names, columns = _numbers(problem.logs, task)
+    names = _numeric(problem.logs, task)
+    columns = laid_out(problem.logs.stages[names].to_numpy(dtype=np.float64), problem.logs, paths)[begun]
     leaves = [
         _Leaf(names, limits, int(action), rows, taken[rows], hangs[rows])
         for action in np.unique(wanted)
         for limits, rows in _leaves(columns, hangs, np.flatnonzero(wanted == action))
     ]
-    least = LEAST_PART * each.sum()
-    kept = [leaf for leaf in leaves if leaf.share < LARGEST_SHARE and leaf.hanging > 0 and leaf.hanging >= least]
-    if not kept:
-        return Exploration((), 1.0)
-    shares = _allotted(kept)
-    ratio = np.ones(len(wanted))
+    whole = float(each.sum())
+    kept = [leaf for leaf in leaves if leaf.share < LARGEST_SHARE and leaf.hanging > max(LEAST_PART * whole, 0.0)]
+    shares, ratio = _allotted(kept), np.ones(len(wanted))
     for leaf, share in zip(kept, shares, strict=True):
         ratio[leaf.rows] = leaf.share / share
     factor = np.ones(begun.shape)
     factor[begun] = np.where(taken == wanted, ratio, 1.0)
-    left = float((each * factor.cumprod(axis=1)).sum() / each.sum())
-    order = sorted(range(len(kept)), key=lambda k: -kept[k].hanging)
+    left = float((each * factor.cumprod(axis=1)).sum())
     regions = [
-        Region(
-            kept[k].conditions, str(task.names[kept[k].action]), kept[k].share, shares[k], kept[k].hanging / each.sum()
-        )
-        for k in order
+        Region(leaf.conditions, str(task.names[leaf.action]), leaf.share, share, leaf.hanging / whole)
+        for leaf, share in zip(kept, shares, strict=True)
     ]
-    return Exploration(tuple(regions), left**-0.5)
+    regions.sort(key=lambda region: -region.part)
+    return Exploration(tuple(regions), (whole / left) ** 0.5 if left > 0 else 1.0)
 
 
-def _numbers(logs: Logs, task: NamedActions) -> tuple[list[str], Float[np.ndarray, "m G"]]:
-    """Stage and covariates that are numbers, of each stage whose action is known."""
-    known = logs.stages[logs.stages["action"].notna()]
-    own = [name for name in task.covariates if name in known.columns and "*" not in name]
-    names = [name for name in dict.fromkeys(["stage", *own]) if pd.api.types.is_numeric_dtype(known[name].dtype)]
-    return names, known[names].to_numpy(dtype=np.float64)
+def _numeric(logs: Logs, task: NamedActions) -> list[str]:
+    """Stage and covariates that are numbers, without their products."""
+    own = [name for name in task.covariates if "*" not in name]
+    return [name for name in dict.fromkeys(["stage", *own]) if is_numeric(logs.stages, name)]
 
 
 def _variance(case: Case) -> Float[np.ndarray, "n T"]:
@@ -143,7 +142,7 @@ class _Leaf(NamedTuple):
         """By column what has to hold."""
         told = {}
         for column, (low, high) in self.limits.items():
-            parts = [f"> {low:.6g}"] * bool(np.isfinite(low)) + [f"<= {high:.6g}"] * bool(np.isfinite(high))
+            parts = [f"> {low:.4g}"] * bool(np.isfinite(low)) + [f"<= {high:.4g}"] * bool(np.isfinite(high))
             told[self.names[column]] = " and ".join(parts)
         return told
 

@@ -22,6 +22,7 @@ from halfseen.estimator import check_fitted
 from halfseen.evaluation.claims import claim_of, guess_of
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
+from halfseen.evaluation.exploring import Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.stored_model import specification
 from halfseen.evaluation.targets import CrossFitted
@@ -62,6 +63,8 @@ class HeldOutVerdict:
         How many times its margin the policy goes by that is judged.
     best
         The same of the policy as it was learned; None where there is none.
+    exploration
+        What to try more often, and where, so that the next log says more of the policy as it was learned.
     """
 
     verdict: Verdict
@@ -70,6 +73,7 @@ class HeldOutVerdict:
     evaluation: Evaluation | None = None
     caution: float = 1.0
     best: Evaluation | None = None
+    exploration: Exploration = Exploration((), 1.0)  # noqa: RUF009 - it has nothing that could change
 
     @property
     def of_best(self) -> "HeldOutVerdict":
@@ -107,6 +111,7 @@ class HeldOutVerdict:
             "caution": self.caution,
             "value": None if self.evaluation is None else _plain(self.evaluation.doubly_robust),
             "comparisons": [asdict(each) for each in comparisons],
+            "exploration": self.exploration.as_dict(),
         }
 
 
@@ -254,4 +259,5 @@ def _judged(
         cases = [judge.case(judge.problem_of(policy.more_cautious(times))) for times in cautions]
         found = vouched([case.contender for case in cases], judge.opponents, policy.fold, level)
         best, safe = judge.evaluation(cases[0]), judge.evaluation(cases[found.chosen], ours=found.claim)
-    return HeldOutVerdict(safe.verdict, safe.reason, num_folds, safe, cautions[found.chosen], best)
+        exploration = exploration_of(cases[0])
+    return HeldOutVerdict(safe.verdict, safe.reason, num_folds, safe, cautions[found.chosen], best, exploration)

@@ -48,6 +48,8 @@ class Contribution(NamedTuple):
     """The same for each one that Q is, where weights were cut off."""
     possible: Possible | None = None
     """What a path can earn at all."""
+    by_model: float = np.nan
+    """What Q alone says that the value is."""
 
 
 class Problem(NamedTuple):
@@ -145,6 +147,7 @@ class Problem(NamedTuple):
             self.uncorrected_weight * deviation,
             lost * deviation,
             within,
+            float(value[:, 0].mean()),
         )
 
     def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
@@ -257,7 +260,9 @@ def logging_contribution(problem: Problem) -> Contribution:
         kept = own.fold != k
         without.append(own.weights(given).take(kept).influence(reward[kept]).mean())
     values = own.weights(own.nuisances[-1]).influence(reward)
-    return Contribution(values, np.array(without), own.errors(reward), possible=possible(own.paths))
+    return Contribution(
+        values, np.array(without), own.errors(reward), possible=possible(own.paths), by_model=float(values.mean())
+    )
 
 
 def _one_hot(paths: PathArrays) -> Float[np.ndarray, "n T A"]:

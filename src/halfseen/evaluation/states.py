@@ -25,7 +25,12 @@ def states_of(
         Covariates that are not wanted, and other columns that are.
     """
     names = [name for name in fit_covariates(logs) if name not in left_out]
-    numbers = Covariates((*names, *added), learned_categories([logs], names, known)).encode(logs.stages)
-    states = np.zeros((*paths.is_begun.shape, numbers.shape[1]))
-    states[stage_places(logs)] = numbers
-    return states
+    looked_at = Covariates((*names, *added), learned_categories([logs], names, known))
+    return laid_out(looked_at.encode(logs.stages), logs, paths)
+
+
+def laid_out(rows: Float[np.ndarray, "m F"], logs: Logs, paths: PathArrays) -> Float[np.ndarray, "n T F"]:
+    """Put what is known of each row of a log where its stage is; zeros elsewhere."""
+    found = np.zeros((*paths.is_begun.shape, rows.shape[1]))
+    found[stage_places(logs)] = rows
+    return found

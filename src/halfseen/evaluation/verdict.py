@@ -4,6 +4,7 @@ from typing import Literal
 
 import numpy as np
 
+from halfseen.evaluation.advice import Needed, needed
 from halfseen.evaluation.estimate import Estimate
 from halfseen.shapes import Float
 
@@ -14,6 +15,9 @@ FEWEST_PATHS = 10.0
 
 FEWEST_BY_STATES = 2.0
 """The same where states weigh, whose spread is known from more paths than the one that leads to them."""
+
+LEVEL = 0.95
+"""Where nothing else is said."""
 
 MANY_PATHS = 1e6
 """More than anybody records."""
@@ -81,6 +85,7 @@ def verdict_of(
     opponent: str = "the logging policy",
     is_significant: bool = True,
     unit: str | None = None,
+    more: Needed | None = None,
 ) -> tuple[Verdict, str]:
     """Judge by the interval of the paired difference.
 
@@ -94,6 +99,8 @@ def verdict_of(
         Whether an interval without 0 still counts, given how many were looked at.
     unit
         What rewards are counted in; None if nobody has said.
+    more
+        How many times as many paths would tell, if that is known.
     """
     of = f" {unit}" if unit else ""
     within = _between(difference.low, difference.high, of)
@@ -105,7 +112,7 @@ def verdict_of(
     reason = f"it earns {within} a path than {opponent}"
     if difference.low > 0 or difference.high <= 0:
         return "cannot be said", f"{reason}, which is not enough among so many opponents; name fewer"
-    return "cannot be said", f"{reason}; {_more_paths(difference)}"
+    return "cannot be said", f"{reason}; {_more_paths(more or needed(difference, difference.value, LEVEL))}"
 
 
 def _between(low: float, high: float, of: str) -> str:
@@ -117,10 +124,8 @@ def _between(low: float, high: float, of: str) -> str:
     return f"between {low:.3g} and {high:.3g}{of} more"
 
 
-def _more_paths(difference: Estimate) -> str:
-    reach = (difference.high - difference.low) / 2.0
-    times = (reach / abs(difference.value)) ** 2 if difference.value else np.inf
-    if times > 100.0:
+def _more_paths(more: Needed) -> str:
+    if np.isinf(more.times):
         return "there is no significant difference, nor would a log many times as large show one if that is all"
-    gain = f"{abs(difference.value):.3g} {'less' if difference.value < 0 else 'more'}"
-    return f"if it is {gain}, some {np.ceil(times * 10) / 10:.1f} times as many paths would tell"
+    gain = f"{abs(more.gain):.3g} {'less' if more.gain < 0 else 'more'}"
+    return f"if it is the {gain} that Q says, some {np.ceil(more.times * 10) / 10:.1f} times as many paths would tell"

@@ -86,5 +86,6 @@ def _mixed(candidates: Sequence[Contender], of_path: Int[np.ndarray, " n"]) -> C
         without=by_share("without"),
         uncorrected=float(by_share("uncorrected")),
         truncated=float(by_share("truncated")),
+        by_model=float(by_share("by_model")),
         effective_sample_size=min(each.effective_sample_size for each in taken),
     )

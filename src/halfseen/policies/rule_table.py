@@ -26,7 +26,7 @@ import operator
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -36,6 +36,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import STAGE_COLUMNS
 from halfseen.reading import opened_text, read_text, reason_of, toml_of
 from halfseen.shapes import Bool, Float
+from halfseen.suggestions import did_you_mean
 
 STAGE, ACTION = "stage", "action"
 COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
@@ -117,6 +118,19 @@ class RuleRow:
     conditions: tuple[Condition, ...]
     action: Hashable
 
+    def matches(self, frame: pd.DataFrame, stage: int) -> Bool[np.ndarray, " m"]:
+        """Whether all conditions hold, for each row of covariates."""
+        held = [condition.holds(frame, stage) for condition in self.conditions]
+        return np.all([np.ones(len(frame), dtype=bool), *held], axis=0)
+
+
+class Rows(NamedTuple):
+    """Rows of a CSV file."""
+
+    rows: tuple[RuleRow, ...]
+    also: tuple[str, ...]
+    """Cells of one more column, if one was asked for."""
+
 
 @dataclass(frozen=True)
 class RuleTable:
@@ -164,14 +178,9 @@ class RuleTable:
 
     def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """1 for the action of the first row that matches."""
-        matches = [self._matches(row, frame, stage) for row in self.rows]
+        matches = [row.matches(frame, stage) for row in self.rows]
         code = np.array([self.actions.index(row.action) for row in self.rows])[np.argmax(matches, axis=0)]
         return (code[:, None] == np.arange(len(self.actions))).astype(np.float64)
-
-    @staticmethod
-    def _matches(row: RuleRow, frame: pd.DataFrame, stage: int) -> Bool[np.ndarray, " m"]:
-        held = [condition.holds(frame, stage) for condition in row.conditions]
-        return np.all([np.ones(len(frame), dtype=bool), *held], axis=0)
 
 
 def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = ()) -> RuleTable:
@@ -203,12 +212,29 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
         raise ArgumentError(f"{path}: it cannot be read as a rule ({reason_of(error)}); mend it there") from error
 
 
-def _csv_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
+def csv_rows(path: Path, also: str) -> Rows:
+    """Read conditions and actions, and one more column that every row fills in; the last row may have conditions."""
+    each = _csv_entries(path, also)
+    cells = [dict(asked) for asked, _ in each]
+    more = tuple(one.pop(also, "") for one in cells)
+    named = zip(cells, (action for _, action in each), strict=True)
+    return Rows(tuple(_row(k, asked, action, {}) for k, (asked, action) in enumerate(named, start=1)), more)
+
+
+def named_in(kind: str, name: Any, known: Sequence[Any]) -> str:
+    """Say that something is not among those that are known."""
+    there = list(map(str, known))
+    return f"there is no {kind} {name}; there are {', '.join(there)}{did_you_mean(str(name), there)}"
+
+
+def _csv_entries(path: Path, also: str | None = None) -> list[tuple[Mapping[str, Any], Any]]:
     with opened_text(path) as file:
         reader = csv.reader(file, skipinitialspace=True)
         head, *rows = [[cell.strip() for cell in row] for row in reader if any(cell.strip() for cell in row)] or [[]]
-    if ACTION not in head or len(set(head)) < len(head) or "" in head:
-        raise ArgumentError(f"its first line is {','.join(head)!r}; name each column once, one of them {ACTION!r}")
+    lacking = next((name for name in (ACTION, also) if name is not None and name not in head), None)
+    if lacking is not None or len(set(head)) < len(head) or "" in head:
+        wanted = lacking or ACTION
+        raise ArgumentError(f"its first line is {','.join(head)!r}; name each column once, one of them {wanted!r}")
     for number, row in enumerate(rows, start=1):
         if len(row) != len(head):
             raise ArgumentError(f"row {number} has {len(row)} cells, and the first line {len(head)}")

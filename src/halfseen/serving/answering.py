@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.serving.exploring import taken
+from halfseen.policies.exploration_table import ExplorationTable
+from halfseen.serving.exploring import taken, uniform_shares
 from halfseen.serving.in_service import InService
 from halfseen.serving.paths import RecordedPaths
 from halfseen.serving.seen import Seen
@@ -19,6 +20,8 @@ class Answering:
     ----------
     epsilon
         Share of decisions that are drawn at random, in [0, 1).
+    table
+        Which actions are drawn instead, and where; None where all are.
     rng
         What they are drawn with.
     paths
@@ -26,6 +29,7 @@ class Answering:
     """
 
     epsilon: float = 0.0
+    table: ExplorationTable | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     paths: RecordedPaths | None = None
 
@@ -37,7 +41,13 @@ class Answering:
         HalfseenError
             The policy cannot decide from this.
         """
-        made = taken(seen.decide(), self.epsilon, self.rng)
+        decided = seen.decide()
+        shares = (
+            uniform_shares(decided, self.epsilon)
+            if self.table is None
+            else self.table.shares(seen.begun.covariates, seen.stage)
+        )
+        made = taken(decided, shares, self.rng)
         decision, stored = made.decision, service.stored
         told: dict[str, Any] = {
             "action": decision.action,
