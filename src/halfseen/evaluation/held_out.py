@@ -257,7 +257,7 @@ def _judged(
         workers=workers,
     ) as judge:
         cases = [judge.case(judge.problem_of(policy.more_cautious(times))) for times in cautions]
-        found = vouched([case.contender for case in cases], judge.opponents, policy.fold, level)
-        best, safe = judge.evaluation(cases[0]), judge.evaluation(cases[found.chosen], ours=found.claim)
+        found = vouched([case.contender for case in cases], judge.opponents, level)
+        best, safe = judge.evaluation(cases[0]), judge.evaluation(cases[found.chosen], of_each=found.level)
         exploration = exploration_of(cases[0])
     return HeldOutVerdict(safe.verdict, safe.reason, num_folds, safe, cautions[found.chosen], best, exploration)

@@ -74,7 +74,7 @@ class Judge:
         settled = problem.settled(judged)
         return Case(settled, judged, _contender("the policy", settled, judged))
 
-    def evaluation(self, case: Case, is_hourly: bool = False, ours: Contender | None = None) -> Evaluation:
+    def evaluation(self, case: Case, is_hourly: bool = False, of_each: float | None = None) -> Evaluation:
         """Compare a policy with the opponents.
 
         Parameters
@@ -83,10 +83,10 @@ class Judge:
             The policy.
         is_hourly
             Work out what is earned in an hour of the clock, too.
-        ours
-            What is compared in its stead, if anything.
+        of_each
+            Level of each interval, where the policy was chosen among some and those of all are to hold at once.
         """
-        ours, own, level, problem = ours or case.contender, self.own, self.level, case.problem
+        ours, own, level, problem = case.contender, self.own, of_each or self.level, case.problem
         unit, theirs = self.logs.reward_unit, self.opponents
         comparisons = _with_shares(compared(ours, theirs, level, problem.excess, unit), theirs, own, level)
         main, num_paths, completed = deciding(comparisons), problem.paths.num_paths, problem.completed
@@ -102,7 +102,7 @@ class Judge:
             reason=joint_reason(comparisons),
             support=tuple(map(float, problem.support)),
             num_paths=num_paths,
-            level=level,
+            level=self.level,
             comparisons=comparisons,
             notes=(*self.notes, HISTORY_COUNTS) if problem.has_history else self.notes,
             reward_unit=unit,

@@ -1,0 +1,144 @@
+"""What a log vouches for: chosen by some paths, claimed by others; with advice on how many more would decide."""
+
+from dataclasses import replace
+from statistics import NormalDist
+
+import numpy as np
+import pandas as pd
+import pytest
+from enumerated_trial import StatePolicy, trial, truth
+
+from halfseen.evaluation import held_out_verdict
+from halfseen.evaluation.advice import needed
+from halfseen.evaluation.claims import claim_of, guess_of, more_paths
+from halfseen.evaluation.comparison import Contender, compared
+from halfseen.evaluation.estimate import Estimate
+from halfseen.evaluation.held_out import CAUTIONS
+from halfseen.evaluation.vouching import level_of_each, vouched
+from halfseen.learning import CensoredQLearner
+from halfseen.learning.caution import more_cautious, more_cautious_learner
+from halfseen.logs import Logs
+
+
+def contender(values, name="the policy", **rest):
+    return Contender(name, values, None, np.zeros((len(values), 2)), effective_sample_size=float(len(values)), **rest)
+
+
+def test_the_choice_is_that_of_the_largest_lower_bound_over_all_opponents():
+    rng = np.random.default_rng(0)
+    each = [contender(one) for one in rng.normal([0.1, 0.15, 0.2], [0.3, 0.8, 2.0], size=(100, 3)).T]
+    theirs = [contender(rng.normal(size=100), "first"), contender(rng.normal(0.3, 1.0, size=100), "second")]
+    found = vouched(each, theirs, 0.95)
+    bounds = [min(one.less(other, found.level).low for other in theirs) for one in each]
+    assert found.chosen == np.argmax(bounds)
+
+
+def test_the_level_of_each_is_sidak_s_without_correlation_and_that_of_one_with():
+    rng = np.random.default_rng(0)
+    apart, same = np.linalg.qr(rng.normal(size=(5000, 9)) + 1e-9)[0].T[1:], rng.normal(size=100)
+    apart -= apart.mean(axis=1, keepdims=True)
+    assert 1.0 - level_of_each(apart, 0.95) == pytest.approx(2.0 * (1.0 - 0.975 ** (1 / 8)), rel=0.1)
+    assert level_of_each(np.stack([same, 2.0 * same + 1.0]), 0.95) == pytest.approx(0.95, abs=0.001)
+    assert level_of_each(np.stack([same, np.zeros(100)]), 0.95) == 0.95
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shared", [0.0, 0.9])
+def test_what_was_chosen_among_equals_is_seldom_claimed_to_be_better(shared):
+    """The largest of eight lower bounds lies above 0 more often than one log in forty; the claim does not."""
+    claims, largest, theirs = [], [], contender(np.zeros(80), "theirs")
+    for seed in range(400):
+        rng = np.random.default_rng(seed)
+        common = rng.normal(size=80)
+        each = [contender(np.sqrt(shared) * common + np.sqrt(1 - shared) * one) for one in rng.normal(size=(8, 80))]
+        found = vouched(each, [theirs], 0.95)
+        claims.append(each[found.chosen].less(theirs, found.level).low > 0)
+        largest.append(max(one.less(theirs, 0.95).low for one in each) > 0)
+    assert np.mean(largest) > 0.04
+    assert np.mean(claims) <= 0.025 + 3 * np.sqrt(0.025 * 0.975 / 400)
+
+
+def test_nothing_is_chosen_where_nothing_is_known():
+    unknown = Contender("the policy", why_unknown="no path of the log was seen to complete it")
+    assert vouched([unknown, unknown], [contender(np.zeros(60), "theirs")], 0.95) == (0, 0.95)
+    assert vouched([contender(np.ones(60))], [], 0.95) == (0, 0.95)
+
+
+def test_more_caution_is_the_same_q_with_a_larger_margin_and_in_the_end_what_the_log_does():
+    logs = trial(1, num_paths=300, cut_rate=0.05)
+    learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(logs)
+    frame = pd.DataFrame({"x": [0.0, 1.0]})
+    often, plain = more_cautious(learner.policy_, 3.0), learner.policy_
+    np.testing.assert_allclose(often.q_values(frame, 1), plain.q_values(frame, 1))
+    margin = plain.q_values(frame, 1) - plain.lower_bounds(frame, 1)
+    np.testing.assert_allclose(often.q_values(frame, 1) - often.lower_bounds(frame, 1), 3.0 * margin)
+    mostly = logs.stages[logs.stages["stage"] == 1].groupby("x")["action"].agg(lambda taken: taken.mode()[0])
+    assert more_cautious(plain, 1e6).decide(frame, 1).tolist() == mostly.loc[[0.0, 1.0]].tolist()
+    cautious = more_cautious_learner(learner, 3.0)
+    assert cautious.model_.pessimism == 3.0 * learner.model_.pessimism
+    assert learner.policy_ is plain
+    fixed = CensoredQLearner(2, ["A", "B"], ["x"], pessimism=0.0).fit(logs)
+    assert more_cautious(fixed.policy_, 3.0) is fixed.policy_
+
+
+def test_the_claim_is_of_the_policy_that_is_kept():
+    logs = trial(3, num_paths=400, cut_rate=0.05)
+    learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(logs)
+    found = held_out_verdict(learner, logs, against="logging")
+    assert found.verdict == "better"
+    assert found.caution in CAUTIONS
+    assert found.claims[0] == f"Vouched for: {claim_of(found.evaluation)}."
+    assert found.claims[0].startswith(f"Vouched for: at least {found.evaluation.difference.low:.3g} more a path than")
+    assert (found.of_best.evaluation, found.of_best.caution) == (found.best, 1.0)
+    kept = more_cautious(learner.policy_, found.caution)
+    chance_b = tuple(kept.probabilities(pd.DataFrame({"x": [0.0, 1.0]}), 1)[:, 1])
+    assert truth(StatePolicy(chance_b).chance_b) > truth((0.5, 0.5))
+
+
+NOISE = Estimate(0.2, -0.2, 0.6, 0.2, 50.0, bias=0.1)
+
+
+def test_so_many_paths_decide_as_the_formula_says():
+    z = NormalDist().inv_cdf(0.975) + NormalDist().inv_cdf(0.8)
+    found = needed(NOISE, -0.5, 0.95)
+    assert found.times == pytest.approx(((0.1 + z * 0.2) / 0.5) ** 2)
+    assert found.low == pytest.approx(max(((0.1 + z * 0.2) / 0.7) ** 2, 1.0))
+    assert found.high == pytest.approx(((0.1 + z * 0.2) / 0.3) ** 2)
+    assert np.isinf([needed(NOISE, 0.0, 0.95).times, needed(NOISE, 0.1, 0.95).high]).all()
+
+
+def test_so_many_paths_do_decide():
+    """Of differences that are normal, four logs of five of n* paths show it."""
+    rng, gain, spread = np.random.default_rng(0), 0.3, 2.0
+    first = spread / np.sqrt(100)
+    times = needed(Estimate(gain, 0.0, 1.0, first, 100.0), gain, 0.95).times
+    error = spread / np.sqrt(100 * times)
+    assert np.mean(rng.normal(gain, error, size=20_000) > 1.96 * error) == pytest.approx(0.8, abs=0.01)
+
+
+def test_what_is_still_to_be_recorded_is_said():
+    own = contender(np.random.default_rng(2).normal(size=100), by_model=0.0)
+    values = own.values + np.random.default_rng(3).normal(0.1, 1.0, size=100)
+    (one,) = compared(contender(values, by_model=0.4), [own._replace(name="theirs")], 0.95)
+    assert (one.verdict, one.needed.gain) == ("cannot be said", pytest.approx(0.4))
+    assert "if it is the 0.4 more that Q says, some" in one.reason
+    said = more_paths(one.needed, 100)
+    assert said.startswith("about ")
+    assert "more paths like these would decide (" in said
+    assert more_paths(replace_times(one.needed, np.inf), 100).startswith("no log of a size")
+
+
+def replace_times(more, times):
+    return more._replace(times=times)
+
+
+def test_a_guess_of_which_nothing_is_known_says_why():
+    logs = trial(4, num_paths=200)
+    noise = Logs(logs.stages.assign(reward=np.random.default_rng(4).normal(size=logs.num_stages)), logs.paths)
+    learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(noise)
+    found = held_out_verdict(learner, noise)
+    assert found.claims[0].startswith("Vouched for: nothing")
+    assert "not yet provable" in found.claims[1]
+    main = found.best.comparisons[0]
+    hidden = replace(found.best, comparisons=(replace(main, p=None, reason="no action is known"),))
+    assert guess_of(hidden) == "unknown; no action is known"
