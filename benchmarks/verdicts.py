@@ -18,8 +18,7 @@ from typing import Any
 
 import numpy as np
 from threadpoolctl import threadpool_limits
-from worlds.bin import Bin
-from worlds.examples import Cell, Trial
+from worlds.examples import Bin, Cell, Trial
 from worlds.haze import Haze
 from worlds.policies import policies_of
 from worlds.wide import Wide

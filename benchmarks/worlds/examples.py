@@ -1,4 +1,4 @@
-"""The worlds of the examples, whose policies have exact values: `examples/pick_cell` and `examples/clinical_trial`."""
+"""The worlds of the examples, whose policies have exact values: `pick_cell`, `bin_cell` and `clinical_trial`."""
 
 import sys
 from functools import cache, cached_property
@@ -13,13 +13,16 @@ from worlds.world import is_possible
 from halfseen.logs import Logs
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
-sys.path += [str(EXAMPLES / "pick_cell"), str(EXAMPLES / "clinical_trial")]
+sys.path += [str(EXAMPLES / name) for name in ("pick_cell", "bin_cell", "clinical_trial")]
 
+import bin_cell  # noqa: E402
 import cell_optimum  # noqa: E402
 import cell_parts  # noqa: E402
 import cell_paths  # noqa: E402
 import trial_optimum  # noqa: E402
 import trial_patients  # noqa: E402
+
+Bin = bin_cell.Bin
 
 
 class Cell:

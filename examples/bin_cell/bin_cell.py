@@ -3,15 +3,18 @@
 The rule grasps, whatever it sees, until the gripper has jammed twice. The state is small: clutter above the part, views
 of it, jams. So values are exact, by backward induction. Exploration is uniform in a quarter of the decisions; an action
 that is not the rule's has a chance of 1/16, and a path of the optimum deviates two or three times: ratios reach 16³.
+All numbers are made up. What was recorded of it lies in ``logs`` and ``later_logs``; policies of it are worth:
+
+python examples/bin_cell/bin_cell.py
 """
 
+from collections.abc import Callable
 from functools import cache, cached_property
 from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
 from scipy.optimize import brentq
-from worlds.world import Chances
 
 from halfseen.logs import Logs
 
@@ -35,7 +38,10 @@ FREED_BY_HAND = 0.5
 """Chance that a failed grasp of a jammed gripper ends the path."""
 SECONDS = np.array([2.0, 6.0, 4.0, 5.0])
 CAUSES = ("operator", "camera", "shift")
+CUT_SHARE = 1 / 3
 NUM_PILOT = 20_000
+Chances = Callable[[pd.DataFrame, int], np.ndarray]
+"""(covariates, stage from 1) → chance of each action, for each row."""
 Outcome = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 """Chance, reward, whether the path ends, and the next state."""
 
@@ -204,4 +210,16 @@ def _recorded(stages: pd.DataFrame, exposure: np.ndarray, limit: np.ndarray, rng
     paths.loc[is_cut, "ending"] = "cut"
     kept.loc[~is_seen, ["elapsed_s", "reward"]] = np.nan
     columns = ["path", "stage", "elapsed_s", "action", "reward", "probability", *Bin.covariates]
-    return Logs(kept[columns], paths)
+    return Logs(kept[columns], paths, reward_unit="net parts")
+
+
+def main() -> None:
+    """Tell what policies are worth."""
+    cell = Bin()
+    policies = {"the cell as it runs": cell.logging, "its rule": cell.plain, "the optimum": cell.best}
+    for name, chances in policies.items():
+        print(f"{name:<22}{cell.value(chances):6.3f} net parts a path")
+
+
+if __name__ == "__main__":
+    main()
