@@ -79,9 +79,9 @@ def rule_of(world: World) -> Chances:
 
 
 def chances_of(policy: FlatPolicy, world: World) -> Chances:
-    """Columns in the order of the world."""
+    """Columns in the order of the world; beyond the stages that its log reached it does as in the last of them."""
     columns = [policy.actions.index(name) for name in world.actions]
-    return lambda frame, stage: policy.probabilities(frame, stage)[:, columns]
+    return lambda frame, stage: policy.probabilities(frame, min(stage, policy.horizon))[:, columns]
 
 
 def line(num_paths: int, rows: Sequence[dict[str, Any]]) -> str:

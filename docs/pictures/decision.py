@@ -5,7 +5,7 @@ from tempfile import TemporaryDirectory
 
 import pandas as pd
 
-from pictures.example_policy import example_policy
+from pictures.example_policy import PICK_CELL, example_policy
 from pictures.picture import Picture, Table, whole
 
 
@@ -14,7 +14,7 @@ def _decided() -> Table:
     from halfseen.policies import NamedObservation, decider_of
 
     part = pd.DataFrame({"weight_kg": [0.8], "shine": [0.3], "clutter": [0.6]})
-    decision = decider_of(example_policy()).decide(NamedObservation(part, stage=1))
+    decision = decider_of(example_policy(PICK_CELL, "--no-verdict")).decide(NamedObservation(part, stage=1))
     return [
         {
             "action": name,

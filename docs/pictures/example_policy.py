@@ -1,4 +1,4 @@
-"""The policy that `halfseen learn` makes of the pick cell's logs, which several pictures show something of."""
+"""The policies that `halfseen learn` makes of the examples' logs, which several pictures show something of."""
 
 from functools import cache
 from pathlib import Path
@@ -7,11 +7,11 @@ from tempfile import TemporaryDirectory
 from halfseen.policies.folder import StoredPolicy
 from pictures.picture import ROOT
 
-EXAMPLE = ROOT / "examples" / "pick_cell"
+PICK_CELL, BIN_CELL = (ROOT / "examples" / name for name in ("pick_cell", "bin_cell"))
 
 
 @cache
-def example_policy() -> StoredPolicy:
+def example_policy(example: Path = PICK_CELL, *options: str) -> StoredPolicy:
     """Learn it, as the command does."""
     from click.testing import CliRunner
 
@@ -19,7 +19,7 @@ def example_policy() -> StoredPolicy:
     from halfseen.policies import read_policy
 
     with TemporaryDirectory() as folder:
-        command = ["learn", str(EXAMPLE / "logs"), "--out", f"{folder}/policy", "--no-verdict"]
+        command = ["learn", str(example / "logs"), "--out", f"{folder}/policy", *options]
         done = CliRunner().invoke(halfseen, command, catch_exceptions=False)
         assert done.exit_code == 0, done.output
         return read_policy(Path(folder) / "policy")

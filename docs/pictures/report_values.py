@@ -2,7 +2,7 @@
 
 from matplotlib.figure import Figure
 
-from pictures.example_policy import EXAMPLE, example_policy
+from pictures.example_policy import BIN_CELL, example_policy
 from pictures.picture import plot
 
 
@@ -13,8 +13,8 @@ def draw_report_values() -> Figure:
     from halfseen.logs import read_logs
     from halfseen.report.values_figure import draw_values
 
-    later = read_logs(EXAMPLE / "later_logs")
-    stored = example_policy()
+    later = read_logs(BIN_CELL / "later_logs")
+    stored = example_policy(BIN_CELL)
     spec = specification_of(stored, later)
     return draw_values(evaluate(stored.policy, later, censoring=spec.censoring, q=spec.q, random_state=0))
 

@@ -92,7 +92,7 @@ def follow_patched(page, text, folder):
 SLOW = {
     *("another-camera", "another-figure", "another-planner", "another-verb", "any-multistage-problem"),
     *("from-logs-to-a-policy", "physical-cell", "planners", "several-robots", "times-that-were-cut", "watch"),
-    *("what-looks-dirty", "what-the-intervals-mean"),
+    *("what-looks-dirty", "can-i-believe-it"),
 }
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])

@@ -41,7 +41,7 @@ TOLD = {
         "found {found} % of the dirty ones and taken {taken} % of the clean ones for dirty",
         "turned, {found_turned} and {taken_turned} %",
     ),
-    "docs/guide/what-the-intervals-mean.md": ("{missed} of the {intervals} miss it, in orange",),
+    "docs/guide/can-i-believe-it.md": ("{missed} of the {intervals} miss it, in orange",),
     "docs/gallery.md": (
         "{logs} parts, three grippers and a person to hand a part over to; {logs_cut} paths were cut",
         "{later} parts that came later",

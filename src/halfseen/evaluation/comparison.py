@@ -49,6 +49,10 @@ class Contender(NamedTuple):
     """What a path can earn at all."""
     by_model: float = np.nan
     """What Q alone says."""
+    weights: Float[np.ndarray, "n T"] | None = None
+    """Of the stages, with mean 1."""
+    deviation: float = 0.0
+    """Standard deviation of the targets of stages about Q [reward]."""
     effective_sample_size: float = 0.0
     why_unknown: str | None = None
     """Why nothing is to be believed, if so."""
@@ -57,7 +61,8 @@ class Contender(NamedTuple):
         """What it earns."""
         assert self.values is not None
         bias = WRONG_BY * (abs(self.uncorrected) + self.truncated)
-        found = estimate_of(self.values, self.effective_sample_size, level, self.without, bias)
+        least = 0.0 if self.weights is None else _error_of_alike(self.weights, self.deviation)
+        found = estimate_of(self.values, self.effective_sample_size, level, self.without, bias, least)
         return found if self.possible is None else within(found, *self.possible)
 
     def less(self, other: "Contender", level: float) -> Estimate:
@@ -67,11 +72,22 @@ class Contender(NamedTuple):
         size = min(self.effective_sample_size, other.effective_sample_size)
         without = None if self.without is None or other.without is None else self.without - other.without
         bias = WRONG_BY * (abs(self.uncorrected - other.uncorrected) + self.truncated + other.truncated)
-        found = estimate_of(self.values - other.values, size, level, without, bias)
+        least = 0.0
+        if self.weights is not None and other.weights is not None:
+            least = _error_of_alike(self.weights - other.weights, max(self.deviation, other.deviation))
+        found = estimate_of(self.values - other.values, size, level, without, bias, least)
         if self.possible is None:
             return found
         theirs = other.estimate(level)
         return within(found, self.possible.low - theirs.high, self.possible.high - theirs.low)
+
+
+def _error_of_alike(weights: Float[np.ndarray, "n T"], deviation: float) -> float:
+    """Standard error of a weighted sum of residuals, were all as large: it does not hang on those of a few stages.
+
+    Where few stages weigh much, theirs may be small by chance, and just then their scatter says too little.
+    """
+    return deviation * float(np.sqrt((weights**2).sum())) / len(weights)
 
 
 SEVERITY: dict[Verdict, int] = {"not better": 0, "cannot be said": 1, "better": 2}

@@ -57,6 +57,7 @@ def estimate_of(
     level: float,
     without: Float[np.ndarray, " K"] | None = None,
     bias: float = 0.0,
+    least_error: float = 0.0,
 ) -> Estimate:
     """Mean of what paths add, with a t interval of as many degrees of freedom as there are effective paths, less one.
 
@@ -75,9 +76,11 @@ def estimate_of(
         The value by all but each of K groups of paths.
     bias
         To be allowed for, either way.
+    least_error
+        That the standard error is known to be no less than.
     """
     value, error = float(np.mean(influence)), float(np.std(influence, ddof=1) / np.sqrt(len(influence)))
-    by_paths = around(value, error, effective_sample_size, effective_sample_size - 1.0, level, bias)
+    by_paths = around(value, max(error, least_error), effective_sample_size, effective_sample_size - 1.0, level, bias)
     if without is None:
         return by_paths
     by_groups = around(value, jackknife_error(without), effective_sample_size, len(without) - 1, level, bias)

@@ -50,6 +50,10 @@ class Contribution(NamedTuple):
     """What a path can earn at all."""
     by_model: float = np.nan
     """What Q alone says that the value is."""
+    weights: Float[np.ndarray, "n T"] | None = None
+    """Of the stages, with mean 1."""
+    deviation: float = 0.0
+    """Standard deviation of the targets of stages about Q [reward]."""
 
 
 class Problem(NamedTuple):
@@ -148,6 +152,8 @@ class Problem(NamedTuple):
             lost * deviation,
             within,
             float(value[:, 0].mean()),
+            self.stage_weights[-1].normalised,
+            deviation,
         )
 
     def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
