@@ -78,6 +78,8 @@ def _frame(state: np.ndarray) -> pd.DataFrame:
 
 
 class Bin:
+    """Draws logs of the cell, and values policies of it."""
+
     actions = ("look", "grasp", "shake", "clear")
     actions_by_stage: ClassVar[dict[int, list[str]]] = {
         stage: ["look", "grasp", "shake", "clear"] for stage in range(1, HORIZON + 1)
@@ -87,6 +89,7 @@ class Bin:
 
     @cached_property
     def optimum(self) -> float:
+        """Value of the best policy."""
         return self.value(self.best)
 
     def plain(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
@@ -94,19 +97,23 @@ class Bin:
         return np.eye(4)[np.where(frame["jams"] > 1, CLEAR, GRASP)]
 
     def logging(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        """Do as the rule, or in a quarter of the decisions as chance has it."""
         return (1.0 - EXPLORATION) * self.plain(frame, stage) + EXPLORATION / 4.0
 
     def best(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
+        """Do what is worth most."""
         state = frame[list(self.covariates)].to_numpy().astype(int)
         return np.eye(4)[self._best[stage - 1][_index(state)].argmax(axis=1)]
 
     def value(self, chances: Chances) -> float:
+        """Work out the expected reward of a path, backwards."""
         later = np.zeros(len(STATES))
         for stage in range(HORIZON, 0, -1):
             later = np.sum(chances(_frame(STATES), stage) * _q(later), axis=1)
         return float(BEGIN @ later[_index(np.stack([np.arange(3), np.zeros(3), np.zeros(3)], axis=1).astype(int))])
 
     def log(self, num_paths: int, seed: int, share: float) -> Logs:
+        """Draw a log of which about a share is cut."""
         stages, exposure = self._played(num_paths, np.random.default_rng([seed, 0]))
         rng = np.random.default_rng([seed, 1])
         limit = rng.exponential(size=num_paths) / self._rate(share) if share else np.full(num_paths, np.inf)

@@ -2,12 +2,17 @@ import json
 from operator import itemgetter
 
 import numpy as np
+import pandas as pd
 import pytest
 import shell
 
 from halfseen.arrays import mapped
+from halfseen.cli.learn import _verdict_lines
+from halfseen.errors import ArgumentError
 from halfseen.evaluation import HeldOutVerdict, held_out
 from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import read_policy
 from halfseen.world.logs import states_of
 from small_logs import flat_log, table_log
@@ -107,3 +112,52 @@ def test_one_seed_same_policy_and_what_is_there_stays(folder, tmp_path):
     before = {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()}
     run(*arguments, "--overwrite")
     assert {file.name: file.read_bytes() for file in (tmp_path / "policy").iterdir()} == before
+
+
+def test_what_to_try_is_written_for_serve_and_the_best_guess_on_request(tmp_path):
+    _trial(300).write(tmp_path / "logs")
+    arguments = (tmp_path / "logs", "--out", tmp_path / "policy", "--exploration", tmp_path / "try.csv")
+    report = json.loads(run(*arguments, "--json", has_verdict=True).stdout)
+    regions = report["verdict"]["exploration"]["regions"]
+    table = read_exploration(tmp_path / "try.csv", ("A", "B"), ("x",))
+    assert regions
+    assert [str(row.action) for row in table.rows] == [region["action"] for region in regions]
+    assert report["verdict"]["claims"][0].startswith("Vouched for: ")
+    best = json.loads(run(*arguments[:3], "--trust", "best", "--overwrite", "--json", has_verdict=True).stdout)
+    assert best["verdict"]["caution"] == 1.0
+    assert report["learner"]["pessimism"] == report["verdict"]["caution"] * best["learner"]["pessimism"]
+
+
+def test_where_it_cannot_be_said_it_says_what_to_try():
+    region = {"conditions": {"x": "<= 0.5"}, "action": "B", "now": 0.1, "wanted": 0.4, "part": 0.6}
+    tried = {"regions": [region], "narrower": 1.6}
+    verdict = {"verdict": "cannot be said", "sentence": "Cannot be said.", "claims": [], "exploration": tried}
+    lines = _verdict_lines(verdict)
+    assert "1.6 times as narrow" in lines[1]
+    assert lines[-1].split() == ["B", "x", "<=", "0.5", "10%", "40%", "60%"]
+    assert _verdict_lines(verdict | {"verdict": "better"}) == ["Cannot be said."]
+
+
+def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
+    (tmp_path / "there.csv").write_text("kept")
+    for file, has_verdict, said in (
+        ("try.csv", False, "leave --no-verdict out"),
+        ("try.txt", True, r"ends in \.csv"),
+        ("there.csv", True, "it is there already"),
+    ):
+        arguments = (folder / "flat", "--out", tmp_path / "policy", "--exploration", tmp_path / file)
+        with pytest.raises(ArgumentError, match=said):
+            run(*arguments, has_verdict=has_verdict)
+    assert (tmp_path / "there.csv").read_text() == "kept"
+    assert not (tmp_path / "policy").exists()
+
+
+def _trial(num_paths):
+    """Two stages in which B pays in state 1 and A in state 0, logged by a rule that mostly takes A."""
+    rng = np.random.default_rng(0)
+    path, stage = np.repeat(np.arange(num_paths), 2), np.tile([1, 2], num_paths)
+    x, is_b = rng.integers(0, 2, 2 * num_paths).astype(float), rng.random(2 * num_paths) < 0.2
+    reward = 1.0 * (is_b == (x == 1)) + rng.normal(size=2 * num_paths)
+    stages = {"path": path, "stage": stage, "elapsed_s": 1.0 * stage, "action": np.where(is_b, "B", "A")}
+    stages |= {"reward": reward, "probability": np.where(is_b, 0.2, 0.8), "x": x}
+    return Logs(pd.DataFrame(stages), pd.DataFrame({"path": range(num_paths), "end_s": 2.0, "ending": "finished"}))

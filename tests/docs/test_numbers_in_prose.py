@@ -173,7 +173,7 @@ def test_the_table_of_biases_is_what_the_benchmark_prints(situation):
 
 def test_the_guide_says_what_benchmarks_measured(monkeypatch):
     usage = (ROOT / "benchmarks/verdicts.py").read_text(encoding="utf-8")
-    told = re.findall(r"records (\d+) logs of (\d+) paths", prose("docs/guide/how-good-is-it.md"))
+    told = re.findall(r"(\d+) logs of (\d+) paths a row", prose("docs/guide/can-i-believe-it.md"))
     assert told == re.findall(r"\[--logs (\d+)\] \[--paths (\d+)\]", usage)
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     fleet, text = importlib.import_module("fleet"), prose("docs/guide/any-multistage-problem.md")

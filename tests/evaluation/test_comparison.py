@@ -179,3 +179,17 @@ def test_a_verdict_says_what_would_undo_it_and_an_open_one_or_one_without_cuts_n
     assert cut.sensitivity in str(cut).splitlines()[1]
     assert "To undo this" in cut.sensitivity
     assert (uncut.verdict, uncut.sensitivity) == ("better", "")
+
+
+def test_a_standard_error_does_not_hang_on_the_residuals_of_a_few_heavy_stages():
+    """The heavy path's residual happens to be 0; so its scatter says nothing of what its weight costs."""
+    weights = np.full((50, 2), 0.5)
+    weights[0] = 25.5
+    one = Contender("ours", np.zeros(50), weights=weights, deviation=2.0, effective_sample_size=2.0)
+    least = 2.0 * np.sqrt((weights**2).sum()) / 50
+    assert one.estimate(0.95).standard_error == pytest.approx(least)
+    other = Contender("theirs", np.zeros(50), weights=np.ones((50, 2)), deviation=1.0, effective_sample_size=50.0)
+    assert one.less(other, 0.95).standard_error == pytest.approx(2.0 * np.sqrt(((weights - 1.0) ** 2).sum()) / 50)
+    same = one.less(one._replace(name="theirs"), 0.95)
+    assert (same.low, same.high) == (0.0, 0.0)
+    assert one._replace(weights=None).estimate(0.95).standard_error == 0.0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from enumerated_trial import StatePolicy, trial
 
-from halfseen.evaluation.exploring import LARGEST_SHARE, Region, _allotted, _Leaf, _shares, exploration_of
+from halfseen.evaluation.exploring import LARGEST_SHARE, Region, _allotted, _Leaf, _leaves, _shares, exploration_of
 from halfseen.evaluation.off_policy import judging
 
 POLICY = StatePolicy((1.0, 0.0))
@@ -65,3 +65,23 @@ def test_the_order_of_the_rows_of_a_log_does_not_matter():
         with judging(POLICY, type(logs)(frame, logs.paths), against="logging") as judge:
             each.append(exploration_of(judge.case(judge.problem)))
     assert each[0] == each[1]
+
+
+def test_regions_are_the_leaves_of_a_regression_tree():
+    from sklearn.tree import DecisionTreeRegressor
+
+    rng = np.random.default_rng(0)
+    columns = np.column_stack([rng.integers(0, 3, 400), rng.integers(0, 5, 400), rng.normal(size=400)]).astype(float)
+    hangs = 2.0 * (columns[:, 0] > 0) * (columns[:, 1] > 2) + rng.exponential(size=400)
+    rows = np.flatnonzero(rng.random(400) < 0.8)
+    tree = DecisionTreeRegressor(max_leaf_nodes=4, min_samples_leaf=30, random_state=0).fit(columns[rows], hangs[rows])
+    leaf_of = tree.apply(columns[rows])
+    wanted = sorted(tuple(rows[leaf_of == leaf]) for leaf in np.unique(leaf_of))
+    found = _leaves(columns, hangs, rows)
+    assert sorted(tuple(np.sort(kept)) for _, kept in found) == wanted
+    for limits, kept in found:
+        inside = np.ones(400, dtype=bool)
+        for column, (low, high) in limits.items():
+            inside &= (columns[:, column] > low) & (columns[:, column] <= high)
+        np.testing.assert_array_equal(np.sort(kept), np.intersect1d(np.flatnonzero(inside), rows))
+    assert _leaves(columns, hangs, rows[:40]) == [({}, pytest.approx(rows[:40]))]

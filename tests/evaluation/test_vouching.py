@@ -95,6 +95,13 @@ def test_the_claim_is_of_the_policy_that_is_kept():
     assert truth(StatePolicy(chance_b).chance_b) > truth((0.5, 0.5))
 
 
+def test_a_guess_that_is_better_on_its_own_says_so():
+    logs = trial(3, num_paths=400, cut_rate=0.05)
+    learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(logs)
+    found = replace(held_out_verdict(learner, logs, against="logging").of_best, verdict="cannot be said")
+    assert found.claims[1].endswith("; it is better if nothing but it was asked about (--trust best).")
+
+
 NOISE = Estimate(0.2, -0.2, 0.6, 0.2, 50.0, bias=0.1)
 
 

@@ -13,6 +13,7 @@ from click.testing import CliRunner
 from halfseen.cli.act import act
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
+from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths
 from halfseen.serving.app import Served, app_of
@@ -193,6 +194,19 @@ def test_a_draw_is_as_likely_as_it_says(flat):
     explored = [one for one in told if one["is_explored"]]
     assert len(explored) == pytest.approx(40, abs=4 * np.sqrt(160 * 0.25 * 0.75))
     assert "by chance, to explore" in explored[0]["reason"]
+
+
+def test_a_table_says_what_is_tried_where_and_the_log_holds_its_probability(flat, tmp_path):
+    file = tmp_path / "try.csv"
+    file.write_text("x1,action,probability\n> 0,A,0.3\n> 0,B,0.3\n")
+    table = read_exploration(file, ("A", "B", "C"), ("x1", "x2"))
+    with client_of(flat, table=table) as client:
+        told = [client.post("/decide", json={"x1": 0.4, "x2": 1.0}).json() for _ in range(120)]
+        still = [client.post("/decide", json={"x1": -0.4, "x2": 1.0}).json() for _ in range(5)]
+    found = {one["action"]: (round(one["probability"], 9), one["is_explored"]) for one in told}
+    assert sorted(found.values()) == [(0.3, True), (0.7, False)]
+    assert sum(one["is_explored"] for one in told) == pytest.approx(36, abs=4 * np.sqrt(120 * 0.21))
+    assert {(one["probability"], one["is_explored"]) for one in still} == {(1.0, False)}
 
 
 def test_a_reload_changes_the_policy_and_a_bad_one_changes_nothing(flat, tmp_path):

@@ -250,7 +250,8 @@ def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
         raise ArgumentError("--exploration rests on the verdict; leave --no-verdict out")
     if file.suffix.lower() != ".csv":
         raise ArgumentError(f"--exploration is {file}; `halfseen serve` takes a file that ends in .csv")
-    refuse_taken(file, overwrite, None, "table")
+    if not overwrite:
+        refuse_taken(file, False, None, "table")
 
 
 def _write_exploration(file: Path, regions: "Sequence[Region]") -> None:

@@ -25,9 +25,10 @@ class _ShareOrTable(click.ParamType):
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float | Path:
         """Tell them apart by how it ends."""
-        if isinstance(value, str) and value.lower().endswith(".csv"):
+        if str(value).lower().endswith(".csv"):
             return Path(value)
-        return click.FloatRange(0.0, 1.0, max_open=True).convert(value, param, ctx)
+        share: Any = click.FloatRange(0.0, 1.0, max_open=True)
+        return share.convert(value, param, ctx)
 
 
 @click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")

@@ -90,7 +90,9 @@ class HeldOutVerdict:
         """What is vouched for, and the best guess, in a sentence each."""
         if self.evaluation is None or self.best is None:
             return ()
-        return f"Vouched for: {claim_of(self.evaluation)}.", f"Best guess: {guess_of(self.best)}."
+        is_alone = self.best.verdict == "better" != self.verdict
+        rest = "; it is better if nothing but it was asked about (--trust best)" if is_alone else ""
+        return f"Vouched for: {claim_of(self.evaluation)}.", f"Best guess: {guess_of(self.best)}{rest}."
 
     @property
     def sentence(self) -> str:

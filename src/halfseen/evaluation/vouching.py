@@ -43,8 +43,8 @@ def vouched(candidates: Sequence[Contender], opponents: Sequence[Contender], lev
         At which the intervals of all are to hold at once.
     """
     theirs = [each for each in opponents if each.values is not None and each.why_unknown is None]
-    known = [each for each in candidates if each.values is not None and each.why_unknown is None]
-    gains = [np.stack([one.values - each.values for one in known]) for each in theirs if known]
+    known = [each.values for each in candidates if each.values is not None and each.why_unknown is None]
+    gains = [np.stack(known) - each.values for each in theirs if known]
     # A claim is on all opponents, and wrong only if one of them is.
     single = max((level_of_each(each, level) for each in gains), default=level)
     return Vouched(int(np.argmax([_least(one, theirs, single) for one in candidates])), single)

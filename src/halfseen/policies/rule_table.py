@@ -204,8 +204,8 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
     if path.suffix.lower() not in _READERS:
         raise ArgumentError(f"{path}: a rule is a file that ends in {' or '.join(_READERS)}")
     try:
-        entries = _READERS[path.suffix.lower()](path)
-        return RuleTable(tuple(_row(k, *entry, known) for k, entry in enumerate(entries, start=1)), horizon)
+        entries = enumerate(_READERS[path.suffix.lower()](path), start=1)
+        return RuleTable(tuple(_row(k, asked, action, known) for k, (asked, action) in entries), horizon)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     except (OSError, ValueError, csv.Error) as error:
@@ -255,7 +255,10 @@ def _toml_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
     return [(rule.get("when", {}), rule.get(ACTION, "")) for rule in rules]
 
 
-_READERS = {".csv": _csv_entries, ".toml": _toml_entries}
+_READERS: dict[str, Callable[[Path], list[tuple[Mapping[str, Any], Any]]]] = {
+    ".csv": _csv_entries,
+    ".toml": _toml_entries,
+}
 
 
 def _row(number: int, asked: Mapping[str, Any], action: Any, known: Mapping[str, Hashable]) -> RuleRow:
