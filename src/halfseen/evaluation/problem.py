@@ -99,6 +99,9 @@ class Problem(NamedTuple):
     @property
     def paths_for_one(self) -> float:
         """How many paths like those of the log are worth one that follows the policy, about."""
+        if self.marginal is not None:
+            size = self.effective_sample_size
+            return self.paths.num_paths / size if size > 0 else np.inf
         in_spite_of_cuts = as_logged(self).effective_sample_size
         return self.squared_ratio * self.paths.num_paths / in_spite_of_cuts if in_spite_of_cuts > 0 else np.inf
 

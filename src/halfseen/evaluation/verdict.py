@@ -65,7 +65,7 @@ def why_unknown(
     if effective_sample_size < fewest:
         return (
             f"the effective sample size is {effective_sample_size:.1f} paths that follow {who}, and fewer than "
-            f"{fewest:g} tell nothing; {_remedy(num_paths, FEWEST_PATHS * paths_for_one)}"
+            f"{fewest:g} tell nothing; {_remedy(num_paths, fewest * paths_for_one)}"
         )
     return None
 
