@@ -5,11 +5,13 @@ import warnings
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import evaluate
 from halfseen.evaluation.targets import FixedSequence
 from halfseen.logs import Logs
+from halfseen.logs.inspection.endings import chance_of_shorter
 from halfseen.logs.inspection.foretelling import outcomes_among_covariates
 from halfseen.logs.inspection.groups import grouped
 from halfseen.logs.inspection.probabilities import excess_p, imbalance_p
@@ -205,3 +207,12 @@ def test_values_are_grouped_by_fifths_and_names_by_name():
     assert grouped("number", pd.Series([f"part {k}" for k in range(50)])) is None
     assert grouped("same", pd.Series([1.0, 1.0])) is None
     assert grouped("parts", pd.Series([[1], [2]])) is None
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_the_chance_of_being_shorter_is_scipy_s(seed):
+    rng = np.random.default_rng(seed)
+    one, other = rng.normal(-0.3, 1.0, 12 + seed).round(1), rng.normal(size=15).round(1)
+    wanted = stats.mannwhitneyu(one, other, alternative="less", method="asymptotic").pvalue
+    assert chance_of_shorter(one, other) == pytest.approx(wanted, rel=1e-12)
+    assert chance_of_shorter(np.ones(10), np.ones(12)) == 1.0

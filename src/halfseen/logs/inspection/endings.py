@@ -7,11 +7,13 @@ somebody or something stopped them.
 """
 
 from collections.abc import Iterator
+from statistics import NormalDist
 from typing import Any
 
 import numpy as np
 
 from halfseen.logs.logs import Logs
+from halfseen.shapes import Float
 
 FEWEST = 10
 LEVEL = 1e-4
@@ -19,8 +21,6 @@ LEVEL = 1e-4
 
 def cuts_called_finished(logs: Logs) -> Iterator[str]:
     """Tell of finished paths that look as if they had been cut."""
-    from scipy.stats import mannwhitneyu
-
     stages: Any = logs.stages
     lasted_s = stages["elapsed_s"] - stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
     is_last = ~stages.duplicated("path", keep="last")
@@ -37,7 +37,7 @@ def cuts_called_finished(logs: Logs) -> Iterator[str]:
                 others, words = of_action.index[of_action != paid], "of the same action paid otherwise"
             if min(len(alike), len(others)) < FEWEST:
                 continue
-            if mannwhitneyu(lasted_s[alike], lasted_s[others], alternative="less").pvalue < LEVEL:
+            if chance_of_shorter(lasted_s[alike].to_numpy(), lasted_s[others].to_numpy()) < LEVEL:
                 ended_s, other_s = (float(np.median(lasted_s[each])) for each in (alike, others))
                 yield (
                     f"{len(alike)} paths are called finished after a {name} that paid {paid:g} and lasted "
@@ -45,3 +45,16 @@ def cuts_called_finished(logs: Logs) -> Iterator[str]:
                     "them, their ending is 'cut', and that stage has neither reward nor elapsed_s"
                 )
                 break
+
+
+def chance_of_shorter(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float:
+    """Chance that one sample is as much smaller than another if both are alike, by ranks [MannWhitney1947]_.
+
+    By the normal approximation with ties and a correction for continuity, for ten of each or more.
+    """
+    _, place, ties = np.unique(np.concatenate([one, other]), return_inverse=True, return_counts=True)
+    ranks = (ties.cumsum() - (ties - 1) / 2.0)[place]
+    n, m = len(one), len(other)
+    above = ranks[:n].sum() - n * (n + 1) / 2.0
+    spread = np.sqrt(n * m / 12.0 * (n + m + 1.0 - float((ties**3 - ties).sum()) / ((n + m) * (n + m - 1.0))))
+    return NormalDist().cdf((above - n * m / 2.0 + 0.5) / spread) if spread > 0.0 else 1.0
