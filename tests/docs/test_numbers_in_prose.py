@@ -18,7 +18,13 @@ from pictures.picture import NUMBERS, ROOT
 CELL = "docs/guide/physical-cell.md"
 TOLD = {
     "README.md": (
-        "{logs} parts and {later} later ones",
+        "{logs} parts to learn from, and {later} later ones",
+        "| learned from 800 trajectories of which half were cut | {best_800} ({best_800_span}) |",
+        "| learned from 25 | {best_25} ({best_25_span}) |",
+        "| a planner of 512 simulations a decision, which knows the true laws | {planner-512} ({planner-512_span}) |",
+        "| greedy | {greedy} ({greedy_span}) |",
+    ),
+    "docs/guide/the-study.md": (
         "by {best_800} points a table from 800 trajectories of which half were cut ({best_800_span})",
         "by {best_25} from 25 ({best_25_span})",
     ),
@@ -104,12 +110,14 @@ def gains():
     """What the learned policy earns over the best rule in the study [points a table]."""
     rows = pd.read_csv(NUMBERS / "study-figure1.csv")
     learned = rows[(rows["policy"] == "censored_q") & ((rows["cut_share"] - 0.5).abs() < 1e-6)].set_index("num_paths")
-    found = {}
-    for size in (25, 800):
-        row = learned.loc[size]
-        found[f"best_{size}"] = f"{row['gain']:.2f}"
-        found[f"best_{size}_span"] = f"{row['gain_low']:.2f} to {row['gain_high']:.2f}"
-    return found
+    each = {f"best_{size}": learned.loc[size] for size in (25, 800)}
+    each |= {
+        "best_planner": rows[rows["role"] == "best_planner"].iloc[0],
+        "greedy": rows[rows["policy"] == "greedy"].iloc[0],
+    }
+    found = {name: f"{row['gain']:.2f}" for name, row in each.items()}
+    found |= {f"{name}_span": f"{row['gain_low']:.2f} to {row['gain_high']:.2f}" for name, row in each.items()}
+    return {name: text.replace("-", "−") for name, text in found.items()}
 
 
 def test_a_number_in_prose_is_that_of_the_log_the_law_or_the_measurement(law):
