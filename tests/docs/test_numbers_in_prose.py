@@ -111,10 +111,7 @@ def gains():
     rows = pd.read_csv(NUMBERS / "study-figure1.csv")
     learned = rows[(rows["policy"] == "censored_q") & ((rows["cut_share"] - 0.5).abs() < 1e-6)].set_index("num_paths")
     each = {f"best_{size}": learned.loc[size] for size in (25, 800)}
-    each |= {
-        "best_planner": rows[rows["role"] == "best_planner"].iloc[0],
-        "greedy": rows[rows["policy"] == "greedy"].iloc[0],
-    }
+    each |= {name: rows[rows["policy"] == name].iloc[0] for name in ("planner-512", "greedy")}
     found = {name: f"{row['gain']:.2f}" for name, row in each.items()}
     found |= {f"{name}_span": f"{row['gain_low']:.2f} to {row['gain_high']:.2f}" for name, row in each.items()}
     return {name: text.replace("-", "−") for name, text in found.items()}
