@@ -194,7 +194,7 @@ def _allotted(leaves: Sequence[_Leaf]) -> list[float]:
     """p′ of each region."""
     size = np.array([float(len(leaf.rows)) for leaf in leaves])
     by = np.sqrt([leaf.hanging * leaf.share for leaf in leaves] / size)
-    return _shares(by, size, sum(leaf.tries for leaf in leaves)).tolist()
+    return _shares(by, size, sum((leaf.tries for leaf in leaves), 0.0)).tolist()
 
 
 def _shares(by: Float[np.ndarray, " c"], size: Float[np.ndarray, " c"], tries: float) -> Float[np.ndarray, " c"]:
