@@ -6,7 +6,9 @@ it allows for is of stages that more paths see end. With a difference of δ,
     n* = n·((β + (z₀.₉₇₅ + z₀.₈) σ) / |δ|)²
 
 paths show it in four logs of five. For δ stands what Q alone says, which errs less than the estimate that has to be
-shown, and not with it: a log that missed a difference has most often a low estimate of it. δ is taken to be known to σ.
+shown, and not with it: a log that missed a difference has most often a low estimate of it. Its σ is most often too
+large, for one heavy residual suffices; so σ is that of residuals that are all alike, where weights are known, and
+`REST` times as much for what else is fitted. δ is taken to be known to σ.
 """
 
 from statistics import NormalDist
@@ -16,6 +18,8 @@ import numpy as np
 
 from halfseen.evaluation.estimate import Estimate
 
+REST = 1.15
+"""Our choice, made on logs of the cell in `examples/bin_cell`."""
 POWER = 0.8
 """Share of the logs that are to decide."""
 MANY_TIMES = 100.0
@@ -32,7 +36,7 @@ class Needed(NamedTuple):
     """δ."""
 
 
-def needed(difference: Estimate, gain: float, level: float) -> Needed:
+def needed(difference: Estimate, gain: float, level: float, alike: float | None = None) -> Needed:
     """Tell n*/n, and between what it lies as far as δ is known.
 
     Parameters
@@ -43,8 +47,10 @@ def needed(difference: Estimate, gain: float, level: float) -> Needed:
         δ.
     level
         Of the interval that is to exclude 0.
+    alike
+        Standard error if all residuals were alike; None if it is not known.
     """
-    normal, error = NormalDist(), difference.standard_error
+    normal, error = NormalDist(), REST * alike if alike else difference.standard_error
     reach = difference.bias + (normal.inv_cdf((1.0 + level) / 2.0) + normal.inv_cdf(POWER)) * error
 
     def times(known: float) -> float:

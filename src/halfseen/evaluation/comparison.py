@@ -65,6 +65,12 @@ class Contender(NamedTuple):
         found = estimate_of(self.values, self.effective_sample_size, level, self.without, bias, least)
         return found if self.possible is None else within(found, *self.possible)
 
+    def alike_less(self, other: "Contender") -> float:
+        """Standard error of that, were all residuals alike; 0 where weights are not known."""
+        if self.weights is None or other.weights is None:
+            return 0.0
+        return _error_of_alike(self.weights - other.weights, max(self.deviation, other.deviation))
+
     def less(self, other: "Contender", level: float) -> Estimate:
         """How much more it earns than another, path by path."""
         assert self.values is not None
@@ -72,10 +78,7 @@ class Contender(NamedTuple):
         size = min(self.effective_sample_size, other.effective_sample_size)
         without = None if self.without is None or other.without is None else self.without - other.without
         bias = WRONG_BY * (abs(self.uncorrected - other.uncorrected) + self.truncated + other.truncated)
-        least = 0.0
-        if self.weights is not None and other.weights is not None:
-            least = _error_of_alike(self.weights - other.weights, max(self.deviation, other.deviation))
-        found = estimate_of(self.values - other.values, size, level, without, bias, least)
+        found = estimate_of(self.values - other.values, size, level, without, bias, self.alike_less(other))
         if self.possible is None:
             return found
         theirs = other.estimate(level)
@@ -193,7 +196,9 @@ def _comparison(
     level: float,
     unit: str | None,
 ) -> Comparison:
-    more = None if difference is None else needed(difference, _by_model(ours, opponent, difference), level)
+    more = None
+    if difference is not None:
+        more = needed(difference, _by_model(ours, opponent, difference), level, ours.alike_less(opponent))
     if difference is None or adjusted_p is None:
         why = ours.why_unknown or opponent.why_unknown
         verdict, reason = "cannot be said", why or f"nothing is known of what {opponent.name} earns"
