@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from halfseen.evaluation.advice import Needed
 from halfseen.evaluation.comparison import deciding
 from halfseen.evaluation.evaluation import Evaluation
+from halfseen.evaluation.verdict import Needed
 
 
 def claim_of(found: Evaluation) -> str:

@@ -18,11 +18,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.evaluation.advice import Needed, needed
 from halfseen.evaluation.estimate import Estimate, estimate_of, within
 from halfseen.evaluation.possible import Possible
 from halfseen.evaluation.sensitivity import undone_at
-from halfseen.evaluation.verdict import Verdict, verdict_of
+from halfseen.evaluation.verdict import Needed, Verdict, needed, verdict_of
 from halfseen.shapes import Float
 
 WRONG_BY = 0.5
