@@ -128,6 +128,13 @@ def test_what_to_try_is_written_for_serve_and_the_best_guess_on_request(tmp_path
     assert report["learner"]["pessimism"] == report["verdict"]["caution"] * best["learner"]["pessimism"]
 
 
+def test_a_table_that_names_nothing_to_try_is_noted(folder, tmp_path):
+    arguments = (folder / "tables", "--out", tmp_path / "policy", "--horizon", 3, "--reg", 0.1)
+    report = json.loads(run(*arguments, "--exploration", tmp_path / "try.csv", "--json", has_verdict=True).stdout)
+    assert report["notes"][-1].startswith(f"{tmp_path / 'try.csv'} names nothing to try;")
+    assert read_exploration(tmp_path / "try.csv", ("A",), ()).shares({}, 1) == {}
+
+
 def test_where_it_cannot_be_said_it_says_what_to_try():
     region = {"conditions": {"x": "<= 0.5"}, "action": "B", "now": 0.1, "wanted": 0.4, "part": 0.6}
     tried = {"regions": [region], "narrower": 1.6}

@@ -29,6 +29,7 @@ _BASES = {
     "rule": "worth of a WASH; it never LIFTs",
 }
 """What Q is where laws help, by what the policy is built on."""
+NOTHING_TO_TRY = "that is known of named actions and covariates, where the policy seldom does what LOGS do"
 START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1
 """What each step takes of the time, roughly."""
 
@@ -208,9 +209,11 @@ def learn(
         write_policy(learner, log, out, overwrite=overwrite, verdict=kept)
         if exploration is not None and judged is not None:
             _write_exploration(exploration, judged.exploration.regions)
+    is_empty = exploration is not None and judged is not None and not judged.exploration.regions
     notes = [
         *choice.notes,
         *not_all,
+        *([f"{exploration} names nothing to try; {NOTHING_TO_TRY}"] if is_empty else []),
         *learner.unseen_,
         *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning)),
     ]
