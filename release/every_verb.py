@@ -15,10 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 CLONE = Path(__file__).parents[1]
-CELL = "examples/pick_cell"
+CELL = "examples/bin_cell"
 LINES = (
     f"inspect {CELL}/logs",
-    f"learn {CELL}/logs --out policy --no-verdict",
+    f"learn {CELL}/logs --out policy --exploration try.csv",
     f"evaluate policy --logs {CELL}/later_logs",
     f"act policy {CELL}/part.json",
     f"report {CELL}/later_logs policy --out report.html",
