@@ -137,15 +137,17 @@ class Problem(NamedTuple):
 
     def contribution(self, judged: Judged) -> Contribution:
         """What each path adds to the doubly robust value."""
+        own = judged.taken
         # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it
         # may stand for Q, and then the value is right even where a model of the policy says another action.
         judged = judged._replace(taken=judged.value) if self.is_revealed else judged
         values, without = cross_fitted(judged, self.stage_weights[:-1], self.fold)
-        value, taken = (np.asarray(leaf)[self.fold, np.arange(len(self.fold))] for leaf in (judged.value, judged.taken))
+        path = np.arange(len(self.fold))
+        value, taken, own = (np.asarray(leaf)[self.fold, path] for leaf in (judged.value, judged.taken, own))
         successor = np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
         target = self.paths.reward + np.where(self.paths.is_last, 0.0, successor)
         residual = target - taken
-        deviation, within = self.deviation(residual), possible(self.paths)
+        deviation, within = self.deviation(target - own), possible(self.paths)
         lost = self.marginal.lost if self.marginal else 0.0
         return Contribution(
             within.moved_within(values),
