@@ -7,7 +7,7 @@ import pytest
 import shell
 
 from halfseen.arrays import mapped
-from halfseen.cli.learn import _verdict_lines
+from halfseen.cli.learned_lines import verdict_lines
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import HeldOutVerdict, held_out
 from halfseen.learning import CensoredQLearner
@@ -119,7 +119,7 @@ def test_what_to_try_is_written_for_serve_and_the_best_guess_on_request(tmp_path
     arguments = (tmp_path / "logs", "--out", tmp_path / "policy", "--exploration", tmp_path / "try.csv")
     report = json.loads(run(*arguments, "--json", has_verdict=True).stdout)
     regions = report["verdict"]["exploration"]["regions"]
-    table = read_exploration(tmp_path / "try.csv", ("A", "B"), ("x",))
+    table = read_exploration(tmp_path / "try.csv", ("A", "B", "C"), ("x",))
     assert regions
     assert [str(row.action) for row in table.rows] == [region["action"] for region in regions]
     assert report["verdict"]["claims"][0].startswith("Vouched for: ")
@@ -139,10 +139,10 @@ def test_where_it_cannot_be_said_it_says_what_to_try():
     region = {"conditions": {"x": "<= 0.5"}, "action": "B", "now": 0.1, "wanted": 0.4, "part": 0.6}
     tried = {"regions": [region], "narrower": 1.6}
     verdict = {"verdict": "cannot be said", "sentence": "Cannot be said.", "claims": [], "exploration": tried}
-    lines = _verdict_lines(verdict)
-    assert "1.6 times as narrow" in lines[1]
+    lines = verdict_lines(verdict)
+    assert "1.6 times narrower" in lines[1]
     assert lines[-1].split() == ["B", "x", "<=", "0.5", "10%", "40%", "60%"]
-    assert _verdict_lines(verdict | {"verdict": "better"}) == ["Cannot be said."]
+    assert verdict_lines(verdict | {"verdict": "better"}) == ["Cannot be said."]
 
 
 def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
@@ -160,11 +160,11 @@ def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
 
 
 def _trial(num_paths):
-    """Two stages in which B pays in state 1 and A in state 0, logged by a rule that mostly takes A."""
+    """Two stages in which B pays in state 1 and A in state 0, logged by a rule that mostly takes A, and seldom B."""
     rng = np.random.default_rng(0)
     path, stage = np.repeat(np.arange(num_paths), 2), np.tile([1, 2], num_paths)
-    x, is_b = rng.integers(0, 2, 2 * num_paths).astype(float), rng.random(2 * num_paths) < 0.2
-    reward = 1.0 * (is_b == (x == 1)) + rng.normal(size=2 * num_paths)
-    stages = {"path": path, "stage": stage, "elapsed_s": 1.0 * stage, "action": np.where(is_b, "B", "A")}
-    stages |= {"reward": reward, "probability": np.where(is_b, 0.2, 0.8), "x": x}
+    x, action = rng.integers(0, 2, 2 * num_paths).astype(float), rng.choice(3, 2 * num_paths, p=[0.6, 0.1, 0.3])
+    reward = 1.0 * (action == x) + rng.normal(size=2 * num_paths)
+    stages = {"path": path, "stage": stage, "elapsed_s": 1.0 * stage, "action": np.array(["A", "B", "C"])[action]}
+    stages |= {"reward": reward, "probability": np.array([0.6, 0.1, 0.3])[action], "x": x}
     return Logs(pd.DataFrame(stages), pd.DataFrame({"path": range(num_paths), "end_s": 2.0, "ending": "finished"}))

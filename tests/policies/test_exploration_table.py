@@ -59,6 +59,8 @@ def test_what_is_drawn_has_the_probability_that_is_told():
         ("cluter,action,probability\n1,look,0.2\n", "row 1: there is no column cluter"),
         ("action,probability\nlook,1\n", "row 1: probability is '1'; give a number between 0 and 1"),
         ("action,probability\nlook,often\n", "row 1: probability is 'often'"),
+        ("clutter,action,probability\nnan,look,0.2\n", "row 1: clutter is 'nan', and the policy knows numbers of it"),
+        ("colour,action,probability\n> 1,look,0.2\n", "row 1: colour is 1.0, and the policy knows text of it"),
         ("clutter,action,probability\n< ,look,0.2\n", "row 1: clutter is '<', which is no condition"),
     ],
 )
@@ -66,5 +68,5 @@ def test_what_is_wrong_is_named(tmp_path, text, said):
     path = tmp_path / "try.csv"
     path.write_text(text)
     with pytest.raises(ArgumentError, match=r"try\.csv") as told:
-        read_exploration(path, ACTIONS, COLUMNS)
+        read_exploration(path, ACTIONS, COLUMNS, ("colour",))
     assert said in str(told.value)

@@ -100,7 +100,7 @@ def _table(stored: Any, path: Path) -> "ExplorationTable":
 
     if stored.is_table:
         raise ArgumentError(f"--explore {path}: the policy is of tables of objects; give a share, such as 0.1")
-    return read_exploration(path, stored.policy.actions, stored.policy.covariates)
+    return read_exploration(path, stored.policy.actions, stored.policy.covariates, stored.policy.categories)
 
 
 def _check_token(host: str, token: str | None) -> None:

@@ -30,6 +30,8 @@ FEWEST_STAGES = 30
 """Of a region."""
 LARGEST_SHARE = 0.5
 """That is worth trying: from there on the rule of today is what is tried."""
+LEAST_GAIN = 1.05
+"""An interval that is less than so many times narrower is not worth it."""
 LEAST_PART = 0.02
 """Of the variance; regions that carry less are left out."""
 
@@ -40,7 +42,7 @@ class Exploration(NamedTuple):
     regions: tuple["Region", ...]
     """Those on which most hangs first."""
     narrower: float
-    """How many times as narrow the interval would be, about, with as many paths."""
+    """How many times narrower the interval would be, about, with as many paths."""
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
@@ -61,6 +63,10 @@ class Region(NamedTuple):
     """Of the variance, that hangs on the tries; regions may share what hangs on several."""
 
 
+NOWHERE = Exploration((), 1.0)
+"""Nothing is worth trying more often."""
+
+
 def exploration_of(case: Case) -> Exploration:
     """Find where to try what a policy does; nowhere, if stages are no rows of covariates or the log does it often.
 
@@ -71,7 +77,7 @@ def exploration_of(case: Case) -> Exploration:
     """
     problem, task = case.problem, case.problem.model.task
     if not isinstance(task, NamedActions) or problem.log.policy is None:
-        return Exploration((), 1.0)
+        return NOWHERE
     paths, each = problem.paths, _variance(case)
     begun = paths.is_begun & paths.has_action
     wanted, taken = problem.log.policy[begun].argmax(axis=1), paths.action[begun]
@@ -96,7 +102,8 @@ def exploration_of(case: Case) -> Exploration:
         for leaf, share in zip(kept, shares, strict=True)
     ]
     regions.sort(key=lambda region: -region.part)
-    return Exploration(tuple(regions), (whole / left) ** 0.5 if left > 0 else 1.0)
+    narrower = (whole / left) ** 0.5 if left > 0 else 1.0
+    return Exploration(tuple(regions), narrower) if narrower >= LEAST_GAIN else NOWHERE
 
 
 def _numeric(logs: Logs, task: NamedActions) -> list[str]:

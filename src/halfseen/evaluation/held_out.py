@@ -22,7 +22,7 @@ from halfseen.estimator import check_fitted
 from halfseen.evaluation.claims import claim_of, guess_of
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
-from halfseen.evaluation.exploring import Exploration, exploration_of
+from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.stored_model import specification
 from halfseen.evaluation.targets import CrossFitted
@@ -73,7 +73,7 @@ class HeldOutVerdict:
     evaluation: Evaluation | None = None
     caution: float = 1.0
     best: Evaluation | None = None
-    exploration: Exploration = Exploration((), 1.0)  # noqa: RUF009 - it has nothing that could change
+    exploration: Exploration = NOWHERE
 
     @property
     def of_best(self) -> "HeldOutVerdict":

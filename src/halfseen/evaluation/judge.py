@@ -178,7 +178,7 @@ def _contenders(
             rule = logging_rule(problem.logs, problem.paths, problem.model.task, problem.fold, has_probability)
             notes.append(f"{name}: {rule if isinstance(rule, str) else rule.note}")
             if not isinstance(rule, str):
-                contenders.append(_contender(name, following(problem, rule.probabilities, rule.is_taken)))
+                contenders.append(_opponent(name, following(problem, rule.probabilities, rule.is_taken)))
             elif not is_default:
                 contenders.append(Contender(name, why_unknown=rule))
         else:
@@ -186,14 +186,17 @@ def _contenders(
             contenders.append(
                 Contender(name, why_unknown=why_unknown(name, problem.support, 0.0, probabilities))
                 if isinstance(probabilities, str)
-                else _contender(name, following(problem, probabilities))
+                else _opponent(name, following(problem, probabilities))
             )
     return contenders, tuple(notes)
 
 
-def _contender(name: str, problem: Problem, judged: Judged | None = None) -> Contender:
-    judged = problem.judged(problem.nuisances[:-1]) if judged is None else judged
-    problem = problem.settled(judged)
+def _opponent(name: str, problem: Problem) -> Contender:
+    judged = problem.judged(problem.nuisances[:-1])
+    return _contender(name, problem.settled(judged), judged)
+
+
+def _contender(name: str, problem: Problem, judged: Judged) -> Contender:
     added = problem.contribution(judged)
     size, num_paths = problem.effective_sample_size, problem.paths.num_paths
     fewest = FEWEST_PATHS if problem.marginal is None else FEWEST_BY_STATES

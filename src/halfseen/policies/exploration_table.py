@@ -9,7 +9,7 @@ Each row that matches has its say, so several actions may be tried in one state;
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -51,7 +51,9 @@ class ExplorationTable:
         return {name: share * min(1.0, MOST_EXPLORED / total) for name, share in drawn.items()}
 
 
-def read_exploration(path: str | Path, actions: Sequence[Any], columns: Sequence[str]) -> ExplorationTable:
+def read_exploration(
+    path: str | Path, actions: Sequence[Any], columns: Sequence[str], texts: Collection[str] = ()
+) -> ExplorationTable:
     """Read a table from a CSV file.
 
     Parameters
@@ -60,6 +62,8 @@ def read_exploration(path: str | Path, actions: Sequence[Any], columns: Sequence
         The file.
     actions, columns
         That the policy may take, and that it looks at.
+    texts
+        Those of the columns that hold text.
 
     Raises
     ------
@@ -70,7 +74,7 @@ def read_exploration(path: str | Path, actions: Sequence[Any], columns: Sequence
     path = Path(path)
     try:
         found = csv_rows(path, also=PROBABILITY)
-        _check(found, actions, columns)
+        _check(found, actions, columns, texts)
         shares = tuple(_share(k, text) for k, text in enumerate(found.also, start=1))
         return ExplorationTable(found.rows, shares)
     except ArgumentError as error:
@@ -79,7 +83,7 @@ def read_exploration(path: str | Path, actions: Sequence[Any], columns: Sequence
         raise ArgumentError(f"{path}: it cannot be read as a table of what to try ({reason_of(error)})") from error
 
 
-def _check(found: Rows, actions: Sequence[Any], columns: Sequence[str]) -> None:
+def _check(found: Rows, actions: Sequence[Any], columns: Sequence[str], texts: Collection[str]) -> None:
     known = [*columns, "stage"]
     for number, row in enumerate(found.rows, start=1):
         if str(row.action) not in map(str, actions):
@@ -87,6 +91,10 @@ def _check(found: Rows, actions: Sequence[Any], columns: Sequence[str]) -> None:
         unknown = next((one.column for one in row.conditions if one.column not in known), None)
         if unknown is not None:
             raise ArgumentError(f"row {number}: {named_in('column', unknown, known)}")
+        for one in row.conditions:
+            if isinstance(one.value, str) != (one.column in texts):
+                holds = "text" if one.column in texts else "numbers"
+                raise ArgumentError(f"row {number}: {one.column} is {one.value!r}, and the policy knows {holds} of it")
 
 
 def _share(number: int, text: str) -> float:
