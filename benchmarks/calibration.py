@@ -1,8 +1,7 @@
 """Are explanations calibrated? What is said to be best with 90 % is to be best in nine cases of ten.
 
-python benchmarks/calibration.py [--out runs/benchmarks/calibration.json] [--tables 8] [--states 14] [--paths 50 800]
-python benchmarks/calibration.py --fit
-python benchmarks/calibration.py --stored
+python benchmarks/calibration.py [--out runs/benchmarks/calibration.json] [--tables 8] [--states 14] [--trajectories 50
+800] python benchmarks/calibration.py --fit python benchmarks/calibration.py --stored
 
 States are those that the logging policy reaches on random small tables; the truth is the exact optimum. An action is
 best where its exact Q is within 1e-9 of the largest: of actions that are worth the same, all are. `--fit` prints what
@@ -145,18 +144,18 @@ def planner_calibration(num_tables, num_states):
 
 def learned_calibration(sizes, num_tables, num_states):
     """Against the optimum, by size of the log, over all tables of the check."""
-    told = {str(num_paths): Calibration() for num_paths in sizes}
+    told = {str(num_trajectories): Calibration() for num_trajectories in sizes}
     for (num_objects, horizon), seed in CHECK_TABLES.items():
-        for num_paths, explainer, found in learned(num_objects, horizon, seed, sizes, num_tables, num_states):
+        for num_trajectories, explainer, found in learned(num_objects, horizon, seed, sizes, num_tables, num_states):
             for state, truth in found:
-                told[str(num_paths)].add(explainer.explain(state), truth)
-    return {size: calibration.report(f"learned from {size} paths") for size, calibration in told.items()}
+                told[str(num_trajectories)].add(explainer.explain(state), truth)
+    return {size: calibration.report(f"learned from {size} trajectories") for size, calibration in told.items()}
 
 
 def learned(num_objects, horizon, seed, sizes, num_tables, num_states):
     """Explainers of what was learned."""
-    for num_paths, learner, logs, found in fitted(num_objects, horizon, seed, sizes, num_tables, num_states):
-        yield num_paths, LearnedExplainer.of(learner, logs), found
+    for num_trajectories, learner, logs, found in fitted(num_objects, horizon, seed, sizes, num_tables, num_states):
+        yield num_trajectories, LearnedExplainer.of(learner, logs), found
 
 
 def fitted(num_objects, horizon, seed, sizes, num_tables, num_states):
@@ -164,18 +163,22 @@ def fitted(num_objects, horizon, seed, sizes, num_tables, num_states):
     config, found = states_with_truth(num_objects, horizon, seed, num_tables, num_states)
     rng = np.random.default_rng(LOG_SEED + seed)
     scenes = [random_scene(rng, num_objects) for _ in range(NUM_LOGGED_TABLES)]
-    for num_paths in sizes:
-        logs = TableWorld(config).simulate(scenes, logging_policy(config), num_paths, LOG_SEED + num_paths, CUT_SHARE)
-        yield num_paths, CensoredQLearner.for_table(horizon, laws=None).fit(logs), logs, found
+    for num_trajectories in sizes:
+        logs = TableWorld(config).simulate(
+            scenes, logging_policy(config), num_trajectories, LOG_SEED + num_trajectories, CUT_SHARE
+        )
+        yield num_trajectories, CensoredQLearner.for_table(horizon, laws=None).fit(logs), logs, found
 
 
 def stored_calibration(sizes, num_tables, num_states):
     """Whether 95 % intervals hold the exact Q, and chances of being best come true, by size of the log."""
     told = {}
-    for num_paths in sizes:
+    for num_trajectories in sizes:
         said, was, holds = [], [], []
         for (num_objects, horizon), seed in CHECK_TABLES.items():
-            for _, learner, logs, found in fitted(num_objects, horizon, seed, [num_paths], num_tables, num_states):
+            for _, learner, logs, found in fitted(
+                num_objects, horizon, seed, [num_trajectories], num_tables, num_states
+            ):
                 lasting = certainty.LASTING_ERROR * float(np.nanstd(logs.stages["reward"].astype(float)))
                 q_error = certainty.QError(learner.model_.pessimism, stages_left(logs), lasting)
                 decider = decider_of(learner.policy_, q_error=q_error)
@@ -188,11 +191,11 @@ def stored_calibration(sizes, num_tables, num_states):
                             holds.append(low <= truth[k] <= high)
                             said.append(decision.chance_best[name])
                             was.append(bool(truth[k] >= truth.max() - 1e-9))
-        told[str(num_paths)] = {"coverage_of_q": float(np.mean(holds)), "best": binned(said, was)}
-        print(f"stored, {num_paths} paths: 95 % intervals hold Q in {np.mean(holds):.3f}")
+        told[str(num_trajectories)] = {"coverage_of_q": float(np.mean(holds)), "best": binned(said, was)}
+        print(f"stored, {num_trajectories} trajectories: 95 % intervals hold Q in {np.mean(holds):.3f}")
         print(
             "  best: "
-            + "  ".join(f"{b['said']:.2f}→{b['was']:.2f} ({b['count']})" for b in told[str(num_paths)]["best"])
+            + "  ".join(f"{b['said']:.2f}→{b['was']:.2f} ({b['count']})" for b in told[str(num_trajectories)]["best"])
         )
     return told
 
@@ -255,18 +258,18 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/calibration.json"))
     parser.add_argument("--tables", type=int, default=8)
     parser.add_argument("--states", type=int, default=14)
-    parser.add_argument("--paths", type=int, nargs="*", default=[50, 200, 800, 3200])
+    parser.add_argument("--trajectories", type=int, nargs="*", default=[50, 200, 800, 3200])
     args = parser.parse_args()
     if args.fit:
         fitted_error(args.tables, args.states)
-        compared_stretches(args.paths, args.tables, args.states)
+        compared_stretches(args.trajectories, args.tables, args.states)
         return
     if args.stored:
-        stored_calibration(args.paths, args.tables, args.states)
+        stored_calibration(args.trajectories, args.tables, args.states)
         return
     results = {"planner": planner_calibration(args.tables, args.states)}
-    if args.paths:
-        results["learned"] = learned_calibration(args.paths, args.tables, args.states)
+    if args.trajectories:
+        results["learned"] = learned_calibration(args.trajectories, args.tables, args.states)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     args.out.write_text(json.dumps(results, indent=2), encoding="utf-8")
     print(f"Results: {args.out}")

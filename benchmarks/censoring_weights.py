@@ -1,4 +1,4 @@
-"""Weights of a million paths with ties, ours and scikit-survival's in turn; medians, their ratio, and JSON.
+"""Weights of a million trajectories with ties, ours and scikit-survival's in turn; medians, their ratio, and JSON.
 
 python benchmarks/censoring_weights.py [--out runs/benchmarks/censoring_weights.json]
 
@@ -16,7 +16,7 @@ from timings import Row, write
 
 from halfseen.censoring import censoring_weights
 
-NUM_PATHS = 1_000_000
+NUM_TRAJECTORIES = 1_000_000
 NUM_RUNS = 5
 
 
@@ -31,15 +31,25 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/censoring_weights.json"))
     out = parser.parse_args().out
     rng = np.random.default_rng(0)
-    finish, cut = rng.integers(1, 1000, size=(2, NUM_PATHS)).astype(float)
+    finish, cut = rng.integers(1, 1000, size=(2, NUM_TRAJECTORIES)).astype(float)
     end, is_finished = np.minimum(finish, cut), finish <= cut
     runs = [
         (seconds(lambda: censoring_weights(end, is_finished)), seconds(lambda: ipc_weights(is_finished, end)))
         for _ in range(NUM_RUNS)
     ]
     ours, peer = np.median(runs, axis=0)
-    result = {"num_paths": NUM_PATHS, "runs": NUM_RUNS, "ours_s": ours, "scikit_survival_s": peer, "ratio": peer / ours}
-    write(out, result, [Row(f"weights of {NUM_PATHS:,} paths, Kaplan–Meier", ours, "s", "scikit-survival", peer)])
+    result = {
+        "num_trajectories": NUM_TRAJECTORIES,
+        "runs": NUM_RUNS,
+        "ours_s": ours,
+        "scikit_survival_s": peer,
+        "ratio": peer / ours,
+    }
+    write(
+        out,
+        result,
+        [Row(f"weights of {NUM_TRAJECTORIES:,} trajectories, Kaplan–Meier", ours, "s", "scikit-survival", peer)],
+    )
     print(f"ours {1e3 * ours:.0f} ms, scikit-survival {1e3 * peer:.0f} ms: {peer / ours:.1f} times as fast")
 
 

@@ -52,7 +52,7 @@ def policies_of(logs: Logs, config: WorldConfig, seed: int) -> dict[str, Policy]
     """All who take part."""
     learned, of_few = (
         learner_for(some, censoring="auto", random_state=seed).learner.fit(some)
-        for some in (logs, logs.select(logs.path_ids[:FEW]))
+        for some in (logs, logs.select(logs.trajectory_ids[:FEW]))
     )
     # With objects in the log it is the learner of tables.
     laws = getattr(learned, "assisted_").laws.config  # noqa: B009
@@ -79,9 +79,9 @@ def calibration(logs: Logs) -> dict[str, dict[str, float]]:
     objects, stages = pd.DataFrame(logs.objects), pd.DataFrame(logs.stages)
     seen = objects.assign(said=expit(objects["log_odds"].astype(float)), found=objects["is_dirty"])
     seen = pd.DataFrame(seen[seen["location"] == TABLE])
-    by_object = seen.sort_values("stage").groupby(["path", "object"])
-    washed = pd.DataFrame(stages[stages["action"] == Verb.WASH.name])[["path", "stage", "object"]]
-    meant = washed.merge(seen, on=["path", "stage", "object"]).groupby(["path", "object"]).tail(1)
+    by_object = seen.sort_values("stage").groupby(["trajectory", "object"])
+    washed = pd.DataFrame(stages[stages["action"] == Verb.WASH.name])[["trajectory", "stage", "object"]]
+    meant = washed.merge(seen, on=["trajectory", "stage", "object"]).groupby(["trajectory", "object"]).tail(1)
     groups = {"at first": by_object.head(1), "at last": by_object.tail(1), "to be washed": meant}
     return {name: _beside_truth(rows["said"].to_numpy(), rows["found"].to_numpy()) for name, rows in groups.items()}
 

@@ -1,4 +1,4 @@
-"""Do 95 % intervals of a policy's value cover the truth, when paths of the log were cut?
+"""Do 95 % intervals of a policy's value cover the truth, when trajectories of the log were cut?
 
 python benchmarks/coverage.py [--out runs/benchmarks/coverage.json] [--logs 200] [--row NAME ...]
 
@@ -6,10 +6,10 @@ A log is a trial of 400 patients and up to three stages: a state in {0, 1, 2}, a
 policy draws with a probability that depends on the state. A stage lasts longer or shorter, what it pays grows with how
 long it lasted, and after it a patient may leave. The policy takes A in state 0, B in state 2, and in state 1 either.
 Its value is computed by enumeration. Cuts come at a constant rate, which cuts none, a third or half of
-the paths; in the last rows at a rate that depends on a covariate z that rewards depend on, too.
+the trajectories; in the last rows at a rate that depends on a covariate z that rewards depend on, too.
 
 cut 0, 1/3, 1/2             cuts depend on nothing; Q has the states as indicators; weights are at most 10
-cut 1/2, unbounded          the same without a bound: Ĝ of nine tenths of a log may end before the last tenth's paths
+cut 1/2, unbounded          the same without a bound: Ĝ of nine tenths of a log may end before the last tenth
 wrong Q                     half are cut; Q and the regression of cut stages see nothing but the action
 by z, wrong cuts            half are cut, by z; Ĝ is Kaplan–Meier's, Q and the regression are right
 by z, wrong cuts, simple    the same by weights alone
@@ -121,7 +121,7 @@ def true_value(chance_b: np.ndarray) -> float:
 
 
 def cut_rates(share: float, steepness: float) -> np.ndarray:
-    """Rate of cuts [1/s] of z = 0 and z = 1 that cuts this share of the paths."""
+    """Rate of cuts [1/s] of z = 0 and z = 1 that cuts this share of the trajectories."""
     pilot = treated(100_000, np.random.default_rng(0))
     relative = np.exp(steepness * np.array([0.0, 1.0]))
     if share == 0.0:
@@ -138,35 +138,35 @@ def recorded(patients: Patients, rates: np.ndarray, rng: np.random.Generator) ->
     exists = np.arange(HORIZON) < patients.num_stages[:, None]
     is_completed = exists & (elapsed_s <= cut_s[:, None])
     is_begun = exists & ((elapsed_s - patients.duration_s) <= cut_s[:, None])
-    path, t = np.nonzero(is_begun)
-    state, is_b = patients.state[path, t], patients.is_b[path, t]
-    completed = is_completed[path, t]
+    trajectory, t = np.nonzero(is_begun)
+    state, is_b = patients.state[trajectory, t], patients.is_b[trajectory, t]
+    completed = is_completed[trajectory, t]
     chance_b = LOGGING_B[state]
     stages = pd.DataFrame(
         {
-            "path": path,
+            "trajectory": trajectory,
             "stage": t + 1,
-            "elapsed_s": np.where(completed, elapsed_s[path, t], np.nan),
+            "elapsed_s": np.where(completed, elapsed_s[trajectory, t], np.nan),
             "action": np.array(ACTIONS)[is_b],
-            "reward": np.where(completed, patients.reward[path, t], np.nan),
+            "reward": np.where(completed, patients.reward[trajectory, t], np.nan),
             "probability": np.where(is_b == 1, chance_b, 1.0 - chance_b),
             "state": state,
             "is_1": (state == 1).astype(float),
             "is_2": (state == 2).astype(float),
-            "z": patients.z[path],
-            "z_1": patients.z[path] * (state == 1),
-            "z_2": patients.z[path] * (state == 2),
+            "z": patients.z[trajectory],
+            "z_1": patients.z[trajectory] * (state == 1),
+            "z_2": patients.z[trajectory] * (state == 2),
         }
     )
     is_cut = cut_s < patients.total_s
-    paths = pd.DataFrame(
+    trajectories = pd.DataFrame(
         {
-            "path": np.arange(len(rate)),
+            "trajectory": np.arange(len(rate)),
             "end_s": np.minimum(cut_s, patients.total_s),
             "ending": np.where(is_cut, "cut", "finished"),
         }
     )
-    return Logs(stages, paths)
+    return Logs(stages, trajectories)
 
 
 def simulated(seed: int, rates: np.ndarray, num: int = NUM_PATIENTS) -> Logs:

@@ -2,11 +2,11 @@
 
 python benchmarks/cox.py [--out runs/benchmarks/cox.json]
 
-50,000 paths, 5 covariates, Efron's ties; once with untied ends, and once with ends in whole hundredths, where
+50,000 trajectories, 5 covariates, Efron's ties; once with untied ends, and once with ends in whole hundredths, where
 scikit-survival is given cuts half a hundredth later, so that it too lets finishes come before cuts at equal times.
-scikit-survival keeps a curve of all times for each path that it is asked about, 20 GB here; its Ĝ is therefore read off
-its baseline, which is the fastest that it allows. It stops at its own default tolerance; a second, untimed fit of it at
-a tight one tells how far the coefficients lie apart.
+scikit-survival keeps a curve of all times for each trajectory that it is asked about, 20 GB here; its Ĝ is therefore
+read off its baseline, which is the fastest that it allows. It stops at its own default tolerance; a second, untimed fit
+of it at a tight one tells how far the coefficients lie apart.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from timings import Row, write
 
 from halfseen.censoring import Cox
 
-NUM_PATHS, NUM_COVARIATES = 50_000, 5
+NUM_TRAJECTORIES, NUM_COVARIATES = 50_000, 5
 NUM_RUNS = 3
 
 
@@ -34,8 +34,8 @@ def seconds(call: Callable[[], object]) -> float:
 
 def drawn(is_tied: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     rng = np.random.default_rng(0)
-    covariates = rng.normal(size=(NUM_PATHS, NUM_COVARIATES))
-    finish = rng.exponential(1.0, NUM_PATHS)
+    covariates = rng.normal(size=(NUM_TRAJECTORIES, NUM_COVARIATES))
+    finish = rng.exponential(1.0, NUM_TRAJECTORIES)
     cut = rng.exponential(1.5 * np.exp(covariates @ np.linspace(-0.4, 0.4, NUM_COVARIATES)))
     if is_tied:
         finish, cut = np.ceil(100 * finish) / 100, np.ceil(100 * cut) / 100
@@ -85,10 +85,16 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/cox.json"))
     out = parser.parse_args().out
     results = [compare(is_tied) for is_tied in (False, True)]
-    report = {"num_paths": NUM_PATHS, "num_covariates": NUM_COVARIATES, "runs": NUM_RUNS, "results": results}
+    report = {
+        "num_trajectories": NUM_TRAJECTORIES,
+        "num_covariates": NUM_COVARIATES,
+        "runs": NUM_RUNS,
+        "results": results,
+    }
     rows = [
         Row(
-            f"Cox, {NUM_PATHS:,} paths, {'ties' if each['is_tied'] else 'no ties'}: {task.replace('_', ' ')}",
+            f"Cox, {NUM_TRAJECTORIES:,} trajectories, {'ties' if each['is_tied'] else 'no ties'}: "
+            f"{task.replace('_', ' ')}",
             each[task]["ours_s"],
             "s",
             "scikit-survival",

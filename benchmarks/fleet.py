@@ -20,7 +20,7 @@ def hours(cpu_s):
 
 def sentences(results):
     """What the guide says of memory, and of the time of each recipe."""
-    # What is held of a path is the same by either; where compiling takes more for small logs, it grows unseen.
+    # What is held of a trajectory is the same by either; where compiling takes more for small logs, it grows unseen.
     memory = max(slope_of(results, recipe)[1] for recipe in NAMES)
     told = [f"A stage more takes {memory:.0f} bytes of the machine that asks: {NUM_STAGES * memory / 1e9:.0f} GB."]
     for recipe, name in NAMES.items():

@@ -115,10 +115,12 @@ def fresh(index: int, seed: int, num_sets: int, num_washes: int, belief: Belief)
 def washed(logs: Logs, belief: Belief) -> pd.DataFrame:
     """The WASHes of a log that put one cup into the rack, as the cup looked then."""
     stages, config = pd.DataFrame(logs.stages), belief.config
-    rows = stages[stages["action"] == Verb.WASH.name].merge(pd.DataFrame(logs.objects), on=["path", "stage", "object"])
+    rows = stages[stages["action"] == Verb.WASH.name].merge(
+        pd.DataFrame(logs.objects), on=["trajectory", "stage", "object"]
+    )
     rows = rows[rows["reward"].isin([config.reward_wash_dirty, config.reward_wash_clean])].reset_index(drop=True)
     is_dirty = rows["reward"] == config.reward_wash_dirty
-    return rows[[*COLUMNS]].assign(is_dirty=is_dirty, table=rows["path"], cup=rows.index)
+    return rows[[*COLUMNS]].assign(is_dirty=is_dirty, table=rows["trajectory"], cup=rows.index)
 
 
 def groups(rows: pd.DataFrame) -> dict[str, dict[str, float]]:

@@ -43,18 +43,18 @@ WORLDS: dict[str, Callable[[], Any]] = {"cell": Cell, "trial": Trial, "haze": Ha
 
 
 class Case(NamedTuple):
-    """A world, n, and the share of the paths that is cut."""
+    """A world, n, and the share of the trajectories that is cut."""
 
     world: str
-    num_paths: int
+    num_trajectories: int
     share: float
 
 
 CASES = (
-    *(Case("cell", num_paths, 0.33) for num_paths in (200, 400, 1000, 5000)),
+    *(Case("cell", num_trajectories, 0.33) for num_trajectories in (200, 400, 1000, 5000)),
     *(Case("trial", 1000, share) for share in (0.3, 0.5)),
-    *(Case(world, num_paths, 0.4) for world in ("haze", "wide") for num_paths in (300, 1000)),
-    *(Case("cups", num_paths, 0.5) for num_paths in (50, 100, 400, 1600)),
+    *(Case(world, num_trajectories, 0.4) for world in ("haze", "wide") for num_trajectories in (300, 1000)),
+    *(Case("cups", num_trajectories, 0.5) for num_trajectories in (50, 100, 400, 1600)),
 )
 IMPUTED = {"stages": "pooled", "censoring": "buckley-james", "pessimism": 0.0}
 PAPER = {"q_function": "linear", "stages": "separate", "censoring": "kaplan-meier", "pessimism": 0.0}
@@ -87,8 +87,8 @@ def ours(world: World, logs: Logs, **parameters: Any) -> Chances:
 
 
 def uncut_only(world: World, logs: Logs) -> Chances:
-    """Learn as by default, but from paths that came to their own end."""
-    return ours(world, logs.select(logs.path_ids[logs.is_finished]))
+    """Learn as by default, but from trajectories that came to their own end."""
+    return ours(world, logs.select(logs.trajectory_ids[logs.is_finished]))
 
 
 def deep_q(kind: str, world: World, logs: Logs) -> Chances:
@@ -101,7 +101,7 @@ def deep_q(kind: str, world: World, logs: Logs) -> Chances:
 METHODS: dict[str, Callable[[World, Logs], Chances]] = {
     DEFAULT: ours,
     **{name: partial(ours, **parameters) for name, parameters in (FIXED | CHANGED).items()},
-    "default, uncut paths only": uncut_only,
+    "default, uncut trajectories only": uncut_only,
     "fitted Q, boosting": partial(iterated, "boosting"),
     "fitted Q, extra trees": partial(iterated, "trees"),
     "d3rlpy CQL": partial(deep_q, "CQL"),
@@ -138,7 +138,7 @@ def measured(case: Case, seed: int, method: str, logs: Logs) -> dict[str, Any]:
 
 def wanted(cases: Sequence[Case], num_logs: int, methods: Sequence[str], rows: list[Any]) -> Iterator[Any]:
     """What is to be done and was not yet: log by log, so that a run that is stopped has some of everything."""
-    done = {(r["world"], r["num_paths"], r["share"], r["seed"], r["method"]) for r in rows}
+    done = {(r["world"], r["num_trajectories"], r["share"], r["seed"], r["method"]) for r in rows}
     for seed in range(FIRST_SEED, FIRST_SEED + num_logs):
         for case in cases:
             left = [name for name in names_of(case) if name in methods and (*case, seed, name) not in done]
@@ -152,7 +152,7 @@ def summary(rows: list[dict[str, Any]]) -> pd.DataFrame:
     CPU seconds are the least of all logs: what is compiled for one of them is there for the next.
     """
     frame, found = pd.DataFrame(rows), []
-    for case, of_case in frame.groupby(["world", "num_paths", "share"], sort=False):
+    for case, of_case in frame.groupby(["world", "num_trajectories", "share"], sort=False):
         scores = of_case.pivot_table(index="seed", columns="method", values="score")
         cpu_s = of_case.groupby("method")["cpu_s"].min()
         for method in (name for name in names_of(Case(*case)) if name in scores):
@@ -193,16 +193,18 @@ def table(found: pd.DataFrame) -> str:
 def tables(rows: list[dict[str, Any]]) -> str:
     """All cases, a heading and a table each."""
     parts = []
-    for (world, num_paths, share), found in summary(rows).groupby(["world", "num_paths", "share"], sort=False):
+    for (world, num_trajectories, share), found in summary(rows).groupby(
+        ["world", "num_trajectories", "share"], sort=False
+    ):
         cut = f"{share:.0%} cut"
-        parts.append(f"{world}, n = {num_paths:,}, {cut}\n\n{table(found)}")
+        parts.append(f"{world}, n = {num_trajectories:,}, {cut}\n\n{table(found)}")
     return "\n\n".join(parts)
 
 
 def bars(rows: list[dict[str, Any]]) -> list[str]:
     """What was to be reached, and whether it was."""
     found, lines = summary(rows), []
-    by_case = {key: each.set_index("method") for key, each in found.groupby(["world", "num_paths", "share"])}
+    by_case = {key: each.set_index("method") for key, each in found.groupby(["world", "num_trajectories", "share"])}
     floors = {("cell", 400, 0.33): 0.908, ("cell", 1000, 0.33): 0.965, ("trial", 1000, 0.3): 0.98}
     floors |= {("trial", 1000, 0.5): 0.975, ("cups", 50, 0.5): 12.53}
     for case, each in by_case.items():
@@ -234,7 +236,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/learners.json"))
     parser.add_argument("--logs", type=int, default=10)
     parser.add_argument("--worlds", nargs="+", choices=tuple(WORLDS), default=tuple(WORLDS))
-    parser.add_argument("--sizes", nargs="+", type=int, default=sorted({case.num_paths for case in CASES}))
+    parser.add_argument("--sizes", nargs="+", type=int, default=sorted({case.num_trajectories for case in CASES}))
     parser.add_argument("--shares", nargs="+", type=float, default=sorted({case.share for case in CASES}))
     parser.add_argument("--methods", nargs="+", choices=(*METHODS, *OF_CUPS), default=(*METHODS, *OF_CUPS))
     parser.add_argument("--markdown", action="store_true", help="print the tables only")
@@ -245,10 +247,12 @@ def main() -> None:
         print("d3rlpy is not installed: its learners are left out")
         methods = [name for name in methods if not name.startswith("d3rlpy")]
     cases = [
-        c for c in CASES if c.world in options.worlds and c.num_paths in options.sizes and c.share in options.shares
+        c
+        for c in CASES
+        if c.world in options.worlds and c.num_trajectories in options.sizes and c.share in options.shares
     ]
     for case, seed, names in wanted(cases, options.logs, methods, rows):
-        logs = world_of(case.world).log(case.num_paths, seed, case.share)
+        logs = world_of(case.world).log(case.num_trajectories, seed, case.share)
         for method in names:
             rows.append(measured(case, seed, method, logs))
             row = rows[-1]

@@ -4,9 +4,10 @@ python benchmarks/logging_rule.py [--out runs/benchmarks/logging_rule.json] [--l
 
 The cell is that of examples/pick_cell, whose rule of thumb has thresholds on weight and shine, or a rule with slanted
 borders in its place; in 40 % of the stages any action is tried. *Agreement* is the share of the logged stages in which
-the model of the actions, which was not fitted to the path, says what the rule would do: given the logged probabilities,
-and from the actions alone. Then another rule and the rule of thumb itself are compared with it: how often the 95 %
-interval of the difference holds the truth, which is computed exactly, and how often the verdict is "better".
+the model of the actions, which was not fitted to the trajectory, says what the rule would do: given the logged
+probabilities, and from the actions alone. Then another rule and the rule of thumb itself are compared with it: how
+often the 95 % interval of the difference holds the truth, which is computed exactly, and how often the verdict is
+"better".
 """
 
 import argparse
@@ -21,17 +22,17 @@ import pandas as pd
 from halfseen.evaluation import Opponent, evaluate
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.learning import DoublyRobust, NamedActions
-from halfseen.learning.rows import path_arrays
+from halfseen.learning.rows import trajectory_arrays
 from halfseen.policies import Rule
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "examples" / "pick_cell"))
 
-import cell_paths
+import cell_trajectories
 from cell_optimum import policy_value
 from cell_parts import ACTIONS_ALL, COVARIATES, GRIPPERS, HAND_OVER, HORIZON
 
-THRESHOLDS = cell_paths.rule_of_thumb
-NUM_PATHS, COMPARED_PATHS = (100, 400, 1600), 800
+THRESHOLDS = cell_trajectories.rule_of_thumb
+NUM_TRAJECTORIES, COMPARED_TRAJECTORIES = (100, 400, 1600), 800
 BY_COX = DoublyRobust("cox", by="pooled")
 
 
@@ -49,19 +50,19 @@ def cautious(parts: pd.DataFrame, stage: int) -> np.ndarray:
     return THRESHOLDS(parts, stage) if stage == 1 else np.full(len(parts), HAND_OVER)
 
 
-def agreement(rule: Any, num_paths: int, seed: int, has_probability: bool) -> float:
+def agreement(rule: Any, num_trajectories: int, seed: int, has_probability: bool) -> float:
     """Share of the logged stages in which the model says what the rule would do."""
-    cell_paths.rule_of_thumb = rule
-    logs = cell_paths.simulate(num_paths, seed)
-    cell_paths.rule_of_thumb = THRESHOLDS
+    cell_trajectories.rule_of_thumb = rule
+    logs = cell_trajectories.simulate(num_trajectories, seed)
+    cell_trajectories.rule_of_thumb = THRESHOLDS
     task = NamedActions(ACTIONS_ALL, COVARIATES)
-    paths = path_arrays(logs, task.encode(logs, HORIZON), None)
-    found = logging_rule(logs, paths, task, np.arange(num_paths) % 10, has_probability)
+    trajectories = trajectory_arrays(logs, task.encode(logs, HORIZON), None)
+    found = logging_rule(logs, trajectories, task, np.arange(num_trajectories) % 10, has_probability)
     if isinstance(found, str):
         return float("nan")
     says, hits = found.probabilities.argmax(axis=2), []
     for stage, frame in logs.stages.groupby("stage"):
-        row = pd.Index(logs.path_ids).get_indexer(frame["path"])
+        row = pd.Index(logs.trajectory_ids).get_indexer(frame["trajectory"])
         hits.append(says[row, stage - 1] == rule(frame, stage))
     return float(np.concatenate(hits).mean())
 
@@ -76,7 +77,7 @@ def compared(rule: Any, num_logs: int, propensity: str) -> dict[str, Any]:
     truth = policy_value(rule) - policy_value(THRESHOLDS)
     found = []
     for seed in range(num_logs):
-        logs = cell_paths.simulate(COMPARED_PATHS, 1000 + seed)
+        logs = cell_trajectories.simulate(COMPARED_TRAJECTORIES, 1000 + seed)
         against = Opponent("logging-rule", "rule")
         answer = evaluate(
             named(rule), logs, against=against, censoring=BY_COX, propensity=propensity, random_state=seed
@@ -96,12 +97,16 @@ def main() -> None:
     options = parser.parse_args()
     results = []
     for rule in (THRESHOLDS, slanted):
-        for num_paths in NUM_PATHS:
-            row: dict[str, Any] = {"rule": rule.__name__, "num_paths": num_paths}
+        for num_trajectories in NUM_TRAJECTORIES:
+            row: dict[str, Any] = {"rule": rule.__name__, "num_trajectories": num_trajectories}
             for name, has_probability in (("logged", True), ("actions alone", False)):
-                row[name] = float(np.mean([agreement(rule, num_paths, seed, has_probability) for seed in range(5)]))
+                row[name] = float(
+                    np.mean([agreement(rule, num_trajectories, seed, has_probability) for seed in range(5)])
+                )
             results.append(row)
-            print(f"{row['rule']:<15}{num_paths:>6}  {row['logged']:.1%}  {row['actions alone']:.1%}", flush=True)
+            print(
+                f"{row['rule']:<15}{num_trajectories:>6}  {row['logged']:.1%}  {row['actions alone']:.1%}", flush=True
+            )
     for rule in (cautious, THRESHOLDS):
         for propensity in ("logged", "estimated"):
             row = {"rule": rule.__name__, "propensity": propensity, **compared(rule, options.logs, propensity)}

@@ -1,10 +1,10 @@
 """What it costs to record: the time of a call, for each of the ways to wait for the disk.
 
-python benchmarks/recorder.py [--folder FOLDER] [--paths 200] [--out FILE]
+python benchmarks/recorder.py [--folder FOLDER] [--trajectories 200] [--out FILE]
 
 The folder lies on the disk that is measured; without it, on that of this clone. Told are medians and 99th percentiles
-of begin_stage and complete_stage [µs], and of a path of ten stages its time a stage, with the ratio to that without
-waiting.
+of begin_stage and complete_stage [µs], and of a trajectory of ten stages its time a stage, with the ratio to that
+without waiting.
 """
 
 import argparse
@@ -21,51 +21,53 @@ from halfseen.logs.journal.durability import FSYNC
 from halfseen.writing import write_file
 
 OUT = Path("runs/benchmarks/recorder.json")
-STAGES_A_PATH = 10
+STAGES_A_TRAJECTORY = 10
 SEEN = {f"x{k}": 0.1 * k for k in range(6)}
 OBJECTS = [{"object": k, "occlusion": 0.5, "x_m": 0.1 * k} for k in range(6)]
 
 
-def path_us(recorder):
-    """Times of begin_stage and of complete_stage, and the whole of a path a stage [µs]."""
+def trajectory_us(recorder):
+    """Times of begin_stage and of complete_stage, and the whole of a trajectory a stage [µs]."""
     begun_us, completed_us = [], []
     first = time.perf_counter_ns()
-    path = recorder.begin_path()
-    for _ in range(STAGES_A_PATH):
+    trajectory = recorder.begin_trajectory()
+    for _ in range(STAGES_A_TRAJECTORY):
         before = time.perf_counter_ns()
-        path.begin_stage(SEEN, OBJECTS, "PICK", 1, 0.5)
+        trajectory.begin_stage(SEEN, OBJECTS, "PICK", 1, 0.5)
         between = time.perf_counter_ns()
-        path.complete_stage(1.0)
+        trajectory.complete_stage(1.0)
         begun_us.append((between - before) / 1e3)
         completed_us.append((time.perf_counter_ns() - between) / 1e3)
-    path.finish()
-    return begun_us, completed_us, (time.perf_counter_ns() - first) / 1e3 / STAGES_A_PATH
+    trajectory.finish()
+    return begun_us, completed_us, (time.perf_counter_ns() - first) / 1e3 / STAGES_A_TRAJECTORY
 
 
-def measured(fsync, folder, num_paths):
+def measured(fsync, folder, num_trajectories):
     """One row of what is told."""
     with tempfile.TemporaryDirectory(dir=folder) as place, LogRecorder(Path(place) / "logs", fsync=fsync) as recorder:
-        path_us(recorder)  # Whatever is done once.
-        paths = [path_us(recorder) for _ in range(num_paths)]
-    begun, completed = (np.percentile([path[k] for path in paths], [50, 99]).round(1).tolist() for k in (0, 1))
+        trajectory_us(recorder)  # Whatever is done once.
+        trajectories = [trajectory_us(recorder) for _ in range(num_trajectories)]
+    begun, completed = (
+        np.percentile([trajectory[k] for trajectory in trajectories], [50, 99]).round(1).tolist() for k in (0, 1)
+    )
     return {
         "fsync": fsync,
-        "num_paths": num_paths,
+        "num_trajectories": num_trajectories,
         "begin_stage_us": begun[0],
         "begin_stage_p99_us": begun[1],
         "complete_stage_us": completed[0],
         "complete_stage_p99_us": completed[1],
-        "stage_us": round(float(np.median([path[2] for path in paths])), 1),
+        "stage_us": round(float(np.median([trajectory[2] for trajectory in trajectories])), 1),
     }
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--folder", type=Path, default=Path())
-    parser.add_argument("--paths", type=int, default=200)
+    parser.add_argument("--trajectories", type=int, default=200)
     parser.add_argument("--out", type=Path, default=OUT)
     given = parser.parse_args()
-    rows = [measured(fsync, given.folder, given.paths) for fsync in FSYNC]
+    rows = [measured(fsync, given.folder, given.trajectories) for fsync in FSYNC]
     for row in rows:
         row["ratio"] = round(row["stage_us"] / rows[0]["stage_us"], 2)
         row["machine"] = timings.machine()

@@ -45,11 +45,11 @@ class Clock:
 def repeat(setting: Setting, design: Reward, rates: list[float], index: int) -> dict[str, float]:
     """Make one repetition, and tell the CPU time of its parts [s]."""
     clock, source = Clock(), Source.of(setting, index)
-    episodes = source.play(max(design.num_paths))
-    clock.passed("play 800 paths")
+    episodes = source.play(max(design.num_trajectories))
+    clock.passed("play 800 trajectories")
     num_episodes = design.episodes_per_scene * len(setting.scenes)
     logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
-    learned = source.logged(episodes).learn(logs, design.num_paths)
+    learned = source.logged(episodes).learn(logs, design.num_trajectories)
     clock.passed(f"{len(learned)} fits")
     rule, policies = STRONGEST_RULE, [each.policy(setting.world) for each in (*HEURISTICS, ONE_STEP)]
     for one in learned:

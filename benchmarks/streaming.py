@@ -29,41 +29,41 @@ import timings
 from halfseen.writing import write_file
 
 BAR_STAGES, BAR_S = 5_000_000, 60.0
-HORIZON, PATHS_AT_ONCE = 10, 2_000
+HORIZON, TRAJECTORIES_AT_ONCE = 10, 2_000
 OUT, KEPT = Path("runs/benchmarks/streaming.json"), Path(__file__).with_name("streaming.json")
 LOOK_S = 0.1
 """Between two looks at the memory [s]."""
 NAMES = {"paper": "eq. 3 of the paper", "default": "the default"}
 
 
-def part_of(first, num_paths, rng):
-    """Paths of up to ten stages, cut at exponential times."""
+def part_of(first, num_trajectories, rng):
+    """Trajectories of up to ten stages, cut at exponential times."""
     from halfseen.logs import Logs
 
-    clock = np.cumsum(rng.exponential(1.0, size=(num_paths, HORIZON)) + 0.1, axis=1)
-    cut_s = rng.exponential(60.0, size=num_paths)
+    clock = np.cumsum(rng.exponential(1.0, size=(num_trajectories, HORIZON)) + 0.1, axis=1)
+    cut_s = rng.exponential(60.0, size=num_trajectories)
     is_seen = clock <= cut_s[:, None]
     num_seen = is_seen.sum(axis=1)
     is_cut = num_seen < HORIZON
-    path, stage = np.nonzero(np.arange(HORIZON) < np.minimum(num_seen + 1, HORIZON)[:, None])
-    x = rng.normal(size=(len(path), 3))
-    is_b = rng.integers(0, 2, len(path))
-    done = is_seen[path, stage]
-    reward = x[:, 0] * (2 * is_b - 1) + rng.normal(size=len(path))
+    trajectory, stage = np.nonzero(np.arange(HORIZON) < np.minimum(num_seen + 1, HORIZON)[:, None])
+    x = rng.normal(size=(len(trajectory), 3))
+    is_b = rng.integers(0, 2, len(trajectory))
+    done = is_seen[trajectory, stage]
+    reward = x[:, 0] * (2 * is_b - 1) + rng.normal(size=len(trajectory))
     stages = {
-        "path": first + path,
+        "trajectory": first + trajectory,
         "stage": stage + 1,
-        "elapsed_s": np.where(done, clock[path, stage], np.nan),
+        "elapsed_s": np.where(done, clock[trajectory, stage], np.nan),
         "action": np.array(["A", "B"])[is_b],
         "reward": np.where(done, reward, np.nan),
         **{f"x{k}": x[:, k] for k in range(3)},
     }
-    paths = {
-        "path": first + np.arange(num_paths),
+    trajectories = {
+        "trajectory": first + np.arange(num_trajectories),
         "end_s": np.where(is_cut, cut_s, clock[:, -1]),
         "ending": np.where(is_cut, "cut", "finished"),
     }
-    return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
+    return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories))
 
 
 def write(folder, num_stages):
@@ -74,9 +74,9 @@ def write(folder, num_stages):
     def parts():
         first = 0
         while written[0] < num_stages:
-            part = part_of(first, PATHS_AT_ONCE, rng)
+            part = part_of(first, TRAJECTORIES_AT_ONCE, rng)
             written[0] += part.num_stages
-            first += PATHS_AT_ONCE
+            first += TRAJECTORIES_AT_ONCE
             yield part
 
     write_stream(parts(), folder)
@@ -143,7 +143,7 @@ def learn(folder, recipe, num_workers, is_kept, answers):
     if not is_kept:
         kept_parts.MOST_SHARE = 0.0
 
-    watch, stream = Watch(), LogStream(folder, PATHS_AT_ONCE)
+    watch, stream = Watch(), LogStream(folder, TRAJECTORIES_AT_ONCE)
     start, begun = time.perf_counter(), cpu_s()
     learner = learner_of(recipe).fit(stream, Workers(num_workers))
     seconds = time.perf_counter() - start
@@ -156,7 +156,7 @@ def learn(folder, recipe, num_workers, is_kept, answers):
     answers.put(
         {
             "num_stages": stream.num_stages,
-            "num_paths": stream.num_paths,
+            "num_trajectories": stream.num_trajectories,
             "num_workers": num_workers,
             "is_kept": is_kept,
             "seconds": seconds,
@@ -197,7 +197,10 @@ def is_judged(told):
 
 
 def show(told):
-    print(f"{told['recipe']}: {told['num_stages']:,} stages of {told['num_paths']:,} paths, {told['file_mb']:.0f} MB")
+    print(
+        f"{told['recipe']}: {told['num_stages']:,} stages of {told['num_trajectories']:,} trajectories, "
+        f"{told['file_mb']:.0f} MB"
+    )
     print(f"  learned in {told['seconds']:.0f} s ({told['cpu_s']:.0f} s of processors), {told['num_workers']} workers")
     bar = f" (bar: 1 GB, {'holds' if told['peak_gb'] < 1.0 else 'missed'})" if is_judged(told) else ""
     print(f"  most memory {told['peak_gb']:.2f} GB{bar}")

@@ -1,10 +1,12 @@
 """What several robots earn and how long they take: one Q for the team, each alone, rules, beside one robot.
 
-python benchmarks/teams.py [--robots 1 2] [--paths 800] [--cut 0.5] [--price 0 -0.05] [--logs 3] [--episodes 4000]
+python benchmarks/teams.py [--robots 1 2] [--trajectories 800] [--cut 0.5] [--price 0 -0.05] [--logs 3] [--episodes
+4000]
                            [--law shipped] [--without "learned, Q of the best"] [--out runs/benchmarks/teams.json]
 
 The study of several robots (two hours on two cores):
-    python benchmarks/teams.py --robots 1 2 3 --paths 100 400 1600 --cut 0 0.5 --price -0.05 --logs 4 --episodes 1000
+    python benchmarks/teams.py --robots 1 2 3 --trajectories 100 400 1600 --cut 0 0.5 --price -0.05 --logs 4 --episodes
+    1000
                                --without "learned, Q of the best" --out runs/benchmarks/team_study.json
 
 The ten shipped tables under the law of the shipped cell, of which robot 1 has a worse one where robots are unlike, or
@@ -91,11 +93,13 @@ def learned(world, logs, without=()):
 
 def totals(world, layouts, policy, num_episodes):
     """Reward and seconds of each table, and the seconds that its robots were at work, shared evenly."""
-    paths = play(world.played_config, layouts, policy, random.key_of(SEED), num_episodes)
-    taken, seconds = np.asarray(paths.is_taken), np.asarray(paths.duration_s, dtype=float)
-    wait, robots = wait_of(paths.states.num_objects), paths.states.robots
-    is_at_work = np.asarray(robots.is_busy & (robots.verb != WAIT)).sum(axis=-1) + (np.asarray(paths.action) != wait)
-    reward = np.where(taken, np.asarray(paths.reward, dtype=float), 0.0).sum(axis=-1)
+    trajectories = play(world.played_config, layouts, policy, random.key_of(SEED), num_episodes)
+    taken, seconds = np.asarray(trajectories.is_taken), np.asarray(trajectories.duration_s, dtype=float)
+    wait, robots = wait_of(trajectories.states.num_objects), trajectories.states.robots
+    is_at_work = np.asarray(robots.is_busy & (robots.verb != WAIT)).sum(axis=-1) + (
+        np.asarray(trajectories.action) != wait
+    )
+    reward = np.where(taken, np.asarray(trajectories.reward, dtype=float), 0.0).sum(axis=-1)
     shared = np.where(taken, seconds * is_at_work, 0.0).sum(axis=-1) / len(world.robots)
     return reward, np.where(taken, seconds, 0.0).sum(axis=-1), shared
 
@@ -117,14 +121,14 @@ def measured(given, num_robots, price, bar):
 
     for name, policy in rules(world).items():
         judge(name, policy)
-    for size, cut, log in product(given.paths, given.cut, range(given.logs)):
+    for size, cut, log in product(given.trajectories, given.cut, range(given.logs)):
         logs = world.simulate(scenes, behaviour, size, seed=SEED + log, cut_share=cut)
         for name, policy in learned(world, logs, given.without).items():
-            judge(name, policy, paths=size, cut=cut, log=log)
+            judge(name, policy, trajectories=size, cut=cut, log=log)
     return rows
 
 
-KEYS = ("robots", "price", "policy", "paths", "cut")
+KEYS = ("robots", "price", "policy", "trajectories", "cut")
 
 
 def by_place(rows):
@@ -158,7 +162,7 @@ def interval(differences):
 BOUGHT = (
     "robots",
     "price",
-    "paths",
+    "trajectories",
     "cut",
     "one Q",
     "less each alone",
@@ -217,7 +221,7 @@ def store(given, rows):
 def main():
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--robots", type=int, nargs="+", default=[1, 2], choices=TEAMS)
-    arguments.add_argument("--paths", type=int, nargs="+", default=[800])
+    arguments.add_argument("--trajectories", type=int, nargs="+", default=[800])
     arguments.add_argument("--cut", type=float, nargs="+", default=[0.5])
     arguments.add_argument("--price", type=float, nargs="+", default=[0.0, -0.05])
     arguments.add_argument("--logs", type=int, default=3)
@@ -226,7 +230,7 @@ def main():
     arguments.add_argument("--law", choices=LAWS, default=LAWS[0])
     arguments.add_argument("--out", type=Path, default=Path("runs/benchmarks/teams.json"))
     given = arguments.parse_args()
-    of_learners = len(given.paths) * len(given.cut) * given.logs
+    of_learners = len(given.trajectories) * len(given.cut) * given.logs
     of_team = 6 + (4 - len(given.without)) * of_learners
     total = sum(len(given.price) * ((2 + 2 * of_learners) if k == 1 else of_team) for k in given.robots)
     rows = []
@@ -234,10 +238,10 @@ def main():
         for k, price in product(given.robots, given.price):
             rows += measured(given, k, price, bar)
             store(given, rows)
-    place = f"{'robots':>6} {'price':>6} {'policy':22} {'paths':>5} {'cut':>4}"
+    place = f"{'robots':>6} {'price':>6} {'policy':22} {'trajectories':>5} {'cut':>4}"
     print(f"{place} {'points':>14} {'unpriced':>9} {'s':>6} {'shared':>6}")
     for row in summed(rows):
-        place = f"{row['paths'] or '':>5} {'' if row['cut'] is None else row['cut']:>4}"
+        place = f"{row['trajectories'] or '':>5} {'' if row['cut'] is None else row['cut']:>4}"
         points = f"{row['points']:.2f} ± {row['se']:.2f}"
         print(
             f"{row['robots']:>6} {row['price']:>6} {row['policy']:22} {place} {points:>14} {row['unpriced']:>9.2f} "

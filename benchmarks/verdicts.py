@@ -1,8 +1,8 @@
-"""Do the intervals of `evaluate` hold, and is "better" said of what is better, when paths of the log were cut?
+"""Do the intervals of `evaluate` hold, and is "better" said of what is better, when trajectories of the log were cut?
 
-python benchmarks/verdicts.py [--out FILE] [--logs 60] [--paths 800] [--world NAME ...] [--share SHARE ...]
+python benchmarks/verdicts.py [--out FILE] [--logs 60] [--trajectories 800] [--world NAME ...] [--share SHARE ...]
 
-Worlds and policies are those of `worlds`; cuts take none, a third or half of the paths of a log. For each
+Worlds and policies are those of `worlds`; cuts take none, a third or half of the trajectories of a log. For each
 policy: how often the 95 % interval of its doubly robust value, and of the difference from the logging policy, held the
 truth; the mean error in standard errors; the mean standard error over the standard deviation of the estimates; and how
 often it was called better: rightly (best, plain), or falsely (null).
@@ -28,7 +28,7 @@ from halfseen.evaluation import Evaluation, evaluate
 from halfseen.learning import DoublyRobust, Weighted
 from halfseen.logs import Logs
 
-NUM_PATHS = 800
+NUM_TRAJECTORIES = 800
 SHARES = {"0": 0.0, "1/3": 1 / 3, "1/2": 1 / 2}
 Judge = Callable[[Any, Logs], Evaluation]
 SETTINGS: dict[str, Judge] = {
@@ -44,7 +44,7 @@ WORLDS: dict[str, Callable[[], World]] = {"cell": Cell, "trial": Trial, "haze": 
 
 
 def measured(
-    world_name: str, share: float, judges: dict[str, Judge], num_logs: int, num_paths: int = NUM_PATHS
+    world_name: str, share: float, judges: dict[str, Judge], num_logs: int, num_trajectories: int = NUM_TRAJECTORIES
 ) -> list[dict[str, Any]]:
     """One row for each setting and policy."""
     world = WORLDS[world_name]()
@@ -53,7 +53,7 @@ def measured(
     truths = {name: world.value(policy.chances) for name, policy in policies.items()}
     found: dict[tuple[str, str], list[tuple[Evaluation, float]]] = {}
     for seed in range(num_logs):
-        logs = world.log(num_paths, 1000 + seed, share)
+        logs = world.log(num_trajectories, 1000 + seed, share)
         for name, policy in policies.items():
             for setting, judge in judges.items():
                 start = time.process_time()
@@ -105,7 +105,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/verdicts.json"))
     parser.add_argument("--logs", type=int, default=60)
-    parser.add_argument("--paths", type=int, default=NUM_PATHS)
+    parser.add_argument("--trajectories", type=int, default=NUM_TRAJECTORIES)
     parser.add_argument("--world", choices=WORLDS, nargs="+", default=list(WORLDS))
     parser.add_argument("--share", choices=SHARES, nargs="+", default=list(SHARES))
     parser.add_argument("--setting", choices=SETTINGS, nargs="+", default=["default", "kaplan-meier"])
@@ -115,11 +115,11 @@ def main() -> None:
     for world in options.world:
         for share in options.share:
             with threadpool_limits(1):
-                rows = measured(world, SHARES[share], judges, options.logs, options.paths)
-            print(f"\n{world}, {share} cut, {options.logs} logs of {options.paths}\n{HEAD}")
+                rows = measured(world, SHARES[share], judges, options.logs, options.trajectories)
+            print(f"\n{world}, {share} cut, {options.logs} logs of {options.trajectories}\n{HEAD}")
             print("\n".join(line(row) for row in rows), flush=True)
             results += [{"world": world, "share": share, **row} for row in rows]
-    report = {"num_paths": options.paths, "num_logs": options.logs, "results": results}
+    report = {"num_trajectories": options.trajectories, "num_logs": options.logs, "results": results}
     options.out.parent.mkdir(parents=True, exist_ok=True)
     options.out.write_text(json.dumps(report, indent=1) + "\n", encoding="utf-8")
 

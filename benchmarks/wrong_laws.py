@@ -158,7 +158,7 @@ def measured(case: str, index: int, sizes: list[int]) -> list[dict[str, Any]]:
     for size in sizes:
         learning.fitted_laws = forced
         try:
-            learner: Any = CensoredQLearner.for_table(10).fit(logs.select(logs.path_ids[:size]))
+            learner: Any = CensoredQLearner.for_table(10).fit(logs.select(logs.trajectory_ids[:size]))
         finally:
             learning.fitted_laws = fitted_laws
         found = learner.assisted_

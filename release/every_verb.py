@@ -48,7 +48,9 @@ class Ended(NamedTuple):
 def prepare(folder: Path) -> None:
     """Copy what an engineer has: logs of a cell, a part, a cloud, a law; nothing else of the clone."""
     shutil.copytree(CLONE / CELL, folder / CELL, ignore=shutil.ignore_patterns("*.py", "__pycache__"))
-    (folder / "lines.jsonl").write_text('{"call": "begin_path"}\n{"call": "cut", "cause": "lost", "end_s": 1.0}\n')
+    (folder / "lines.jsonl").write_text(
+        '{"call": "begin_trajectory"}\n{"call": "cut", "cause": "lost", "end_s": 1.0}\n'
+    )
     source = CLONE / "src" / "halfseen"
     shutil.copy(source / "scene" / "tables" / "table_00.pcd", folder / "table.pcd")
     shutil.copytree(source / "cell" / "calibration" / "shipped_law", folder / "law")

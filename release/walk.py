@@ -81,8 +81,10 @@ class Bare:
 def engineers_path() -> list[str]:
     """Commands of the README that lead from logs to a policy."""
     readme = (CLONE / "README.md").read_text(encoding="utf-8")
-    (path,) = (block for block in re.findall(r"```sh\n(.*?)```", readme, re.DOTALL) if "halfseen inspect" in block)
-    return path.replace("\\\n", " ").splitlines()
+    (trajectory,) = (
+        block for block in re.findall(r"```sh\n(.*?)```", readme, re.DOTALL) if "halfseen inspect" in block
+    )
+    return trajectory.replace("\\\n", " ").splitlines()
 
 
 def faults_without_extras(ended: Iterable[Ended]) -> list[str]:
@@ -107,7 +109,7 @@ def walk(bare: Bare, wheel: Path) -> None:
     bare.halfseen(f"halfseen {refused.line}")
     bare.pip("install", "--no-compile", f"{wheel}[all]")
     bare.pip("check")
-    bare.begin("path")
+    bare.begin("trajectory")
     for line in engineers_path():
         bare.halfseen(line)
 

@@ -14,18 +14,18 @@ TRUTH = np.array([3.0, -2.0, -1.5, -0.4, 0.3, np.log(0.8)])
 def attempt_log(num_tables=40, seed=0, truth=TRUTH, num_objects=4, num_stages=6, cut_rate=0.01):
     """Each table is tried `num_stages` times, an object drawn at random each time, unless it is cut."""
     rng = np.random.default_rng(seed)
-    parts = [_table(path, rng, truth, num_objects, num_stages, cut_rate) for path in range(num_tables)]
+    parts = [_table(trajectory, rng, truth, num_objects, num_stages, cut_rate) for trajectory in range(num_tables)]
     return Logs(*(pd.DataFrame([row for part in rows for row in part]) for rows in zip(*parts, strict=True)))
 
 
-def _table(path, rng, truth, num_objects, num_stages, cut_rate):
+def _table(trajectory, rng, truth, num_objects, num_stages, cut_rate):
     things = [_thing(rng, truth) for _ in range(num_objects)]
     stages, objects, clock_s, cut_s = [], [], 0.0, rng.exponential(1.0 / cut_rate)
     for stage in range(1, num_stages + 2):
         for number, thing in enumerate(things):
-            objects.append({"path": path, "stage": stage, "object": number, **_seen(thing)})
+            objects.append({"trajectory": trajectory, "stage": stage, "object": number, **_seen(thing)})
         row = {
-            "path": path,
+            "trajectory": trajectory,
             "stage": stage,
             "action": "FINISH",
             "object": None,
@@ -46,9 +46,9 @@ def _table(path, rng, truth, num_objects, num_stages, cut_rate):
                     things[number]["labels"].append((0.0, True, things[number]["shows"] > 0.2))
         stages.append(row)
         if row["elapsed_s"] is None:
-            end = {"path": path, "end_s": cut_s, "ending": "cut", "cause": "operator"}
+            end = {"trajectory": trajectory, "end_s": cut_s, "ending": "cut", "cause": "operator"}
             return stages, [end], objects
-    return stages, [{"path": path, "end_s": clock_s + 1.0, "ending": "finished", "cause": None}], objects
+    return stages, [{"trajectory": trajectory, "end_s": clock_s + 1.0, "ending": "finished", "cause": None}], objects
 
 
 def _thing(rng, truth):

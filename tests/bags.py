@@ -95,15 +95,15 @@ SMALL = {"action": "/action data", "reward": "/reward data", "ending": "/end dat
 """The least that a mapping says."""
 
 
-def one_path(*messages, ending="finished"):
+def one_trajectory(*messages, ending="finished"):
     stage = [text(1.0, "/action", "A"), number(2.0, "/reward", 1.0)]
     return [*messages, *stage, text(2.5, "/end", ending)]
 
 
-def two_paths():
-    """A path that finished in two stages, and one that just stops in its second."""
+def two_trajectories():
+    """A trajectory that finished in two stages, and one that just stops in its second."""
     return [
-        number(0.0, "/camera/occlusion", 0.9),  # before any path: belongs to none
+        number(0.0, "/camera/occlusion", 0.9),  # before any trajectory: belongs to none
         text(1.0, "/episode/begin", "monday-1"),
         number(1.1, "/camera/occlusion", 0.3),
         text(1.5, "/pick/action", "WASH"),

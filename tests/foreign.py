@@ -31,11 +31,11 @@ def episodes(seed=0, lengths=(3, 1, 4), *, is_text=False):
 
 
 def expected(found, endings, ends_s, columns, *, has_last=True, names=None):
-    """Rows of stages and of paths, episode by episode and step by step."""
-    stages, paths = [], []
+    """Rows of stages and of trajectories, episode by episode and step by step."""
+    stages, trajectories = [], []
     for number, (episode, (ending, cause), times) in enumerate(zip(found, endings, ends_s, strict=True)):
         name = number if names is None else names[number]
-        paths.append((name, times[-1], ending, cause))
+        trajectories.append((name, times[-1], ending, cause))
         num_steps = len(episode["actions"])
         for step in range(num_steps):
             is_cut_here = ending == "cut" and not has_last and step == num_steps - 1
@@ -44,8 +44,8 @@ def expected(found, endings, ends_s, columns, *, has_last=True, names=None):
         if ending == "cut" and has_last:
             stages.append((name, num_steps + 1, None, None, None, *episode["observed"][num_steps]))
     return {
-        "stages": pd.DataFrame(stages, columns=["path", "stage", "elapsed_s", "reward", "action", *columns]),
-        "paths": pd.DataFrame(paths, columns=["path", "end_s", "ending", "cause"]),
+        "stages": pd.DataFrame(stages, columns=["trajectory", "stage", "elapsed_s", "reward", "action", *columns]),
+        "trajectories": pd.DataFrame(trajectories, columns=["trajectory", "end_s", "ending", "cause"]),
     }
 
 

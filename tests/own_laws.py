@@ -34,13 +34,13 @@ def world_of(*laws, price=0.0, world=WORLD):
     return TableWorld(world, robots(*laws), reward_per_s=price)
 
 
-def played(world, policy, num_paths=60, seed=0):
-    return play(world.played_config, world.layouts([SCENE]), policy, random.key_of(seed), num_paths)
+def played(world, policy, num_trajectories=60, seed=0):
+    return play(world.played_config, world.layouts([SCENE]), policy, random.key_of(seed), num_trajectories)
 
 
-def met(paths):
+def met(trajectories):
     """All states that were decided in; axis B."""
-    return picked(paths.states, paths.is_taken)
+    return picked(trajectories.states, trajectories.is_taken)
 
 
 def first_layout(world):

@@ -50,16 +50,16 @@ def layout_of(num_robots, reach=None):
     return replace(pad_scenes([SCENE]), workspace=Workspace(is_in_reach[None], np.eye(NUM_OBJECTS, dtype=bool)[None]))
 
 
-def played(config, num_paths, seed=1, reach=None):
-    """Uncut paths of an exploring team of rules."""
+def played(config, num_trajectories, seed=1, reach=None):
+    """Uncut trajectories of an exploring team of rules."""
     rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
     policy, layouts = ExploringPolicy(TeamOfRules(rule)), layout_of(config.num_robots, reach)
-    return play(config, layouts, policy, random.key_of(seed), num_paths)
+    return play(config, layouts, policy, random.key_of(seed), num_trajectories)
 
 
-def logged(paths, cut_share):
-    rate = cut_rate(paths, cut_share, "independent")
-    return to_logs(cut(paths, rate, "independent", np.random.default_rng(0)), "independent", [SCENE], 0.6)
+def logged(trajectories, cut_share):
+    rate = cut_rate(trajectories, cut_share, "independent")
+    return to_logs(cut(trajectories, rate, "independent", np.random.default_rng(0)), "independent", [SCENE], 0.6)
 
 
 def team_of(num_robots, horizon=5, **others):

@@ -1,4 +1,4 @@
-"""Small logs, some paths cut, made without the simulated world, whose compilation takes longer than they are worth."""
+"""Small logs, some trajectories cut, made without the simulated world, whose compilation takes longer."""
 
 import numpy as np
 import pandas as pd
@@ -8,35 +8,37 @@ from halfseen.logs import Logs
 HIDES = np.array([[0.0, 0.4], [0.1, 0.0]])
 
 
-def flat_log(num_paths=40, horizon=2, seed=0, cut_after_s=6.0):
+def flat_log(num_trajectories=40, horizon=2, seed=0, cut_after_s=6.0):
     """Actions A and B at stage 1, A and C at stage 2; one covariate in words."""
     rng = np.random.default_rng(seed)
-    stages, paths = [], []
-    for path in range(num_paths):
+    stages, trajectories = [], []
+    for trajectory in range(num_trajectories):
         clock, cut_s = 0.0, rng.exponential(cut_after_s) + 0.1
         for stage in range(1, horizon + 1):
             x1, x2 = rng.normal(), rng.integers(0, 3)
             action = rng.choice(["A", "B" if stage == 1 else "C"])
             clock += rng.uniform(0.5, 2.0)
             is_seen = clock <= cut_s
-            row = {"path": path, "stage": stage, "action": action, "x1": x1, "x2": x2, "colour": "red"}
+            row = {"trajectory": trajectory, "stage": stage, "action": action, "x1": x1, "x2": x2, "colour": "red"}
             reward = x1 * (1 if action == "A" else -1) + 0.1 * rng.normal() if is_seen else None
             stages.append({**row, "elapsed_s": clock if is_seen else None, "reward": reward})
             if not is_seen:
                 break
-        paths.append({"path": path, "end_s": min(clock, cut_s), "ending": "finished" if is_seen else "cut"})
-    return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
+        trajectories.append(
+            {"trajectory": trajectory, "end_s": min(clock, cut_s), "ending": "finished" if is_seen else "cut"}
+        )
+    return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories))
 
 
-def table_log(num_paths=24, horizon=3, num_objects=2, seed=0, hides=HIDES):
+def table_log(num_trajectories=24, horizon=3, num_objects=2, seed=0, hides=HIDES):
     """Tables of which each action grasps one object more often than not; FINISH is rare."""
     rng = np.random.default_rng(seed)
-    tables = [_table_path(path, horizon, num_objects, hides, rng) for path in range(num_paths)]
+    tables = [_table_trajectory(trajectory, horizon, num_objects, hides, rng) for trajectory in range(num_trajectories)]
     stages, ends, objects = zip(*tables, strict=True)
     return Logs(*(pd.DataFrame([row for part in rows for row in part]) for rows in (stages, ends, objects)))
 
 
-def _table_path(path, horizon, num_objects, hides, rng):
+def _table_trajectory(trajectory, horizon, num_objects, hides, rng):
     there, tried, lifts = np.ones(num_objects, dtype=bool), [[] for _ in range(num_objects)], [0] * num_objects
     log_odds = rng.normal(0.4, 1.0, num_objects)
     stages, objects = [], []
@@ -51,7 +53,15 @@ def _table_path(path, horizon, num_objects, hides, rng):
             seen = {"location": where, "occlusion": occluded[k], "log_odds": log_odds[k]}
             counts = {"successes": sum(outcomes), "failures": len(outcomes) - sum(outcomes), "lifts": lifts[k]}
             past = {"attempt_occlusions": list(shares), "attempt_succeeded": list(outcomes)}
-            row = {"path": path, "stage": stage, "object": k, **seen, **counts, "hidden_by": hides[k].tolist(), **past}
+            row = {
+                "trajectory": trajectory,
+                "stage": stage,
+                "object": k,
+                **seen,
+                **counts,
+                "hidden_by": hides[k].tolist(),
+                **past,
+            }
             objects.append(row)
         verb = rng.choice(["WASH", "LIFT", "FINISH"], p=[0.55, 0.35, 0.1])
         target = int(rng.choice(np.flatnonzero(there)))
@@ -61,7 +71,7 @@ def _table_path(path, horizon, num_objects, hides, rng):
         reward = {"WASH": 2.0 * log_odds[target] if held else -1.0, "LIFT": -0.4, "FINISH": -2.0 * there.sum()}[verb]
         done = {"action": verb, "object": None if verb == "FINISH" else target, "probability": 0.25}
         came = {"elapsed_s": clock if is_seen else None, "reward": reward if is_seen else None}
-        stages.append({"path": path, "stage": stage, **done, **came})
+        stages.append({"trajectory": trajectory, "stage": stage, **done, **came})
         if verb != "FINISH":
             tried[target].append((occluded[target], held))
             lifts[target] += verb == "LIFT" and held
@@ -70,15 +80,17 @@ def _table_path(path, horizon, num_objects, hides, rng):
         if not is_seen or verb == "FINISH" or not there.any():
             break
     ending = "finished" if is_seen else "cut"
-    return stages, [{"path": path, "end_s": min(clock, cut_s), "ending": ending}], objects
+    return stages, [{"trajectory": trajectory, "end_s": min(clock, cut_s), "ending": ending}], objects
 
 
 def begun_log(scene):
-    """Logs of a table: three paths, and a last one that has come to its first stage without an action."""
-    logs = table_log(num_paths=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
-    stages, objects = (rows[(rows["path"] < 3) | (rows["stage"] == 1)].copy() for rows in (logs.stages, logs.objects))
-    paths, is_now = logs.paths.copy(), stages["path"] == 3
+    """Logs of a table: three trajectories, and a last one that has come to its first stage without an action."""
+    logs = table_log(num_trajectories=4, num_objects=scene.num_objects, hides=scene.hides, seed=1)
+    stages, objects = (
+        rows[(rows["trajectory"] < 3) | (rows["stage"] == 1)].copy() for rows in (logs.stages, logs.objects)
+    )
+    trajectories, is_now = logs.trajectories.copy(), stages["trajectory"] == 3
     stages.loc[is_now, ["elapsed_s", "reward"]] = np.nan
     stages.loc[is_now, ["action", "object"]] = None
-    paths.loc[paths["path"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
-    return Logs(stages, paths, objects)
+    trajectories.loc[trajectories["trajectory"] == 3, ["end_s", "ending", "cause"]] = [1.0, "cut", "crash"]
+    return Logs(stages, trajectories, objects)

@@ -11,14 +11,14 @@ COVARIATES = ["x<1>", "y_$2$"]
 CAUSE = '<script>alert("cut")</script> $\\frac{$'
 
 
-def hostile_log(num_paths=40, seed=0, cut_after_s=6.0):
-    logs = flat_log(num_paths, seed=seed, cut_after_s=cut_after_s)
+def hostile_log(num_trajectories=40, seed=0, cut_after_s=6.0):
+    logs = flat_log(num_trajectories, seed=seed, cut_after_s=cut_after_s)
     named = {"x1": COVARIATES[0], "x2": COVARIATES[1]}
     actions = dict(zip("ABC", [*ACTIONS, ACTIONS[1]], strict=True))
     stages = logs.stages.drop(columns="colour").rename(columns=named).replace({"action": actions})
-    paths = logs.paths.assign(cause=np.where(logs.is_finished, None, CAUSE))
-    labels = [rows["path"].map("path <{}> $^$".format) for rows in (stages, paths)]
-    return Logs(stages.assign(probability=0.5, path=labels[0]), paths.assign(path=labels[1]))
+    trajectories = logs.trajectories.assign(cause=np.where(logs.is_finished, None, CAUSE))
+    labels = [rows["trajectory"].map("trajectory <{}> $^$".format) for rows in (stages, trajectories)]
+    return Logs(stages.assign(probability=0.5, trajectory=labels[0]), trajectories.assign(trajectory=labels[1]))
 
 
 def estimate(value, reach, size=40.0):
@@ -35,4 +35,4 @@ def evaluation(verdict="better", **changed):
         **changed,
     }
     reason = "it earns <this> much"
-    return Evaluation(**values, verdict=verdict, reason=reason, support=(0.5, 0.5), num_paths=40, level=0.95)
+    return Evaluation(**values, verdict=verdict, reason=reason, support=(0.5, 0.5), num_trajectories=40, level=0.95)

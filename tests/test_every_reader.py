@@ -67,7 +67,7 @@ def mcap(file):
 
 
 def database(file):
-    return read_sql(f"sqlite:///{file}", Queries("SELECT * FROM stages", "SELECT * FROM paths"))
+    return read_sql(f"sqlite:///{file}", Queries("SELECT * FROM stages", "SELECT * FROM trajectories"))
 
 
 READERS = {
@@ -157,7 +157,7 @@ def test_what_is_too_deep_or_no_text_is_refused(place, name):
 def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place, monkeypatch):
     monkeypatch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**5)
     file = place / "logs" / "stages.parquet"
-    table = pa.table({"path": np.zeros(10**6, np.int64), "stage": np.zeros(10**6, np.int64)})
+    table = pa.table({"trajectory": np.zeros(10**6, np.int64), "stage": np.zeros(10**6, np.int64)})
     pq.write_table(table, file)
     assert "unpacked, it has 16 MB" in refused(read_logs, place / "logs")
     assert "unpacked, it has 16 MB" in refused(lambda folder: list(LogStream(folder)), place / "logs")
@@ -175,7 +175,7 @@ def test_a_text_that_is_stored_once_counts_in_every_row(place, monkeypatch, nest
     assert told == sum(len(text or "") for text in plain.to_pylist())
 
 
-@pytest.mark.parametrize("column", ["path", "stage", "action"])
+@pytest.mark.parametrize("column", ["trajectory", "stage", "action"])
 def test_part_by_part_a_missing_column_is_refused_too(place, column):
     file = place / "logs" / "stages.parquet"
     pq.write_table(pq.read_table(file).drop_columns([column]), file)

@@ -56,7 +56,7 @@ def test_no_more_memory_is_asked_for_than_a_file_has(tmp_path):
     [
         (OSError(2, "No such file or directory", "a"), "No such file or directory"),
         (ValueError("line 1\nline 2"), "line 1"),
-        (KeyError("paths"), "it lacks 'paths'"),
+        (KeyError("trajectories"), "it lacks 'trajectories'"),
         (TypeError("'NoneType' object is not subscriptable"), "its parts do not fit together"),
         (ValueError("1 validation error for MetaData"), "its parts do not fit together"),
         (RuntimeError(), "RuntimeError"),

@@ -11,11 +11,11 @@ COVARIATES = ["x", "colour", "is_heavy"]
 BY_HAND = ["x", "colour=green", "colour=red", "is_heavy"]
 
 
-def text_log(num_paths=60, seed=0, colours=COLOURS, **columns):
-    """B is worth more than A on what is red; paths are cut after a while."""
+def text_log(num_trajectories=60, seed=0, colours=COLOURS, **columns):
+    """B is worth more than A on what is red; trajectories are cut after a while."""
     rng = np.random.default_rng(seed)
-    stages, paths = [], []
-    for path in range(num_paths):
+    stages, trajectories = [], []
+    for trajectory in range(num_trajectories):
         clock, cut_s = 0.0, rng.exponential(6.0) + 0.1
         for stage in (1, 2):
             x, colour, is_heavy = rng.normal(), str(rng.choice(colours)), bool(rng.integers(2))
@@ -23,15 +23,24 @@ def text_log(num_paths=60, seed=0, colours=COLOURS, **columns):
             clock += rng.uniform(0.5, 2.0)
             is_seen = clock <= cut_s
             worth = x + (1.0 if (colour == "red") == (action == "B") else -1.0)
-            row = {"path": path, "stage": stage, "action": action, "x": x, "colour": colour, "is_heavy": is_heavy}
-            made = {name: make(path, stage) for name, make in columns.items()}
+            row = {
+                "trajectory": trajectory,
+                "stage": stage,
+                "action": action,
+                "x": x,
+                "colour": colour,
+                "is_heavy": is_heavy,
+            }
+            made = {name: make(trajectory, stage) for name, make in columns.items()}
             reward = worth + 0.1 * rng.normal() if is_seen else None
             seen = {"elapsed_s": clock if is_seen else None, "reward": reward, "probability": 0.5}
             stages.append({**row, **made, **seen})
             if not is_seen:
                 break
-        paths.append({"path": path, "end_s": min(clock, cut_s), "ending": "finished" if is_seen else "cut"})
-    return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
+        trajectories.append(
+            {"trajectory": trajectory, "end_s": min(clock, cut_s), "ending": "finished" if is_seen else "cut"}
+        )
+    return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories))
 
 
 def with_indicators(frame, colours=COLOURS):
@@ -42,4 +51,4 @@ def with_indicators(frame, colours=COLOURS):
 
 def by_hand(logs):
     """The same log, with indicators."""
-    return Logs(with_indicators(logs.stages), logs.paths)
+    return Logs(with_indicators(logs.stages), logs.trajectories)

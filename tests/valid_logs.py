@@ -8,10 +8,10 @@ CAUSES = ["battery", "operator", "camera"]
 
 
 def small_tables():
-    """Path 1 finishes in two stages, path 2 is cut in its second, path 3 in its first."""
+    """Trajectory 1 finishes in two stages, trajectory 2 is cut in its second, trajectory 3 in its first."""
     stages = pd.DataFrame(
         {
-            "path": [1, 1, 2, 2, 3],
+            "trajectory": [1, 1, 2, 2, 3],
             "stage": [1, 2, 1, 2, 1],
             "elapsed_s": [1.5, 4.0, 2.0, np.nan, np.nan],
             "action": ["LIFT", "FINISH", "WASH", "WASH", None],
@@ -21,9 +21,9 @@ def small_tables():
             "steps_to_go": [10, 9, 10, 9, 10],
         }
     )
-    paths = pd.DataFrame(
+    trajectories = pd.DataFrame(
         {
-            "path": [1, 2, 3],
+            "trajectory": [1, 2, 3],
             "end_s": [4.0, 3.5, 0.5],
             "ending": ["finished", "cut", "cut"],
             "cause": [None, "battery", "operator"],
@@ -32,37 +32,42 @@ def small_tables():
     )
     objects = pd.DataFrame(
         {
-            "path": np.repeat([1, 1, 2, 2, 3], 2),
+            "trajectory": np.repeat([1, 1, 2, 2, 3], 2),
             "stage": np.repeat([1, 2, 1, 2, 1], 2),
             "object": ["cup", "mug"] * 5,
             "occlusion": np.linspace(0.0, 0.9, 10),
             "hidden_by": [[0.1 * row, 0.0] for row in range(10)],
         }
     )
-    return {"stages": stages, "paths": paths, "objects": objects}
+    return {"stages": stages, "trajectories": trajectories, "objects": objects}
 
 
 @st.composite
 def valid_tables(draw):
-    """Tables of any number of paths, in any order, with text or integers for names."""
+    """Tables of any number of trajectories, in any order, with text or integers for names."""
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
     is_text = draw(st.booleans())
-    num_paths = draw(st.integers(1, 6))
-    ids = rng.choice(1000, num_paths, replace=False)
-    paths, stages, objects = [], [], []
-    for path in (f"p{i}" for i in ids) if is_text else ids.tolist():
+    num_trajectories = draw(st.integers(1, 6))
+    ids = rng.choice(1000, num_trajectories, replace=False)
+    trajectories, stages, objects = [], [], []
+    for trajectory in (f"p{i}" for i in ids) if is_text else ids.tolist():
         is_cut = bool(rng.random() < 0.5)
         clock = np.cumsum(rng.integers(1, 4, rng.integers(1, 5)) / 2)
-        paths.append(
-            {"path": path, "end_s": clock[-1], "ending": "cut" if is_cut else "finished", "seed": rng.integers(9)}
+        trajectories.append(
+            {
+                "trajectory": trajectory,
+                "end_s": clock[-1],
+                "ending": "cut" if is_cut else "finished",
+                "seed": rng.integers(9),
+            }
         )
-        paths[-1]["cause"] = rng.choice(CAUSES) if is_cut else None
+        trajectories[-1]["cause"] = rng.choice(CAUSES) if is_cut else None
         for stage, elapsed_s in enumerate(clock, start=1):
             is_completed = not (is_cut and stage == len(clock))
             names = rng.permutation(9)[: rng.integers(1, 4)]
             stages.append(
                 {
-                    "path": path,
+                    "trajectory": trajectory,
                     "stage": stage,
                     "elapsed_s": elapsed_s if is_completed else None,
                     "action": "WASH",
@@ -73,11 +78,16 @@ def valid_tables(draw):
                 }
             )
             objects += [
-                {"path": path, "stage": stage, "object": int(name), "hidden_by": rng.random(rng.integers(0, 3))}
+                {
+                    "trajectory": trajectory,
+                    "stage": stage,
+                    "object": int(name),
+                    "hidden_by": rng.random(rng.integers(0, 3)),
+                }
                 for name in names
             ]
-    frames = (pd.DataFrame(rows).sample(frac=1.0, random_state=1) for rows in (stages, paths, objects))
-    tables = dict(zip(("stages", "paths", "objects"), frames, strict=True))
+    frames = (pd.DataFrame(rows).sample(frac=1.0, random_state=1) for rows in (stages, trajectories, objects))
+    tables = dict(zip(("stages", "trajectories", "objects"), frames, strict=True))
     if draw(st.booleans()):
         tables["objects"] = None
     return tables

@@ -1,4 +1,4 @@
-"""Do what the log most probably did, by a forest for each stage; the stage in which a path was cut counts as well."""
+"""Do what the log most probably did, by a forest for each stage; stages that were cut count as well."""
 
 import numpy as np
 import pandas as pd

@@ -11,30 +11,30 @@ from halfseen.logs import Logs
 
 
 class Begun(NamedTuple):
-    """The begun stages of a log, ordered by path and stage."""
+    """The begun stages of a log, ordered by trajectory and stage."""
 
-    path: Int[np.ndarray, " m"]
+    trajectory: Int[np.ndarray, " m"]
     stage: Int[np.ndarray, " m"]
     state: Float[np.ndarray, "m F"]
     action: Int[np.ndarray, " m"]
     reward: Float[np.ndarray, " m"]
     is_completed: Bool[np.ndarray, " m"]
     is_last: Bool[np.ndarray, " m"]
-    """The last begun stage of its path; the end of the path if it is completed."""
+    """The last begun stage of its trajectory; the end of the trajectory if it is completed."""
 
 
 def begun(logs: Logs, world: World) -> Begun:
     """Lay out a log."""
-    frame = logs.stages.sort_values(["path", "stage"], ignore_index=True)
-    path = frame["path"].to_numpy()
+    frame = logs.stages.sort_values(["trajectory", "stage"], ignore_index=True)
+    trajectory = frame["trajectory"].to_numpy()
     return Begun(
-        path=path,
+        trajectory=trajectory,
         stage=frame["stage"].to_numpy(dtype=np.int64),
         state=frame[list(world.covariates)].to_numpy(dtype=np.float64),
         action=pd.Index(world.actions).get_indexer(frame["action"]).astype(np.int64),
         reward=frame["reward"].to_numpy(dtype=np.float64),
         is_completed=frame["elapsed_s"].notna().to_numpy(),
-        is_last=np.append(path[1:] != path[:-1], True),
+        is_last=np.append(trajectory[1:] != trajectory[:-1], True),
     )
 
 

@@ -1,4 +1,4 @@
-"""Offline learners of d3rlpy, on completed stages: a cut path is one that was truncated where its stage was cut.
+"""Offline learners of d3rlpy, on completed stages: a cut trajectory is one that was truncated where its stage was cut.
 
 The state is the standardised covariates and the stage, one-hot; impossible actions are masked when a policy decides.
 Adam at 3e-4 on batches of 64, a target network that follows every 200 steps, no discount; d3rlpy's own 8,000 steps
@@ -61,7 +61,7 @@ def trained(kind: str, world: World, logs: Logs, num_steps: int | None = None, *
 
 
 def _dataset(rows: Begun, observations: np.ndarray, num_actions: int) -> MDPDataset:
-    """Episodes; the stage in which a path was cut is there as the successor of the one before."""
+    """Episodes; the stage in which a trajectory was cut is there as the successor of the one before."""
     last = rows.is_last
     is_first = np.append(True, last[:-1])
     is_used = ~(is_first & last & ~rows.is_completed)

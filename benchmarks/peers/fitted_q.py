@@ -23,9 +23,10 @@ REGRESSORS: dict[str, Callable[[], Any]] = {
 def iterated(regressor: str, world: World, logs: Logs) -> Chances:
     """Learn Q by one of `REGRESSORS`."""
     rows = begun(logs, world)
-    # A completed stage that is its path's last one, of a path that was cut just then, has an unknown sequel: left out.
-    is_finished = dict(zip(logs.path_ids, logs.is_finished, strict=True))
-    ends = rows.is_last & np.array([is_finished[path] for path in rows.path])
+    # A completed stage that is its trajectory's last one, of a trajectory that was cut just then, has an unknown
+    # sequel: left out.
+    is_finished = dict(zip(logs.trajectory_ids, logs.is_finished, strict=True))
+    ends = rows.is_last & np.array([is_finished[trajectory] for trajectory in rows.trajectory])
     is_used = np.flatnonzero(rows.is_completed & (ends | ~rows.is_last))
     goes_on = ~ends[is_used]
     after = is_used[goes_on] + 1

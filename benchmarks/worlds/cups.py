@@ -26,8 +26,8 @@ class Cups:
     def layouts(self) -> Any:
         return pad_scenes(list(self.scenes))
 
-    def log(self, num_paths: int, seed: int, share: float) -> Logs:
-        return TableWorld(self.world).simulate(self.scenes, logging_policy(self.world), num_paths, seed, share)
+    def log(self, num_trajectories: int, seed: int, share: float) -> Logs:
+        return TableWorld(self.world).simulate(self.scenes, logging_policy(self.world), num_trajectories, seed, share)
 
     def learned(self, logs: Logs, **parameters: Any) -> Any:
         return CensoredQLearner.for_table(self.world.horizon, **parameters).fit(logs).policy_

@@ -18,7 +18,7 @@ sys.path += [str(EXAMPLES / name) for name in ("pick_cell", "bin_cell", "clinica
 import bin_cell  # noqa: E402
 import cell_optimum  # noqa: E402
 import cell_parts  # noqa: E402
-import cell_paths  # noqa: E402
+import cell_trajectories  # noqa: E402
 import trial_optimum  # noqa: E402
 import trial_patients  # noqa: E402
 
@@ -30,18 +30,20 @@ class Cell:
     actions_by_stage = cell_parts.ACTIONS
     covariates = tuple(cell_parts.COVARIATES)
     half = ("weight_kg", float(np.mean(cell_parts.WEIGHTS_KG)))
-    logging = staticmethod(cell_paths.logging_chances)
+    logging = staticmethod(cell_trajectories.logging_chances)
     value = staticmethod(cell_optimum.chances_value)
 
     @property
     def optimum(self) -> float:
         return self._solved[0]
 
-    def log(self, num_paths: int, seed: int, share: float) -> Logs:
-        return cell_paths.simulate(num_paths, seed, share > 0, cell_rate(share) if share else cell_parts.RATE)
+    def log(self, num_trajectories: int, seed: int, share: float) -> Logs:
+        return cell_trajectories.simulate(
+            num_trajectories, seed, share > 0, cell_rate(share) if share else cell_parts.RATE
+        )
 
     def plain(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
-        return np.eye(len(self.actions))[cell_paths.rule_of_thumb(frame, stage)]
+        return np.eye(len(self.actions))[cell_trajectories.rule_of_thumb(frame, stage)]
 
     def best(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
         axes = zip(cell_optimum.AXES, self.covariates, strict=True)
@@ -55,10 +57,10 @@ class Cell:
 
 @cache
 def cell_rate(share: float) -> float:
-    """Level of the cell's hazards that cuts this share of the paths of one long log."""
+    """Level of the cell's hazards that cuts this share of the trajectories of one long log."""
 
     def excess(log_rate: float) -> float:
-        return cell_paths.simulate(5000, 0, rate=np.exp(log_rate)).cut_share - share
+        return cell_trajectories.simulate(5000, 0, rate=np.exp(log_rate)).cut_share - share
 
     root: Any = brentq(excess, -9.0, -2.0, xtol=1e-2)
     return float(np.exp(root))
@@ -75,8 +77,8 @@ class Trial:
     def optimum(self) -> float:
         return self._solved[0]
 
-    def log(self, num_paths: int, seed: int, share: float) -> Logs:
-        return trial_patients.trial(num_paths, share, seed)
+    def log(self, num_trajectories: int, seed: int, share: float) -> Logs:
+        return trial_patients.trial(num_trajectories, share, seed)
 
     def logging(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
         """Treat at random."""

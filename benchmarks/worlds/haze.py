@@ -1,7 +1,7 @@
 """A Q that no polynomial is: thresholds, an interaction of three covariates, a bump; and cuts by what is not recorded.
 
-Haze stops a path; the log has the temperature, of which haze is a noisy function. Given the temperature, cuts depend on
-nothing that rewards depend on, but their hazards are neither proportional nor log-linear in it.
+Haze stops a trajectory; the log has the temperature, of which haze is a noisy function. Given the temperature, cuts
+depend on nothing that rewards depend on, but their hazards are neither proportional nor log-linear in it.
 """
 
 from typing import Any

@@ -1,7 +1,7 @@
 """A world of three stages in [0, 1]^F, of which the first three covariates matter and only the first one moves.
 
-Its optimum comes from a grid, backwards; the value of a policy is a mean over many paths that all policies share, each
-of which goes on as a whole with the probability that it would go on at all.
+Its optimum comes from a grid, backwards; the value of a policy is a mean over many trajectories that all policies
+share, each of which goes on as a whole with the probability that it would go on at all.
 """
 
 from collections.abc import Iterator
@@ -31,9 +31,9 @@ RULE_SHARE = 0.5
 
 @dataclass(frozen=True)
 class Drawn:
-    """One stage of the paths that reached it."""
+    """One stage of the trajectories that reached it."""
 
-    path: np.ndarray
+    trajectory: np.ndarray
     x: np.ndarray
     action: np.ndarray
     chance: np.ndarray
@@ -54,7 +54,7 @@ class Staged:
         raise NotImplementedError
 
     def ends(self, x: np.ndarray, action: Any) -> np.ndarray:
-        """Probability that a path ends with a stage."""
+        """Probability that a trajectory ends with a stage."""
         raise NotImplementedError
 
     def lasts(self, x: np.ndarray, action: Any) -> np.ndarray:
@@ -62,7 +62,7 @@ class Staged:
         raise NotImplementedError
 
     def hazard(self, x: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Relative rate of cuts of a path that begins in `x`."""
+        """Relative rate of cuts of a trajectory that begins in `x`."""
         raise NotImplementedError
 
     def plain(self, frame: pd.DataFrame, stage: int) -> np.ndarray:
@@ -98,11 +98,11 @@ class Staged:
         q = self._q(frame[list(self.covariates)].to_numpy(), stage)
         return np.eye(len(self.actions))[q.argmax(axis=1)]
 
-    def log(self, num_paths: int, seed: int, share: float) -> Logs:
-        played = list(self._play(num_paths, np.random.default_rng([seed, 0])))
+    def log(self, num_trajectories: int, seed: int, share: float) -> Logs:
+        played = list(self._play(num_trajectories, np.random.default_rng([seed, 0])))
         hazard = self.hazard(played[0].x, np.random.default_rng([seed, 1]))
-        exposure_s = np.random.default_rng([seed, 2]).exponential(size=num_paths) / hazard
-        return self._recorded(played, exposure_s / self._rate(share) if share else np.full(num_paths, np.inf))
+        exposure_s = np.random.default_rng([seed, 2]).exponential(size=num_trajectories) / hazard
+        return self._recorded(played, exposure_s / self._rate(share) if share else np.full(num_trajectories, np.inf))
 
     def _chosen(self, x: np.ndarray, stage: int, chances: Chances, rng: np.random.Generator) -> tuple[Any, np.ndarray]:
         chance = chances(pd.DataFrame(x, columns=pd.Index(self.covariates)), stage)
@@ -110,25 +110,25 @@ class Staged:
         action = np.minimum(action, len(self.actions) - 1)
         return action, chance[np.arange(len(x)), action]
 
-    def _play(self, num_paths: int, rng: np.random.Generator) -> Iterator[Drawn]:
-        path, x = np.arange(num_paths), rng.random((num_paths, len(self.covariates)))
+    def _play(self, num_trajectories: int, rng: np.random.Generator) -> Iterator[Drawn]:
+        trajectory, x = np.arange(num_trajectories), rng.random((num_trajectories, len(self.covariates)))
         for stage in range(1, HORIZON + 1):
             action, chance = self._chosen(x, stage, self.logging, rng)
             mean_s = self.lasts(x, action)
             duration = mean_s * rng.gamma(4.0, 0.25, size=len(x))
             reward = self.pays(x, action) + self.late_pay * (duration - mean_s) + REWARD_NOISE * rng.normal(size=len(x))
-            yield Drawn(path, x, action, chance, reward, duration)
+            yield Drawn(trajectory, x, action, chance, reward, duration)
             goes_on = rng.random(len(x)) >= self.ends(x, action)
-            path, x = path[goes_on], self.moved(x, action, rng.normal(size=len(x)))[goes_on]
+            trajectory, x = trajectory[goes_on], self.moved(x, action, rng.normal(size=len(x)))[goes_on]
 
     def _recorded(self, played: list[Drawn], cut_s: np.ndarray) -> Logs:
         total_s, parts = np.zeros(len(cut_s)), []
         for stage, drawn in enumerate(played, start=1):
-            begun_s = total_s[drawn.path]
-            total_s[drawn.path] = end_s = begun_s + drawn.duration
-            is_seen = end_s <= cut_s[drawn.path]
+            begun_s = total_s[drawn.trajectory]
+            total_s[drawn.trajectory] = end_s = begun_s + drawn.duration
+            is_seen = end_s <= cut_s[drawn.trajectory]
             rows = {
-                "path": drawn.path,
+                "trajectory": drawn.trajectory,
                 "stage": stage,
                 "elapsed_s": np.where(is_seen, end_s, np.nan),
                 "action": np.array(self.actions, dtype=object)[drawn.action],
@@ -136,23 +136,25 @@ class Staged:
                 "probability": drawn.chance,
                 **dict(zip(self.covariates, drawn.x.T, strict=True)),
             }
-            parts.append(pd.DataFrame(rows)[begun_s <= cut_s[drawn.path]])
+            parts.append(pd.DataFrame(rows)[begun_s <= cut_s[drawn.trajectory]])
         is_cut = total_s > cut_s
-        paths = pd.DataFrame(
+        trajectories = pd.DataFrame(
             {
-                "path": np.arange(len(cut_s)),
+                "trajectory": np.arange(len(cut_s)),
                 "end_s": np.minimum(total_s, cut_s),
                 "ending": np.where(is_cut, "cut", "finished"),
                 "cause": np.where(is_cut, "stopped", None),
             }
         )
-        return Logs(pd.concat(parts, ignore_index=True), paths)
+        return Logs(pd.concat(parts, ignore_index=True), trajectories)
 
     @cache  # noqa: B019 - one world a process
     def _rate(self, share: float) -> float:
         rng = np.random.default_rng(5)
         played = list(self._play(NUM_PILOT, rng))
-        total_s = np.bincount(np.concatenate([d.path for d in played]), np.concatenate([d.duration for d in played]))
+        total_s = np.bincount(
+            np.concatenate([d.trajectory for d in played]), np.concatenate([d.duration for d in played])
+        )
         exposure = self.hazard(played[0].x, rng) * total_s
         root: Any = brentq(lambda r: float(-np.expm1(-np.exp(r) * exposure).mean()) - share, -20.0, 10.0)
         return float(np.exp(root))

@@ -20,19 +20,19 @@ class World(Protocol):
     actions_by_stage: Mapping[int, Sequence[str]]
     covariates: Sequence[str]
     half: tuple[str, float]
-    """A covariate, and the value that half of the paths begin below: a policy may tell them apart."""
+    """A covariate, and the value that half of the trajectories begin below: a policy may tell them apart."""
 
     @property
     def optimum(self) -> float:
         """Value of the best policy."""
         ...
 
-    def log(self, num_paths: int, seed: int, share: float) -> Logs:
+    def log(self, num_trajectories: int, seed: int, share: float) -> Logs:
         """Draw a log of which a share is cut, in expectation."""
         ...
 
     def value(self, chances: Chances) -> float:
-        """Expected reward of a path under a policy."""
+        """Expected reward of a trajectory under a policy."""
         ...
 
     def logging(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:

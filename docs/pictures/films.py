@@ -60,13 +60,15 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     cell.cell.watches.append(taken)
 
     with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
-        path = recorder.begin_path(table)
+        trajectory = recorder.begin_trajectory(table)
         key = random.fold_in(random.key_of(seed), table)
         if stations:
             team = team_policy_of(policy, 0.0, belief.config, num_arms)
-            run = play_team(cell, is_dirty, team, belief, path, key, on_decision=follow)
+            run = play_team(cell, is_dirty, team, belief, trajectory, key, on_decision=follow)
         else:
-            run = play(cell, is_dirty, policy_of(policy, 0.0, belief.config), belief, path, key, on_decision=follow)
+            run = play(
+                cell, is_dirty, policy_of(policy, 0.0, belief.config), belief, trajectory, key, on_decision=follow
+            )
     told = f"{run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     # What another arm decides a moment later is in no picture of its own.
     return [*(row for row in rows if row["words"] in taken.captions), {"stage": 0, "words": told}]

@@ -13,21 +13,21 @@ from pictures.style import panel
 importable("pick_cell")
 
 
-NUM_INTERVALS, NUM_PATHS, FIRST_SEED = 40, 400, 5000
+NUM_INTERVALS, NUM_TRAJECTORIES, FIRST_SEED = 40, 400, 5000
 
 
 def _interval(index: int) -> Row:
     """The interval for the cell's rule of thumb, from one log of parts, and what that rule is worth in truth."""
     from cell_optimum import policy_value
     from cell_parts import ACTIONS_ALL, HORIZON
-    from cell_paths import rule_of_thumb, simulate
+    from cell_trajectories import rule_of_thumb, simulate
 
     from halfseen.evaluation import evaluate
     from halfseen.policies import Rule
 
     names = np.array(ACTIONS_ALL, dtype=object)
     rule = Rule(lambda parts, stage: names[rule_of_thumb(parts, stage)], tuple(ACTIONS_ALL), HORIZON)
-    found = evaluate(rule, simulate(NUM_PATHS, FIRST_SEED + index), against="logging").doubly_robust
+    found = evaluate(rule, simulate(NUM_TRAJECTORIES, FIRST_SEED + index), against="logging").doubly_robust
     return {"value": found.value, "low": found.low, "high": found.high, "truth": policy_value(rule_of_thumb)}
 
 
@@ -48,7 +48,7 @@ def draw_intervals(rows: Table) -> Figure:
     axes.axvline(rows[0]["truth"], color=INK, ls="--", lw=1.3)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
-    axes.set_ylabel(f"{len(rows)} logs of {NUM_PATHS} parts")
+    axes.set_ylabel(f"{len(rows)} logs of {NUM_TRAJECTORIES} parts")
     axes.set_title(f"{num_held} of {len(rows)} intervals hold the truth, dashed", loc="left", fontsize=9.5)
     return made
 

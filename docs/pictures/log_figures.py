@@ -1,4 +1,4 @@
-"""Logs as pictures: single paths with their stages and cuts, and how long paths were watched."""
+"""Logs as pictures: single trajectories with their stages and cuts, and how long trajectories were watched."""
 
 from typing import Any
 
@@ -36,15 +36,15 @@ CAUSES = {
 }
 
 
-def draw_two_paths() -> Figure:
-    """Draw the two paths that the page on logs writes down: what is known of each stage, and what is not."""
+def draw_two_trajectories() -> Figure:
+    """Draw the two trajectories that the page on logs writes down: what is known of each stage, and what is not."""
     logs = names_after("logs", 0)["logs"]
-    made, axes = panel(2.3, "seconds since the path began", has_grid=False)
-    for height, path in enumerate(logs.paths.itertuples()):
+    made, axes = panel(2.3, "seconds since the trajectory began", has_grid=False)
+    for height, trajectory in enumerate(logs.trajectories.itertuples()):
         began_s = 0.0
-        for stage in logs.stages[logs.stages["path"] == path.path].itertuples():
+        for stage in logs.stages[logs.stages["trajectory"] == trajectory.trajectory].itertuples():
             is_seen = not pd.isna(stage.elapsed_s)
-            end_s = stage.elapsed_s if is_seen else path.end_s
+            end_s = stage.elapsed_s if is_seen else trajectory.end_s
             look: Any = {"color": COLOURS[stage.action]} if is_seen else {"fc": "white", "ec": COLOURS[stage.action]}
             axes.barh(height, end_s - began_s, 0.5, began_s, **look, hatch=None if is_seen else "///", lw=1.0)
             told = f"{stage.action}\n{stage.reward:+.1f}" if is_seen else f"{stage.action}\nnot completed"
@@ -53,11 +53,11 @@ def draw_two_paths() -> Figure:
             middle = (began_s + end_s) / 2
             axes.text(middle, height, told, ha="center", va="center", color=colour, fontsize=9.0, bbox=box)
             began_s = end_s
-        is_cut = path.ending == "cut"
-        words = f" cut: {path.cause}" if is_cut else " finished"
-        axes.plot(path.end_s, height, "x" if is_cut else "|", color=RED if is_cut else INK, ms=11, mew=2.5)
-        axes.text(path.end_s + 0.12, height, words, va="center", color=RED if is_cut else INK, fontweight="bold")
-    axes.set_yticks(range(len(logs.paths)), list(logs.paths["path"]))
+        is_cut = trajectory.ending == "cut"
+        words = f" cut: {trajectory.cause}" if is_cut else " finished"
+        axes.plot(trajectory.end_s, height, "x" if is_cut else "|", color=RED if is_cut else INK, ms=11, mew=2.5)
+        axes.text(trajectory.end_s + 0.12, height, words, va="center", color=RED if is_cut else INK, fontweight="bold")
+    axes.set_yticks(range(len(logs.trajectories)), list(logs.trajectories["trajectory"]))
     axes.set(xlim=(0.0, 5.6), ylim=(1.45, -0.45))
     axes.tick_params(axis="y", length=0)
     return made
@@ -101,46 +101,48 @@ def draw_steps() -> Figure:
     return made
 
 
-def _draw_paths(axes: Axes, logs: Logs, num_paths: int, per_unit: float = 1.0) -> None:
-    """Draw the first paths, one line each, stages in the colours of their actions, a cross where a path was cut."""
-    some = logs.select(list(logs.path_ids[:num_paths]))
+def _draw_trajectories(axes: Axes, logs: Logs, num_trajectories: int, per_unit: float = 1.0) -> None:
+    """Draw the first trajectories, one line each, stages in the colours of their actions, a cross where it was cut."""
+    some = logs.select(list(logs.trajectory_ids[:num_trajectories]))
     for action in dict.fromkeys(some.stages["action"]):
         axes.plot([], [], "s", color=COLOURS[action], label=action)
-    for height, path in enumerate(some.paths.itertuples()):
+    for height, trajectory in enumerate(some.trajectories.itertuples()):
         began_s = 0.0
-        for stage in some.stages[some.stages["path"] == path.path].itertuples():
-            end_s = path.end_s if pd.isna(stage.elapsed_s) else stage.elapsed_s
+        for stage in some.stages[some.stages["trajectory"] == trajectory.trajectory].itertuples():
+            end_s = trajectory.end_s if pd.isna(stage.elapsed_s) else stage.elapsed_s
             ends = [began_s / per_unit, end_s / per_unit]
             axes.plot(ends, [height, height], color=COLOURS[stage.action], lw=4.2, solid_capstyle="butt")
             began_s = end_s
-        if path.ending == "cut":
-            axes.plot(path.end_s / per_unit, height, "x", color=RED, ms=6.5, mew=1.9, zorder=3)
+        if trajectory.ending == "cut":
+            axes.plot(trajectory.end_s / per_unit, height, "x", color=RED, ms=6.5, mew=1.9, zorder=3)
     axes.plot([], [], "x", color=RED, ms=6.5, mew=1.9, label="cut")
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
-    axes.set_ylim(num_paths - 0.3, -0.7)
+    axes.set_ylim(num_trajectories - 0.3, -0.7)
     axes.set_xlim(left=0.0)
 
 
-def draw_paths_of(folder: str, num_paths: int) -> Figure:
-    """Draw the first paths of a shipped log."""
+def draw_trajectories_of(folder: str, num_trajectories: int) -> Figure:
+    """Draw the first trajectories of a shipped log."""
     logs = read_logs(ROOT / folder)
-    made, axes = panel(3.4, "seconds since the path began", has_grid=False)
-    _draw_paths(axes, logs, num_paths)
-    axes.set_title(f"The first {num_paths} of {len(logs.paths)} paths, a line each", loc="left", fontsize=9.5)
+    made, axes = panel(3.4, "seconds since the trajectory began", has_grid=False)
+    _draw_trajectories(axes, logs, num_trajectories)
+    axes.set_title(
+        f"The first {num_trajectories} of {len(logs.trajectories)} trajectories, a line each", loc="left", fontsize=9.5
+    )
     made.legend(loc="outside lower center", ncols=6, columnspacing=0.9, handletextpad=0.2, **LEGEND)
     return made
 
 
 def draw_causes(folder: str) -> Figure:
-    """Draw when the paths of a shipped log ended, by what ended them."""
+    """Draw when the trajectories of a shipped log ended, by what ended them."""
     logs = read_logs(ROOT / folder)
-    causes = logs.paths["cause"].where(~logs.is_finished, "finished").astype(str)
+    causes = logs.trajectories["cause"].where(~logs.is_finished, "finished").astype(str)
     names = ["finished", *sorted(set(causes) - {"finished"}, key=lambda name: -int((causes == name).sum()))]
-    made, axes = panel(0.9 + 0.45 * len(names), "seconds since the path began", has_grid=False)
+    made, axes = panel(0.9 + 0.45 * len(names), "seconds since the trajectory began", has_grid=False)
     jitter = np.random.default_rng(0)
     for row, name in enumerate(names):
-        ends_s = logs.paths.loc[(causes == name).to_numpy(), "end_s"].to_numpy()
+        ends_s = logs.trajectories.loc[(causes == name).to_numpy(), "end_s"].to_numpy()
         heights = row + jitter.uniform(-0.28, 0.28, len(ends_s))
         axes.plot(ends_s, heights, ".", ms=4.0, mew=0, alpha=0.7, color=CAUSES.get(name, INK))
     counts = [int((causes == name).sum()) for name in names]
@@ -151,9 +153,9 @@ def draw_causes(folder: str) -> Figure:
 
 
 PICTURES = (
-    plot("two-paths", draw_two_paths),
+    plot("two-trajectories", draw_two_trajectories),
     plot("steps", draw_steps),
-    plot("pick-cell-paths", lambda: draw_paths_of("examples/pick_cell/logs", 24)),
+    plot("pick-cell-trajectories", lambda: draw_trajectories_of("examples/pick_cell/logs", 24)),
     plot("later-logs", lambda: draw_causes("examples/pick_cell/later_logs")),
     plot("physical-cell-logs", lambda: draw_causes("examples/physical_cell/logs")),
 )

@@ -56,7 +56,7 @@ def draw_learners() -> Figure:
     head, *rows = table_of("how-good-is-it", "A part of it, by n and world")
     columns = [k for k, name in enumerate(head) if name.startswith("cell ")]
     sizes = [int(numbers_in(head[k])[0]) for k in columns]
-    made, axes = panel(3.8, "paths of the log", "share of the optimum on the cell")
+    made, axes = panel(3.8, "trajectories of the log", "share of the optimum on the cell")
     for name, colour in LEARNERS.items():
         (row,) = (row for row in rows if row[0] == name)
         value, error = np.array([numbers_in(row[k]) for k in columns]).T
@@ -78,7 +78,7 @@ def draw_calibration() -> Figure:
     axes.bar(places - 0.2, near, 0.38, color=SKY, label="said to be best with about 0.9")
     axes.bar(places + 0.2, sure, 0.38, color=BLUE, label="with 0.98 or more")
     axes.axhline(0.9, color=INK, ls="--", lw=1.0)
-    axes.set_xticks(places, [name.replace(" paths", "\npaths") for name in names])
+    axes.set_xticks(places, [name.replace(" trajectories", "\ntrajectories") for name in names])
     axes.set_ylim(0.0, 1.04)
     made.legend(loc="outside upper left", ncols=2, **LEGEND)
     return made
@@ -165,11 +165,11 @@ def draw_team_study() -> Figure:
     for name, axes in panels.items():
         for (robots, colour), (cut, style) in product(TEAM_COLOURS.items(), {"0": "-", "1/2": "--"}.items()):
             mine = [row for row in rows if (row[head.index("robots")], row[head.index("cut")]) == (robots, cut)]
-            sizes, values = ([numbers_in(row[head.index(key)])[0] for row in mine] for key in ("paths", name))
+            sizes, values = ([numbers_in(row[head.index(key)])[0] for row in mine] for key in ("trajectories", name))
             label = f"{robots} robot{'s' if robots != '1' else ''}{', half cut' if cut != '0' else ''}"
             axes.plot(sizes, values, style, color=colour, marker="o", ms=3.5, lw=1.6, label=label)
-        mark_sizes(axes, sorted({int(row[head.index("paths")]) for row in rows}))
-        axes.set_xlabel("paths of the log")
+        mark_sizes(axes, sorted({int(row[head.index("trajectories")]) for row in rows}))
+        axes.set_xlabel("trajectories of the log")
     earned, took = panels.values()
     earned.set_ylabel("points above leaving the table")
     took.set_ylabel("share of one robot’s seconds")

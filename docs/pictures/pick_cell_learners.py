@@ -24,7 +24,7 @@ def _methods(num_logs: int = 5) -> Table:
 def draw_methods(rows: Table) -> Figure:
     """Draw the share of the optimum that each method reaches, a dot for each log."""
     from cell_optimum import optimum, policy_value
-    from cell_paths import rule_of_thumb
+    from cell_trajectories import rule_of_thumb
 
     methods = list(dict.fromkeys(row["method"] for row in rows))
     made, axes = panel(2.7, "share of the optimum, learned from 1,000 parts", has_grid=False)

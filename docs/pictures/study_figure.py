@@ -51,12 +51,12 @@ def repetitions_in(folder: Path) -> Table:
     for file in sorted((folder / PIECES).glob("repetition-*.json")):
         piece = json.loads(file.read_text(encoding="utf-8"))["piece"]
         rows += [
-            {"policy": "censored_q", "num_paths": row["num_paths"], "cut_share": row["cut_share"]}
+            {"policy": "censored_q", "num_trajectories": row["num_trajectories"], "cut_share": row["cut_share"]}
             | {"repetition": piece["index"], "reward": row["reward"]}
             for row in piece["learned"]
         ]
         rows += [
-            {"policy": name, "num_paths": 0, "cut_share": 0.0}
+            {"policy": name, "num_trajectories": 0, "cut_share": 0.0}
             | {"repetition": piece["index"], "reward": beside["other"]["reward"]}
             for name, beside in piece["baselines"].items()
             if name in _RULES
@@ -96,7 +96,7 @@ def _first_repetition() -> Mapping[int, Row]:
 
     design, setting = Reward(), _setting()
     source, num_all = Source.of(setting, 0), design.episodes_per_scene * len(setting.scenes)
-    episodes = source.play(max(design.num_paths))
+    episodes = source.play(max(design.num_trajectories))
     rates = [source.cut_rate(share, CUT_KIND) for share in design.cut_shares]
     logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
     learned = source.logged(episodes, laws=design.laws).learn(logs, [CHECKED_SIZE])
@@ -106,9 +106,9 @@ def _first_repetition() -> Mapping[int, Row]:
     each = source.control_each(list(policies.values()), range(num_all), source.start_value(design.num_starts))
     found = {place: played.means()["reward"] for place, played in zip(policies, each, strict=True)}
     return {
-        index: row | {"reward": found[row["policy"], row["num_paths"], row["cut_share"]]}
+        index: row | {"reward": found[row["policy"], row["num_trajectories"], row["cut_share"]]}
         for index, row in enumerate(FIGURE1_NUMBERS.read())
-        if row["repetition"] == 0 and (row["policy"], row["num_paths"], row["cut_share"]) in found
+        if row["repetition"] == 0 and (row["policy"], row["num_trajectories"], row["cut_share"]) in found
     }
 
 

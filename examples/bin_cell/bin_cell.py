@@ -1,9 +1,9 @@
-"""A cell that picks one part a path out of a bin: four actions, five stages, a rule far from good.
+"""A cell that picks one part a trajectory out of a bin: four actions, five stages, a rule far from good.
 
 The rule grasps, whatever it sees, until the gripper has jammed twice. The state is small: clutter above the part, views
 of it, jams. So values are exact, by backward induction. Exploration is uniform in a quarter of the decisions; an action
-that is not the rule's has a chance of 1/16, and a path of the optimum deviates two or three times: ratios reach 16³.
-All numbers are made up. What was recorded of it lies in ``logs`` and ``later_logs``; policies of it are worth:
+that is not the rule's has a chance of 1/16, and a trajectory of the optimum deviates two or three times: ratios reach
+16³. All numbers are made up. What was recorded of it lies in ``logs`` and ``later_logs``; policies of it are worth:
 
 python examples/bin_cell/bin_cell.py
 """
@@ -29,13 +29,13 @@ EXPLORATION = 0.25
 PRICE = np.array([0.07, 0.05, 0.08, 0.05])
 """Of each action."""
 STUCK = -0.3
-"""What a path brings whose gripper has to be freed by hand."""
+"""What a trajectory brings whose gripper has to be freed by hand."""
 FALLS = 0.8
 """Chance that a shake takes a layer of clutter away; it hides the part again."""
 SEES = 0.9
 FREES = 0.9
 FREED_BY_HAND = 0.5
-"""Chance that a failed grasp of a jammed gripper ends the path."""
+"""Chance that a failed grasp of a jammed gripper ends the trajectory."""
 SECONDS = np.array([2.0, 6.0, 4.0, 5.0])
 CAUSES = ("operator", "camera", "shift")
 CUT_SHARE = 1 / 3
@@ -43,7 +43,7 @@ NUM_PILOT = 20_000
 Chances = Callable[[pd.DataFrame, int], np.ndarray]
 """(covariates, stage from 1) → chance of each action, for each row."""
 Outcome = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
-"""Chance, reward, whether the path ends, and the next state."""
+"""Chance, reward, whether the trajectory ends, and the next state."""
 
 
 def reach(state: np.ndarray) -> np.ndarray:
@@ -106,17 +106,19 @@ class Bin:
         return np.eye(4)[self._best[stage - 1][_index(state)].argmax(axis=1)]
 
     def value(self, chances: Chances) -> float:
-        """Work out the expected reward of a path, backwards."""
+        """Work out the expected reward of a trajectory, backwards."""
         later = np.zeros(len(STATES))
         for stage in range(HORIZON, 0, -1):
             later = np.sum(chances(_frame(STATES), stage) * _q(later), axis=1)
         return float(BEGIN @ later[_index(np.stack([np.arange(3), np.zeros(3), np.zeros(3)], axis=1).astype(int))])
 
-    def log(self, num_paths: int, seed: int, share: float) -> Logs:
+    def log(self, num_trajectories: int, seed: int, share: float) -> Logs:
         """Draw a log of which about a share is cut."""
-        stages, exposure = self._played(num_paths, np.random.default_rng([seed, 0]))
+        stages, exposure = self._played(num_trajectories, np.random.default_rng([seed, 0]))
         rng = np.random.default_rng([seed, 1])
-        limit = rng.exponential(size=num_paths) / self._rate(share) if share else np.full(num_paths, np.inf)
+        limit = (
+            rng.exponential(size=num_trajectories) / self._rate(share) if share else np.full(num_trajectories, np.inf)
+        )
         return _recorded(stages, exposure, limit, rng)
 
     @cached_property
@@ -128,34 +130,34 @@ class Bin:
             later = each[-1].max(axis=1)
         return each[::-1]
 
-    def _played(self, num_paths: int, rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
-        """Draw all stages as if nothing were cut, and the relative exposure to cuts that each path has by its end."""
-        path = np.arange(num_paths)
-        state = np.stack([rng.choice(3, size=num_paths, p=BEGIN), 0 * path, 0 * path], axis=1)
-        exposure, total_s, parts = np.zeros(num_paths), np.zeros(num_paths), []
+    def _played(self, num_trajectories: int, rng: np.random.Generator) -> tuple[pd.DataFrame, np.ndarray]:
+        """Draw all stages as if nothing were cut, and each trajectory's relative exposure to cuts by its end."""
+        trajectory = np.arange(num_trajectories)
+        state = np.stack([rng.choice(3, size=num_trajectories, p=BEGIN), 0 * trajectory, 0 * trajectory], axis=1)
+        exposure, total_s, parts = np.zeros(num_trajectories), np.zeros(num_trajectories), []
         for stage in range(1, HORIZON + 1):
             chance = self.logging(_frame(state), stage)
-            action = np.minimum((rng.random((len(path), 1)) > chance.cumsum(axis=1)).sum(axis=1), 3)
+            action = np.minimum((rng.random((len(trajectory), 1)) > chance.cumsum(axis=1)).sum(axis=1), 3)
             reward, is_last, after = _step(state, action, rng)
-            took_s = SECONDS[action] * (1.0 + 0.5 * state[:, 2]) * rng.gamma(6.0, 1.0 / 6.0, size=len(path))
+            took_s = SECONDS[action] * (1.0 + 0.5 * state[:, 2]) * rng.gamma(6.0, 1.0 / 6.0, size=len(trajectory))
             hazards = _hazards(state)
-            begun_s, before = total_s[path], exposure[path]
-            total_s[path], exposure[path] = begun_s + took_s, before + hazards.sum(axis=1) * took_s
+            begun_s, before = total_s[trajectory], exposure[trajectory]
+            total_s[trajectory], exposure[trajectory] = begun_s + took_s, before + hazards.sum(axis=1) * took_s
             columns = {
-                "path": path,
+                "trajectory": trajectory,
                 "stage": stage,
                 "begun_s": begun_s,
-                "elapsed_s": total_s[path],
+                "elapsed_s": total_s[trajectory],
                 "before": before,
-                "after": exposure[path],
+                "after": exposure[trajectory],
                 "action": np.array(self.actions, dtype=object)[action],
                 "reward": reward,
-                "probability": chance[np.arange(len(path)), action],
+                "probability": chance[np.arange(len(trajectory)), action],
                 **dict(zip(self.covariates, state.T.astype(np.float64), strict=True)),
                 **dict(zip(CAUSES, hazards.T, strict=True)),
             }
             parts.append(pd.DataFrame(columns))
-            path, state = path[~is_last], after[~is_last]
+            trajectory, state = trajectory[~is_last], after[~is_last]
         return pd.concat(parts, ignore_index=True), exposure
 
     @cache  # noqa: B019 - one world a process
@@ -180,7 +182,7 @@ def _q(later: np.ndarray) -> np.ndarray:
 
 
 def _step(state: np.ndarray, action: np.ndarray, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Draw reward, whether the path ends, and the next state."""
+    """Draw reward, whether the trajectory ends, and the next state."""
     reward, is_last, after = np.zeros(len(state)), np.zeros(len(state), dtype=bool), state.copy()
     luck = rng.random(len(state))
     for each in range(4):
@@ -200,24 +202,26 @@ def _hazards(state: np.ndarray) -> np.ndarray:
 
 
 def _recorded(stages: pd.DataFrame, exposure: np.ndarray, limit: np.ndarray, rng: np.random.Generator) -> Logs:
-    """Cut each path once its exposure reaches its limit."""
-    path = stages["path"].to_numpy()
-    kept = stages[stages["before"].to_numpy() <= limit[path]].reset_index(drop=True)
-    own = limit[kept["path"].to_numpy()]
+    """Cut each trajectory once its exposure reaches its limit."""
+    trajectory = stages["trajectory"].to_numpy()
+    kept = stages[stages["before"].to_numpy() <= limit[trajectory]].reset_index(drop=True)
+    own = limit[kept["trajectory"].to_numpy()]
     is_seen = kept["after"].to_numpy() <= own
     way = (own - kept["before"]) / (kept["after"] - kept["before"])
     cut_s = kept["begun_s"] + np.where(is_seen, 1.0, way) * (kept["elapsed_s"] - kept["begun_s"])
-    last = kept.groupby("path").tail(1).sort_values("path")
+    last = kept.groupby("trajectory").tail(1).sort_values("trajectory")
     end_s = cut_s[last.index].to_numpy()
     is_cut = exposure > limit
     rates = last[list(CAUSES)].to_numpy()
     drawn = (rng.random((len(last), 1)) > np.cumsum(rates, axis=1) / rates.sum(axis=1, keepdims=True)).sum(axis=1)
     cause = np.where(is_cut, np.array(CAUSES, dtype=object)[np.minimum(drawn, 2)], None)
-    paths = pd.DataFrame({"path": last["path"].to_numpy(), "end_s": end_s, "ending": "finished", "cause": cause})
-    paths.loc[is_cut, "ending"] = "cut"
+    trajectories = pd.DataFrame(
+        {"trajectory": last["trajectory"].to_numpy(), "end_s": end_s, "ending": "finished", "cause": cause}
+    )
+    trajectories.loc[is_cut, "ending"] = "cut"
     kept.loc[~is_seen, ["elapsed_s", "reward"]] = np.nan
-    columns = ["path", "stage", "elapsed_s", "action", "reward", "probability", *Bin.covariates]
-    return Logs(kept[columns], paths, reward_unit="net parts")
+    columns = ["trajectory", "stage", "elapsed_s", "action", "reward", "probability", *Bin.covariates]
+    return Logs(kept[columns], trajectories, reward_unit="net parts")
 
 
 def main() -> None:
@@ -225,7 +229,7 @@ def main() -> None:
     cell = Bin()
     policies = {"the cell as it runs": cell.logging, "its rule": cell.plain, "the optimum": cell.best}
     for name, chances in policies.items():
-        print(f"{name:<22}{cell.value(chances):6.3f} net parts a path")
+        print(f"{name:<22}{cell.value(chances):6.3f} net parts a trajectory")
 
 
 if __name__ == "__main__":

@@ -11,7 +11,7 @@ from bin_cell import CUT_SHARE, Bin
 
 from halfseen.logs import read_logs
 
-NUM_PATHS = {"logs": 400, "later_logs": 800}
+NUM_TRAJECTORIES = {"logs": 400, "later_logs": 800}
 SEEDS = {"logs": 7, "later_logs": 8}
 HERE = Path(__file__).parent
 
@@ -21,8 +21,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=HERE, help="where the folders of logs go; they are replaced")
     options = parser.parse_args(arguments)
-    for name, num_paths in NUM_PATHS.items():
-        Bin().log(num_paths, SEEDS[name], CUT_SHARE).write(options.out / name, overwrite=True)
+    for name, num_trajectories in NUM_TRAJECTORIES.items():
+        Bin().log(num_trajectories, SEEDS[name], CUT_SHARE).write(options.out / name, overwrite=True)
         print(f"{options.out / name}: {read_logs(options.out / name).summary()}")
 
 

@@ -24,7 +24,7 @@ def learner(**parameters: Any) -> CensoredQLearner:
 
 def uncut_only(logs: Logs) -> Logs:
     """Keep patients who were followed to their end, as if nobody else had entered."""
-    return logs.select(logs.path_ids[logs.is_finished])
+    return logs.select(logs.trajectory_ids[logs.is_finished])
 
 
 # All but the default are eq. 3.

@@ -10,7 +10,7 @@ w, m      wellness and size of the tumour, uniform on [0, 1]² as a patient ente
 a         treatment: A is aggressive, it shrinks the tumour and costs wellness; B is gentle, it does neither; C is
           between them, and offered in the second stage only
 R         survival in the stage [years]: mean(w, m, a) · Gamma(2, ½); the reward
-          the patient may die at the end of a stage, and the path is then over: it has one stage, two or three
+          the patient may die at the end of a stage, and the trajectory is then over: it has one stage, two or three
 C         cut: exponential in the time since the patient entered, at the rate that cuts the wanted share of patients
 ========  ==============================================================================================
 """
@@ -121,7 +121,7 @@ def trial(num_patients: int, cut_share: float, seed: int) -> Logs:
     chances = np.array([1.0 / len(ACTIONS[stage]) for stage in range(1, HORIZON + 1)])
     stages = pd.DataFrame(
         {
-            "path": life["patient"],
+            "trajectory": life["patient"],
             "stage": life["stage"],
             "elapsed_s": np.where(is_completed, YEAR_S * until, np.nan),
             "action": np.array(TREATMENTS, dtype=object)[life["treatment"]],
@@ -132,15 +132,15 @@ def trial(num_patients: int, cut_share: float, seed: int) -> Logs:
     )
     total = np.bincount(life["patient"], life["survival"])
     is_cut: Bool[np.ndarray, " n"] = total > cut
-    paths = pd.DataFrame(
+    trajectories = pd.DataFrame(
         {
-            "path": np.arange(num_patients),
-            "end_s": np.where(is_cut, YEAR_S * cut, stages.groupby("path")["elapsed_s"].max()),
+            "trajectory": np.arange(num_patients),
+            "end_s": np.where(is_cut, YEAR_S * cut, stages.groupby("trajectory")["elapsed_s"].max()),
             "ending": np.where(is_cut, "cut", "finished"),
             "cause": pd.Series("left the trial", index=range(num_patients)).where(is_cut),
         }
     )
-    return Logs(stages.loc[is_begun], paths)
+    return Logs(stages.loc[is_begun], trajectories)
 
 
 @cache

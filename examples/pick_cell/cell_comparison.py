@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from cell_optimum import policy_value
 from cell_parts import ACTIONS, ACTIONS_ALL, COVARIATES, HORIZON, Decision
-from cell_paths import simulate
+from cell_trajectories import simulate
 from jaxtyping import Int
 from threadpoolctl import threadpool_limits
 from tqdm import tqdm
@@ -25,8 +25,8 @@ def default_learner() -> CensoredQLearner:
 def learner(**parameters: Any) -> CensoredQLearner:
     """Make a learner of eq. 3 for this cell; all that is not said stays as in the paper.
 
-    Nothing in the cell depends on the stage, so stages are pooled: few paths have a third one. On five other logs
-    pooled stages with a linear Q earned more than separate ones, and more than a kernel.
+    Nothing in the cell depends on the stage, so stages are pooled: few trajectories have a third one. On five other
+    logs pooled stages with a linear Q earned more than separate ones, and more than a kernel.
     """
     return CensoredQLearner.of_paper(HORIZON, ACTIONS, COVARIATES, stages="pooled", **parameters)
 
@@ -38,8 +38,8 @@ BY_COX, ROBUST_BY_COX = (targets(Cox(ridge=1.0), by="pooled") for targets in (We
 
 
 def uncut_only(logs: Logs) -> Logs:
-    """Keep paths that came to their own end, as if there were no others."""
-    return logs.select(logs.path_ids[logs.is_finished])
+    """Keep trajectories that came to their own end, as if there were no others."""
+    return logs.select(logs.trajectory_ids[logs.is_finished])
 
 
 # All but the default are eq. 3.
@@ -61,12 +61,14 @@ def decision_of(fitted: CensoredQLearner) -> Decision:
     return decide
 
 
-def compare(num_paths: int, num_logs: int, seed: int = 0, methods: Sequence[str] = tuple(METHODS)) -> pd.DataFrame:
+def compare(
+    num_trajectories: int, num_logs: int, seed: int = 0, methods: Sequence[str] = tuple(METHODS)
+) -> pd.DataFrame:
     """Learn from logs with each method.
 
     Parameters
     ----------
-    num_paths
+    num_trajectories
         Of each log.
     num_logs
         Logs; all methods learn from the same.
@@ -78,12 +80,12 @@ def compare(num_paths: int, num_logs: int, seed: int = 0, methods: Sequence[str]
     Returns
     -------
     DataFrame
-        One row a log and method: ``log``, ``method``, ``value`` (expected reward of a path under the learned policy)
-        and ``cut_share``.
+        One row a log and method: ``log``, ``method``, ``value`` (expected reward of a trajectory under the learned
+        policy) and ``cut_share``.
     """
     rows = []
     for r in tqdm(range(num_logs), desc="logs", delay=2, disable=None, leave=False):
-        logs = simulate(num_paths, seed + r)
+        logs = simulate(num_trajectories, seed + r)
         for method in methods:
             # The matrices are small: more threads than one wait for one another.
             with threadpool_limits(1):

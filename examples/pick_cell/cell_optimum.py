@@ -1,6 +1,6 @@
 """What policies of the cell are worth: exactly, on a grid of weight, shine and clutter, backwards over the stages.
 
-Only clutter changes along a path, so E V_{t+1} is a matrix on the last axis; between grid points V is linear.
+Only clutter changes along a trajectory, so E V_{t+1} is a matrix on the last axis; between grid points V is linear.
 """
 
 from collections.abc import Callable
@@ -32,7 +32,7 @@ NUM_QUANTILES = 200
 
 
 def optimum() -> tuple[float, list[Float[np.ndarray, "W H C A"]]]:
-    """Find the largest expected reward of a path, and Q of each stage on the grid; −inf where not possible."""
+    """Find the largest expected reward of a trajectory, and Q of each stage on the grid; −inf where not possible."""
     value, q_of_stage = np.zeros(SHAPE), []
     for stage in range(HORIZON, 0, -1):
         q = np.stack([_q_of(value, action) for action in range(len(ACTIONS_ALL))], axis=-1)
@@ -43,12 +43,12 @@ def optimum() -> tuple[float, list[Float[np.ndarray, "W H C A"]]]:
 
 
 def policy_value(decide: Decision) -> float:
-    """Expected reward of a path under a policy."""
+    """Expected reward of a trajectory under a policy."""
     return chances_value(lambda parts, stage: np.eye(len(ACTIONS_ALL))[decide(parts, stage)])
 
 
 def chances_value(chances: Callable[[pd.DataFrame, int], Float[np.ndarray, "m A"]]) -> float:
-    """Expected reward of a path under a policy that draws its actions."""
+    """Expected reward of a trajectory under a policy that draws its actions."""
     value = np.zeros(SHAPE)
     for stage in range(HORIZON, 0, -1):
         each = chances(STATES, stage).reshape(*SHAPE, len(ACTIONS_ALL))

@@ -8,12 +8,12 @@ S         weight_kg of the part (0.1 to 3), shine of its surface (0 to 1; smooth
 A         suction, parallel or soft, the grippers; from the second stage on also hand over (to a person) and stop
 R         1 for a part that was picked, −0.2 for a failed attempt; a part handed over counts 0.8 − 0.25 weight_kg; and
           every second of the cell costs 0.01
-          a part that was picked, handed over or left ends its path; so does the fourth stage. So it is counted in
+          a part that was picked, handed over or left ends its trajectory; so does the fourth stage. So it is counted in
           picks, less what they cost: REWARD_UNIT
 C         cut: the longer a stage drags on and the more clutter the camera looks into, the sooner somebody stops the
           cell or the camera loses the part: the hazard is (3/2) √(age/s) · RATE · exp(CLUTTER · clutter), age in
           the stage [s]. It knows of nothing else, so Cox's model on the clock of the stage is right; Kaplan–Meier on
-          that of the path, which knows nothing of clutter, is not
+          that of the trajectory, which knows nothing of clutter, is not
 ========  ==============================================================================================
 """
 

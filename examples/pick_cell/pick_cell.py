@@ -2,8 +2,9 @@
 
 python examples/pick_cell/pick_cell.py
 
-Read down: `cell_parts` (parts, actions, rewards, cuts) → `cell_paths` (who decides; logs) → `cell_optimum` (what a
-policy is worth, exactly) → `cell_comparison` (learners on the same logs). `record` writes the logs that the guide uses.
+Read down: `cell_parts` (parts, actions, rewards, cuts) → `cell_trajectories` (who decides; logs) → `cell_optimum` (what
+a policy is worth, exactly) → `cell_comparison` (learners on the same logs). `record` writes the logs that the guide
+uses.
 """
 
 import argparse
@@ -14,7 +15,7 @@ import pandas as pd
 from cell_comparison import BY_COX, METHODS, compare, learner
 from cell_optimum import best_order, optimum, policy_value
 from cell_parts import ACTIONS, COVARIATES
-from cell_paths import rule_of_thumb
+from cell_trajectories import rule_of_thumb
 from record import LOGS
 from scipy import stats
 from threadpoolctl import threadpool_limits
@@ -31,14 +32,16 @@ def main(arguments: Sequence[str] | None = None) -> None:
     """Compare the policies, then ask the recorded logs."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--logs", type=Path, default=LOGS, help="recorded logs (%(default)s)")
-    parser.add_argument("--paths", type=_at_least(100), default=1000, help="paths of a simulated log (%(default)s)")
+    parser.add_argument(
+        "--trajectories", type=_at_least(100), default=1000, help="trajectories of a simulated log (%(default)s)"
+    )
     parser.add_argument("--repetitions", type=_at_least(2), default=5, help="simulated logs (%(default)s)")
     parser.add_argument("--replicates", type=_at_least(2), default=50, help="of the bootstrap (%(default)s)")
     parser.add_argument("--seed", type=_at_least(0), default=0, help="seed (%(default)s)")
     options = parser.parse_args(arguments)
     print(plain_policies())
-    print(f"\nLearned from {options.paths} paths, logs: {options.repetitions}")
-    print(table(compare(options.paths, options.repetitions, options.seed)))
+    print(f"\nLearned from {options.trajectories} trajectories, logs: {options.repetitions}")
+    print(table(compare(options.trajectories, options.repetitions, options.seed)))
     print(f"\n{options.logs}: {read_logs(options.logs).summary()}")
     print(intervals(read_logs(options.logs), options.replicates, options.seed))
 
@@ -67,7 +70,7 @@ def table(found: pd.DataFrame) -> str:
         reach = stats.t.ppf(0.975, len(difference) - 1) * stats.sem(difference)
         line["default is better by"] = "" if method == FIRST else f"{difference.mean():+.3f} ± {reach:.3f}"
         lines.append(line)
-    return f"{pd.DataFrame(lines).to_string(index=False)}\nPaths cut: {found['cut_share'].mean():.0%}"
+    return f"{pd.DataFrame(lines).to_string(index=False)}\nTrajectories cut: {found['cut_share'].mean():.0%}"
 
 
 def intervals(logs: Logs, num_replicates: int, seed: int) -> str:
@@ -85,7 +88,7 @@ def intervals(logs: Logs, num_replicates: int, seed: int) -> str:
             interval = f"{low[row, column]:.2f} to {high[row, column]:.2f}"
             line[name] = f"{q[row, column]:.2f} ({interval}), best in {shares[row, column]:.0%}"
         lines.append(line)
-    head = f"Q of the first stage, with 95 % intervals over {num_replicates} draws of the paths"
+    head = f"Q of the first stage, with 95 % intervals over {num_replicates} draws of the trajectories"
     return f"{head}\n{pd.DataFrame(lines).to_string(index=False)}"
 
 

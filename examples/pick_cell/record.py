@@ -9,11 +9,11 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from cell_paths import record
+from cell_trajectories import record
 
 from halfseen.logs import read_logs
 
-NUM_PATHS = {"logs": 400, "later_logs": 800}
+NUM_TRAJECTORIES = {"logs": 400, "later_logs": 800}
 SEEDS = {"logs": 7, "later_logs": 8}
 HERE = Path(__file__).parent
 LOGS = HERE / "logs"
@@ -24,8 +24,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=HERE, help="where the folders of logs go; they are replaced")
     options = parser.parse_args(arguments)
-    for name, num_paths in NUM_PATHS.items():
-        record(options.out / name, num_paths, SEEDS[name])
+    for name, num_trajectories in NUM_TRAJECTORIES.items():
+        record(options.out / name, num_trajectories, SEEDS[name])
         print(f"{options.out / name}: {read_logs(options.out / name).summary()}")
 
 

@@ -6,9 +6,9 @@ Axis letters, as they stand in shapes all over the package:
 ``*B``    any number of axes in front, for members of a batch; none for a single one
 ``N``     objects of a scene, padded to the largest scene of a batch; padding is masked and may hold anything
 ``K``     robots at one table
-``T``     stages of a path (a trajectory, an episode), at most; the horizon
+``T``     stages of a trajectory (a trajectory, an episode), at most; the horizon
 ``A``     actions of a table
-``n``     rows: paths or observations
+``n``     rows: trajectories or observations
 ``m``     rows asked about: query times, states to decide
 ``F``     features of one verb
 ``H W``   rows and columns of a depth image [px]

@@ -4,10 +4,10 @@
 
     HalfseenError              everything below; the command line prints it in one line and exits with status 2
     ├── CloudError             a point cloud that cannot be read, or that shows no table
-    ├── LogError               a log that breaks an invariant; names the path and the stage
+    ├── LogError               a log that breaks an invariant; names the trajectory and the stage
     ├── PlanError              a robot cannot do what it is asked to: out of reach, or something is in the way
     ├── PolicyError            a policy folder that cannot be read, or a policy that does not fit what it is shown
-    ├── PositivityError        a weight that the data do not identify; names the path, the stage and the time
+    ├── PositivityError        a weight that the data do not identify; names the trajectory, the stage and the time
     ├── SceneError             a scene whose numbers contradict one another
     ├── WorkerError            who should make the work cannot: nobody at the address, other versions, no memory
     └── ArgumentError          a value that an option or parameter cannot take

@@ -31,7 +31,7 @@ def command_for(extra: str) -> str:
     -------
     str
         ``pip install 'halfseen[NAME]'``, which adds to what is installed already, or ``pip install -e 'CLONE[NAME]'``.
-        A pip that is not the first on the path is called as a module of this Python.
+        A pip that is not the first on the trajectory is called as a module of this Python.
     """
     clone = _clone()
     what = shlex.quote(f"{clone or 'halfseen'}[{extra}]")

@@ -14,13 +14,13 @@ from worlds.wide import Wide
 
 
 def rows_of(scores, method, cpu_s=1.0):
-    case = {"world": "cell", "num_paths": 1000, "share": 0.33}
+    case = {"world": "cell", "num_trajectories": 1000, "share": 0.33}
     return [{**case, "seed": k, "method": method, "score": s, "cpu_s": cpu_s} for k, s in enumerate(scores)]
 
 
 @pytest.mark.parametrize("world", [Haze(), Wide()], ids=["haze", "wide"])
-def test_a_value_is_what_uncut_paths_of_the_policy_earn(world):
-    earned = world.log(20_000, 3, 0.0).stages.groupby("path")["reward"].sum()
+def test_a_value_is_what_uncut_trajectories_of_the_policy_earn(world):
+    earned = world.log(20_000, 3, 0.0).stages.groupby("trajectory")["reward"].sum()
     assert earned.mean() == pytest.approx(world.value(world.logging), abs=4.0 * earned.sem() + 0.02)
 
 
@@ -39,11 +39,11 @@ def test_the_optimum_is_above_greed_and_every_plain_policy(world):
     assert world.optimum > max(world.value(greedy), world.value(world.plain))
 
 
-def test_the_last_begun_stage_of_a_cut_path_is_not_completed():
+def test_the_last_begun_stage_of_a_cut_trajectory_is_not_completed():
     logs = Haze().log(200, 2, 0.4)
     rows = begun(logs, Haze())
-    ends = dict(zip(rows.path[rows.is_last], rows.is_completed[rows.is_last], strict=True))
-    assert [ends[path] for path in logs.path_ids] == logs.is_finished.tolist()
+    ends = dict(zip(rows.trajectory[rows.is_last], rows.is_completed[rows.is_last], strict=True))
+    assert [ends[trajectory] for trajectory in logs.trajectory_ids] == logs.is_finished.tolist()
 
 
 @pytest.mark.slow

@@ -50,7 +50,7 @@ def drawn_trials(num_objects, seed, tries=3, cut_rate=0.02):
             attempt_s = float(np.exp(rng.normal(2.0 if held else 1.5, 0.1)))
             time_s, cut_s = attempt_s + 5.0, rng.exponential(1 / cut_rate)
             rows.append(
-                {"path": number // 6, "object": number, **facts, "successes": successes, "failures": failures}
+                {"trajectory": number // 6, "object": number, **facts, "successes": successes, "failures": failures}
                 | {"succeeded": held, "attempt_s": attempt_s}
                 | {"time_s": min(time_s, cut_s), "is_finished": time_s <= cut_s}
             )

@@ -62,8 +62,8 @@ def scripted(*steps):
 def played(folder, policy, stops=None):
     cell = one_arm_cell(surfaces=SURFACES, stops=stops)
     with LogRecorder(folder) as recorder:
-        path = recorder.begin_path(0, dirty_share=0.6)
-        run = play(cell, IS_DIRTY, policy, BELIEF, path, random.key_of(0), tells_truth=True)
+        trajectory = recorder.begin_trajectory(0, dirty_share=0.6)
+        run = play(cell, IS_DIRTY, policy, BELIEF, trajectory, random.key_of(0), tells_truth=True)
     return run, read_logs(folder), cell
 
 
@@ -117,7 +117,7 @@ def test_a_lift_costs_its_time_and_shows_all_sides_and_a_wash_of_a_clean_cup_cos
 def test_what_stops_a_cell_is_the_cause_of_a_cut_and_its_record_a_history_to_go_on_from(tmp_path, numbers):
     run, logs, _ = played(tmp_path / "logs", scripted((Verb.WASH, numbers[0])), Stops(limit_s=3.0))
     assert run.cause == "time-out"
-    assert logs.paths["cause"].tolist() == ["time-out"]
+    assert logs.trajectories["cause"].tolist() == ["time-out"]
     assert logs.stages["reward"].isna().tolist() == [True]
     assert 3.0 < logs.end_s[0] < 5.0
     view = one_arm_cell(seed=1, surfaces=SURFACES).look()
@@ -264,8 +264,8 @@ QUITS = GreedyPolicy(WorldConfig(reward_wash_dirty=-1.0)), Belief(WorldConfig(re
 def test_a_table_that_shows_no_cup_is_cut(tmp_path, poses):
     num = len(poses)
     with LogRecorder(tmp_path / "logs") as recorder:
-        path, cell = recorder.begin_path(0), one_arm_cell(cups=TWO_CUPS[:num], poses=poses)
-        run = play(cell, IS_DIRTY[:num], *QUITS, path, random.key_of(0))
+        trajectory, cell = recorder.begin_trajectory(0), one_arm_cell(cups=TWO_CUPS[:num], poses=poses)
+        run = play(cell, IS_DIRTY[:num], *QUITS, trajectory, random.key_of(0))
     assert (run.cause, run.is_seen, run.num_cups) == (NOTHING_SEEN, False, num)
     assert run.seconds < 1.0
 
@@ -289,7 +289,7 @@ def test_a_campaign_goes_on_where_it_was_killed_and_reads_back_what_is_over(tmp_
     blind = replace(campaign, conditions=Conditions(stops=Stops(camera_lost_per_s=1e6)))
     lost = blind.run(1, tmp_path)
     assert (lost.cause, lost.is_seen, lost.verbs) == ("sensor-lost", False, {})
-    assert logs_of(tmp_path, [0, 1]).path_ids.tolist() == [0]
+    assert logs_of(tmp_path, [0, 1]).trajectory_ids.tolist() == [0]
     with pytest.raises(LogError, match=r"all 1 tables were cut \(sensor-lost\) before anything was decided"):
         logs_of(tmp_path, [1])
 

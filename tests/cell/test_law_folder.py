@@ -130,7 +130,7 @@ def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_
     decided = checked_attempts(tried)
     met = tried.iloc[decided.row]
     bins, nothing = occlusion_bins(met["occlusion"].to_numpy()), np.zeros(len(met))
-    found = shares_by(bins, decided.succeeded, nothing, decided.weight, met["path"].to_numpy())
+    found = shares_by(bins, decided.succeeded, nothing, decided.weight, met["trajectory"].to_numpy())
     full = [share for share in found.values() if share.num_attempts >= 0.1 * len(met)]
     assert len(full) == 4
     assert all((share.high - share.low) / 2 <= 0.03 for share in full)
@@ -138,17 +138,17 @@ def test_where_a_tenth_of_the_attempts_is_the_share_that_held_is_known_to_three_
 
 @pytest.mark.parametrize("length_m", [1e300, -1e6])
 def test_what_is_no_length_on_a_table_is_refused(logs, length_m):
-    log = Logs(logs.stages, logs.paths, logs.objects.assign(room_m=length_m))
-    with pytest.raises(LogError, match=r"path .*, stage 1: room_m is (1e\+300|-1e\+06), no length on a table"):
+    log = Logs(logs.stages, logs.trajectories, logs.objects.assign(room_m=length_m))
+    with pytest.raises(LogError, match=r"trajectory .*, stage 1: room_m is (1e\+300|-1e\+06), no length on a table"):
         trials(log, 10)
 
 
 def test_the_logs_of_the_cell_are_of_700_tables_of_which_some_were_cut():
     logs = read_logs(EXAMPLE)
     # At one table no object was in view before it was cut, so that nothing was decided.
-    assert logs.num_paths == 699
+    assert logs.num_trajectories == 699
     assert 0.3 < logs.summary().cut_share < 0.6
-    assert set(logs.paths["cause"].dropna()) == {"emergency-stop", "sensor-lost", "time-out"}
+    assert set(logs.trajectories["cause"].dropna()) == {"emergency-stop", "sensor-lost", "time-out"}
 
 
 @pytest.mark.slow

@@ -170,14 +170,14 @@ def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
     kinematics, rng, grip_m = Kinematics(model, ROBOT), rng_of(), TABLE_TOP_M + cup.height_m - 0.02
     begins = [rng.uniform([-3, 2, 0.6, -3, -3, -3], [3, 4.3, 5, 3, 3, 3]) for _ in range(12)]
     # It closes along y, past the handle, which points along x.
-    path = [kinematics.solve_from(Pose((*PLACE_M, grip_m), DOWN), begins, begins[0])]
-    assert path[0] is not None
+    trajectory = [kinematics.solve_from(Pose((*PLACE_M, grip_m), DOWN), begins, begins[0])]
+    assert trajectory[0] is not None
     for rise_m in np.linspace(0.01, 0.15, 15):
-        path.append(kinematics.solve(Pose((*PLACE_M, grip_m + rise_m), DOWN), path[-1]))
-    data = at_rest(model, path[0], Gripper().stroke_m)
+        trajectory.append(kinematics.solve(Pose((*PLACE_M, grip_m + rise_m), DOWN), trajectory[-1]))
+    data = at_rest(model, trajectory[0], Gripper().stroke_m)
     let_run(model, data, 0.2)
     let_run(model, data, 0.7, 0.0)
-    for angles in path:
+    for angles in trajectory:
         for name, angle in zip(ROBOT.joint_names, angles, strict=True):
             data.actuator(name).ctrl = angle
         let_run(model, data, 0.1)

@@ -22,11 +22,11 @@ GREEDY = GreedyPolicy(CONFIG)
 def logs_of_tables(num):
     """First views of tables of two objects, the second half hidden by the first."""
     number, ones = np.arange(num), [1] * num
-    objects = {"path": np.repeat(number, 2), "stage": ones * 2, "object": [0, 1] * num}
+    objects = {"trajectory": np.repeat(number, 2), "stage": ones * 2, "object": [0, 1] * num}
     objects |= {"hidden_by": [[0.0, 0.0], [0.5, 0.0]] * num, "grip": [0.0] * 2 * num}
-    stages = {"path": number, "stage": ones, "elapsed_s": [1.0] * num, "action": ["FINISH"] * num}
-    paths = {"path": number, "end_s": [1.0] * num, "ending": ["finished"] * num}
-    return Logs(stages | {"reward": [0.0] * num}, paths, objects)
+    stages = {"trajectory": number, "stage": ones, "elapsed_s": [1.0] * num, "action": ["FINISH"] * num}
+    trajectories = {"trajectory": number, "end_s": [1.0] * num, "ending": ["finished"] * num}
+    return Logs(stages | {"reward": [0.0] * num}, trajectories, objects)
 
 
 def told(*runs, policy=GREEDY):

@@ -50,8 +50,8 @@ def played(cell, folder, policy: Policy = TEAM, on_decision=lambda _: None):
     """What came of a table, and its log."""
     is_dirty = np.ones(cell.table.num_cups, dtype=bool)
     with LogRecorder(folder / "log") as recorder:
-        path = recorder.begin_path(0)
-        run = play_team(cell, is_dirty, policy, BELIEF, path, random.key_of(0), on_decision=on_decision)
+        trajectory = recorder.begin_trajectory(0)
+        run = play_team(cell, is_dirty, policy, BELIEF, trajectory, random.key_of(0), on_decision=on_decision)
     return run, read_logs(folder / "log")
 
 

@@ -19,7 +19,7 @@ def naive_survival(time, is_finished, u):
 
 
 def naive_event_survival(time, is_finished, u):
-    """P(T > u), the usual Kaplan–Meier curve of the paths' own ends."""
+    """P(T > u), the usual Kaplan–Meier curve of the trajectories' own ends."""
     survival = 1.0
     for s in sorted(set(time)):
         if s <= u:
@@ -67,7 +67,7 @@ def naive_local_survival(time, is_finished, covariates, u, z, bandwidth):
 
 
 def redistribute_to_the_right(time, is_finished):
-    """Efron's picture: each cut path hands its mass to those still watched, finishes at the same time excepted."""
+    """Efron's picture: each cut trajectory hands its mass to those still watched, ties excepted."""
     order = sorted(range(len(time)), key=lambda i: (time[i], not is_finished[i]))
     mass = [Fraction(1, len(time))] * len(time)
     for s in sorted(set(time)):

@@ -19,7 +19,7 @@ SEEDS = pytest.mark.parametrize("seed", range(5))
 
 
 def drawn(seed, n=400, p=3, clock=None):
-    """Paths whose covariates hasten or delay the cut; `clock` rounds their ends up, so that they tie."""
+    """Trajectories whose covariates hasten or delay the cut; `clock` rounds their ends up, so that they tie."""
     rng = np.random.default_rng(seed)
     covariates = rng.normal(size=(n, p))
     own, cut = rng.exponential(1.0, n), rng.exponential(1.5 * np.exp(covariates @ np.linspace(-0.8, 0.6, p)))
@@ -156,7 +156,7 @@ def test_a_table_keeps_its_names_and_its_order_is_irrelevant(wrap):
         fitted.survival(time, wrap(table | {"age": covariates[:, 0]}))
 
 
-def test_a_large_fit_needs_no_matrix_for_each_path():
+def test_a_large_fit_needs_no_matrix_for_each_trajectory():
     time, is_finished, covariates = drawn(0, n=10_000, p=20)
     tracemalloc.start()
     Cox().fit(time, is_finished, covariates)
@@ -228,7 +228,7 @@ WITHOUT_END = r"covariates, column 1: its coefficient runs off to infinity.*ridg
 @pytest.mark.parametrize(
     ("data", "message"),
     [
-        (hardly_cut(), "1 path was cut, too few for 2 covariates"),
+        (hardly_cut(), "1 trajectory was cut, too few for 2 covariates"),
         (collinear(), r"covariates a, b, sum are collinear.*leave one out"),
         (separated("only one group is cut"), WITHOUT_END),
         (separated("a rare group is never cut"), WITHOUT_END),
@@ -241,15 +241,17 @@ def test_refuses_what_has_no_coefficients_unless_penalised(data, message, ties):
     assert np.isfinite(Cox(ties, ridge=1.0).fit(*data).coefficients_).all()
 
 
-def test_refuses_a_covariate_that_varies_only_among_paths_long_gone():
+def test_refuses_a_covariate_that_varies_only_among_trajectories_long_gone():
     time, _, z = hardly_cut()
     first_differs = np.column_stack([z[:, 0], [1.0, 0, 0, 0, 0, 0]])
-    with pytest.raises(ArgumentError, match="column 1: the same for all paths still watched, whenever one was cut"):
+    with pytest.raises(
+        ArgumentError, match="column 1: the same for all trajectories still watched, whenever one was cut"
+    ):
         Cox().fit(time, [True, True, False, True, False, False], first_differs)
 
 
 def is_separated(time, is_finished, covariates):
-    """Whether some direction puts every cut path first among those watched, by linear programming."""
+    """Whether some direction puts every cut trajectory first among those watched, by linear programming."""
     leads = [
         covariates[i] - covariates[j]
         for i in np.flatnonzero(~is_finished)

@@ -1,4 +1,4 @@
-"""Ĝ by path, by stage and pooled, on arrays: products over stages by a loop, and what is refused."""
+"""Ĝ by trajectory, by stage and pooled, on arrays: products over stages by a loop, and what is refused."""
 
 import numpy as np
 import pytest
@@ -10,21 +10,21 @@ from halfseen.errors import ArgumentError, PositivityError
 
 @pytest.fixture(scope="module")
 def clocks():
-    """Paths of one or two stages of whole seconds, cut at a whole second: ties abound."""
+    """Trajectories of one or two stages of whole seconds, cut at a whole second: ties abound."""
     rng = np.random.default_rng(0)
-    num_paths = 200
-    clock = rng.integers(1, 4, size=(num_paths, 2)).cumsum(axis=1)
-    exists = np.arange(2) < rng.integers(1, 3, size=num_paths)[:, None]
-    own_end, cut_s = np.where(exists, clock, 0).max(axis=1), rng.integers(2, 10, size=num_paths) - 1.0
+    num_trajectories = 200
+    clock = rng.integers(1, 4, size=(num_trajectories, 2)).cumsum(axis=1)
+    exists = np.arange(2) < rng.integers(1, 3, size=num_trajectories)[:, None]
+    own_end, cut_s = np.where(exists, clock, 0).max(axis=1), rng.integers(2, 10, size=num_trajectories) - 1.0
     is_completed = exists & (clock <= cut_s[:, None])
     begun_at = np.pad(clock[:, :1], ((0, 0), (1, 0)))
     return StageClocks(
-        path_ids=np.arange(num_paths),
+        trajectory_ids=np.arange(num_trajectories),
         elapsed_s=np.where(is_completed, clock, np.nan),
         end_s=np.minimum(own_end, cut_s),
         is_finished=own_end <= cut_s,
         is_begun=exists & (begun_at <= cut_s[:, None]) & (np.arange(2) <= is_completed.sum(axis=1)[:, None]),
-        covariates=rng.normal(size=(num_paths, 2, 2)),
+        covariates=rng.normal(size=(num_trajectories, 2, 2)),
         covariate_names=("x", "z"),
     )
 
@@ -32,12 +32,12 @@ def clocks():
 def ages(clocks):
     """Path, stage, how long the stage was watched [s], and whether it was completed."""
     rows = []
-    for path, stage in zip(*np.nonzero(clocks.is_begun), strict=True):
-        began = clocks.elapsed_s[path, stage - 1] if stage else 0.0
-        is_completed = not np.isnan(clocks.elapsed_s[path, stage])
-        until = clocks.elapsed_s[path, stage] if is_completed else clocks.end_s[path]
+    for trajectory, stage in zip(*np.nonzero(clocks.is_begun), strict=True):
+        began = clocks.elapsed_s[trajectory, stage - 1] if stage else 0.0
+        is_completed = not np.isnan(clocks.elapsed_s[trajectory, stage])
+        until = clocks.elapsed_s[trajectory, stage] if is_completed else clocks.end_s[trajectory]
         # A stage that is cut as it begins is watched for no time at all.
-        rows.append((path, stage, max(until - began, 1e-9), is_completed))
+        rows.append((trajectory, stage, max(until - began, 1e-9), is_completed))
     return rows
 
 
@@ -45,15 +45,15 @@ def ages(clocks):
 def test_weights_are_products_over_stages_by_a_loop(clocks, by):
     rows, weights, survival = ages(clocks), np.zeros((200, 2)), {}
     assert {age for *_, age, done in rows if done} & {age for *_, age, done in rows if not done}, "there are ties"
-    for path, stage, age, is_completed in rows:
+    for trajectory, stage, age, is_completed in rows:
         others = [row[2:] for row in rows if by == "pooled" or row[1] == stage]
         if is_completed:
-            survival[path] = survival.get(path, 1.0) * naive_survival(*zip(*others, strict=True), age)
-            weights[path, stage] = 1.0 / survival[path]
+            survival[trajectory] = survival.get(trajectory, 1.0) * naive_survival(*zip(*others, strict=True), age)
+            weights[trajectory, stage] = 1.0 / survival[trajectory]
     np.testing.assert_allclose(CensoringSpec(by=by).fit_cuts(clocks).weights(clocks), weights, rtol=1e-12)
 
 
-def test_by_path_it_is_the_paths_own_clock(clocks):
+def test_by_trajectory_it_is_the_trajectories_own_clock(clocks):
     expected = stage_weights(clocks.elapsed_s, clocks.end_s, clocks.is_finished)
     np.testing.assert_array_equal(CensoringSpec().fit_cuts(clocks).weights(clocks), expected)
 
@@ -73,7 +73,7 @@ def test_begun_weights_are_those_of_the_stage_before(clocks):
     np.testing.assert_array_equal(begun[came_on, 1], model.weights(clocks)[came_on, 0])
 
 
-@pytest.mark.parametrize("by", ["path", "pooled"])
+@pytest.mark.parametrize("by", ["trajectory", "pooled"])
 def test_survival_within_a_stage_falls_from_one_to_what_its_weight_says(clocks, by):
     model = CensoringSpec(Cox(ridge=0.1), by=by).fit_cuts(clocks)
     steps = np.linspace(0.0, 1.0, 5) * clocks.watched_s[..., None]
@@ -86,13 +86,15 @@ def test_survival_within_a_stage_falls_from_one_to_what_its_weight_says(clocks, 
 
 def test_a_stage_that_nothing_outlived_is_not_identified(clocks):
     gone = KaplanMeier().fit([0.5, 1.5], [True, False])
-    with pytest.raises(PositivityError, match=r"path \d+, stage 1: completed \d s after it began, where the censoring"):
+    with pytest.raises(
+        PositivityError, match=r"trajectory \d+, stage 1: completed \d s after it began, where the censoring"
+    ):
         CensoringSpec(gone, by="stage").fit_cuts(clocks).weights(clocks)
     truncated = CensoringSpec(gone, by="stage", truncate_at=3.0).fit_cuts(clocks)
     assert truncated.weights(clocks).max() == pytest.approx(3.0)
 
 
-def test_paths_that_are_drawn_again_keep_their_clocks(clocks):
+def test_trajectories_that_are_drawn_again_keep_their_clocks(clocks):
     drawn = clocks.take(np.array([5, 5, 2]))
     np.testing.assert_array_equal(drawn.end_s, clocks.end_s[[5, 5, 2]])
     np.testing.assert_array_equal(drawn.covariates, clocks.covariates[[5, 5, 2]])
@@ -100,7 +102,7 @@ def test_paths_that_are_drawn_again_keep_their_clocks(clocks):
 
 
 def test_what_a_specification_cannot_mean_is_refused():
-    with pytest.raises(ArgumentError, match="by is 'clock'; it is 'path', 'stage' or 'pooled'"):
+    with pytest.raises(ArgumentError, match="by is 'clock'; it is 'trajectory', 'stage' or 'pooled'"):
         CensoringSpec(by="clock")
     with pytest.raises(ArgumentError, match="censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel'"):
         CensoringSpec("weibull")

@@ -53,7 +53,7 @@ def test_a_narrow_bandwidth_is_kaplan_meier_of_each_group():
 def test_epanechnikov_looks_no_further_than_its_bandwidth():
     time, is_finished = np.array([1.0, 2.0, 3.0, 4.0]), np.array([False, False, True, True])
     local = KernelKaplanMeier(1.0, "epanechnikov").fit(time, is_finished, [[0.0], [3.0], [0.1], [3.1]])
-    # Near 0 are paths 0 (distance 0) and 2 (0.1/1.5008 standard deviations); path 1 is out of reach.
+    # Near 0 are trajectories 0 (distance 0) and 2 (0.1/1.5008 standard deviations); trajectory 1 is out of reach.
     near = 1 - (0.1 / np.std([0.0, 3.0, 0.1, 3.1])) ** 2
     np.testing.assert_allclose(local.survival([3.0], [[0.0]]), [near / (1 + near)], rtol=1e-12)
 
@@ -61,13 +61,15 @@ def test_epanechnikov_looks_no_further_than_its_bandwidth():
 def test_a_question_out_of_reach_is_refused_by_row_and_time():
     time, is_finished, covariates = drawn(1, p=1)
     local = KernelKaplanMeier(0.3).fit(time, is_finished, covariates)
-    with pytest.raises(PositivityError, match=r"covariates, row 1: no path near it.*before 4 s.*larger bandwidth"):
+    with pytest.raises(
+        PositivityError, match=r"covariates, row 1: no trajectory near it.*before 4 s.*larger bandwidth"
+    ):
         local.survival([4.0, 4.0], [[7.0], [1000.0]])
     # Before the first cut there is nothing to estimate.
     np.testing.assert_array_equal(local.survival(local.times_[:1], [[1000.0]]), [1.0])
 
 
-def test_a_path_always_reaches_itself():
+def test_a_trajectory_always_reaches_itself():
     time, is_finished, covariates = drawn(2)
     weights = censoring_weights(time, is_finished, KernelKaplanMeier(1e-9), covariates=covariates)
     np.testing.assert_array_equal(weights, is_finished.astype(float))
@@ -146,7 +148,7 @@ def test_memory_stays_bounded():
         local.survival(time, covariates)
         peak = tracemalloc.get_traced_memory()[1]
         tracemalloc.stop()
-    # All questions by all paths would take 72 MB.
+    # All questions by all trajectories would take 72 MB.
     assert peak < 10e6
 
 

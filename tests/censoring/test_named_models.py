@@ -31,7 +31,7 @@ class Own:
     """A user's model that says nothing of covariates."""
 
     def fit(self, time, is_finished, covariates=None):
-        self.num_paths_ = len(time)
+        self.num_trajectories_ = len(time)
         return self
 
     def survival(self, u, covariates=None):
@@ -52,7 +52,7 @@ def test_names_unfitted_and_fitted_models_weigh_alike(name, kind):
         weights = censoring_weights(TIME, IS_FINISHED, each, covariates=covariates)
         np.testing.assert_allclose(weights, IS_FINISHED / fitted.survival(TIME, covariates), rtol=1e-12)
     assert not is_fitted(model)
-    # Stages are weighed with the covariates of their path.
+    # Stages are weighed with the covariates of their trajectory.
     clock = np.stack([TIME / 2, np.where(IS_FINISHED, TIME, np.nan)], axis=1)
     by_stage = stage_weights(clock, TIME, IS_FINISHED, name, covariates=covariates)
     np.testing.assert_allclose(by_stage[:, 1], weights, rtol=1e-12)
@@ -94,7 +94,7 @@ def covariates_of(model, rows=slice(None)):
 
 
 @MODELS
-def test_order_of_paths_is_irrelevant_and_where_nothing_was_cut_survival_is_one(model):
+def test_order_of_trajectories_is_irrelevant_and_where_nothing_was_cut_survival_is_one(model):
     asked, order = covariates_of(model), np.random.default_rng(0).permutation(len(TIME))
     one, other = (
         named_model(model).fit(TIME[rows], IS_FINISHED[rows], covariates_of(model, rows)).survival(TIME, asked)
@@ -102,7 +102,7 @@ def test_order_of_paths_is_irrelevant_and_where_nothing_was_cut_survival_is_one(
     )
     np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
     fitted = named_model(model).fit(TIME, np.ones(80, dtype=bool), asked)
-    assert (fitted.num_paths_, fitted.num_cut_, fitted.last_time_) == (80, 0, TIME.max())
+    assert (fitted.num_trajectories_, fitted.num_cut_, fitted.last_time_) == (80, 0, TIME.max())
     np.testing.assert_array_equal(fitted.survival(TIME + 5.0, asked), 1.0)
 
 
@@ -129,8 +129,8 @@ def test_models_keep_scikit_learns_habits(model, parameters, text):
 
 @MODELS
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf, 0.0, -1.0])
-def test_a_time_that_is_no_end_of_a_path_is_refused(model, value):
-    with pytest.raises(ArgumentError, match=rf"time, row 1: {value} is no end of a path"):
+def test_a_time_that_is_no_end_of_a_trajectory_is_refused(model, value):
+    with pytest.raises(ArgumentError, match=rf"time, row 1: {value} is no end of a trajectory"):
         model.fit([1.0, value, *TIME[2:]], IS_FINISHED, covariates_of(model))
 
 
@@ -172,9 +172,9 @@ def missing(value, wrap=np.array):
 @pytest.mark.parametrize(
     ("covariates", "message"),
     [
-        (None, "needs covariates, one row for each path; give them, or use KaplanMeier"),
-        (Z[:3], "covariates has 3 rows for 80 paths"),
-        (Z[:, 0], r"covariates has shape \(80,\); give one row per path and one column per covariate"),
+        (None, "needs covariates, one row for each trajectory; give them, or use KaplanMeier"),
+        (Z[:3], "covariates has 3 rows for 80 trajectories"),
+        (Z[:, 0], r"covariates has shape \(80,\); give one row per trajectory and one column per covariate"),
         (np.empty((80, 0)), "covariates has no columns"),
         ([["a"]] * 80, "covariates is not made of numbers"),
         (pd.DataFrame({"arm": list("ab") * 40}), "covariates, arm: not made of numbers.*encode its categories"),
@@ -194,7 +194,7 @@ def test_covariates_that_no_model_can_be_fitted_to_are_refused(model, covariates
     ("covariates", "message"),
     [
         (None, "needs covariates"),
-        (Z[:2], "covariates has 2 rows for 80 paths"),
+        (Z[:2], "covariates has 2 rows for 80 trajectories"),
         (Z[:, :1], "covariates has 1 columns, and the fit had 2"),
         (missing(np.nan), "covariates, row 2, column 1: "),
     ],

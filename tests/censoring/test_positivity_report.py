@@ -20,7 +20,7 @@ def drawn(n=400, seed=0, scale=3.0):
 
 
 def thin():
-    """Fifty paths finish early; fifty are cut before the last ten finish, eight of them just before the very last."""
+    """Fifty trajectories finish early; fifty are cut before the last ten finish, eight of them just before the last."""
     time = np.concatenate([np.linspace(1.0, 2.0, 50), np.full(50, 3.0), np.arange(4.0, 14.0)])
     time[50:58] = 12.5
     return time, np.repeat([True, False, True], [50, 50, 10])
@@ -36,14 +36,14 @@ CASES = {
     "all cut": ([1.0, 2.0], [False, False]),
     "the only one cut": ([1.0], [False]),
     "none cut": (np.arange(1.0, 51.0), np.ones(50, dtype=bool)),
-    "one path": ([1.0], [True]),
+    "one trajectory": ([1.0], [True]),
 }
 
 
 def test_counts_and_worth_are_those_of_the_weights_and_the_tail_is_the_last_quarter_of_the_finishes():
     time, is_finished = drawn()
     weights, report = censoring_weights(time, is_finished), positivity_report(time, is_finished)
-    assert (report.num_paths, report.num_finished) == (400, is_finished.sum())
+    assert (report.num_trajectories, report.num_finished) == (400, is_finished.sum())
     assert report.overall == weight_diagnostics(weights)
     assert report.mean_weight == pytest.approx(weights.mean())
     np.testing.assert_array_equal(report.weights, weights[is_finished])
@@ -56,22 +56,24 @@ def test_counts_and_worth_are_those_of_the_weights_and_the_tail_is_the_last_quar
     assert (even.tail_from_s, even.tail.num_seen) == (76.0, 26)
 
 
-def test_heaviest_paths_are_named_with_time_and_weight():
+def test_heaviest_trajectories_are_named_with_time_and_weight():
     time, is_finished = [1.0, 2.0, 2.0, 3.0, 4.0], [True, False, True, False, True]
-    report = positivity_report(time, is_finished, path_ids=["a", "b", "c", "d", "e"])
-    found = [(heavy.path, heavy.time_s, pytest.approx(heavy.weight)) for heavy in report.heaviest]
+    report = positivity_report(time, is_finished, trajectory_ids=["a", "b", "c", "d", "e"])
+    found = [(heavy.trajectory, heavy.time_s, pytest.approx(heavy.weight)) for heavy in report.heaviest]
     assert found == [("e", 4.0, 3.0), ("a", 1.0, 1.0), ("c", 2.0, 1.0)]
     assert len(positivity_report(*drawn()).heaviest) == 5
 
 
-def test_paths_without_a_weight_are_named_and_the_bound_gives_them_one():
+def test_trajectories_without_a_weight_are_named_and_the_bound_gives_them_one():
     ends = [1.0, 3.0, 6.0, 7.0], [True] * 4, SHORT
     report, bounded = positivity_report(*ends), positivity_report(*ends, truncate_at=10)
-    unidentified = [(path.path, path.time_s, path.weight) for path in report.unidentified]
+    unidentified = [(trajectory.trajectory, trajectory.time_s, trajectory.weight) for trajectory in report.unidentified]
     assert unidentified == [(2, 6.0, np.inf), (3, 7.0, np.inf)]
     assert report.identified_until_s == 5.0
     assert all(row.truncate_at is not None and np.isfinite(row.mean) for row in report.truncations)
-    assert str(report).startswith("Not identified: 2 paths finished where no path is left uncut (Ĝ = 0), first path 2")
+    assert str(report).startswith(
+        "Not identified: 2 trajectories finished where no trajectory is left uncut (Ĝ = 0), first trajectory 2"
+    )
     assert "Shorten the horizon so that it ends before 5 s" in str(report)
     assert "90.9%" not in str(report)
     assert bounded.overall == weight_diagnostics([1.0, 2.0, 10.0, 10.0], 10)
@@ -108,7 +110,7 @@ def test_the_mean_may_be_of_another_quantity():
     ("case", "is_sound", "begins", "remedy"),
     [
         ("sound", True, "Sound: ", ""),
-        ("few", False, "Too little: ", "Record more paths, shorten the horizon to before"),
+        ("few", False, "Too little: ", "Record more trajectories, shorten the horizon to before"),
         ("thin", False, "Thin at the end: ", ""),
         (
             "incomplete",
@@ -116,10 +118,10 @@ def test_the_mean_may_be_of_another_quantity():
             "Incomplete: 20 finishes have an effective sample size of 20.0, but stand for 50%",
             "finish after 40 s: restrict times",
         ),
-        ("all cut", False, "Nothing to weigh: all 2 paths were cut.\nRecord until some", ""),
-        ("the only one cut", False, "Nothing to weigh: the only path was cut.", ""),
+        ("all cut", False, "Nothing to weigh: all 2 trajectories were cut.\nRecord until some", ""),
+        ("the only one cut", False, "Nothing to weigh: the only trajectory was cut.", ""),
         ("none cut", True, "Sound: 50 finishes have an", ""),
-        ("one path", False, "Too little: ", "the weights are not what makes them few"),
+        ("one trajectory", False, "Too little: ", "the weights are not what makes them few"),
     ],
 )
 def test_verdicts(case, is_sound, begins, remedy):
@@ -135,7 +137,7 @@ def test_verdicts(case, is_sound, begins, remedy):
 
 
 class TooWary:
-    """Takes half of all paths to be cut at once."""
+    """Takes half of all trajectories to be cut at once."""
 
     def fit(self, time, is_finished, covariates=None):
         return self
@@ -150,14 +152,14 @@ LATE = KaplanMeier().fit([1.0, 2.0, 3.0], [False, True, True])
 @pytest.mark.parametrize(
     ("time", "is_finished", "model", "mean_weight", "told"),
     [
-        ([1.0, 2.0, 3.0, 4.0], [True] * 4, LATE, 1.375, "1 path finished later"),
+        ([1.0, 2.0, 3.0, 4.0], [True] * 4, LATE, 1.375, "1 trajectory finished later"),
         (np.arange(1.0, 41.0), [True] * 40, TooWary(), 2.0, "takes cuts for likelier than they were"),
         (
             [1.0, 2.0, 3.0, 4.0],
             [True, True, True, False],
             "kaplan-meier",
             0.75,
-            "The mean weight is 0.750, so some 25.0% of paths finish later than that.",
+            "The mean weight is 0.750, so some 25.0% of trajectories finish later than that.",
         ),
     ],
 )
@@ -168,8 +170,8 @@ def test_a_mean_weight_other_than_one_is_told(time, is_finished, model, mean_wei
     assert report.ends_in_cut == (not is_finished[-1])
 
 
-@pytest.mark.parametrize("case", ["sound", "thin", "not identified", "all cut", "none cut", "one path"])
-def test_the_figure_says_the_verdict_and_shows_every_path(case):
+@pytest.mark.parametrize("case", ["sound", "thin", "not identified", "all cut", "none cut", "one trajectory"])
+def test_the_figure_says_the_verdict_and_shows_every_trajectory(case):
     report = positivity_report(*CASES[case])
     figure = report.plot()
     figure.draw_without_rendering()
@@ -187,10 +189,10 @@ def test_the_figure_says_the_verdict_and_shows_every_path(case):
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"target": [1.0]}, "target has 1 rows for 2 paths"),
-        ({"target": [np.nan, 1.0]}, "target, row 0: nan, but the path finished"),
+        ({"target": [1.0]}, "target has 1 rows for 2 trajectories"),
+        ({"target": [np.nan, 1.0]}, "target, row 0: nan, but the trajectory finished"),
         ({"truncate_at": 0.5}, "weights are at least 1"),
-        ({"path_ids": [1]}, "path_ids has shape"),
+        ({"trajectory_ids": [1]}, "trajectory_ids has shape"),
     ],
 )
 def test_refuses_what_does_not_match(options, message):
@@ -199,7 +201,7 @@ def test_refuses_what_does_not_match(options, message):
 
 
 def test_few_effective_weights_warn_with_a_remedy_and_enough_do_not():
-    with pytest.warns(HalfseenWarning, match=r"effective sample size of 9.0.*record more paths.*truncate_at"):
+    with pytest.warns(HalfseenWarning, match=r"effective sample size of 9.0.*record more trajectories.*truncate_at"):
         warn_if_few(weight_diagnostics(np.ones(9)))
     with pytest.warns(HalfseenWarning, match="None of 3 were seen"):
         warn_if_few(weight_diagnostics(np.zeros(3)))

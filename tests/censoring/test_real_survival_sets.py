@@ -63,7 +63,7 @@ def test_weights_add_up_to_one_minus_kaplan_meier_of_two_packages(name):
 def test_weights_equal_redistribution_to_the_right(name):
     time, is_finished, _ = real(name)
     mass = redistribute_to_the_right(time.tolist(), is_finished.tolist())
-    # The last paths, if cut, have no heirs and keep their mass; they have no weight.
+    # The last trajectories, if cut, have no heirs and keep their mass; they have no weight.
     expected = [float(m * len(time)) if finished else 0.0 for m, finished in zip(mass, is_finished, strict=True)]
     np.testing.assert_allclose(censoring_weights(time, is_finished), expected, rtol=1e-12)
 

@@ -109,7 +109,7 @@ def test_twelve_outcomes_of_the_tie_example_give_exactly_one_and_two():
     assert (late.mean(), (late * own).mean()) == pytest.approx((23 / 18, 22 / 9), rel=1e-15)
 
 
-def test_covariates_follow_their_paths():
+def test_covariates_follow_their_trajectories():
     covariates = [[0.5], [0.25], [0.1]]
     weights = censoring_weights([1.0, 2.0, 3.0], [True, False, True], BY_COVARIATE, covariates=covariates)
     np.testing.assert_allclose(weights, [2.0, 0.0, 10.0])
@@ -133,34 +133,34 @@ BOTH = [True, True]
         (
             lambda: censoring_weights([1.0, 3.0], BOTH, SHORT),
             PositivityError,
-            r"path 1: finished at 3 s.*shorten the horizon.*truncate_at",
+            r"trajectory 1: finished at 3 s.*shorten the horizon.*truncate_at",
         ),
         (
-            lambda: stage_weights([[1.0, np.nan], [2.0, 2.5]], [1.0, 2.5], BOTH, SHORT, path_ids=["a", "b"]),
+            lambda: stage_weights([[1.0, np.nan], [2.0, 2.5]], [1.0, 2.5], BOTH, SHORT, trajectory_ids=["a", "b"]),
             PositivityError,
-            r"path b, stage 2: completed at 2.5 s.*shorten the horizon.*truncate_at",
+            r"trajectory b, stage 2: completed at 2.5 s.*shorten the horizon.*truncate_at",
         ),
         (
             lambda: censoring_weights([1.0], [True], LIAR),
             ArgumentError,
-            r"path 0: the censoring model gives P\(C ≥ 1 s\) = 1.5",
+            r"trajectory 0: the censoring model gives P\(C ≥ 1 s\) = 1.5",
         ),
         (
             lambda: censoring_weights([1.0, 2.0], BOTH, BY_COVARIATE, covariates=[[0.5]]),
             ArgumentError,
-            "covariates has 1 rows for 2 paths",
+            "covariates has 1 rows for 2 trajectories",
         ),
         (
-            lambda: censoring_weights([1.0, 2.0], BOTH, path_ids=[7]),
+            lambda: censoring_weights([1.0, 2.0], BOTH, trajectory_ids=[7]),
             ArgumentError,
-            r"path_ids has shape \(1,\) for 2 paths",
+            r"trajectory_ids has shape \(1,\) for 2 trajectories",
         ),
         *(
             (lambda clock=clock: stage_weights(clock, [2.0, 2.0], BOTH), ArgumentError, message)
             for clock, message in (
-                ([[1.0], [np.inf]], r"path 1, stage 1: elapsed_s inf is not in \[0, 2.0\]"),
-                ([[1.0], [-1.0]], "path 1, stage 1: elapsed_s -1.0"),
-                ([[1.0], [2.5]], "path 1, stage 1: elapsed_s 2.5"),
+                ([[1.0], [np.inf]], r"trajectory 1, stage 1: elapsed_s inf is not in \[0, 2.0\]"),
+                ([[1.0], [-1.0]], "trajectory 1, stage 1: elapsed_s -1.0"),
+                ([[1.0], [2.5]], "trajectory 1, stage 1: elapsed_s 2.5"),
                 ([[1.0]], "elapsed_s has 1 rows and end_s has 2"),
                 ([1.0, 2.0], r"elapsed_s has shape \(2,\)"),
             )

@@ -90,7 +90,7 @@ def test_csv_and_json_say_the_same_and_people_get_the_reason_first(flat, tmp_pat
 
 
 def test_that_nothing_speaks_for_the_policy_is_told_at_each_decision(tmp_path):
-    verdict = {"verdict": "not better", "reason": "it earns 2 less a path than b, between -3 and -1 more"}
+    verdict = {"verdict": "not better", "reason": "it earns 2 less a trajectory than b, between -3 and -1 more"}
     learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(FLAT)
     write_policy(learner, FLAT, tmp_path / "p", verdict=verdict | {"sentence": "Not better: …."})
     told = f"no evidence that this policy beats the rule that made the logs: {verdict['reason']}"

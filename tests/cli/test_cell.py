@@ -91,4 +91,4 @@ def test_another_arm_clears_tables(six, tmp_path):
     report = json.loads(CliRunner().invoke(run, [*words, "--arm", str(six), "--json"], catch_exceptions=False).stdout)
     assert report["arm"].startswith("six.xml (")
     assert report["counts"]["num_racked"] > 0
-    assert read_logs(tmp_path / "logs").num_paths == 2
+    assert read_logs(tmp_path / "logs").num_trajectories == 2

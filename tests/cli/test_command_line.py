@@ -20,21 +20,21 @@ from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, _telling
 from small_logs import flat_log
 
-VERB_PATHS = [(verb,) for verb in VERBS] + [("cell", name) for name in ("calibrate", "run", "film")]
+VERB_TRAJECTORIES = [(verb,) for verb in VERBS] + [("cell", name) for name in ("calibrate", "run", "film")]
 
 
-def command_of(path):
+def command_of(trajectory):
     command, ctx = halfseen, click.Context(halfseen)
-    for name in path:
+    for name in trajectory:
         command = command.get_command(ctx, name)
     return command
 
 
-@pytest.mark.parametrize("path", VERB_PATHS, ids=" ".join)
-def test_every_verb_takes_quiet_and_shows_an_example(path):
-    command = command_of(path)
+@pytest.mark.parametrize("trajectory", VERB_TRAJECTORIES, ids=" ".join)
+def test_every_verb_takes_quiet_and_shows_an_example(trajectory):
+    command = command_of(trajectory)
     assert sum("--quiet" in param.opts and "-q" in param.opts for param in command.params) == 1
-    assert command.epilog.startswith(f"Example: halfseen {path[0]}")
+    assert command.epilog.startswith(f"Example: halfseen {trajectory[0]}")
 
 
 @pytest.mark.parametrize(
@@ -184,9 +184,9 @@ def test_a_defect_of_halfseen_is_told_as_one(typed, raising):
 
 def test_names_and_values_of_a_log_command_no_terminal(typed, tmp_path):
     log = flat_log()
-    paths = log.paths.copy()
-    paths.loc[paths["ending"] == "cut", "cause"] = "\x1b[2J\u202ecrash\x9b"
-    Logs(stages=log.stages, paths=paths).write(tmp_path / "logs")
+    trajectories = log.trajectories.copy()
+    trajectories.loc[trajectories["ending"] == "cut", "cause"] = "\x1b[2J\u202ecrash\x9b"
+    Logs(stages=log.stages, trajectories=trajectories).write(tmp_path / "logs")
     status, out, _ = typed("inspect", tmp_path / "logs")
     assert status == 0
     assert "\\x1b[2J\\u202ecrash\\x9b" in out

@@ -10,7 +10,7 @@ import pyarrow as pa
 import pytest
 import shell
 
-from bags import SMALL, WITHOUT_CLOUD, cloud, one_path, tables_of, text, two_paths, write_bag
+from bags import SMALL, WITHOUT_CLOUD, cloud, one_trajectory, tables_of, text, two_trajectories, write_bag
 from foreign import arrays, episodes, rows_of, write_arrays, write_lerobot, write_rows
 from halfseen.errors import HalfseenWarning
 from halfseen.logs import Logs, read_logs
@@ -22,10 +22,15 @@ from refusals import refused
 
 @pytest.fixture
 def logs():
-    stages = {"path": [1, 1, 2], "stage": [1, 2, 1], "elapsed_s": [2.0, 5.0, None], "action": ["A", "B", None]}
+    stages = {"trajectory": [1, 1, 2], "stage": [1, 2, 1], "elapsed_s": [2.0, 5.0, None], "action": ["A", "B", None]}
     return Logs(
         stages={**stages, "reward": [-0.1, 5.0, None], "x": [0.1, 0.2, 0.3]},
-        paths={"path": [1, 2], "end_s": [5.0, 3.0], "ending": ["finished", "cut"], "cause": [None, "battery"]},
+        trajectories={
+            "trajectory": [1, 2],
+            "end_s": [5.0, 3.0],
+            "ending": ["finished", "cut"],
+            "cause": [None, "battery"],
+        },
     )
 
 
@@ -48,7 +53,7 @@ def refusal(*arguments):
 
 
 def same(left, right):
-    return left.stages.equals(right.stages) and left.paths.equals(right.paths)
+    return left.stages.equals(right.stages) and left.trajectories.equals(right.trajectories)
 
 
 def test_round_the_forms_and_back(logs):
@@ -64,27 +69,27 @@ def test_round_the_forms_and_back(logs):
 @pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 def test_a_bag_by_its_folder_its_file_or_a_folder_of_bags(storage):
     Path("cell.toml").write_text(WITHOUT_CLOUD.replace('field = "data"', "", 1))
-    write_bag(Path("bags") / "monday", two_paths(), storage)
-    write_bag(Path("bags") / "tuesday", two_paths(), storage)
+    write_bag(Path("bags") / "monday", two_trajectories(), storage)
+    write_bag(Path("bags") / "tuesday", two_trajectories(), storage)
     (file,) = (file for file in Path("bags/monday").iterdir() if file.suffix != ".yaml")
-    for source, num_paths in (("bags/monday", 2), (file, 2), ("bags", 4)):
-        out = f"logs-{num_paths}-{Path(source).suffix}"
+    for source, num_trajectories in (("bags/monday", 2), (file, 2), ("bags", 4)):
+        out = f"logs-{num_trajectories}-{Path(source).suffix}"
         assert run(source, "--mapping", "cell.toml", "--out", out).exit_code == 0
-        assert read_logs(out).num_paths == num_paths
+        assert read_logs(out).num_trajectories == num_trajectories
     (Path("bags/monday") / "metadata.yaml").unlink()
     assert run("bags/monday", "--mapping", "cell.toml", "--out", "torn").exit_code == 0
 
 
-def seen_path():
+def seen_trajectory():
     cloud_file = read_cloud(table_paths()[0])
     look = cloud(0.1, "/points", cloud_file.points_m, cloud_file.shape)
-    Path("cell.toml").write_text(tables_of(SMALL | {"path": "/begin data"}) + '[cloud]\ntopic = "/points"\n')
-    write_bag(Path("bag"), [text(0.0, "/begin", "p"), look, *one_path(ending="operator")], "mcap")
+    Path("cell.toml").write_text(tables_of(SMALL | {"trajectory": "/begin data"}) + '[cloud]\ntopic = "/points"\n')
+    write_bag(Path("bag"), [text(0.0, "/begin", "p"), look, *one_trajectory(ending="operator")], "mcap")
     return cloud_file
 
 
 def test_clouds_become_files_and_objects():
-    cloud_file = seen_path()
+    cloud_file = seen_trajectory()
     assert run("bag", "--mapping", "cell.toml", "--out", "logs", "--clouds", "clouds", "--see").exit_code == 0
     logs = read_logs("logs")
     assert logs.stages["cloud"].tolist() == ["bag-0.pcd", "bag-0.pcd"]
@@ -100,7 +105,7 @@ def test_clouds_become_files_and_objects():
 
 def test_what_fits_not_together_is_refused(logs):
     logs.write("a")
-    seen_path()
+    seen_trajectory()
     Path("file").write_text("")
     Path("empty").mkdir()
     of_bag = ("bag", "--mapping", "cell.toml", "--out")
@@ -148,7 +153,7 @@ def sources(logs):
     return found
 
 
-STARS = ("--stages", "SELECT * FROM stages", "--paths", "SELECT * FROM paths")
+STARS = ("--stages", "SELECT * FROM stages", "--trajectories", "SELECT * FROM trajectories")
 KINDS = {
     "lerobot": ("lerobot", ["--step-s", "0.5"]),
     "tables": ("steps", ["--step-s", "0.5"]),
@@ -192,18 +197,18 @@ def test_warnings_of_readers_stand_in_the_answer_too(sources):
 
 
 def test_a_database_takes_its_queries_from_options_or_a_file(sources, logs):
-    Path("cell.toml").write_text('stages = "SELECT * FROM stages"\npaths = "SELECT * FROM paths"\n')
+    Path("cell.toml").write_text('stages = "SELECT * FROM stages"\ntrajectories = "SELECT * FROM trajectories"\n')
     run("sql:sqlite:///cell.db", "--mapping", "cell.toml", "--out", "out")
     assert same(read_logs("out"), logs)
-    assert "a database needs --stages and --paths" in refusal(
+    assert "a database needs --stages and --trajectories" in refusal(
         "sql:sqlite:///cell.db", "--out", "x", "--stages", "SELECT 1"
     )
-    both = refusal("sql:sqlite:///cell.db", "--out", "x", "--mapping", "cell.toml", "--paths", "SELECT 1")
+    both = refusal("sql:sqlite:///cell.db", "--out", "x", "--mapping", "cell.toml", "--trajectories", "SELECT 1")
     assert "say the same; give one of them" in both
 
 
 def test_a_password_is_never_printed(sources, typed):
-    select = ("--stages", "SELECT 1", "--paths", "SELECT 1", "--out", "x")
+    select = ("--stages", "SELECT 1", "--trajectories", "SELECT 1", "--out", "x")
     for kind in ("postgresql+psycopg2://", "mysql+pymysql://", "no://", ""):
         url = f"{kind}me:hidden@127.0.0.1:1/d"
         status, out, err = typed("convert", f"sql:{url}", *select)
@@ -215,8 +220,15 @@ def test_a_password_is_never_printed(sources, typed):
 
 
 def lossy():
-    stages = {"path": [1], "stage": [1], "elapsed_s": [2.0], "action": ["A"], "reward": [0.5], "pose": [{"x": 1.0}]}
-    return Logs(stages=stages, paths={"path": [1], "end_s": [2.0], "ending": ["finished"], "raw": [b"a"]})
+    stages = {
+        "trajectory": [1],
+        "stage": [1],
+        "elapsed_s": [2.0],
+        "action": ["A"],
+        "reward": [0.5],
+        "pose": [{"x": 1.0}],
+    }
+    return Logs(stages=stages, trajectories={"trajectory": [1], "end_s": [2.0], "ending": ["finished"], "raw": [b"a"]})
 
 
 def test_check_says_what_is_lost_and_writes_nothing(typed):
@@ -224,32 +236,35 @@ def test_check_says_what_is_lost_and_writes_nothing(typed):
     status, out, err = typed("convert", "a", "--out", "csv:b", "--check")
     _, second, *rest = out.splitlines()
     assert (status, err, second) == (1, "", "It would not be written whole:")
-    assert [line[:33] for line in rest] == ["- stages: column 'pose' holds str", "- paths: column 'raw' holds binar"]
+    assert [line[:33] for line in rest] == [
+        "- stages: column 'pose' holds str",
+        "- trajectories: column 'raw' hold",
+    ]
     report = json.loads(typed("convert", "a", "--out", "minari:b-v0", "--check", "--json").out)
     assert [(loss["table"], loss["column"], loss["is_refused"]) for loss in report["losses"]] == [
         ("stages", "pose", True),
-        ("paths", "raw", True),
+        ("trajectories", "raw", True),
     ]
     assert typed("convert", "a", "--out", "b", "--check").out.splitlines()[1] == "Nothing would be lost."
     assert os.listdir() == ["a"]
     refusal = typed("convert", "a", "--out", "csv:b")
     assert refusal.status == 2
     assert "stages: column 'pose' holds" in refusal.err
-    assert "paths: column 'raw' holds" in refusal.err
+    assert "trajectories: column 'raw' holds" in refusal.err
     assert os.listdir() == ["a"]
 
 
 def test_what_is_lost_or_kept_for_halfseen_alone_is_told_of_what_is_written(logs):
     tables = logs.tables
     serial = pd.array([1, 2], dtype=pd.ArrowDtype(pa.int32()))
-    Logs(tables["stages"].assign(lamp="on"), tables["paths"].assign(serial=serial)).write("a")
+    Logs(tables["stages"].assign(lamp="on"), tables["trajectories"].assign(serial=serial)).write("a")
     told = run("a", "--out", "csv:b").output.splitlines()[1:]
     assert told == [
         "What is lost:",
-        "- paths: column 'serial' comes back as pandas keeps such values, not as int32[pyarrow]",
+        "- trajectories: column 'serial' comes back as pandas keeps such values, not as int32[pyarrow]",
     ]
     checked = run("a", "--out", "minari:c-v0", "--check")
     assert checked.exit_code == 1
-    last = "Kept as notes that halfseen alone reads: stages.lamp, paths.cause, paths.serial."
+    last = "Kept as notes that halfseen alone reads: stages.lamp, trajectories.cause, trajectories.serial."
     assert checked.output.splitlines()[-1] == last
     assert run("a", "--out", "minari:c-v0").output.splitlines()[-1] == last

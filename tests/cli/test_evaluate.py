@@ -16,28 +16,28 @@ from halfseen.policies.folder import read_policy, write_policy
 told = partial(shell.run, "evaluate")
 
 
-def clinic(seed, num_paths=300):
+def clinic(seed, num_trajectories=300):
     """One stage on two actions; B is better where x is 1, and a fifth is cut."""
     rng = np.random.default_rng(seed)
-    x, is_b = rng.integers(0, 2, num_paths), rng.integers(0, 2, num_paths)
-    ends, cuts = rng.integers(1, 9, num_paths).astype(float), rng.geometric(0.06, num_paths).astype(float)
+    x, is_b = rng.integers(0, 2, num_trajectories), rng.integers(0, 2, num_trajectories)
+    ends, cuts = rng.integers(1, 9, num_trajectories).astype(float), rng.geometric(0.06, num_trajectories).astype(float)
     is_cut = cuts < ends
-    reward = 2.0 * (x == is_b) + 0.1 * ends + 0.5 * rng.normal(size=num_paths)
+    reward = 2.0 * (x == is_b) + 0.1 * ends + 0.5 * rng.normal(size=num_trajectories)
     stages = {
-        "path": np.arange(num_paths),
-        "stage": np.ones(num_paths, dtype=int),
+        "trajectory": np.arange(num_trajectories),
+        "stage": np.ones(num_trajectories, dtype=int),
         "elapsed_s": np.where(is_cut, np.nan, ends),
         "action": np.array(["A", "B"])[is_b],
         "reward": np.where(is_cut, np.nan, reward),
-        "probability": np.full(num_paths, 0.5),
+        "probability": np.full(num_trajectories, 0.5),
         "x": x.astype(float),
     }
-    paths = {
-        "path": np.arange(num_paths),
+    trajectories = {
+        "trajectory": np.arange(num_trajectories),
         "end_s": np.minimum(ends, cuts),
         "ending": np.where(is_cut, "cut", "finished"),
     }
-    return Logs(stages, paths)
+    return Logs(stages, trajectories)
 
 
 @pytest.fixture(scope="module")
@@ -71,7 +71,7 @@ def test_each_opponent_has_a_line_and_an_entry(folders):
     assert [line.split("  ")[0] for line in lines[8:]] == names
     assert [line.split()[-1] for line in lines[8:]] == ["better"] * 4
     assert lines[11].endswith("not better")
-    assert lines[0].startswith("Not better: it earns as much a path as the policy policy")
+    assert lines[0].startswith("Not better: it earns as much a trajectory as the policy policy")
     report = json.loads(told(folders / "policy", "--logs", folders / "aside", *options, "--json").output)
     assert [each["opponent"] for each in report["comparisons"]] == names
     assert report["comparisons"][3]["difference"]["value"] == 0.0

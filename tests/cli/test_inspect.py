@@ -1,4 +1,5 @@
 import json
+import re
 import subprocess
 import sys
 
@@ -14,13 +15,13 @@ from halfseen.logs import LogRecorder, Logs
 def folder(tmp_path):
     logs = Logs(
         stages={
-            "path": [1, 1, 2, 2, 3],
+            "trajectory": [1, 1, 2, 2, 3],
             "stage": [1, 2, 1, 2, 1],
             "elapsed_s": [2.0, 5.0, 2.0, None, 2.0],
             "action": ["LIFT", "WASH", "WASH", None, "FINISH"],
             "reward": [-0.1, 5.0, -1.0, None, 0.0],
         },
-        paths={"path": [1, 2, 3], "end_s": [5.0, 3.0, 2.0], "ending": ["finished", "cut", "finished"]},
+        trajectories={"trajectory": [1, 2, 3], "end_s": [5.0, 3.0, 2.0], "ending": ["finished", "cut", "finished"]},
     )
     logs.write(tmp_path / "logs")
     return tmp_path / "logs"
@@ -32,13 +33,13 @@ def run(*words):
 
 def test_says_one_plain_sentence_first_then_what_looks_wrong_then_aligned_numbers(folder):
     lines = run(folder).splitlines()
-    assert lines[0] == "3 paths of up to 2 stages and 5 s: 2 finished, 1 cut (33%)."
+    assert lines[0] == "3 trajectories of up to 2 stages and 5 s: 2 finished, 1 cut (33%)."
     assert lines[1] == "Nothing looks wrong."
-    assert "stages     5, of which 4 completed" in lines
+    assert "stages            5, of which 4 completed" in lines
     for table in (
         """
-cause of cut  paths  share  first [s]  median [s]  last [s]  in stages
-unknown           1   100%          3           3         3     2 to 2
+cause of cut  trajectories  share  first [s]  median [s]  last [s]  in stages
+unknown                  1   100%          3           3         3     2 to 2
 """,
         """
 action  stages  share  median [s]  mean reward
@@ -57,11 +58,17 @@ stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective sample si
 
 
 def test_a_log_of_several_robots_says_so(folder, tmp_path):
-    stages = {"path": 1, "stage": range(1, 5), "elapsed_s": [1.0, 2.0, 3.0, 4.0], "action": "FINISH", "reward": 0.0}
+    stages = {
+        "trajectory": 1,
+        "stage": range(1, 5),
+        "elapsed_s": [1.0, 2.0, 3.0, 4.0],
+        "action": "FINISH",
+        "reward": 0.0,
+    }
     robots = {"robot": [0, 1, 0, 0]}
-    paths = {"path": [1], "end_s": [4.0], "ending": ["finished"]}
-    Logs(pd.DataFrame(stages | robots), paths).write(tmp_path / "team")
-    assert "robots     2, of whose decisions 0 made 75%, 1 made 25%" in run(tmp_path / "team").splitlines()
+    trajectories = {"trajectory": [1], "end_s": [4.0], "ending": ["finished"]}
+    Logs(pd.DataFrame(stages | robots), trajectories).write(tmp_path / "team")
+    assert "robots            2, of whose decisions 0 made 75%, 1 made 25%" in run(tmp_path / "team").splitlines()
     assert json.loads(run(tmp_path / "team", "--json"))["robots"] == [
         {"robot": "0", "num_decisions": 3, "share": 0.75},
         {"robot": "1", "num_decisions": 1, "share": 0.25},
@@ -70,10 +77,10 @@ def test_a_log_of_several_robots_says_so(folder, tmp_path):
 
 
 def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
-    stages = {"path": range(20), "stage": 1, "elapsed_s": np.linspace(1.1, 3.3, 20), "action": ["A", "B"] * 10}
+    stages = {"trajectory": range(20), "stage": 1, "elapsed_s": np.linspace(1.1, 3.3, 20), "action": ["A", "B"] * 10}
     chances = {"reward": 2.0, "probability": 1.0, "lamp": "on"}
-    paths = {"path": range(20), "end_s": np.linspace(1.1, 3.3, 20), "ending": "finished"}
-    Logs(pd.DataFrame(stages | chances), pd.DataFrame(paths)).write(tmp_path / "logs")
+    trajectories = {"trajectory": range(20), "end_s": np.linspace(1.1, 3.3, 20), "ending": "finished"}
+    Logs(pd.DataFrame(stages | chances), pd.DataFrame(trajectories)).write(tmp_path / "logs")
     assert run(tmp_path / "logs").splitlines()[1:5] == [
         "What looks wrong:",
         "- All probabilities are 1: the policy never explored, so nothing can be learned of other actions.",
@@ -88,9 +95,15 @@ def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
 
 def test_a_long_table_is_cut_short_and_json_is_not(tmp_path):
     actions = [f"go {k:02d}" for k in range(30)]
-    stages = {"path": 1, "stage": range(1, 31), "elapsed_s": np.arange(1.0, 31.0), "action": actions, "reward": 1.0}
-    paths = {"path": [1], "end_s": [30.0], "ending": ["finished"]}
-    Logs(pd.DataFrame(stages), pd.DataFrame(paths)).write(tmp_path / "logs")
+    stages = {
+        "trajectory": 1,
+        "stage": range(1, 31),
+        "elapsed_s": np.arange(1.0, 31.0),
+        "action": actions,
+        "reward": 1.0,
+    }
+    trajectories = {"trajectory": [1], "end_s": [30.0], "ending": ["finished"]}
+    Logs(pd.DataFrame(stages), pd.DataFrame(trajectories)).write(tmp_path / "logs")
     output = run(tmp_path / "logs")
     assert "go 19" in output
     assert "go 20" not in output
@@ -101,30 +114,30 @@ def test_a_long_table_is_cut_short_and_json_is_not(tmp_path):
 
 def test_reads_what_a_recorder_is_writing(tmp_path):
     with LogRecorder(tmp_path) as recorder:
-        path = recorder.begin_path()
-        path.begin_stage({"x": 0.5}, action="PICK", probability=0.5)
-        path.complete_stage(1.0)
-        path.begin_stage({"x": 0.7})
+        trajectory = recorder.begin_trajectory()
+        trajectory.begin_stage({"x": 0.5}, action="PICK", probability=0.5)
+        trajectory.complete_stage(1.0)
+        trajectory.begin_stage({"x": 0.7})
         report = json.loads(run(tmp_path, "--json"))
         assert report["cuts"][0]["cause"] == "still-running"
         assert report["choices"][0]["smallest_probability"] == 0.5
         assert report["clock"][1]["median_s"] is None
-        assert "still-running      1   100%" in run(tmp_path)
+        assert re.search(r"still-running +1 +100%", run(tmp_path))
 
 
 def test_says_what_the_weights_rest_on_and_whose_the_largest_are(folder):
     output = run(folder)
     assert "Too little: 2 finishes have an effective sample size of 1.8." in output
-    assert "Largest weights: 2 (path 1, 5 s), 1 (path 3, 2 s)." in output
+    assert "Largest weights: 2 (trajectory 1, 5 s), 1 (trajectory 3, 2 s)." in output
     positivity = json.loads(run(folder, "--json"))["positivity"]
     assert not positivity["is_sound"]
-    assert positivity["heaviest"][0] == {"path": "1", "time_s": 5.0, "weight": 2.0}
+    assert positivity["heaviest"][0] == {"trajectory": "1", "time_s": 5.0, "weight": 2.0}
 
 
 def test_from_the_shell(folder, refused):
     command = [sys.executable, "-m", "halfseen.cli", "inspect"]
     good = subprocess.run([*command, str(folder)], capture_output=True, text=True, check=True)
-    assert good.stdout.startswith("3 paths")
+    assert good.stdout.startswith("3 trajectories")
     assert good.stderr == ""
     (folder / "stages.parquet").write_bytes(b"PAR1 and no more")
     assert "stages.parquet: it is no whole Parquet file" in refused("inspect", folder)

@@ -73,10 +73,10 @@ def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, told)
 
 
 def test_a_verdict_that_cannot_be_had_does_not_keep_the_policy_back(tmp_path):
-    flat_log(num_paths=12).write(tmp_path / "few")
+    flat_log(num_trajectories=12).write(tmp_path / "few")
     plain = ("--reg", 0.1, "--q-function", "linear", "--stages", "pooled", "--censoring", "kaplan-meier")
     result = run(tmp_path / "few", "--out", tmp_path / "policy", *plain, has_verdict=True)
-    assert "\nCannot be said: the log has 12 path(s), and 10 folds need 20; record more (said of" in result.stdout
+    assert "\nCannot be said: the log has 12 trajectories, and 10 folds need 20; record more (said of" in result.stdout
     assert result.stderr == ""
     assert read_policy(tmp_path / "policy").verdict["verdict"] == "cannot be said"
 
@@ -94,8 +94,8 @@ def test_a_table_log_is_learned_as_tables(folder, tmp_path):
     for row in report["actions"]:
         stages = logs.stages[logs.stages["stage"] == row["stage"]]
         taken = []
-        for path in stages["path"]:
-            one = mapped(itemgetter((path, row["stage"] - 1)), states)
+        for trajectory in stages["trajectory"]:
+            one = mapped(itemgetter((trajectory, row["stage"] - 1)), states)
             taken.append(int(np.asarray(decide(one)).argmax()))
         verbs = ["FINISH", "WASH", "WASH", "LIFT", "LIFT"]
         told = {verb: np.mean([verbs[action] == verb for action in taken]) for verb in ("FINISH", "WASH", "LIFT")}
@@ -159,12 +159,22 @@ def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
     assert not (tmp_path / "policy").exists()
 
 
-def _trial(num_paths):
+def _trial(num_trajectories):
     """Two stages in which B pays in state 1 and A in state 0, logged by a rule that mostly takes A, and seldom B."""
     rng = np.random.default_rng(0)
-    path, stage = np.repeat(np.arange(num_paths), 2), np.tile([1, 2], num_paths)
-    x, action = rng.integers(0, 2, 2 * num_paths).astype(float), rng.choice(3, 2 * num_paths, p=[0.6, 0.1, 0.3])
-    reward = 1.0 * (action == x) + rng.normal(size=2 * num_paths)
-    stages = {"path": path, "stage": stage, "elapsed_s": 1.0 * stage, "action": np.array(["A", "B", "C"])[action]}
+    trajectory, stage = np.repeat(np.arange(num_trajectories), 2), np.tile([1, 2], num_trajectories)
+    x, action = (
+        rng.integers(0, 2, 2 * num_trajectories).astype(float),
+        rng.choice(3, 2 * num_trajectories, p=[0.6, 0.1, 0.3]),
+    )
+    reward = 1.0 * (action == x) + rng.normal(size=2 * num_trajectories)
+    stages = {
+        "trajectory": trajectory,
+        "stage": stage,
+        "elapsed_s": 1.0 * stage,
+        "action": np.array(["A", "B", "C"])[action],
+    }
     stages |= {"reward": reward, "probability": np.array([0.6, 0.1, 0.3])[action], "x": x}
-    return Logs(pd.DataFrame(stages), pd.DataFrame({"path": range(num_paths), "end_s": 2.0, "ending": "finished"}))
+    return Logs(
+        pd.DataFrame(stages), pd.DataFrame({"trajectory": range(num_trajectories), "end_s": 2.0, "ending": "finished"})
+    )

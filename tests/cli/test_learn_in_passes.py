@@ -68,10 +68,10 @@ def test_other_forms_are_not_read_in_passes(tmp_path):
         stream.opened(tmp_path / "csv", in_passes=True)
 
 
-def test_a_verdict_on_some_of_the_paths_says_so(tmp_path, monkeypatch):
+def test_a_verdict_on_some_of_the_trajectories_says_so(tmp_path, monkeypatch):
     monkeypatch.setattr(held_out, "MOST_JUDGED", 30)
     report = json.loads(run(*_written(flat_log(), tmp_path), "--reg", 0.1, "--in-passes", "--json").stdout)
-    assert "the verdict is of policies learned from 30 of the 40 paths, drawn at random" in report["notes"]
+    assert "the verdict is of policies learned from 30 of the 40 trajectories, drawn at random" in report["notes"]
 
 
 def _written(logs, tmp_path):

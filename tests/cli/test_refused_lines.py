@@ -151,7 +151,7 @@ REFUSED = [
     ("evaluate table-policy --world --team two.toml", "for one robot by itself, and two.toml has a"),
     ("export policy --onnx policy.bin", "ends in .onnx"),
     ("learn none --out new", "there is no such folder"),
-    ("learn cut --out new", "all 2 paths were cut"),
+    ("learn cut --out new", "all 2 trajectories were cut"),
     ("learn logs --out new --covariates x1,x9", "names 'x9'"),
     ("learn logs --out new --covariates colour", "is 'red' in every stage"),
     ("learn logs --out new --horizon 1", "horizon is 1"),
@@ -220,7 +220,7 @@ REFUSED = [
     ("watch {table} --stages 1-2 --export out.html", "--stages is 1-2, and there are 1"),
     ("watch logs --export out.html", "logs hold no clouds"),
     ("watch logs --clouds mine --export out.html", "no column 'cloud'"),
-    ("watch logs --clouds mine --path 10000 --export out.html", "has"),
+    ("watch logs --clouds mine --trajectory 10000 --export out.html", "has"),
 ]
 
 
@@ -234,13 +234,19 @@ def place(house, learned):
     (house / "clouds").mkdir()
     (house / "clouds" / "cloud.pcd").write_text("no cloud at all")
     Logs(
-        {"path": [0, 1], "stage": [1, 1], "elapsed_s": [None, None], "action": ["A", "B"], "reward": [None, None]},
-        {"path": [0, 1], "end_s": [1.0, 2.0], "ending": ["cut", "cut"]},
+        {
+            "trajectory": [0, 1],
+            "stage": [1, 1],
+            "elapsed_s": [None, None],
+            "action": ["A", "B"],
+            "reward": [None, None],
+        },
+        {"trajectory": [0, 1], "end_s": [1.0, 2.0], "ending": ["cut", "cut"]},
     ).write(house / "cut")
     logs = read_logs(house / "team-logs")
-    Logs(logs.stages.drop(columns="1_decisions_to_go"), logs.paths, logs.objects).write(house / "no-counts")
+    Logs(logs.stages.drop(columns="1_decisions_to_go"), logs.trajectories, logs.objects).write(house / "no-counts")
     none_left = {f"{r}_decisions_to_go": 0 for r in (0, 1)}
-    Logs(logs.stages.assign(**none_left), logs.paths, logs.objects).write(house / "spent")
+    Logs(logs.stages.assign(**none_left), logs.trajectories, logs.objects).write(house / "spent")
     return house
 
 

@@ -16,7 +16,7 @@ run = partial(shell.run, "report")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("report-verb")
-    logs = hostile_log(num_paths=24)
+    logs = hostile_log(num_trajectories=24)
     logs.write(folder / "logs")
     learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1).fit(logs)
     write_policy(learner, logs, folder / "policy")
@@ -41,7 +41,7 @@ def test_says_the_answer_and_where_the_page_is_and_the_same_again(folder, tmp_pa
     numbers = json.loads(second.stdout, parse_constant=refuse)
     assert numbers["value"]["sentence"] == answer
     assert set(numbers["value"]["difference"]) >= {"value", "low", "high", "effective_sample_size"}
-    assert numbers["log"]["num_paths"] == 24
+    assert numbers["log"]["num_trajectories"] == 24
     assert numbers["policy"]["is_learned_from_these_logs"] is True
     assert len(numbers["policy"]["curves"]) == 4
     assert numbers["log"]["watched"]["num_watched"][0] == 24
@@ -62,7 +62,7 @@ def test_the_page_is_against_whom_it_is_told(folder, tmp_path):
 def test_without_a_policy_the_page_is_of_the_log(folder, tmp_path):
     told = run(folder / "logs", "--out", tmp_path / "a.html", "--unit", "parts")
     answer, place = told.stdout.splitlines()
-    assert answer.startswith("24 paths: ")
+    assert answer.startswith("24 trajectories: ")
     assert place == f"The page: {tmp_path / 'a.html'}"
     page = (tmp_path / "a.html").read_text()
     assert f"halfseen report {folder / 'logs'} --unit parts --seed 0" in page

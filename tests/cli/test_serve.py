@@ -64,7 +64,7 @@ def test_a_controller_without_python_gets_decisions_and_makes_the_next_log(polic
         process.send_signal(signal.SIGTERM)
         process.wait(120)
     logs = read_logs(tmp_path / "logs")
-    assert logs.paths["cause"].tolist() == ["server stopped"]
+    assert logs.trajectories["cause"].tolist() == ["server stopped"]
     assert logs.stages["reward"].dropna().tolist() == [2.0]
 
 

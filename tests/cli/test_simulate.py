@@ -20,8 +20,8 @@ def recorded(tmp_path_factory):
 
 def test_the_logs_are_there_and_whole(recorded):
     logs = read_logs(recorded[0])
-    assert logs.num_paths == 12
-    assert set(logs.paths["scene"]) == {"table_05.pcd", "table_07.pcd"}
+    assert logs.num_trajectories == 12
+    assert set(logs.trajectories["scene"]) == {"table_05.pcd", "table_07.pcd"}
     assert logs.objects is not None
     assert 0.0 < logs.cut_share < 1.0
 
@@ -30,7 +30,7 @@ def test_one_seed_same_logs_and_json_for_programs(recorded, tmp_path):
     arguments = ["--out", str(tmp_path / "again"), *TABLES, *FEW, "--json"]
     result = CliRunner().invoke(simulate, arguments, catch_exceptions=False)
     report = json.loads(result.stdout)
-    assert (report["num_paths"], report["policy"], report["seed"]) == (12, "uniform", 3)
+    assert (report["num_trajectories"], report["policy"], report["seed"]) == (12, "uniform", 3)
     assert report["scenes"] == {"table_05.pcd": 5, "table_07.pcd": 5}
     assert read_logs(tmp_path / "again").stages.equals(read_logs(recorded[0]).stages)
     CliRunner().invoke(simulate, [*arguments, "--overwrite"], catch_exceptions=False)

@@ -104,11 +104,12 @@ def test_learn_learns_what_the_library_does_and_counts_what_it_takes(house, lear
     states, stages = states_of(logs, 6), logs.stages
     for row in report["actions"]:
         at = np.flatnonzero(stages["stage"] == row["stage"])
-        paths = np.searchsorted(logs.path_ids, stages["path"].to_numpy()[at])
+        trajectories = np.searchsorted(logs.trajectory_ids, stages["trajectory"].to_numpy()[at])
         num_objects = states.num_objects
         verbs = [0, *[1] * num_objects, *[2] * num_objects, WAIT]
         taken = [
-            verbs[int(by_hand.decide(picked(states, (p, row["stage"] - 1)), random.key_of(0)).action)] for p in paths
+            verbs[int(by_hand.decide(picked(states, (p, row["stage"] - 1)), random.key_of(0)).action)]
+            for p in trajectories
         ]
         told = {name: np.mean([verb == k for verb in taken]) for k, name in enumerate(VERB_NAMES)}
         assert row["shares"] == pytest.approx(told)

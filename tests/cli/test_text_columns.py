@@ -19,9 +19,12 @@ from text_logs import ACTIONS, BY_HAND, COVARIATES, by_hand, text_log, with_indi
 
 
 def stamped(seed, **columns):
-    """With a column that names the path, and one of remarks."""
-    names = {"order": lambda path, stage: f"order {path}", "remark": lambda path, stage: None if path % 2 else "slow"}
-    return text_log(num_paths=80, seed=seed, **names, **columns)
+    """With a column that names the trajectory, and one of remarks."""
+    names = {
+        "order": lambda trajectory, stage: f"order {trajectory}",
+        "remark": lambda trajectory, stage: None if trajectory % 2 else "slow",
+    }
+    return text_log(num_trajectories=80, seed=seed, **names, **columns)
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +60,8 @@ def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
     assert report["schema"]["categories"] == {"colour": ["blue", "green", "red"]}
     assert report["notes"] == [
         "it does not look at order, which has more than 20 categories; group them into fewer, or leave it out",
-        "it does not look at remark, which is null at path 1, stage 1; fill it in, with a word such as 'unknown' where "
-        "nothing is known, or leave it out",
+        "it does not look at remark, which is null at trajectory 1, stage 1; fill it in, with a word such as 'unknown' "
+        "where nothing is known, or leave it out",
     ]
     logs = by_hand(stamped(0))
     theirs = CensoredQLearner.of_paper(2, ACTIONS, BY_HAND, reg=0.01).fit(logs)
@@ -74,7 +77,9 @@ def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
 
 def test_a_column_that_is_asked_for_and_cannot_be_looked_at_is_refused(folder, tmp_path):
     arguments = ("learn", folder / "logs", "--out", tmp_path / "p", "--covariates")
-    assert refusal(LogError, *arguments, "x,remark").startswith("covariate 'remark' is null at path 1, stage 1; fill")
+    assert refusal(LogError, *arguments, "x,remark").startswith(
+        "covariate 'remark' is null at trajectory 1, stage 1; fill"
+    )
     assert refusal(LogError, *arguments, "order").startswith("covariate 'order' has more than 20 categories; group")
     assert not (tmp_path / "p").exists()
 
@@ -99,7 +104,7 @@ def test_act_takes_text_as_csv_or_json_and_tells_what_speaks_for_the_action(fold
 def test_act_warns_of_a_category_that_this_stage_never_showed(folder, tmp_path):
     log = stamped(0)
     late = log.stages.assign(colour=log.stages["colour"].where(log.stages["stage"] == 2, "red"))
-    Logs(late, log.paths).write(tmp_path / "logs")
+    Logs(late, log.trajectories).write(tmp_path / "logs")
     run("learn", tmp_path / "logs", "--out", tmp_path / "policy", *QUICK, "--stages", "separate")
     blue = state(tmp_path, "a.json", '{"x": 0.1, "colour": "blue", "is_heavy": true}')
     told = "colour is blue, which no state of the logs showed at this stage; Q is extrapolated"

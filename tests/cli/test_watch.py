@@ -27,7 +27,7 @@ def test_a_running_cell_is_recorded_and_its_logs_are_the_same(typed, refused, tm
     words = ["cell", "run", "--policy", "history-penalty", "--tables", 2, "--seed", 6]
     assert typed(*words, "--out", tmp_path / "watched", "--record", tmp_path / "record").status == 0
     assert typed(*words, "--out", tmp_path / "alone", "--workers", 1).status == 0
-    for name in ("stages", "paths", "objects"):
+    for name in ("stages", "trajectories", "objects"):
         one, other = (tmp_path / which / f"{name}.parquet" for which in ("watched", "alone"))
         assert one.read_bytes() == other.read_bytes()
     watched = read_recording(tmp_path / "record")

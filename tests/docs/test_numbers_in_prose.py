@@ -29,12 +29,12 @@ TOLD = {
         "by {best_25} from 25 ({best_25_span})",
     ),
     "examples/README.md": (
-        "{logs} paths of which a third are cut, and {later} later ones",
+        "{logs} trajectories of which a third are cut, and {later} later ones",
         "holds {cleared} tables that an arm cleared",
     ),
     "docs/guide/from-logs-to-a-policy.md": (
         "{logs} parts that differ in weight",
-        "{logs} paths of up to",
+        "{logs} trajectories of up to",
         "{logs} parts are few",
         "is of {later} parts that came later",
     ),
@@ -49,7 +49,7 @@ TOLD = {
     ),
     "docs/guide/can-i-believe-it.md": ("{missed} of the {intervals} miss it, in orange",),
     "docs/gallery.md": (
-        "{logs} parts, three grippers and a person to hand a part over to; {logs_cut} paths were cut",
+        "{logs} parts, three grippers and a person to hand a part over to; {logs_cut} trajectories were cut",
         "{later} parts that came later",
         "The operator cut {by_operator};",
         "a sensor was lost in {by_sensor}.",
@@ -75,15 +75,15 @@ def counts(law):
     logs, later, cleared = (
         read_logs(ROOT / "examples" / name) for name in ("pick_cell/logs", "pick_cell/later_logs", "physical_cell/logs")
     )
-    tried, by = read_logs(shipped_law() / ATTEMPTS), later.paths["cause"].value_counts()
-    stopped = cleared.paths["cause"].value_counts()
+    tried, by = read_logs(shipped_law() / ATTEMPTS), later.trajectories["cause"].value_counts()
+    stopped = cleared.trajectories["cause"].value_counts()
     found = {
-        "logs": logs.num_paths,
+        "logs": logs.num_trajectories,
         "logs_cut": (~logs.is_finished).sum(),
-        "later": later.num_paths,
+        "later": later.num_trajectories,
         "by_operator": by["operator"],
         "by_sensor": by["sensor-lost"],
-        "cleared": cleared.num_paths,
+        "cleared": cleared.num_trajectories,
         "cleared_cut": (~cleared.is_finished).sum(),
         "hard": stopped["emergency-stop"],
         "lost": stopped["sensor-lost"],
@@ -91,7 +91,7 @@ def counts(law):
         "attempts": tried.num_stages,
         "attempts_cut": law.grasp.num_cut,
         "last": tried.num_stages - law.grasp.num_decided - law.grasp.num_cut,
-        "tables": tried.num_paths,
+        "tables": tried.num_trajectories,
         "visible_only": read_logs(shipped_law() / VISIBLE_ONLY).num_stages,
         "calibrated": next(option.default for option in calibrate.params if option.name == "attempts"),
     }
@@ -109,7 +109,9 @@ def counts(law):
 def gains():
     """What the learned policy earns over the best rule in the study [points a table]."""
     rows = pd.read_csv(NUMBERS / "study-figure1.csv")
-    learned = rows[(rows["policy"] == "censored_q") & ((rows["cut_share"] - 0.5).abs() < 1e-6)].set_index("num_paths")
+    learned = rows[(rows["policy"] == "censored_q") & ((rows["cut_share"] - 0.5).abs() < 1e-6)].set_index(
+        "num_trajectories"
+    )
     each = {f"best_{size}": learned.loc[size] for size in (25, 800)}
     each |= {name: rows[rows["policy"] == name].iloc[0] for name in ("planner-512", "greedy")}
     found = {name: f"{row['gain']:.2f}" for name, row in each.items()}
@@ -178,8 +180,8 @@ def test_the_table_of_biases_is_what_the_benchmark_prints(situation):
 
 def test_the_guide_says_what_benchmarks_measured(monkeypatch):
     usage = (ROOT / "benchmarks/verdicts.py").read_text(encoding="utf-8")
-    told = re.findall(r"(\d+) logs of (\d+) paths a row", prose("docs/guide/can-i-believe-it.md"))
-    assert told == re.findall(r"\[--logs (\d+)\] \[--paths (\d+)\]", usage)
+    told = re.findall(r"(\d+) logs of (\d+) trajectories a row", prose("docs/guide/can-i-believe-it.md"))
+    assert told == re.findall(r"\[--logs (\d+)\] \[--trajectories (\d+)\]", usage)
     monkeypatch.syspath_prepend(str(ROOT / "benchmarks"))
     fleet, text = importlib.import_module("fleet"), prose("docs/guide/any-multistage-problem.md")
     assert [each for each in fleet.sentences(json.loads(fleet.KEPT.read_text())) if each not in text] == []

@@ -90,8 +90,8 @@ def apart(sentence):
 def test_figure_1_has_the_means_of_its_repetitions():
     each, drawn_from = pd.DataFrame(FIGURE1_NUMBERS.read()), pd.read_csv(NUMBERS / "study-figure1.csv")
     of_each, of_all = (rows[rows["policy"] == "censored_q"] for rows in (each, drawn_from))
-    means = of_each.groupby(["num_paths", "cut_share"])["reward"].mean()
-    rows = of_all.set_index(["num_paths", "cut_share"])["mean_reward"].sort_index()
+    means = of_each.groupby(["num_trajectories", "cut_share"])["reward"].mean()
+    rows = of_all.set_index(["num_trajectories", "cut_share"])["mean_reward"].sort_index()
     assert len(means) == len(rows) == 24
     np.testing.assert_allclose(means, rows, rtol=1e-12)
 

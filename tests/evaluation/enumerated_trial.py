@@ -45,10 +45,10 @@ def truth(chance_b):
     return last
 
 
-def trial(seed, num_paths=200, cut_rate=0.0, has_probability=True, knows_last_action=True):
+def trial(seed, num_trajectories=200, cut_rate=0.0, has_probability=True, knows_last_action=True):
     rng = np.random.default_rng(seed)
-    stages, paths = [], []
-    for path in range(num_paths):
+    stages, trajectories = [], []
+    for trajectory in range(num_trajectories):
         clock, cut_s, is_cut = 0, np.inf if cut_rate == 0 else rng.geometric(cut_rate), False
         for stage in (1, 2):
             state = int(rng.integers(0, 2))
@@ -59,7 +59,7 @@ def trial(seed, num_paths=200, cut_rate=0.0, has_probability=True, knows_last_ac
             knows = knows_last_action or not is_cut
             stages.append(
                 {
-                    "path": path,
+                    "trajectory": trajectory,
                     "stage": stage,
                     "elapsed_s": None if is_cut else float(clock + duration),
                     "action": ACTIONS[action] if knows else None,
@@ -71,10 +71,12 @@ def trial(seed, num_paths=200, cut_rate=0.0, has_probability=True, knows_last_ac
             clock = cut_s if is_cut else clock + duration
             if is_cut or leaves(state, action):
                 break
-        paths.append({"path": path, "end_s": float(clock), "ending": "cut" if is_cut else "finished"})
+        trajectories.append(
+            {"trajectory": trajectory, "end_s": float(clock), "ending": "cut" if is_cut else "finished"}
+        )
     frame = pd.DataFrame(stages).astype({"elapsed_s": float, "reward": float, "probability": float})
     frame = frame if has_probability else frame.drop(columns="probability")
-    return Logs(frame, pd.DataFrame(paths))
+    return Logs(frame, pd.DataFrame(trajectories))
 
 
 def specified(censoring="kaplan-meier", actions=ACTIONS, covariates=("x",)):

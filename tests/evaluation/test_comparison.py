@@ -19,12 +19,12 @@ def contender(name, values, size=50.0, **more):
     return Contender(name, np.asarray(values, dtype=float), effective_sample_size=size, **more)
 
 
-def drawn(*means, num_paths=50, seed=0):
-    """What paths add to policies whose difference has these means, in standard errors."""
+def drawn(*means, num_trajectories=50, seed=0):
+    """What trajectories add to policies whose difference has these means, in standard errors."""
     rng = np.random.default_rng(seed)
-    ours, noise = rng.normal(size=num_paths), rng.normal(size=(len(means), num_paths))
+    ours, noise = rng.normal(size=num_trajectories), rng.normal(size=(len(means), num_trajectories))
     noise = (noise - noise.mean(axis=1, keepdims=True)) / noise.std(axis=1, ddof=1, keepdims=True)
-    theirs = [ours - each - mean / np.sqrt(num_paths) for each, mean in zip(noise, means, strict=True)]
+    theirs = [ours - each - mean / np.sqrt(num_trajectories) for each, mean in zip(noise, means, strict=True)]
     return contender("ours", ours), [contender(f"opponent {k}", each) for k, each in enumerate(theirs)]
 
 
@@ -32,7 +32,7 @@ def evaluated(logs, against, policy=TARGET):
     return evaluate(policy, logs, against=against, **specified())
 
 
-def test_the_difference_is_that_of_what_each_path_adds():
+def test_the_difference_is_that_of_what_each_trajectory_adds():
     ours, theirs = np.array([1.0, 4.0, 2.0, 5.0]), np.array([0.5, 3.0, 2.5, 1.0])
     (found,) = compared(contender("ours", ours, 4.0), [contender("theirs", theirs, 3.0)], 0.9)
     error = np.std([0.5, 1.0, -0.5, 4.0], ddof=1) / 2.0
@@ -61,7 +61,7 @@ def test_a_policy_against_itself_is_exactly_nothing_and_never_better():
     difference = itself.difference
     assert (difference.value, difference.low, difference.high, difference.standard_error) == (0.0, 0.0, 0.0, 0.0)
     assert (itself.p, found.verdict) == (1.0, "not better")
-    assert "it earns as much a path as itself" in found.sentence
+    assert "it earns as much a trajectory as itself" in found.sentence
 
 
 def test_better_is_better_than_each_and_among_many_one_small_p_value_is_no_evidence():
@@ -73,7 +73,7 @@ def test_better_is_better_than_each_and_among_many_one_small_p_value_is_no_evide
     one = compared(ours, theirs, 0.95)
     assert [each.verdict for each in one] == ["cannot be said", "better"]
     assert deciding(one) is one[0]
-    assert "more a path than opponent 0, though" in joint_reason(one)
+    assert "more a trajectory than opponent 0, though" in joint_reason(one)
     assert "more than opponent 1" in joint_reason(one).partition("; ")[0]
     ours, theirs = drawn(2.2, 0.1, -0.3, 0.2)
     first, *_ = compared(ours, theirs, 0.95)
@@ -107,19 +107,19 @@ def test_an_opponent_of_unseen_actions_spoils_its_own_comparison_alone():
     logging, sequence = found.comparisons
     assert (logging.verdict, sequence.verdict, found.verdict) == ("better", "cannot be said", "cannot be said")
     assert (sequence.value, sequence.difference, sequence.p) == (None, None, None)
-    assert "the sequence A, C takes C in stage 2, which no path" in sequence.reason
+    assert "the sequence A, C takes C in stage 2, which no trajectory" in sequence.reason
     assert found.difference == logging.difference
     assert "NaN" not in json.dumps(found.as_dict())
 
 
 def test_the_default_is_the_logging_policy_with_and_without_its_exploration():
-    found = evaluate(TARGET, trial(4, num_paths=1000), **specified())
+    found = evaluate(TARGET, trial(4, num_trajectories=1000), **specified())
     logging, rule = found.comparisons
     assert logging.opponent == "the logging policy"
     assert rule.opponent == "the logging policy without its exploration"
     assert (logging.verdict, rule.verdict, found.verdict) == ("better", "not better", "not better")
     assert found.sentence.startswith("Not better: it earns ")
-    assert "less a path than the logging policy without its exploration" in found.sentence
+    assert "less a trajectory than the logging policy without its exploration" in found.sentence
     assert "though" in found.sentence
     assert found.difference == rule.difference
     assert abs(rule.value.value - truth(CHANCE_B > 0.5)) < 3.0 * rule.value.standard_error
@@ -157,7 +157,7 @@ def test_every_kind_of_opponent_has_a_name(tmp_path):
 )
 def test_what_is_no_opponent_is_told_in_one_line(against, message):
     with pytest.raises(ArgumentError, match=message) as refusal:
-        evaluated(trial(6, num_paths=40), against)
+        evaluated(trial(6, num_trajectories=40), against)
     assert "\n" not in str(refusal.value)
 
 
@@ -182,7 +182,7 @@ def test_a_verdict_says_what_would_undo_it_and_an_open_one_or_one_without_cuts_n
 
 
 def test_a_standard_error_does_not_hang_on_the_residuals_of_a_few_heavy_stages():
-    """The heavy path's residual happens to be 0; so its scatter says nothing of what its weight costs."""
+    """The heavy trajectory's residual happens to be 0; so its scatter says nothing of what its weight costs."""
     weights = np.full((50, 2), 0.5)
     weights[0] = 25.5
     one = Contender("ours", np.zeros(50), weights=weights, deviation=2.0, effective_sample_size=2.0)

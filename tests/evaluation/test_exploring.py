@@ -19,8 +19,8 @@ from halfseen.evaluation.off_policy import judging
 POLICY = StatePolicy((1.0, 0.0))
 
 
-def explored(seed=0, policy=POLICY, num_paths=600):
-    logs = trial(seed, num_paths=num_paths, cut_rate=0.05)
+def explored(seed=0, policy=POLICY, num_trajectories=600):
+    logs = trial(seed, num_trajectories=num_trajectories, cut_rate=0.05)
     with judging(policy, logs, against="logging") as judge:
         return logs, exploration_of(judge.case(judge.problem))
 
@@ -68,10 +68,10 @@ def test_a_policy_that_does_as_the_log_does_has_nothing_to_try():
 
 
 def test_the_order_of_the_rows_of_a_log_does_not_matter():
-    logs = trial(2, num_paths=300, cut_rate=0.05)
+    logs = trial(2, num_trajectories=300, cut_rate=0.05)
     each = []
     for frame in (logs.stages, logs.stages.iloc[::-1]):
-        with judging(POLICY, type(logs)(frame, logs.paths), against="logging") as judge:
+        with judging(POLICY, type(logs)(frame, logs.trajectories), against="logging") as judge:
             each.append(exploration_of(judge.case(judge.problem)))
     assert each[0] == each[1]
 

@@ -50,20 +50,20 @@ def problem(logs):
 
 
 def test_what_no_weight_corrects_is_what_the_shares_leave_which_is_nothing_where_nothing_was_cut():
-    own = as_logged(problem(trial(3, num_paths=400, cut_rate=0.4)))
+    own = as_logged(problem(trial(3, num_trajectories=400, cut_rate=0.4)))
     given = own.nuisances[-1]
-    paths, share, weights = own.paths, given.imputation.share, own.weights(given)
+    trajectories, share, weights = own.trajectories, given.imputation.share, own.weights(given)
     mean = weights.standing.mean(axis=0)
-    left = np.where(paths.is_begun, weights.weight / mean * (1.0 - share), 0.0)
-    assert own.uncorrected_weight == pytest.approx(max(left.sum() / paths.num_paths, 0.0))
-    uncut = trial(3, num_paths=200)
+    left = np.where(trajectories.is_begun, weights.weight / mean * (1.0 - share), 0.0)
+    assert own.uncorrected_weight == pytest.approx(max(left.sum() / trajectories.num_trajectories, 0.0))
+    uncut = trial(3, num_trajectories=200)
     assert problem(uncut).uncorrected_weight == 0.0
     assert evaluate(TARGET, uncut, against="logging").doubly_robust.bias == 0.0
 
 
 def test_what_two_policies_share_is_not_held_against_their_difference():
-    """Half of the paths are cut, and a long stage nearly always: values may be biased, their difference hardly."""
-    logs = trial(4, num_paths=400, cut_rate=0.25)
+    """Half of the trajectories are cut, and a long stage nearly always: values may be biased, differences hardly."""
+    logs = trial(4, num_trajectories=400, cut_rate=0.25)
     found = evaluate(StatePolicy((0.3, 0.7)), logs, against="logging", censoring=BOUNDED)
     # Weights by states share a little less with those of the log than products do.
     assert 0.0 < found.difference.bias < 0.3 * found.logging.bias
@@ -123,13 +123,13 @@ def test_the_logging_policy_on_uncut_logs_earns_sums_by_sums():
     assert found.why_unknown is None
     assert found.logging.per_hour.value == pytest.approx(3600.0 * earned / took_s, rel=1e-12)
     assert found.logging.duration_s.value == pytest.approx(logs.end_s.mean(), rel=1e-12)
-    by_path = logs.stages.groupby("path")["reward"].sum().to_numpy()
-    misses = by_path - earned / took_s * logs.end_s
-    error = 3600.0 * np.std(misses, ddof=1) / np.sqrt(logs.num_paths) / logs.end_s.mean()
-    by_paths = error * stats.t.ppf(0.975, logs.num_paths - 1.0)
-    # The interval is the wider one of that by paths and that of the jackknife.
+    by_trajectory = logs.stages.groupby("trajectory")["reward"].sum().to_numpy()
+    misses = by_trajectory - earned / took_s * logs.end_s
+    error = 3600.0 * np.std(misses, ddof=1) / np.sqrt(logs.num_trajectories) / logs.end_s.mean()
+    by_trajectories = error * stats.t.ppf(0.975, logs.num_trajectories - 1.0)
+    # The interval is the wider one of that by trajectories and that of the jackknife.
     reach = found.logging.per_hour.high - found.logging.per_hour.value
-    assert by_paths * (1.0 - 1e-9) <= reach < 2.5 * by_paths
+    assert by_trajectories * (1.0 - 1e-9) <= reach < 2.5 * by_trajectories
 
 
 def true_duration_s(chance_b):
@@ -150,7 +150,7 @@ def test_rates_and_shares_of_a_cut_log_hold_the_truth(censoring):
     share = truth(TARGET.chance_b) / truth(tuple(CHANCE_B))
     held = {"policy": 0, "logging": 0, "share": 0}
     for seed in range(40):
-        logs = trial(seed, num_paths=300, cut_rate=0.08)
+        logs = trial(seed, num_trajectories=300, cut_rate=0.08)
         found = evaluate(TARGET, logs, **(specified() | {"censoring": censoring}), is_hourly=True)
         for name in chances:
             estimate = getattr(found.per_hour, name).per_hour
@@ -195,7 +195,7 @@ def test_shares_stand_beside_each_value():
 def test_a_clock_that_tells_nothing_is_said_to(of_stage, why):
     logs = trial(1)
     stages = logs.stages.assign(elapsed_s=of_stage(logs.stages))
-    ends = logs.paths.assign(end_s=stages.groupby("path")["elapsed_s"].last().to_numpy())
+    ends = logs.trajectories.assign(end_s=stages.groupby("trajectory")["elapsed_s"].last().to_numpy())
     found = hourly(Logs(stages, ends)).per_hour
     assert why in found.why_unknown
     assert (found.policy, found.logging) == (None, None)
@@ -204,6 +204,6 @@ def test_a_clock_that_tells_nothing_is_said_to(of_stage, why):
 @pytest.mark.parametrize("scale", [1.0, 1.0 / 86400.0])
 def test_rewards_that_are_times_have_no_rate(scale):
     logs = trial(1)
-    before = logs.stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
-    times = Logs(logs.stages.assign(reward=scale * (logs.stages["elapsed_s"] - before)), logs.paths)
+    before = logs.stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0)
+    times = Logs(logs.stages.assign(reward=scale * (logs.stages["elapsed_s"] - before)), logs.trajectories)
     assert "is its duration" in hourly(times).per_hour.why_unknown

@@ -17,14 +17,14 @@ COLUMNS = ("weight", "shine", "colour", "jams")
 
 def log(seed=0, num=400, **changed):
     rng = np.random.default_rng(seed)
-    stages = pd.DataFrame({"path": np.repeat(np.arange(num), 2), "stage": np.tile([1, 2], num)})
+    stages = pd.DataFrame({"trajectory": np.repeat(np.arange(num), 2), "stage": np.tile([1, 2], num)})
     stages["elapsed_s"] = np.tile([1.0, 2.0], num)
     stages["action"], stages["reward"] = "PICK", rng.random(2 * num)
     stages["weight"], stages["shine"] = rng.gamma(2.0, 3.0, 2 * num), rng.random(2 * num)
     stages["colour"] = rng.choice(["red", "blue"], 2 * num, p=[0.7, 0.3])
     stages["jams"] = rng.poisson(0.3, 2 * num)
-    paths = pd.DataFrame({"path": np.arange(num), "end_s": 2.0, "ending": "finished", "cause": None})
-    return Logs(stages.assign(**{name: change(stages) for name, change in changed.items()}), paths)
+    trajectories = pd.DataFrame({"trajectory": np.arange(num), "end_s": 2.0, "ending": "finished", "cause": None})
+    return Logs(stages.assign(**{name: change(stages) for name, change in changed.items()}), trajectories)
 
 
 PROMISED = promised_states(log(), COLUMNS)
@@ -79,16 +79,16 @@ def test_swapped_columns_are_told_as_such():
 @pytest.mark.parametrize(
     ("value", "is_own", "words"),
     [
-        (0.5, True, "it earned 0.5 a path here (0.402 to 0.598): as promised."),
+        (0.5, True, "it earned 0.5 a trajectory here (0.402 to 0.598): as promised."),
         (0.2, True, ": less than promised."),
-        (0.9, False, "it would earn 0.9 a path here (0.802 to 0.998): more than promised."),
+        (0.9, False, "it would earn 0.9 a trajectory here (0.802 to 0.998): more than promised."),
     ],
 )
 def test_what_was_earned_is_beside_what_was_promised(value, is_own, words):
     promise = {"value": {"value": 0.52, "low": 0.4, "high": 0.64, "standard_error": 0.06}, "stages": PROMISED}
     found = kept_promise(promise, log(), around(value, 0.05, 100, np.inf, 0.95), is_own)
     assert found.lines == [found.sentence]
-    assert found.sentence.startswith("Promised 0.52 a path (0.4 to 0.64); ")
+    assert found.sentence.startswith("Promised 0.52 a trajectory (0.4 to 0.64); ")
     assert found.sentence.endswith(words)
     nothing = kept_promise(promise | {"value": None}, log(), around(value, 0.05, 100, np.inf, 0.95), is_own)
     assert nothing.lines == []

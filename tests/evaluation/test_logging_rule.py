@@ -16,7 +16,7 @@ from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.evaluation.off_policy import q_model_of
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.learning import DoublyRobust, NamedActions
-from halfseen.learning.rows import path_arrays
+from halfseen.learning.rows import trajectory_arrays
 from halfseen.logs import Logs
 from halfseen.policies import Rule
 from halfseen.tables import TableTask
@@ -37,25 +37,25 @@ def slanted(frame, stage):
 
 
 @cache
-def logged(rule, num_paths=300, random_share=0.5, seed=0):
+def logged(rule, num_trajectories=300, random_share=0.5, seed=0):
     """Two stages; the rule, mixed with an action at random; Q of the task does not look at y, the rule does."""
     rng = np.random.default_rng(seed)
-    path, parts = np.arange(num_paths), []
+    trajectory, parts = np.arange(num_trajectories), []
     for stage in (1, 2):
-        frame = pd.DataFrame(rng.uniform(-1.0, 1.0, size=(num_paths, 2)), columns=["x", "y"])
+        frame = pd.DataFrame(rng.uniform(-1.0, 1.0, size=(num_trajectories, 2)), columns=["x", "y"])
         says = rule(frame, stage)
-        action = np.where(rng.random(num_paths) < random_share, rng.choice(ACTIONS, num_paths), says)
+        action = np.where(rng.random(num_trajectories) < random_share, rng.choice(ACTIONS, num_trajectories), says)
         likely = random_share / 3.0 + (1.0 - random_share) * (action == says)
-        reward = (action == "A") * frame["x"] + (action == "B") * frame["y"] + 0.3 * rng.normal(size=num_paths)
-        told = {"path": path, "stage": stage, "elapsed_s": float(stage), "action": action, "reward": reward}
+        reward = (action == "A") * frame["x"] + (action == "B") * frame["y"] + 0.3 * rng.normal(size=num_trajectories)
+        told = {"trajectory": trajectory, "stage": stage, "elapsed_s": float(stage), "action": action, "reward": reward}
         parts.append(frame.assign(**told, probability=likely, colour="red"))
-    ends = pd.DataFrame({"path": path, "end_s": 2.0, "ending": "finished"})
+    ends = pd.DataFrame({"trajectory": trajectory, "end_s": 2.0, "ending": "finished"})
     return Logs(pd.concat(parts, ignore_index=True), ends)
 
 
 def found_in(logs, task=TASK, has_probability=True, horizon=2):
-    paths = path_arrays(logs, task.encode(logs, horizon), None)
-    return logging_rule(logs, paths, task, np.arange(logs.num_paths) % 10, has_probability), paths
+    trajectories = trajectory_arrays(logs, task.encode(logs, horizon), None)
+    return logging_rule(logs, trajectories, task, np.arange(logs.num_trajectories) % 10, has_probability), trajectories
 
 
 def agreement(rule, logs, found):
@@ -66,10 +66,10 @@ def agreement(rule, logs, found):
 @pytest.mark.parametrize(("rule", "least"), [(thresholds, 0.96), (slanted, 0.93)])
 def test_the_model_says_what_the_rule_would_do_and_how_often_it_is_right(rule, least):
     logs = logged(rule)
-    found, paths = found_in(logs)
+    found, trajectories = found_in(logs)
     right = agreement(rule, logs, found)
     assert right > least
-    np.testing.assert_array_equal(found.is_taken, paths.probability > 0.5)
+    np.testing.assert_array_equal(found.is_taken, trajectories.probability > 0.5)
     assert "by probabilities above one half" in found.note
     num_right, num_checked = map(int, re.search(r"right in (\d+) of (\d+) stages", found.note).groups())
     assert right == pytest.approx(num_right / num_checked, abs=0.05)
@@ -127,21 +127,21 @@ def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(mon
 
 def test_on_a_table_the_rule_is_a_choice_among_all_objects():
     """The rule washes what is most likely dirty; features of WASH hold that probability."""
-    found, paths = found_in(table_log(num_paths=60), TableTask(), False, 3)
+    found, trajectories = found_in(table_log(num_trajectories=60), TableTask(), False, 3)
     assert not isinstance(found, str)
-    assert (found.probabilities.sum(axis=2) == paths.is_begun).all()
-    assert not (found.probabilities.astype(bool) & ~paths.is_possible).any()
+    assert (found.probabilities.sum(axis=2) == trajectories.is_begun).all()
+    assert not (found.probabilities.astype(bool) & ~trajectories.is_possible).any()
 
 
-def test_the_seed_is_all_that_it_depends_on_and_where_one_path_alone_has_a_say_there_is_still_an_answer():
+def test_the_seed_is_all_that_it_depends_on_and_where_one_trajectory_alone_has_a_say_there_is_still_an_answer():
     logs = logged(slanted, 60)
     first, _ = found_in(logs)
     np.random.seed(3)  # noqa: NPY002
     np.testing.assert_array_equal(first.probabilities, found_in(logs)[0].probabilities)
     # Its fold is held out once, and nothing is left to fit to.
     logs = logged(thresholds, 60)
-    stages = logs.stages.assign(probability=np.where(logs.stages["path"] == 0, 0.9, 0.01))
-    found, _ = found_in(Logs(stages, logs.paths))
+    stages = logs.stages.assign(probability=np.where(logs.stages["trajectory"] == 0, 0.9, 0.01))
+    found, _ = found_in(Logs(stages, logs.trajectories))
     assert isinstance(found, str) or np.array_equal(found.probabilities.sum(axis=2), np.ones((60, 2)))
 
 
@@ -151,15 +151,15 @@ BY_COX = DoublyRobust("cox", by="pooled", truncate_at=10.0)
 
 def test_what_is_fitted_without_a_fold_does_not_know_it():
     logs = trial(0, cut_rate=0.15)
-    fold = np.arange(logs.num_paths) % 4
+    fold = np.arange(logs.num_trajectories) % 4
     late = fold == 3
-    stages, ends = logs.stages.copy(), logs.paths.copy()
-    stages.loc[np.isin(stages["path"], logs.path_ids[late]), "elapsed_s"] *= 1.25
+    stages, ends = logs.stages.copy(), logs.trajectories.copy()
+    stages.loc[np.isin(stages["trajectory"], logs.trajectory_ids[late]), "elapsed_s"] *= 1.25
     ends.loc[late, "end_s"] *= 1.25
     fitted = []
     for each in (logs, Logs(stages, ends)):
-        model, paths = q_model_of(TARGET, each, BY_COX, QSpec()).fitted(each)
-        fitted.append([*nuisances_by_folds(model, paths, nuisances_of(model, paths), fold)])
+        model, trajectories = q_model_of(TARGET, each, BY_COX, QSpec()).fitted(each)
+        fitted.append([*nuisances_by_folds(model, trajectories, nuisances_of(model, trajectories), fold)])
     one, other = fitted
     np.testing.assert_allclose(one[3].uncut[~late], other[3].uncut[~late], rtol=1e-12)
     assert np.abs(one[0].uncut[~late] - other[0].uncut[~late]).max() > 1e-3
@@ -167,10 +167,10 @@ def test_what_is_fitted_without_a_fold_does_not_know_it():
 
 def test_the_interval_is_the_wider_of_two():
     influence = np.random.default_rng(0).normal(size=100)
-    by_paths = stats.t.ppf(0.975, 39) * influence.std(ddof=1) / 10.0
+    by_trajectories = stats.t.ppf(0.975, 39) * influence.std(ddof=1) / 10.0
     calm, wild = np.full(5, influence.mean()), influence.mean() + np.array([-1.0, 1.0, 0.0, 2.0, -2.0])
     narrow, wide = (estimate_of(influence, 40.0, 0.95, without) for without in (calm, wild))
-    assert narrow.high - narrow.value == pytest.approx(by_paths)
+    assert narrow.high - narrow.value == pytest.approx(by_trajectories)
     by_groups = np.sqrt(4.0 / 5.0 * 10.0)
     assert wide.standard_error == pytest.approx(by_groups)
     assert wide.high - wide.value == pytest.approx(stats.t.ppf(0.975, 4) * by_groups)
@@ -179,7 +179,7 @@ def test_the_interval_is_the_wider_of_two():
 
 def test_second_order_terms_are_products_of_standardised_covariates():
     logs, rng = trial(2), np.random.default_rng(0)
-    wide = Logs(logs.stages.assign(v=rng.normal(3.0, 2.0, logs.num_stages)), logs.paths)
+    wide = Logs(logs.stages.assign(v=rng.normal(3.0, 2.0, logs.num_stages)), logs.trajectories)
     task, widened = with_second_order(NamedActions(["A", "B"], ["x", "v"]), wide)
     assert task.covariates == ["x", "v", "stage", "x*v", "v*v"]
     x, v = ((wide.stages[name] - wide.stages[name].mean()) / wide.stages[name].std(ddof=0) for name in ("x", "v"))
@@ -188,7 +188,7 @@ def test_second_order_terms_are_products_of_standardised_covariates():
 
 def test_cuts_widen_the_interval():
     cut, uncut = (
-        evaluate(TARGET, trial(1, num_paths=300, cut_rate=rate), against="logging", **specified(BY_COX))
+        evaluate(TARGET, trial(1, num_trajectories=300, cut_rate=rate), against="logging", **specified(BY_COX))
         for rate in (0.3, 0.0)
     )
     assert cut.doubly_robust.standard_error > 1.5 * uncut.doubly_robust.standard_error

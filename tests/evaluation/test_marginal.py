@@ -1,4 +1,4 @@
-"""Weights by states against loops and an enumeration; what they leave exact; and what a path can earn at all."""
+"""Weights by states against loops and an enumeration; what they leave exact; and what a trajectory can earn at all."""
 
 from itertools import product
 
@@ -83,29 +83,29 @@ def test_few_places_stand_for_many_states(monkeypatch, num_places):
     assert found.sum() == pytest.approx(weight.sum())
 
 
-def naive_weights(single, uncut, paths, fold, k):
-    """w_t of imputed stages, path by path, without fold k; what stands for each path; and what was cut off."""
+def naive_weights(single, uncut, trajectories, fold, k):
+    """w_t of imputed stages, one by one, without fold k; what stands for each trajectory; and what was cut off."""
     num, horizon = single.shape
     by_state, weight, standing, lost = np.ones(num), np.zeros(single.shape), np.zeros(single.shape), 0.0
     last = {}
     for t in range(horizon):
         passed = np.zeros(num)
         for i in range(num):
-            if not paths.is_begun[i, t]:
+            if not trajectories.is_begun[i, t]:
                 standing[i, t] = last.get(i, 0.0)
                 continue
-            whole = by_state[i] * single[i, t] if paths.has_action[i, t] else 0.0
+            whole = by_state[i] * single[i, t] if trajectories.has_action[i, t] else 0.0
             weight[i, t] = standing[i, t] = min(whole, num**0.5)
             lost += (whole - weight[i, t]) / num
             before = uncut[k, i, t - 1] if t else 1.0
             passed[i] = weight[i, t] * uncut[k, i, t] / before
-            if paths.clocks.is_finished[i] and paths.is_begun[i].sum() == t + 1:
+            if trajectories.clocks.is_finished[i] and trajectories.is_begun[i].sum() == t + 1:
                 last[i] = passed[i]
         if t + 1 < horizon:
-            here = np.flatnonzero(paths.is_begun[:, t + 1])
+            here = np.flatnonzero(trajectories.is_begun[:, t + 1])
             own = regression.mean_by_state(
                 np.stack([passed[here]] * len(uncut)),
-                [paths.features[here, t + 1, 0]],
+                [trajectories.features[here, t + 1, 0]],
                 fold[here] != np.arange(len(uncut))[:, None],
             )
             by_state = np.zeros(num)
@@ -117,22 +117,22 @@ def test_weights_by_states_are_the_loop(monkeypatch):
     """With one width there is nothing to choose, so each fold goes its own way."""
     monkeypatch.setattr(regression, "WIDTHS", (0.6,))
     monkeypatch.setattr(regression, "linear", lambda weight, *_: np.zeros_like(weight))
-    given = problem(trial(0, num_paths=60, cut_rate=0.15))
+    given = problem(trial(0, num_trajectories=60, cut_rate=0.15))
     uncut = np.stack([each.uncut for each in given.nuisances])
-    single = single_ratios(given.log.policy, given.likely, given.paths)
-    found = marginal_weights(single, uncut, given.paths, given.beyond, given.fold, is_imputed=True)
+    single = single_ratios(given.log.policy, given.likely, given.trajectories)
+    found = marginal_weights(single, uncut, given.trajectories, given.beyond, given.fold, is_imputed=True)
     for k, each in enumerate(found.by_fold):
-        weight, standing, lost = naive_weights(single, uncut, given.paths, given.fold, k)
+        weight, standing, lost = naive_weights(single, uncut, given.trajectories, given.fold, k)
         np.testing.assert_allclose(each.weight, weight, rtol=1e-9)
         np.testing.assert_allclose(each.standing, standing, rtol=1e-9)
     assert found.lost == pytest.approx(lost)
 
 
 def test_of_the_logging_policy_on_uncut_logs_every_weight_is_one():
-    logs = trial(1, num_paths=100)
+    logs = trial(1, num_trajectories=100)
     given = problem(logs, StatePolicy(tuple(CHANCE_B)))
     for each in given.stage_weights:
-        np.testing.assert_allclose(each.weight, given.paths.is_begun.astype(float), rtol=1e-9)
+        np.testing.assert_allclose(each.weight, given.trajectories.is_begun.astype(float), rtol=1e-9)
         np.testing.assert_allclose(each.standing, 1.0, rtol=1e-9)
     assert given.marginal.lost == 0.0
     assert given.effective_sample_size == pytest.approx(100.0)
@@ -140,7 +140,7 @@ def test_of_the_logging_policy_on_uncut_logs_every_weight_is_one():
 
 def test_they_are_the_ratio_of_how_often_states_are_met():
     """States are fair coins, so all that the past says of stage 2 is how often it is come to."""
-    logs = trial(2, num_paths=4000, cut_rate=0.1)
+    logs = trial(2, num_trajectories=4000, cut_rate=0.1)
     given = problem(logs)
     stays = {
         name: 1.0
@@ -151,29 +151,29 @@ def test_they_are_the_ratio_of_how_often_states_are_met():
         )
         for name, b in {"policy": TARGET.chance_b, "log": CHANCE_B}.items()
     }
-    single = single_ratios(given.log.policy, given.likely, given.paths)
-    second = given.paths.is_begun[:, 1] & (single[:, 1] > 0)
+    single = single_ratios(given.log.policy, given.likely, given.trajectories)
+    second = given.trajectories.is_begun[:, 1] & (single[:, 1] > 0)
     by_state = given.stage_weights[-1].weight[second, 1] / single[second, 1]
-    # Of cut paths some are missing there, for which the others stand.
+    # Of cut trajectories some are missing there, for which the others stand.
     standing = given.stage_weights[-1].standing.mean(axis=0)
     assert standing == pytest.approx(1.0, abs=0.06)
-    share = (given.paths.is_begun[:, 1] * given.nuisances[-1].uncut[:, 0]).mean()
-    assert by_state.mean() * given.paths.is_begun[:, 1].mean() == pytest.approx(stays["policy"], rel=0.06)
+    share = (given.trajectories.is_begun[:, 1] * given.nuisances[-1].uncut[:, 0]).mean()
+    assert by_state.mean() * given.trajectories.is_begun[:, 1].mean() == pytest.approx(stays["policy"], rel=0.06)
     assert share == pytest.approx(stays["log"], rel=0.06)
 
 
 def test_they_vary_less_than_products_and_agree_with_them_in_the_mean():
-    given = problem(trial(3, num_paths=2000, cut_rate=0.1))
-    products = begun_weights(given.ratio, given.nuisances[-1].uncut, given.paths)
+    given = problem(trial(3, num_trajectories=2000, cut_rate=0.1))
+    products = begun_weights(given.ratio, given.nuisances[-1].uncut, given.trajectories)
     by_state = given.stage_weights[-1]
     assert by_state.effective_sample_size > products.effective_sample_size
     assert by_state.standing.mean(axis=0) == pytest.approx(products.standing.mean(axis=0), rel=0.05)
 
 
-def test_no_weight_is_larger_than_the_root_of_the_paths_and_the_interval_allows_for_what_is_lost():
-    logs = trial(4, num_paths=40)
+def test_no_weight_is_larger_than_the_root_of_the_trajectories_and_the_interval_allows_for_what_is_lost():
+    logs = trial(4, num_trajectories=40)
     rare = logs.stages.assign(probability=logs.stages["probability"].where(logs.stages["action"] == "A", 0.02))
-    rare = type(logs)(rare, logs.paths)
+    rare = type(logs)(rare, logs.trajectories)
     given = problem(rare, FixedSequence(("B", "B")))
     assert given.stage_weights[-1].weight.max() == pytest.approx(np.sqrt(40))
     assert given.marginal.lost > 1.0
@@ -181,21 +181,25 @@ def test_no_weight_is_larger_than_the_root_of_the_paths_and_the_interval_allows_
     assert found.difference.bias > 0.1
 
 
-def naive_most(paths, sign):
+def naive_most(trajectories, sign):
     """The largest sum of signed rewards over ways through the stages, each of which ends or goes on as one did."""
 
     def most(t):
-        if t == paths.reward.shape[1]:
+        if t == trajectories.reward.shape[1]:
             return 0.0
-        done = [i for i in range(paths.num_paths) if paths.is_completed[i, t]]
-        return max(sign * paths.reward[i, t] + (0.0 if paths.is_last[i, t] else most(t + 1)) for i in done)
+        done = [i for i in range(trajectories.num_trajectories) if trajectories.is_completed[i, t]]
+        return max(
+            sign * trajectories.reward[i, t] + (0.0 if trajectories.is_last[i, t] else most(t + 1)) for i in done
+        )
 
     return sign * most(0)
 
 
-def test_what_a_path_can_earn_is_the_best_way_through_what_was_seen():
-    paths = problem(trial(5, num_paths=30, cut_rate=0.1)).paths
-    assert tuple(possible(paths)) == pytest.approx((naive_most(paths, -1.0), naive_most(paths, 1.0)))
+def test_what_a_trajectory_can_earn_is_the_best_way_through_what_was_seen():
+    trajectories = problem(trial(5, num_trajectories=30, cut_rate=0.1)).trajectories
+    assert tuple(possible(trajectories)) == pytest.approx(
+        (naive_most(trajectories, -1.0), naive_most(trajectories, 1.0))
+    )
 
 
 def test_a_mean_outside_is_moved_to_the_nearer_end():
@@ -207,10 +211,10 @@ def test_a_mean_outside_is_moved_to_the_nearer_end():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_no_interval_reaches_beyond_the_possible(seed):
-    logs = trial(seed, num_paths=30, cut_rate=0.2)
+    logs = trial(seed, num_trajectories=30, cut_rate=0.2)
     given = problem(logs)
     found = evaluate(StatePolicy((1.0, 0.0)), logs, against="logging")
-    low, high = possible(given.paths)
+    low, high = possible(given.trajectories)
     assert low <= found.doubly_robust.low <= found.doubly_robust.value <= found.doubly_robust.high <= high
     assert found.difference.low >= low - found.logging.high - 1e-12
     assert found.difference.high <= high - found.logging.low + 1e-12
@@ -218,10 +222,10 @@ def test_no_interval_reaches_beyond_the_possible(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("policy", [TARGET, StatePolicy((1.0, 0.0)), FixedSequence(("B", "B"))])
-def test_intervals_of_few_effective_paths_hold_the_truth(policy):
+def test_intervals_of_few_effective_trajectories_hold_the_truth(policy):
     chance_b = (1.0, 1.0) if isinstance(policy, FixedSequence) else policy.chance_b
     gain = truth(chance_b) - truth(tuple(CHANCE_B))
-    found = [evaluate(policy, trial(seed, num_paths=60, cut_rate=0.1), against="logging") for seed in range(60)]
+    found = [evaluate(policy, trial(seed, num_trajectories=60, cut_rate=0.1), against="logging") for seed in range(60)]
     held = sum(each.difference.low <= gain <= each.difference.high for each in found)
     # Of 60 intervals at 95 %, fewer than 53 hold with a chance of 2 %.
     assert held >= 53

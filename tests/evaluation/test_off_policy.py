@@ -33,22 +33,22 @@ def is_within(estimate, value, errors):
 
 
 def naive_importance_sampling(logs, chance_b):
-    """Σ over stages of Σ w R / Σ w, in loops; a path that has ended keeps its last weight."""
+    """Σ over stages of Σ w R / Σ w, in loops; a trajectory that has ended keeps its last weight."""
     survival = KaplanMeier().fit(logs.end_s, logs.is_finished).survival
-    kept = {path: frame.sort_values("stage") for path, frame in logs.stages.groupby("path")}
+    kept = {trajectory: frame.sort_values("stage") for trajectory, frame in logs.stages.groupby("trajectory")}
     value = 0.0
     for stage in (1, 2):
         mass = total = 0.0
-        for path, is_finished in zip(logs.path_ids, logs.is_finished, strict=True):
+        for trajectory, is_finished in zip(logs.trajectory_ids, logs.is_finished, strict=True):
             weight, reward = 1.0, 0.0
-            for row in kept[path].itertuples():
+            for row in kept[trajectory].itertuples():
                 if row.stage > stage:
                     break
                 chance = chance_b[int(row.x)] if row.action == "B" else 1.0 - chance_b[int(row.x)]
                 weight *= chance / row.probability
                 reward = row.reward if row.stage == stage else 0.0
                 is_seen, elapsed_s = not np.isnan(row.elapsed_s), row.elapsed_s
-            if not is_seen or (len(kept[path]) < stage and not is_finished):
+            if not is_seen or (len(kept[trajectory]) < stage and not is_finished):
                 continue
             weight /= survival(np.array([elapsed_s]))[0]
             mass, total = mass + weight, total + weight * reward
@@ -67,19 +67,19 @@ def test_importance_sampling_is_the_loop():
 def test_the_logging_policy_on_uncut_logs_earns_the_mean_reward_exactly():
     logs = log(1, cut_rate=0.0)
     found = found_of(StatePolicy(tuple(CHANCE_B)), logs)
-    sampled, totals = found.importance_sampling, logs.stages.groupby("path")["reward"].sum()
+    sampled, totals = found.importance_sampling, logs.stages.groupby("trajectory")["reward"].sum()
     assert sampled.value == pytest.approx(totals.mean(), rel=1e-12)
     assert sampled.standard_error == pytest.approx(totals.std() / np.sqrt(len(totals)), rel=1e-9)
     assert sampled.effective_sample_size == pytest.approx(len(totals))
     assert found.logging.value == sampled.value
-    # The interval is the wider one of that by paths and that of the jackknife.
+    # The interval is the wider one of that by trajectories and that of the jackknife.
     assert found.logging.high >= sampled.high
 
 
 @pytest.mark.parametrize("censoring", [DoublyRobust(), "kaplan-meier"], ids=["doubly robust", "weighted"])
 @pytest.mark.slow
 def test_all_three_find_the_value_on_a_long_log(censoring):
-    found = found_of(logs=log(2, num_paths=3000, cut_rate=0.12), censoring=censoring)
+    found = found_of(logs=log(2, num_trajectories=3000, cut_rate=0.12), censoring=censoring)
     for estimate in (found.importance_sampling, found.fitted_q, found.doubly_robust):
         assert is_within(estimate, VALUE, 3.0)
         assert estimate.standard_error < 0.15
@@ -90,7 +90,7 @@ def test_all_three_find_the_value_on_a_long_log(censoring):
 
 @pytest.mark.slow
 def test_a_wrong_q_leaves_the_doubly_robust_value_right():
-    found = found_of(logs=log(3, num_paths=3000, cut_rate=0.12), censoring=DoublyRobust(), covariates=())
+    found = found_of(logs=log(3, num_trajectories=3000, cut_rate=0.12), censoring=DoublyRobust(), covariates=())
     assert not is_within(found.fitted_q, VALUE, 5.0)
     assert is_within(found.doubly_robust, VALUE, 2.0)
 
@@ -99,7 +99,7 @@ def test_a_wrong_q_leaves_the_doubly_robust_value_right():
 def test_wrong_cuts_leave_the_doubly_robust_value_right_and_bias_the_weighted_one():
     # It believes that half of what goes on is cut every other second, so what took long weighs far too much.
     wrong = KaplanMeier().fit(np.array([2.0] * 8 + [4.0] * 4 + [6.0] * 2 + [9.0] * 2), np.arange(16) > 13)
-    logs = log(4, num_paths=3000, cut_rate=0.15)
+    logs = log(4, num_trajectories=3000, cut_rate=0.15)
     right_q, by_weights = (found_of(logs=logs, censoring=each) for each in (DoublyRobust(wrong), wrong))
     assert is_within(right_q.doubly_robust, VALUE, 2.0)
     assert is_within(right_q.logging, LOGGED, 2.0)
@@ -107,10 +107,10 @@ def test_wrong_cuts_leave_the_doubly_robust_value_right_and_bias_the_weighted_on
 
 
 def test_what_changes_nothing():
-    """The order of paths, what is not looked at, a horizon that no path reaches, the global seed."""
+    """The order of trajectories, what is not looked at, a horizon that no trajectory reaches, the global seed."""
     logs = log()
     found = found_of(random_state=1)
-    shuffled = Logs(logs.stages.sample(frac=1, random_state=0), logs.paths.assign(colour="red"))
+    shuffled = Logs(logs.stages.sample(frac=1, random_state=0), logs.trajectories.assign(colour="red"))
     for other in (
         found_of(logs=shuffled, random_state=1),
         found_of(StatePolicy(TARGET.chance_b, horizon=4), random_state=1),
@@ -128,9 +128,9 @@ def test_a_log_without_cuts_needs_no_model_of_them():
 
 
 def test_estimated_propensity_needs_no_column_and_is_as_good():
-    logs = log(8, num_paths=2000, has_probability=False)
+    logs = log(8, num_trajectories=2000, has_probability=False)
     assert is_within(found_of(logs=logs, propensity="estimated").doubly_robust, VALUE, 3.0)
-    with pytest.raises(LogError, match="path 0, stage 1: its probability was not logged"):
+    with pytest.raises(LogError, match="trajectory 0, stage 1: its probability was not logged"):
         found_of(logs=logs)
 
 
@@ -142,13 +142,13 @@ def test_the_action_of_the_cut_stage_is_needed_by_pseudo_outcomes_alone():
 
 
 def test_verdicts_of_all_three_kinds():
-    logs = log(11, num_paths=1000)
+    logs = log(11, num_trajectories=1000)
     assert found_of(StatePolicy((0.0, 1.0)), logs).verdict == "better"
     worse = found_of(StatePolicy((1.0, 0.0)), logs)
     assert worse.verdict == "not better"
     assert worse.sentence.startswith("Not better: it earns ")
-    assert found_of(StatePolicy((0.31, 0.59)), trial(12, num_paths=50)).verdict == "cannot be said"
-    few = found_of(StatePolicy((1.0, 0.0)), trial(20, num_paths=20, cut_rate=0.15))
+    assert found_of(StatePolicy((0.31, 0.59)), trial(12, num_trajectories=50)).verdict == "cannot be said"
+    few = found_of(StatePolicy((1.0, 0.0)), trial(20, num_trajectories=20, cut_rate=0.15))
     assert few.doubly_robust.effective_sample_size < 2
     assert few.verdict == "cannot be said"
     assert "fewer than 2" in few.reason
@@ -157,14 +157,14 @@ def test_verdicts_of_all_three_kinds():
 def test_an_action_that_a_stage_never_saw_is_named():
     stages = log(14, cut_rate=0.0).stages
     only_a = stages.assign(action=np.where(stages["stage"] == 2, "A", stages["action"]))
-    found = found_of(FixedSequence(("A", "B")), Logs(only_a, log(14, cut_rate=0.0).paths))
+    found = found_of(FixedSequence(("A", "B")), Logs(only_a, log(14, cut_rate=0.0).trajectories))
     assert found.support[1] == 0.0
     assert found.verdict == "cannot be said"
-    assert "the policy takes B in stage 2, which no path" in found.reason
+    assert "the policy takes B in stage 2, which no trajectory" in found.reason
 
 
 def test_a_fixed_sequence_is_worth_what_enumeration_says():
-    found = found_of(FixedSequence(("B", "B")), trial(10, num_paths=2000))
+    found = found_of(FixedSequence(("B", "B")), trial(10, num_trajectories=2000))
     assert is_within(found.doubly_robust, truth((1.0, 1.0)), 3.0)
 
 
@@ -173,7 +173,7 @@ def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
     named = QSpec(NamedActions({1: ["B", "A"], 2: ["B", "A"]}, ["x", "stage"]), stages="pooled", reg=1e-3)
     by_cox, sequence = DoublyRobust("cox", by="pooled", truncate_at=10.0), FixedSequence(("B", "B"))
     for knows, censoring in ((True, by_cox), (False, "kaplan-meier")):
-        logs = log(18, num_paths=100, knows_last_action=knows)
+        logs = log(18, num_trajectories=100, knows_last_action=knows)
         assert evaluate(sequence, logs) == evaluate(sequence, logs, censoring=censoring, q=named)
     with pytest.raises(ArgumentError, match="str decides nothing about named actions, which the log is of"):
         evaluate("no policy", log())
@@ -186,7 +186,7 @@ def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
         (TARGET, {"level": 1.0 - 1e-12}, "it lies between 0 and 1, and is 0.999999 at most"),
         (TARGET, {"propensity": "guessed"}, "propensity is 'guessed'"),
         (TARGET, {"num_folds": 1}, "num_folds is 1"),
-        (StatePolicy((0.0, 1.0), horizon=1), {}, "but a path has 2 stages"),
+        (StatePolicy((0.0, 1.0), horizon=1), {}, "but a trajectory has 2 stages"),
         (FixedSequence(("A", "C")), {}, "takes 'C', which is none of the actions"),
         ("no policy", {}, "str decides nothing about named actions"),
         (TARGET, {"censoring": "none"}, "censoring is 'none', which gives no weights"),

@@ -20,16 +20,16 @@ CARRIED = 2.0
 
 
 @cache
-def with_history(seed, num_paths=400):
+def with_history(seed, num_trajectories=400):
     """The trial, but a first action B is paid for in the second stage, too, which no covariate of it tells."""
-    logs = trial(seed, num_paths=num_paths, cut_rate=0.05)
-    first = logs.stages.groupby("path")["action"].transform("first")
+    logs = trial(seed, num_trajectories=num_trajectories, cut_rate=0.05)
+    first = logs.stages.groupby("trajectory")["action"].transform("first")
     is_paid = (logs.stages["stage"] == 2) & (first == "B")
-    return Logs(logs.stages.assign(reward=logs.stages["reward"] + CARRIED * is_paid), logs.paths)
+    return Logs(logs.stages.assign(reward=logs.stages["reward"] + CARRIED * is_paid), logs.trajectories)
 
 
 def true_gain():
-    """A first action B is worth as much more, for it ends no path."""
+    """A first action B is worth as much more, for it ends no trajectory."""
 
     def value(chance_b):
         return truth(chance_b) + CARRIED * sum(0.5 * chance for chance in chance_b)
@@ -45,12 +45,12 @@ def problem(logs):
 
 def test_where_states_tell_all_it_is_a_normal_deviate():
     found = []
-    given = problem(trial(0, num_paths=300))
+    given = problem(trial(0, num_trajectories=300))
     for seed in range(200):
         rng = np.random.default_rng(seed)
-        # What paths share, and what is theirs in a stage.
-        residual = rng.normal(size=(300, 1)) + rng.normal(size=(300, 2)) * (1.0 + given.paths.action)
-        found.append(history_deviate(residual, given.paths.is_begun, given.paths, given.beyond))
+        # What trajectories share, and what is theirs in a stage.
+        residual = rng.normal(size=(300, 1)) + rng.normal(size=(300, 2)) * (1.0 + given.trajectories.action)
+        found.append(history_deviate(residual, given.trajectories.is_begun, given.trajectories, given.beyond))
     assert np.mean(found) == pytest.approx(0.0, abs=0.25)
     assert np.std(found) == pytest.approx(1.0, abs=0.15)
 
@@ -64,11 +64,13 @@ def test_the_statistic_is_its_definition_and_directions_without_scores_do_not_co
     assert wald(score[:, :0]) == (0.0, 0)
 
 
-def test_a_path_of_one_stage_has_no_history():
-    logs = trial(1, num_paths=60)
+def test_a_trajectory_of_one_stage_has_no_history():
+    logs = trial(1, num_trajectories=60)
     given = problem(logs)
-    paths = given.paths
-    assert history_deviate(np.ones((60, 2)), paths.is_begun & [True, False], paths, given.beyond) == -np.inf
+    trajectories = given.trajectories
+    assert (
+        history_deviate(np.ones((60, 2)), trajectories.is_begun & [True, False], trajectories, given.beyond) == -np.inf
+    )
 
 
 def test_a_past_that_matters_is_found_and_then_products_weigh():
@@ -77,7 +79,7 @@ def test_a_past_that_matters_is_found_and_then_products_weigh():
     assert given.history_deviate(judged) > CLEARLY
     settled = given.settled(judged)
     assert (settled.marginal, settled.has_history) == (None, True)
-    products = begun_weights(given.ratio, given.nuisances[-1].uncut, given.paths)
+    products = begun_weights(given.ratio, given.nuisances[-1].uncut, given.trajectories)
     np.testing.assert_allclose(settled.stage_weights[-1].weight, products.weight, rtol=1e-9)
     np.testing.assert_allclose(settled.stage_weights[-1].standing, products.standing, rtol=1e-9)
     found = evaluate(TARGET, with_history(0), against="logging")
@@ -86,7 +88,7 @@ def test_a_past_that_matters_is_found_and_then_products_weigh():
 
 
 def test_a_past_that_does_not_is_not():
-    logs = trial(2, num_paths=400, cut_rate=0.05)
+    logs = trial(2, num_trajectories=400, cut_rate=0.05)
     given = problem(logs)
     assert given.settled(given.judged(given.nuisances[:-1])) is given
     assert HISTORY_COUNTS not in evaluate(TARGET, logs, against="logging").notes

@@ -1,4 +1,4 @@
-"""What a log vouches for: chosen by some paths, claimed by others; with advice on how many more would decide."""
+"""What a log vouches for: chosen by some trajectories, claimed by others; with advice on how many more would decide."""
 
 from dataclasses import replace
 from statistics import NormalDist
@@ -9,7 +9,7 @@ import pytest
 from enumerated_trial import StatePolicy, trial, truth
 
 from halfseen.evaluation import held_out_verdict
-from halfseen.evaluation.claims import claim_of, guess_of, more_paths
+from halfseen.evaluation.claims import claim_of, guess_of, more_trajectories
 from halfseen.evaluation.comparison import Contender, compared
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.held_out import CAUTIONS
@@ -74,13 +74,13 @@ def test_choosing_by_some_folds_and_claiming_by_the_others_does_not_keep_the_lev
 
 
 def test_nothing_is_chosen_where_nothing_is_known():
-    unknown = Contender("the policy", why_unknown="no path of the log was seen to complete it")
+    unknown = Contender("the policy", why_unknown="no trajectory of the log was seen to complete it")
     assert vouched([unknown, unknown], [contender(np.zeros(60), "theirs")], 0.95) == (0, 0.95)
     assert vouched([contender(np.ones(60))], [], 0.95) == (0, 0.95)
 
 
 def test_more_caution_is_the_same_q_with_a_larger_margin_and_in_the_end_what_the_log_does():
-    logs = trial(1, num_paths=300, cut_rate=0.05)
+    logs = trial(1, num_trajectories=300, cut_rate=0.05)
     learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(logs)
     frame = pd.DataFrame({"x": [0.0, 1.0]})
     often, plain = more_cautious(learner.policy_, 3.0), learner.policy_
@@ -97,13 +97,15 @@ def test_more_caution_is_the_same_q_with_a_larger_margin_and_in_the_end_what_the
 
 
 def test_the_claim_is_of_the_policy_that_is_kept():
-    logs = trial(3, num_paths=400, cut_rate=0.05)
+    logs = trial(3, num_trajectories=400, cut_rate=0.05)
     learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(logs)
     found = held_out_verdict(learner, logs, against="logging")
     assert found.verdict == "better"
     assert found.caution in CAUTIONS
     assert found.claims[0] == f"Vouched for: {claim_of(found.evaluation)}."
-    assert found.claims[0].startswith(f"Vouched for: at least {found.evaluation.difference.low:.3g} more a path than")
+    assert found.claims[0].startswith(
+        f"Vouched for: at least {found.evaluation.difference.low:.3g} more a trajectory than"
+    )
     assert (found.of_best.evaluation, found.of_best.caution) == (found.best, 1.0)
     kept = more_cautious(learner.policy_, found.caution)
     chance_b = tuple(kept.probabilities(pd.DataFrame({"x": [0.0, 1.0]}), 1)[:, 1])
@@ -111,7 +113,7 @@ def test_the_claim_is_of_the_policy_that_is_kept():
 
 
 def test_a_guess_that_is_better_on_its_own_says_so():
-    logs = trial(3, num_paths=400, cut_rate=0.05)
+    logs = trial(3, num_trajectories=400, cut_rate=0.05)
     learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(logs)
     found = replace(held_out_verdict(learner, logs, against="logging").of_best, verdict="cannot be said")
     assert found.claims[1].endswith("; it is better if nothing but it was asked about (--trust best).")
@@ -120,7 +122,7 @@ def test_a_guess_that_is_better_on_its_own_says_so():
 NOISE = Estimate(0.2, -0.2, 0.6, 0.2, 50.0, bias=0.1)
 
 
-def test_so_many_paths_decide_as_the_formula_says():
+def test_so_many_trajectories_decide_as_the_formula_says():
     z = NormalDist().inv_cdf(0.975) + NormalDist().inv_cdf(0.8)
     found = needed(NOISE, -0.5, 0.95)
     assert found.times == pytest.approx(((0.1 + z * 0.2) / 0.5) ** 2)
@@ -130,8 +132,8 @@ def test_so_many_paths_decide_as_the_formula_says():
     assert np.isinf([needed(NOISE, 0.0, 0.95).times, needed(NOISE, 0.1, 0.95).high]).all()
 
 
-def test_so_many_paths_do_decide():
-    """Of differences that are normal, four logs of five of n* paths show it."""
+def test_so_many_trajectories_do_decide():
+    """Of differences that are normal, four logs of five of n* trajectories show it."""
     rng, gain, spread = np.random.default_rng(0), 0.3, 2.0
     first = spread / np.sqrt(100)
     times = needed(Estimate(gain, 0.0, 1.0, first, 100.0), gain, 0.95).times
@@ -145,10 +147,10 @@ def test_what_is_still_to_be_recorded_is_said():
     (one,) = compared(contender(values, by_model=0.4), [own._replace(name="theirs")], 0.95)
     assert (one.verdict, one.needed.gain) == ("cannot be said", pytest.approx(0.4))
     assert "if it is the 0.4 more that Q says, some" in one.reason
-    said = more_paths(one.needed, 100)
+    said = more_trajectories(one.needed, 100)
     assert said.startswith("about ")
-    assert "more paths like these would decide (" in said
-    assert more_paths(replace_times(one.needed, np.inf), 100).startswith("no log of a size")
+    assert "more trajectories like these would decide (" in said
+    assert more_trajectories(replace_times(one.needed, np.inf), 100).startswith("no log of a size")
 
 
 def replace_times(more, times):
@@ -156,8 +158,8 @@ def replace_times(more, times):
 
 
 def test_a_guess_of_which_nothing_is_known_says_why():
-    logs = trial(4, num_paths=200)
-    noise = Logs(logs.stages.assign(reward=np.random.default_rng(4).normal(size=logs.num_stages)), logs.paths)
+    logs = trial(4, num_trajectories=200)
+    noise = Logs(logs.stages.assign(reward=np.random.default_rng(4).normal(size=logs.num_stages)), logs.trajectories)
     learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(noise)
     found = held_out_verdict(learner, noise)
     assert found.claims[0].startswith("Vouched for: nothing")

@@ -25,15 +25,15 @@ def cell():
 
 
 def test_values_are_those_of_uncut_logs(cell):
-    reward = cell.log(20_000, 3, 0.0).stages.groupby("path")["reward"].sum()
+    reward = cell.log(20_000, 3, 0.0).stages.groupby("trajectory")["reward"].sum()
     assert abs(reward.mean() - cell.value(cell.logging)) < 4 * reward.std() / np.sqrt(len(reward)) < 0.02
 
 
 def test_weights_make_the_value_of_the_rule_from_uncut_logs(cell):
     stages = cell.log(20_000, 4, 0.0).stages
     is_ruled = stages["action"] == np.where(stages["jams"] > 1, "clear", "grasp")
-    ratio = (is_ruled / stages["probability"]).groupby(stages["path"]).cumprod()
-    each = (ratio * stages["reward"]).groupby(stages["path"]).sum()
+    ratio = (is_ruled / stages["probability"]).groupby(stages["trajectory"]).cumprod()
+    each = (ratio * stages["reward"]).groupby(stages["trajectory"]).sum()
     assert abs(each.mean() - cell.value(cell.plain)) < 4 * each.std() / np.sqrt(len(each)) < 0.04
 
 
@@ -61,11 +61,11 @@ def test_chances_of_what_may_happen_add_up():
 def test_the_shipped_logs_are_those_that_it_draws(cell, name):
     again, shipped = cell.log(LOGS[name], SEEDS[name], CUT_SHARE), read_logs(FOLDER / name)
     pd.testing.assert_frame_equal(again.stages, shipped.stages, rtol=1e-9)
-    pd.testing.assert_frame_equal(again.paths, shipped.paths, rtol=1e-9)
+    pd.testing.assert_frame_equal(again.trajectories, shipped.trajectories, rtol=1e-9)
     assert shipped.cut_share == pytest.approx(CUT_SHARE, abs=0.05)
     assert sum(path.stat().st_size for path in (FOLDER / name).iterdir()) < 100_000
 
 
 def test_the_script_prints_values(capsys):
     bin_cell.main()
-    assert "its rule               0.240 net parts a path" in capsys.readouterr().out
+    assert "its rule               0.240 net parts a trajectory" in capsys.readouterr().out

@@ -61,7 +61,7 @@ def test_the_log_has_its_cuts_its_actions_and_times_as_rewards(share):
     stages = logs.stages
     for stage, names in ACTIONS.items():
         assert set(stages.loc[stages["stage"] == stage, "action"]) == set(names)
-    counts = stages.groupby("path").size()[logs.is_finished]
+    counts = stages.groupby("trajectory").size()[logs.is_finished]
     assert set(counts) == {1, 2, 3}
     spent_s = np.diff(logs.elapsed_s(), axis=1, prepend=0.0)
     rewards = stages["reward"].to_numpy()[stages["elapsed_s"].notna()]
@@ -106,5 +106,5 @@ def test_from_1000_patients_the_policy_nearly_is_the_optimum_and_cut_patients_co
 def test_the_same_patients_are_followed_under_all_cuts():
     full, cut = trial(300, 0.0, seed=3), trial(300, 0.5, seed=3)
     kept = cut.stages["elapsed_s"].notna()
-    there = full.stages.merge(cut.stages.loc[kept, ["path", "stage"]], on=["path", "stage"])
+    there = full.stages.merge(cut.stages.loc[kept, ["trajectory", "stage"]], on=["trajectory", "stage"])
     assert there["reward"].to_numpy() == pytest.approx(cut.stages.loc[kept, "reward"].to_numpy())

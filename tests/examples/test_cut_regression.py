@@ -174,7 +174,7 @@ def test_a_script_prints_and_draws_the_same_again(script, tmp_path):
     height, width = imread(figure).shape[:2]
     assert min(height, width) > 500
 
-    head, names, *lines, at_tau, sentence, path = first.splitlines()
+    head, names, *lines, at_tau, sentence, trajectory = first.splitlines()
     assert head.startswith("Mean |estimate − true median| [s] over one sample")
     assert names.split()[-6:] == ["Ĝ", "uncut", "only", "Cox", "times", "constant"]
     assert len(lines) == NUM_LINES[script]
@@ -183,7 +183,7 @@ def test_a_script_prints_and_draws_the_same_again(script, tmp_path):
     assert at_tau.startswith("Cox's curve of the times stays above ½ in ")
     assert sentence.startswith("With 60 rows, compared with the SVM on uncut rows only, ")
     assert "not told apart by one sample" in sentence
-    assert path == f"Figure: {figure}"
+    assert trajectory == f"Figure: {figure}"
 
     again = run(script, *SMALL, "--out", str(out))
     assert (again, figure.read_bytes()) == (first, drawn)

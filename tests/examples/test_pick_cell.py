@@ -12,13 +12,13 @@ from scipy import stats
 FOLDER = Path(__file__).parents[2] / "examples" / "pick_cell"
 sys.path.insert(0, str(FOLDER))
 
-import cell_paths  # noqa: E402
+import cell_trajectories  # noqa: E402
 import pick_cell  # noqa: E402
 import record  # noqa: E402
 from cell_comparison import METHODS, compare  # noqa: E402
 from cell_optimum import AXES, best_order, optimum, policy_value  # noqa: E402
 from cell_parts import ACTIONS, ACTIONS_ALL, CLUTTER, COVARIATES, HORIZON, attempt, new_parts  # noqa: E402
-from cell_paths import RULE_SHARE, logging_chances, rule_of_thumb, simulate  # noqa: E402
+from cell_trajectories import RULE_SHARE, logging_chances, rule_of_thumb, simulate  # noqa: E402
 
 from halfseen.censoring import Cox  # noqa: E402
 from halfseen.logs import read_logs  # noqa: E402
@@ -31,7 +31,7 @@ def optimal(parts, stage):
 
 
 def simulated(decide, num_parts=40_000):
-    """Mean reward of a path that nobody cuts, and its standard error."""
+    """Mean reward of a trajectory that nobody cuts, and its standard error."""
     rng = np.random.default_rng(4)
     parts, part, total = new_parts(num_parts, rng), np.arange(num_parts), np.zeros(num_parts)
     for stage in range(1, HORIZON + 1):
@@ -62,7 +62,7 @@ def test_logged_probabilities_are_the_shares_of_the_actions():
         assert chances.sum(axis=1) == pytest.approx(1.0)
         assert set(np.array(ACTIONS_ALL)[chances[0] > 0]) == set(ACTIONS[stage])
         assert chances.max() == pytest.approx(RULE_SHARE + (1 - RULE_SHARE) / len(ACTIONS[stage]))
-        action, chance = cell_paths.draw_action(parts, stage, np.random.default_rng(2))
+        action, chance = cell_trajectories.draw_action(parts, stage, np.random.default_rng(2))
         assert np.bincount(action, minlength=5) / len(parts) == pytest.approx(chances[0], abs=0.012)
         assert (chance == chances[0][action]).all()
 
@@ -82,13 +82,13 @@ def test_cuts_come_with_clutter_at_the_hazard_that_is_told():
 def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
     record.main(["--out", str(tmp_path)])
     told = capsys.readouterr().out
-    for name, num_paths in record.NUM_PATHS.items():
+    for name, num_trajectories in record.NUM_TRAJECTORIES.items():
         again, shipped = read_logs(tmp_path / name), read_logs(record.HERE / name)
         pd.testing.assert_frame_equal(again.stages, shipped.stages, rtol=1e-9)
-        pd.testing.assert_frame_equal(again.paths, shipped.paths, rtol=1e-9)
+        pd.testing.assert_frame_equal(again.trajectories, shipped.trajectories, rtol=1e-9)
         assert str(shipped.summary()) in told
         assert sum(path.stat().st_size for path in (record.HERE / name).iterdir()) < 100_000
-        assert (shipped.num_paths, shipped.horizon) == (num_paths, HORIZON)
+        assert (shipped.num_trajectories, shipped.horizon) == (num_trajectories, HORIZON)
         assert shipped.cut_share == pytest.approx(0.35, abs=0.07)
         assert shipped.stages["probability"].between(0.05, 1.0).all()
 
@@ -97,7 +97,7 @@ def test_the_shipped_logs_are_those_that_record_writes(tmp_path, capsys):
 def test_the_recorded_logs_give_intervals():
     text = pick_cell.intervals(read_logs(record.LOGS), num_replicates=4, seed=0)
     head, _, *rows = text.splitlines()
-    assert head == "Q of the first stage, with 95 % intervals over 4 draws of the paths"
+    assert head == "Q of the first stage, with 95 % intervals over 4 draws of the trajectories"
     found = [re.findall(r"(-?\d\.\d\d) \((-?\d\.\d\d) to (-?\d\.\d\d)\), best in (\d+)%", row) for row in rows]
     assert [len(each) for each in found] == [3, 3, 3]
     for each in found:
@@ -108,7 +108,7 @@ def test_the_recorded_logs_give_intervals():
 
 @pytest.mark.slow
 def test_the_script_prints_values_and_intervals(capsys):
-    pick_cell.main(["--paths", "200", "--repetitions", "2", "--replicates", "3"])
+    pick_cell.main(["--trajectories", "200", "--repetitions", "2", "--replicates", "3"])
     text = capsys.readouterr().out
     names = re.findall(
         r"^ *(default|Cox|Cox, doubly robust|Kaplan–Meier|uncut only) +0\.\d{3} +[\d.]+%", text, flags=re.MULTILINE
@@ -118,7 +118,7 @@ def test_the_script_prints_values_and_intervals(capsys):
 
 
 @pytest.mark.slow
-def test_cox_by_stage_beats_uncut_paths():
+def test_cox_by_stage_beats_uncut_trajectories():
     """Cox and Kaplan–Meier are not told apart by ten logs (+1 % of the optimum, standard error 1 %): printed only."""
     found = compare(1000, 10, seed=100, methods=("Cox", "Kaplan–Meier", "uncut only"))
     ratios = found.pivot_table(index="log", columns="method", values="value") / optimum()[0]

@@ -40,7 +40,7 @@ def test_the_command_beside_them_makes_them(logs, tmp_path, monkeypatch):
     words[words.index("--out") + 1] = str(tmp_path / "logs")
     assert CliRunner().invoke(halfseen, words, catch_exceptions=False).exit_code == 0
     again = read_logs(tmp_path / "logs")
-    for column in ("path", "stage", "robot", "action", "0_does", "1_does"):
+    for column in ("trajectory", "stage", "robot", "action", "0_does", "1_does"):
         assert again.stages[column].tolist() == logs.stages[column].tolist()
     for column in ("elapsed_s", "reward", "probability"):
         ours, theirs = (one.stages[column].astype(float) for one in (again, logs))

@@ -146,10 +146,10 @@ def bomb(rng: Rng, file: Path) -> str:
     """Few bytes that take many: a table of one value, well packed."""
     if rng.integers(2):
         text = pa.DictionaryArray.from_arrays([0] * 20_000, ["n" * 10**5])
-        table = pa.table({"path": [1] * 20_000, "x9": text})
+        table = pa.table({"trajectory": [1] * 20_000, "x9": text})
     else:
         values = pick(rng, ([0] * 10, [[0.0] * 1000] * 10))
-        block = pa.table({"path": pa.array([1] * 10), "stage": pa.array(range(10)), "x9": values})
+        block = pa.table({"trajectory": pa.array([1] * 10), "stage": pa.array(range(10)), "x9": values})
         table = pa.concat_tables([block] * 3000).combine_chunks()
     pq.write_table(table, file, compression="zstd")
     return "a bomb"

@@ -18,7 +18,7 @@ from small_logs import flat_log, table_log
 from text_logs import text_log
 
 OF_LEARNING = ("--json", "--in-passes --json", "--censoring cox --q-function kernel --reg 0.1")
-OF_SQL = "--stages 'SELECT * FROM stages' --paths 'SELECT * FROM paths'"
+OF_SQL = "--stages 'SELECT * FROM stages' --trajectories 'SELECT * FROM trajectories'"
 
 
 def parquet(folder: Path, log: Callable[[], Logs]) -> None:
@@ -50,12 +50,12 @@ def journal(folder: Path) -> None:
     rng = np.random.default_rng(0)
     with LogRecorder(folder / "logs") as recorder:
         for number in range(6):
-            path = recorder.begin_path(number)
+            trajectory = recorder.begin_trajectory(number)
             for stage in range(1, 3):
-                path.begin_stage({"x1": rng.normal(), "x2": stage}, action="AB"[rng.integers(2)], probability=0.5)
-                path.complete_stage(rng.normal(), elapsed_s=1.5 * stage)
-            path.finish() if number % 2 else path.cut("battery")
-        recorder.begin_path(6).begin_stage({"x1": 0.5, "x2": 1}, action="A", probability=0.5)
+                trajectory.begin_stage({"x1": rng.normal(), "x2": stage}, action="AB"[rng.integers(2)], probability=0.5)
+                trajectory.complete_stage(rng.normal(), elapsed_s=1.5 * stage)
+            trajectory.finish() if number % 2 else trajectory.cut("battery")
+        recorder.begin_trajectory(6).begin_stage({"x1": 0.5, "x2": 1}, action="A", probability=0.5)
         shutil.copytree(folder / "logs", folder / "torn")
     (folder / "logs").rename(folder / "more")
     (folder / "torn").rename(folder / "logs")
@@ -91,10 +91,10 @@ def minari_foreign(folder: Path) -> None:
 
 
 def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:
-    from bags import WITHOUT_CLOUD, cloud, two_paths, write_bag
+    from bags import WITHOUT_CLOUD, cloud, two_trajectories, write_bag
     from halfseen.logs.formats import MAPPING_TEMPLATE
 
-    messages = two_paths()
+    messages = two_trajectories()
     if with_cloud:
         points = table_cloud(False).points_m
         messages += [cloud(at, "/camera/points", points, (NUM_ROWS, NUM_COLUMNS)) for at in (1.2, 3.2, 11.3, 13.6)]
@@ -113,9 +113,9 @@ for _name, _storage, _with_cloud in (
 
 @seed(LOGS, f"convert in/old.bag {MAPPED} --json")
 def bag_of_ros_1(folder: Path) -> None:
-    from bags import SMALL, one_path, tables_of, write_bag_of_ros_1
+    from bags import SMALL, one_trajectory, tables_of, write_bag_of_ros_1
 
-    write_bag_of_ros_1(folder / "old.bag", one_path())
+    write_bag_of_ros_1(folder / "old.bag", one_trajectory())
     (folder / "cell.toml").write_text(tables_of(SMALL))
 
 
@@ -156,7 +156,7 @@ def sqlite(folder: Path) -> None:
 
     logs = flat_log(8)
     with closing(sqlite3.connect(folder / "logs.db")) as database:
-        for name in ("stages", "paths"):
+        for name in ("stages", "trajectories"):
             logs.tables[name].to_sql(name, database, index=False)
 
 
@@ -164,7 +164,7 @@ def mcap_of_other_encodings(folder: Path, encoding: str) -> None:
     import bags
 
     encode = getattr(bags, f"as_{encoding}")
-    bags.write_mcap(folder / "cell.mcap", bags.two_paths(), encode)
+    bags.write_mcap(folder / "cell.mcap", bags.two_trajectories(), encode)
     (folder / "cell.toml").write_text(bags.mapping_for(encode))
 
 
@@ -178,17 +178,17 @@ def journal_of_objects(folder: Path) -> None:
     seen = [{"object": name, "occlusion": 0.2 * k, "hidden_by": [0.0, 0.0]} for k, name in enumerate(("cup", "mug"))]
     with LogRecorder(folder / "logs", reward_unit="cups") as recorder:
         for number in range(4):
-            path = recorder.begin_path(f"table-{number}", cell="left")
+            trajectory = recorder.begin_trajectory(f"table-{number}", cell="left")
             for stage in range(1, 3):
-                path.begin_stage({"light": 0.5}, objects=seen, action="WASH", object="cup", probability=0.5)
-                path.complete_stage(1.0, elapsed_s=2.0 * stage)
-            path.finish()
+                trajectory.begin_stage({"light": 0.5}, objects=seen, action="WASH", object="cup", probability=0.5)
+                trajectory.complete_stage(1.0, elapsed_s=2.0 * stage)
+            trajectory.finish()
 
 
 @seed(LOGS, "record in/calls.jsonl --out out")
 def calls(folder: Path) -> None:
     lines = [
-        {"call": "begin_path", "name": 1, "columns": {"cell": "left"}},
+        {"call": "begin_trajectory", "name": 1, "columns": {"cell": "left"}},
         {"call": "begin_stage", "covariates": {"x": 0.3}, "action": "PICK", "probability": 0.5},
         {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5},
         {"call": "begin_stage", "covariates": {"x": 0.4}, "action": "FINISH", "probability": 0.5},

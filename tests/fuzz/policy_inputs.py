@@ -158,7 +158,7 @@ def table_policy(folder: Path) -> None:
     "evaluate in/policy in/table.npz --world --episodes 8 --json",
 )
 def begun(folder: Path) -> None:
-    """A policy, a table, and logs whose last path is what was seen and done there so far."""
+    """A policy, a table, and logs whose last trajectory is what was seen and done there so far."""
     from halfseen.perception import perceive, read_cloud
 
     table_policy(folder)
@@ -173,8 +173,8 @@ def attempts(folder: Path) -> None:
     from halfseen.logs import read_logs
 
     logs = read_logs(shipped_law() / "attempts")
-    first = set(logs.paths["path"][:200])
-    kept = (frame[frame["path"].isin(first)] for frame in (logs.stages, logs.paths, logs.objects))
+    first = set(logs.trajectories["trajectory"][:200])
+    kept = (frame[frame["trajectory"].isin(first)] for frame in (logs.stages, logs.trajectories, logs.objects))
     Logs(*kept).write(folder / "attempts")
 
 

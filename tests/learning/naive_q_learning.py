@@ -1,9 +1,9 @@
-"""Equation (3) once more, with loops over paths and blocks, and dense solvers: slow, and independent of the package."""
+"""Equation (3) once more, with loops over trajectories and blocks, and dense solvers: slow, and independent."""
 
 import numpy as np
 
 
-def naive_ridge(features, target, weight, reg, num_paths, scale=None):
+def naive_ridge(features, target, weight, reg, num_trajectories, scale=None):
     """Coefficients, offset first, of λ‖β‖² + (1/n) Σ w (y − α − xᵀβ)² with x scaled to unit weighted variance."""
     num_features = features.shape[1]
     if weight.sum() == 0:
@@ -15,7 +15,7 @@ def naive_ridge(features, target, weight, reg, num_paths, scale=None):
     used = centred[:, scale > 0] / scale[scale > 0]
     offset_free = target - np.average(target, weights=weight)
     root = np.sqrt(weight)[:, None]
-    design = np.vstack([used * root, np.sqrt(reg * num_paths) * np.eye(used.shape[1])])
+    design = np.vstack([used * root, np.sqrt(reg * num_trajectories) * np.eye(used.shape[1])])
     answer = np.concatenate([offset_free * root[:, 0], np.zeros(used.shape[1])])
     slopes = np.zeros(num_features)
     slopes[scale > 0] = np.linalg.lstsq(design, answer, rcond=1e-7)[0] / scale[scale > 0]
@@ -29,7 +29,7 @@ def naive_scale(features, weight):
     return np.where(spread > 1e-9, spread, 0.0)
 
 
-def naive_choice(features, target, weight, fold, regs, num_paths, num_folds):
+def naive_choice(features, target, weight, fold, regs, num_trajectories, num_folds):
     """λ with the smallest held-out weighted error, by a loop over λ and folds."""
     scale = naive_scale(features, weight)
     errors = []
@@ -37,7 +37,7 @@ def naive_choice(features, target, weight, fold, regs, num_paths, num_folds):
         error = 0.0
         for held in range(num_folds):
             train = np.where(fold == held, 0.0, weight)
-            beta = naive_ridge(features, target, train, reg, num_paths * (num_folds - 1) / num_folds, scale)
+            beta = naive_ridge(features, target, train, reg, num_trajectories * (num_folds - 1) / num_folds, scale)
             rest = target - beta[0] - features @ beta[1:]
             error += np.sum(np.where(fold == held, weight, 0.0) * rest**2)
         errors.append(error)
@@ -45,20 +45,20 @@ def naive_choice(features, target, weight, fold, regs, num_paths, num_folds):
 
 
 def naive_q(beta, features, blocks):
-    """Q of every action of one stage of one path."""
+    """Q of every action of one stage of one trajectory."""
     return np.array([beta[k][0] + features[a] @ beta[k][1:] for a, k in enumerate(blocks)])
 
 
-def _best(beta, log, blocks, path, stage, policy=None):
-    q = naive_q(beta, log.features[path, stage], blocks)
+def _best(beta, log, blocks, trajectory, stage, policy=None):
+    q = naive_q(beta, log.features[trajectory, stage], blocks)
     if policy is not None:
-        return sum(policy[path, stage, a] * q[a] for a in range(len(blocks)))
-    return max(q[a] for a in range(len(blocks)) if log.is_possible[path, stage, a])
+        return sum(policy[trajectory, stage, a] * q[a] for a in range(len(blocks)))
+    return max(q[a] for a in range(len(blocks)) if log.is_possible[trajectory, stage, a])
 
 
 def _fit(rows, blocks, num_blocks, log, centre, reg, num_folds):
-    """One regression of (path, stage, target) triples, shrunk towards `centre`."""
-    num_paths = len(log.action)
+    """One regression of (trajectory, stage, target) triples, shrunk towards `centre`."""
+    num_trajectories = len(log.action)
     beta = []
     for block in range(num_blocks):
         mine = [row for row in rows if blocks[log.action[row[0], row[1]]] == block]
@@ -67,15 +67,15 @@ def _fit(rows, blocks, num_blocks, log, centre, reg, num_folds):
         y = np.array([target for *_, target in mine]) - centre[block][0] - x @ centre[block][1:]
         chosen = reg
         if not np.isscalar(reg):
-            chosen = naive_choice(x, y, w, np.array([log.fold[i] for i, *_ in mine]), reg, num_paths, num_folds)
-        beta.append(centre[block] + naive_ridge(x, y, w, chosen, num_paths))
+            chosen = naive_choice(x, y, w, np.array([log.fold[i] for i, *_ in mine]), reg, num_trajectories, num_folds)
+        beta.append(centre[block] + naive_ridge(x, y, w, chosen, num_trajectories))
     return np.array(beta)
 
 
 def naive_backward(log, blocks, num_blocks, reg, stages, end_action=None, num_folds=1, policy=None):
     """Coefficients of Q_1 … Q_T (separate), or of one to T steps to go (pooled)."""
-    num_paths, horizon = log.action.shape
-    completed = [(i, t) for i in range(num_paths) for t in range(horizon) if log.weight[i, t] > 0]
+    num_trajectories, horizon = log.action.shape
+    completed = [(i, t) for i in range(num_trajectories) for t in range(horizon) if log.weight[i, t] > 0]
     zero = np.zeros((num_blocks, log.features.shape[-1] + 1))
 
     def target(i, t, value_of_successor):

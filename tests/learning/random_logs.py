@@ -17,23 +17,23 @@ class Blocks:
         return max(self.blocks) + 1
 
 
-def random_log(seed, num_paths=40, horizon=3, blocks=(0, 1, 1, 2), num_features=3, ends_with=None, is_cut=True):
-    """Paths of random lengths, of which some are cut; `ends_with` is an action that ends a path."""
+def random_log(seed, num_trajectories=40, horizon=3, blocks=(0, 1, 1, 2), num_features=3, ends_with=None, is_cut=True):
+    """Trajectories of random lengths, of which some are cut; `ends_with` is an action that ends a trajectory."""
     rng = np.random.default_rng(seed)
-    shape = (num_paths, horizon)
+    shape = (num_trajectories, horizon)
     num_actions = len(blocks)
     features = rng.normal(size=(*shape, num_actions, num_features))
     action = rng.integers(0, num_actions, size=shape)
     is_possible = rng.random((*shape, num_actions)) < 0.7
     np.put_along_axis(is_possible, action[..., None], True, axis=2)
-    length = rng.integers(1, horizon + 1, size=num_paths)
+    length = rng.integers(1, horizon + 1, size=num_trajectories)
     if ends_with is not None:
         is_possible[..., ends_with] = True
         early = np.where((action == ends_with).any(axis=1), np.argmax(action == ends_with, axis=1) + 1, horizon)
         length = np.minimum(length, early)
-        # A path ends by that action or at the horizon, and by nothing else.
-        length = np.where(action[np.arange(num_paths), length - 1] == ends_with, length, early)
-    num_completed = np.where(is_cut & (rng.random(num_paths) < 0.4), rng.integers(0, length), length)
+        # A trajectory ends by that action or at the horizon, and by nothing else.
+        length = np.where(action[np.arange(num_trajectories), length - 1] == ends_with, length, early)
+    num_completed = np.where(is_cut & (rng.random(num_trajectories) < 0.4), rng.integers(0, length), length)
     stage = np.arange(horizon)
     is_completed = stage < num_completed[:, None]
     is_begun = stage <= np.minimum(num_completed, length - 1)[:, None]
@@ -48,5 +48,5 @@ def random_log(seed, num_paths=40, horizon=3, blocks=(0, 1, 1, 2), num_features=
         reward=np.where(is_completed, reward, 0.0),
         weight=np.where(is_completed, rng.uniform(1.0, 3.0, size=shape) if is_cut else 1.0, 0.0),
         is_last=is_completed & (stage == length[:, None] - 1),
-        fold=rng.permutation(num_paths) % 4,
+        fold=rng.permutation(num_trajectories) % 4,
     )

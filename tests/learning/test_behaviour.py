@@ -78,16 +78,24 @@ def test_a_margin_counts_as_far_as_the_log_does_something_else():
     np.testing.assert_array_equal(unknown.scores(frame, 1), unknown.lower_bounds(frame, 1))
 
 
-def logs_of(habit, num_paths=40, seed=0):
+def logs_of(habit, num_trajectories=40, seed=0):
     """One stage; rewards are noise alone, and the log takes an action by whether x is positive, or by lot."""
     rng = np.random.default_rng(seed)
-    x = rng.normal(size=num_paths)
-    taken = x > 0 if habit else rng.random(num_paths) < 0.5
-    flipped = taken ^ (rng.random(num_paths) < 0.1)
-    stages = {"path": np.arange(num_paths), "stage": [1] * num_paths, "elapsed_s": [1.0] * num_paths}
-    stages |= {"action": np.where(flipped, "A", "B"), "reward": rng.normal(size=num_paths), "x": x}
-    paths = {"path": np.arange(num_paths), "end_s": [1.0] * num_paths, "ending": ["finished"] * num_paths}
-    return Logs(pd.DataFrame(stages), paths)
+    x = rng.normal(size=num_trajectories)
+    taken = x > 0 if habit else rng.random(num_trajectories) < 0.5
+    flipped = taken ^ (rng.random(num_trajectories) < 0.1)
+    stages = {
+        "trajectory": np.arange(num_trajectories),
+        "stage": [1] * num_trajectories,
+        "elapsed_s": [1.0] * num_trajectories,
+    }
+    stages |= {"action": np.where(flipped, "A", "B"), "reward": rng.normal(size=num_trajectories), "x": x}
+    trajectories = {
+        "trajectory": np.arange(num_trajectories),
+        "end_s": [1.0] * num_trajectories,
+        "ending": ["finished"] * num_trajectories,
+    }
+    return Logs(pd.DataFrame(stages), trajectories)
 
 
 def test_where_nothing_else_is_known_the_policy_does_what_the_log_does():
@@ -100,7 +108,7 @@ def test_where_nothing_else_is_known_the_policy_does_what_the_log_does():
 
 
 def test_a_log_by_lot_waives_almost_nothing():
-    learner = CensoredQLearner(1, ["A", "B"], ["x"]).fit(logs_of(False, num_paths=400))
+    learner = CensoredQLearner(1, ["A", "B"], ["x"]).fit(logs_of(False, num_trajectories=400))
     frame = pd.DataFrame({"x": [-1.0, 0.0, 1.0]})
     q, low, score = (getattr(learner.policy_, name)(frame, 1) for name in ("q_values", "lower_bounds", "scores"))
     assert ((score - low) <= 0.2 * (q - low)).all()

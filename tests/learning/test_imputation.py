@@ -22,11 +22,17 @@ def one_stage(seed, gain=1.2):
     cut = rng.exponential(1.2 * np.exp(-gain * x))
     reward = 2.0 * duration + x + (action == "B") + 0.3 * rng.normal(size=NUM_PATIENTS)
     is_seen = duration <= cut
-    path = np.arange(NUM_PATIENTS)
-    stages = {"path": path, "stage": 1, "elapsed_s": np.where(is_seen, duration, np.nan), "action": action, "x": x}
+    trajectory = np.arange(NUM_PATIENTS)
+    stages = {
+        "trajectory": trajectory,
+        "stage": 1,
+        "elapsed_s": np.where(is_seen, duration, np.nan),
+        "action": action,
+        "x": x,
+    }
     stages["reward"] = np.where(is_seen, reward, np.nan)
     ending = np.where(is_seen, "finished", "cut")
-    return Logs(pd.DataFrame(stages), {"path": path, "end_s": np.minimum(duration, cut), "ending": ending})
+    return Logs(pd.DataFrame(stages), {"trajectory": trajectory, "end_s": np.minimum(duration, cut), "ending": ending})
 
 
 def truth(x, is_b):
@@ -98,13 +104,13 @@ def test_without_cuts_nothing_is_imputed(censoring):
     np.testing.assert_allclose(imputed, plain, atol=1e-8)
 
 
-def imputed_for(paths, cut_model):
+def imputed_for(trajectories, cut_model):
     every, blocks = np.ones(2), np.arange(2)
-    return imputation(paths, cut_model, every, blocks, fit_duration_model(paths, every, blocks))
+    return imputation(trajectories, cut_model, every, blocks, fit_duration_model(trajectories, every, blocks))
 
 
 @pytest.mark.parametrize("truncate_at", [None, 1.5])
-@pytest.mark.parametrize("by", ["path", "stage", "pooled"])
+@pytest.mark.parametrize("by", ["trajectory", "stage", "pooled"])
 def test_what_a_constant_is_worth_adds_up_to_it(known, by, truncate_at, monkeypatch):
     """With g = 1 the sums telescope: Y of a target that is always 1 is 1, ties, truncated weights and all."""
     module = "halfseen.learning.imputation.duration_terms"
@@ -113,19 +119,22 @@ def test_what_a_constant_is_worth_adds_up_to_it(known, by, truncate_at, monkeypa
         2, ACTIONS, ["s1_1", "s2_1"], censoring=Weighted(by=by, truncate_at=truncate_at), reg=0.0
     )
     learner.fit(known)
-    paths = learner.model_.lay_out(known)
-    imputed = imputed_for(paths, learner.cut_model_)
-    begun = paths.is_begun
+    trajectories = learner.model_.lay_out(known)
+    imputed = imputed_for(trajectories, learner.cut_model_)
+    begun = trajectories.is_begun
     np.testing.assert_allclose(imputed.share[begun] + imputed.expected[begun][:, 0], 1.0, atol=1e-9)
-    assert (imputed.share[~paths.is_completed] == 0.0).all()
+    assert (imputed.share[~trajectories.is_completed] == 0.0).all()
 
 
 def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(known):
     learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.0).fit(known)
-    paths = learner.model_.lay_out(known)
-    imputed = imputed_for(paths, learner.cut_model_)
-    weights, begun = learner.cut_model_.weights(paths.clocks), learner.cut_model_.begun_weights(paths.clocks)
-    seen = paths.is_completed
+    trajectories = learner.model_.lay_out(known)
+    imputed = imputed_for(trajectories, learner.cut_model_)
+    weights, begun = (
+        learner.cut_model_.weights(trajectories.clocks),
+        learner.cut_model_.begun_weights(trajectories.clocks),
+    )
+    seen = trajectories.is_completed
     np.testing.assert_allclose(imputed.share[seen] * begun[seen], weights[seen])
 
 
@@ -134,13 +143,17 @@ def test_the_share_of_a_seen_target_is_what_the_stage_adds_to_the_weight(known):
 def test_tied_durations_are_no_bends(censoring, durations):
     """All stages last alike, or short or long; those that were cut early pay what the others pay on average."""
     num = 120
-    path = np.arange(num)
-    lasts = np.array(durations)[path // 2 % len(durations)]
-    is_cut = path % 5 == 0
+    trajectory = np.arange(num)
+    lasts = np.array(durations)[trajectory // 2 % len(durations)]
+    is_cut = trajectory % 5 == 0
     pays = 1.0 + 3.0 * (lasts - 2.0)
-    stages = pd.DataFrame({"path": path, "stage": 1, "action": np.array(ACTIONS)[path % 2], "x": 0.0})
+    stages = pd.DataFrame({"trajectory": trajectory, "stage": 1, "action": np.array(ACTIONS)[trajectory % 2], "x": 0.0})
     stages["elapsed_s"], stages["reward"] = np.where(is_cut, np.nan, lasts), np.where(is_cut, np.nan, pays)
-    ends = {"path": path, "end_s": np.where(is_cut, 1.0, lasts), "ending": np.where(is_cut, "cut", "finished")}
+    ends = {
+        "trajectory": trajectory,
+        "end_s": np.where(is_cut, 1.0, lasts),
+        "ending": np.where(is_cut, "cut", "finished"),
+    }
     learner = CensoredQLearner.of_paper(1, ACTIONS, ["x"], reg=0.0, censoring=censoring).fit(Logs(stages, ends))
     mean = pays[~is_cut].mean()
     np.testing.assert_allclose(learner.q_values(pd.DataFrame({"x": [0.0]}), 1), mean, atol=0.15)
@@ -166,10 +179,10 @@ def test_what_durations_are_to_be_expected_by_a_loop():
 
 def test_what_cannot_be_imputed_is_refused(known):
     unknown = Logs(
-        known.stages.assign(action=known.stages["action"].where(known.stages["elapsed_s"].notna())), known.paths
+        known.stages.assign(action=known.stages["action"].where(known.stages["elapsed_s"].notna())), known.trajectories
     )
     for censoring in (DoublyRobust(), "buckley-james"):
-        with pytest.raises(ArgumentError, match=r"path \d+, stage \d: its action is null, and .* learning needs"):
+        with pytest.raises(ArgumentError, match=r"trajectory \d+, stage \d: its action is null, and .* learning needs"):
             CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=censoring).fit(unknown)
     with pytest.raises(ArgumentError, match="outcome_covariates names 'age'"):
         CensoredQLearner.of_paper(2, ACTIONS, FULL, censoring=DoublyRobust(outcome_covariates=["age"])).fit(known)

@@ -6,14 +6,14 @@ import pytest
 from halfseen.censoring import StageClocks
 from halfseen.learning import kept_parts
 from halfseen.learning.kept_parts import KeptParts, num_bytes_of
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Encoded
 from halfseen.learning.values import Norms
 
 
 def part(seed, ids=(2**53, 7)):
     clocks = StageClocks(
-        path_ids=np.array(ids, dtype=object if isinstance(ids[0], str) else None),
+        trajectory_ids=np.array(ids, dtype=object if isinstance(ids[0], str) else None),
         elapsed_s=np.array([[1.0, np.nan], [0.5, 2.0]]),
         end_s=np.array([1.5, 2.0]),
         is_finished=np.array([False, True]),
@@ -23,7 +23,7 @@ def part(seed, ids=(2**53, 7)):
     )
     encoded = Encoded(np.arange(8.0).reshape(2, 2, 1, 2), np.ones((2, 2, 2), dtype=bool), np.array([[0, 1], [1, 0]]))
     reward = np.random.default_rng(seed).normal(size=(2, 2))
-    return PathArrays(clocks, encoded, np.ones((2, 2), dtype=bool), np.full((2, 2), np.nan), reward)
+    return TrajectoryArrays(clocks, encoded, np.ones((2, 2), dtype=bool), np.full((2, 2), np.nan), reward)
 
 
 def assert_same(here, there):
@@ -55,11 +55,11 @@ def test_a_part_comes_back_as_it_was_and_nothing_is_left_on_the_disk(is_shared, 
         monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
     with kept_parts.kept_parts(2, is_shared) as kept:
         for number in range(2):
-            kept.keep("paths", number, part(0, ids))
-            kept.keep("paths", number, part(number, ids))
-            assert_same(kept.read("paths", number), part(number, ids))
-        kept.forget("paths", 1)
-        assert kept.read("paths", 1) is kept.read("rows", 0) is None
+            kept.keep("trajectories", number, part(0, ids))
+            kept.keep("trajectories", number, part(number, ids))
+            assert_same(kept.read("trajectories", number), part(number, ids))
+        kept.forget("trajectories", 1)
+        assert kept.read("trajectories", 1) is kept.read("rows", 0) is None
     assert not list(tmp_path.iterdir())
 
 
@@ -67,8 +67,8 @@ def test_what_has_no_room_is_not_kept(tmp_path):
     size = num_bytes_of(part(0))
     for most, is_kept in ((size - 1, False), (size, True)):
         kept = KeptParts(str(tmp_path), True, most)
-        kept.keep("paths", 0, part(0))
-        assert (kept.read("paths", 0) is not None) == is_kept == any(tmp_path.iterdir())
+        kept.keep("trajectories", 0, part(0))
+        assert (kept.read("trajectories", 0) is not None) == is_kept == any(tmp_path.iterdir())
     assert num_bytes_of((np.broadcast_to(0.0, (3, 4)), None, np.zeros(2, dtype=np.int8))) == 3 * 4 * 8 + 2
 
 
@@ -76,7 +76,7 @@ def test_what_has_no_room_is_not_kept(tmp_path):
 def test_what_ends_while_writing_leaves_what_was_there(tmp_path, monkeypatch, error):
     """A disk that is full keeps nothing of a part, and says nothing; who is killed leaves the part of before."""
     kept = KeptParts(str(tmp_path), True, 10**6)
-    kept.keep("paths", 0, part(0))
+    kept.keep("trajectories", 0, part(0))
 
     def half_written(file, part):
         file.write_bytes(b"half a part")
@@ -84,8 +84,8 @@ def test_what_ends_while_writing_leaves_what_was_there(tmp_path, monkeypatch, er
 
     monkeypatch.setattr(kept_parts, "_write", half_written)
     try:
-        kept.keep("paths", 0, part(1))
-        assert [file.name for file in tmp_path.iterdir()] == ["paths-0"]
+        kept.keep("trajectories", 0, part(1))
+        assert [file.name for file in tmp_path.iterdir()] == ["trajectories-0"]
     except KeyboardInterrupt:
         assert isinstance(error, KeyboardInterrupt)
-    assert_same(kept.read("paths", 0), part(0))
+    assert_same(kept.read("trajectories", 0), part(0))

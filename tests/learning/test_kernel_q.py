@@ -11,22 +11,31 @@ from halfseen.world import Scene, TableWorld, UniformPolicy
 GAMMA, REG = 0.7, 1e-3
 
 
-def one_stage(num_paths=80, seed=0):
+def one_stage(num_trajectories=80, seed=0):
     rng = np.random.default_rng(seed)
-    x = rng.normal(size=(num_paths, 2)) * [1.0, 10.0] + [0.0, 5.0]
-    action = rng.choice(["A", "B"], num_paths)
+    x = rng.normal(size=(num_trajectories, 2)) * [1.0, 10.0] + [0.0, 5.0]
+    action = rng.choice(["A", "B"], num_trajectories)
     reward = np.where(action == "A", np.sin(2.0 * x[:, 0]), np.cos(x[:, 1] / 5.0))
-    path = np.arange(num_paths)
-    stages = {"path": path, "stage": 1, "elapsed_s": rng.uniform(1, 2, num_paths), "action": action, "reward": reward}
+    trajectory = np.arange(num_trajectories)
+    stages = {
+        "trajectory": trajectory,
+        "stage": 1,
+        "elapsed_s": rng.uniform(1, 2, num_trajectories),
+        "action": action,
+        "reward": reward,
+    }
     stages |= {"x1": x[:, 0], "x2": x[:, 1]}
-    return Logs(pd.DataFrame(stages), {"path": path, "end_s": stages["elapsed_s"], "ending": ["finished"] * num_paths})
+    return Logs(
+        pd.DataFrame(stages),
+        {"trajectory": trajectory, "end_s": stages["elapsed_s"], "ending": ["finished"] * num_trajectories},
+    )
 
 
 def test_with_all_rows_as_landmarks_it_is_kernel_ridge_with_a_free_offset():
     """Equal to scikit-learn's on targets and kernel that are centred in feature space."""
     logs = one_stage()
     learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=KernelQ(1000, GAMMA), reg=REG).fit(logs)
-    x, n = logs.stages[["x1", "x2"]].to_numpy(), logs.num_paths
+    x, n = logs.stages[["x1", "x2"]].to_numpy(), logs.num_trajectories
     scaled = (x - x.mean(axis=0)) / x.std(axis=0)
     gram = np.exp(-GAMMA * ((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1))
     q = learner.q_values(logs.stages, 1)
@@ -84,5 +93,5 @@ def test_a_table_has_a_kernel_q_too():
     learner = CensoredQLearner.for_table(10, q_function=KernelQ(40)).fit(logs)
     played = TableWorld().simulate(scene, learner.policy_, episodes=60, seed=1)
     logged = TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=1)
-    earned = [one.stages.groupby("path")["reward"].sum().mean() for one in (played, logged)]
+    earned = [one.stages.groupby("trajectory")["reward"].sum().mean() for one in (played, logged)]
     assert earned[0] > earned[1] + 2.0

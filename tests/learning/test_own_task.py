@@ -45,7 +45,7 @@ class DoseTask:
         return self
 
     def encode(self, logs, horizon):
-        at, shape = stage_places(logs), (logs.num_paths, horizon)
+        at, shape = stage_places(logs), (logs.num_trajectories, horizon)
         features, action = np.zeros((*shape, len(DOSES), 3)), np.zeros(shape, dtype=np.int64)
         features[at] = features_of(logs.stages["need"])
         action[at] = logs.stages["action"].fillna(0)
@@ -57,7 +57,7 @@ class DoseTask:
     def outcome_features(self, names):
         return np.isin(["dose", "square", "need"], list(names)).astype(float)
 
-    def censoring_covariates(self, logs, names, is_by_path):
+    def censoring_covariates(self, logs, names, is_by_trajectory):
         return logs.stages[["need"] if names is None else list(names)].astype(float)
 
     def fitted_to_rewards(self, parts):
@@ -70,31 +70,31 @@ class DoseTask:
         return DosePolicy(learned.coefficients)
 
     def target_probabilities(self, policy, logs, horizon):
-        probabilities = np.zeros((logs.num_paths, horizon, len(DOSES)))
-        for path, stage, need in zip(*stage_places(logs), logs.stages["need"], strict=True):
-            probabilities[path, stage, policy.dose(need, stage + 1)] = 1.0
+        probabilities = np.zeros((logs.num_trajectories, horizon, len(DOSES)))
+        for trajectory, stage, need in zip(*stage_places(logs), logs.stages["need"], strict=True):
+            probabilities[trajectory, stage, policy.dose(need, stage + 1)] = 1.0
         return probabilities
 
 
-def trial(seed, num_paths=300):
-    """What a dose brings is most where it equals the need; the higher the dose, the sooner a path is cut."""
+def trial(seed, num_trajectories=300):
+    """What a dose brings is most where it equals the need; the higher the dose, the sooner a trajectory is cut."""
     rng = np.random.default_rng(seed)
-    stages, paths = [], []
-    for path in range(num_paths):
+    stages, trajectories = [], []
+    for trajectory in range(num_trajectories):
         clock, is_cut = 0.0, False
         for stage in (1, 2):
             need, action = rng.uniform(), int(rng.integers(3))
             took, cut_s = rng.exponential(1.0), rng.exponential(8.0 * np.exp(-DOSES[action]))
-            is_cut, row = cut_s < took, {"path": path, "stage": stage, "need": need, "action": action}
+            is_cut, row = cut_s < took, {"trajectory": trajectory, "stage": stage, "need": need, "action": action}
             reward = 1.0 - 4.0 * (DOSES[action] - need) ** 2 + 4.0 * need**2 + 0.1 * rng.normal()
             done = {"elapsed_s": None, "reward": None} if is_cut else {"elapsed_s": clock + took, "reward": reward}
             stages.append(row | done | {"probability": 1 / 3})
             clock += min(took, cut_s)
             if is_cut:
                 break
-        paths.append({"path": path, "end_s": clock, "ending": "cut" if is_cut else "finished"})
+        trajectories.append({"trajectory": trajectory, "end_s": clock, "ending": "cut" if is_cut else "finished"})
     frame = pd.DataFrame(stages).astype({"elapsed_s": float, "reward": float})
-    return Logs(frame, pd.DataFrame(paths))
+    return Logs(frame, pd.DataFrame(trajectories))
 
 
 @pytest.fixture(scope="module")

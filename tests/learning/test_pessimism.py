@@ -14,26 +14,26 @@ REG = 0.02
 COVARIATES = ["x1", "x2"]
 
 
-def trial(num_paths=60, seed=0, horizon=1):
+def trial(num_trajectories=60, seed=0, horizon=1):
     """Two stages or one; A is common, B is rare, and rewards are noisy."""
     rng = np.random.default_rng(seed)
     rows = []
-    for path in range(num_paths):
+    for trajectory in range(num_trajectories):
         for stage in range(1, horizon + 1):
             x1, x2 = rng.normal(size=2) * [1.0, 5.0]
             action = "B" if rng.random() < 0.25 else "A"
             reward = (x1 if action == "A" else 0.3 * x2) + rng.normal()
-            rows.append((path, stage, float(stage), action, reward, x1, x2))
-    stages = pd.DataFrame(rows, columns=["path", "stage", "elapsed_s", "action", "reward", *COVARIATES])
-    paths = {"path": np.arange(num_paths), "end_s": np.full(num_paths, float(horizon))}
-    return Logs(stages, paths | {"ending": ["finished"] * num_paths})
+            rows.append((trajectory, stage, float(stage), action, reward, x1, x2))
+    stages = pd.DataFrame(rows, columns=["trajectory", "stage", "elapsed_s", "action", "reward", *COVARIATES])
+    trajectories = {"trajectory": np.arange(num_trajectories), "end_s": np.full(num_trajectories, float(horizon))}
+    return Logs(stages, trajectories | {"ending": ["finished"] * num_trajectories})
 
 
-def fitted_by_hand(x, y, reg, num_paths):
+def fitted_by_hand(x, y, reg, num_trajectories):
     """Ridge with a free offset on scaled features: its predictions, and its standard errors as Bayes has them."""
     mean, scale = x.mean(axis=0), x.std(axis=0)
     z = (x - mean) / scale
-    penalised = z.T @ z + reg * num_paths * np.eye(z.shape[1])
+    penalised = z.T @ z + reg * num_trajectories * np.eye(z.shape[1])
     beta = np.linalg.solve(penalised, z.T @ (y - y.mean()))
     used = 1.0 + np.trace(np.linalg.solve(penalised, z.T @ z))
     variance = ((y - y.mean() - z @ beta) ** 2).sum() / (len(y) - used)
@@ -48,7 +48,7 @@ def fitted_by_hand(x, y, reg, num_paths):
 
 def by_hand(logs, strength, reg=REG):
     """Lower bounds of both actions in the last stage, and Q of the stage before by the largest of them."""
-    frame, n = logs.stages, logs.num_paths
+    frame, n = logs.stages, logs.num_trajectories
     horizon, after = logs.horizon, np.zeros(n)
     for stage in range(horizon, 0, -1):
         rows = frame[frame["stage"] == stage]
@@ -92,8 +92,8 @@ def test_what_one_lucky_stage_speaks_for_is_not_taken():
     n = 100
     action = np.where(np.arange(n) < 3, "B", "A")
     reward = np.where(action == "B", [1.5, -3.0, 4.5, *[0.0] * (n - 3)], rng.normal(size=n) * 0.1 + 0.5)
-    stages = {"path": np.arange(n), "stage": 1, "elapsed_s": 1.0, "action": action, "reward": reward}
-    logs = Logs(pd.DataFrame(stages), {"path": np.arange(n), "end_s": np.ones(n), "ending": ["finished"] * n})
+    stages = {"trajectory": np.arange(n), "stage": 1, "elapsed_s": 1.0, "action": action, "reward": reward}
+    logs = Logs(pd.DataFrame(stages), {"trajectory": np.arange(n), "end_s": np.ones(n), "ending": ["finished"] * n})
     bold, wary = (
         CensoredQLearner(1, ["A", "B"], pessimism=each, q_function="linear").fit(logs) for each in (0, "auto")
     )
@@ -117,8 +117,10 @@ def test_cut_stages_count_as_nothing_seen():
     stages = logs.stages.assign(
         reward=logs.stages["reward"].mask(is_cut), elapsed_s=logs.stages["elapsed_s"].mask(is_cut)
     )
-    paths = logs.paths.assign(ending=np.where(is_cut, "cut", "finished"), end_s=np.where(is_cut, 0.5, 1.0))
-    cut = Logs(stages, paths)
+    trajectories = logs.trajectories.assign(
+        ending=np.where(is_cut, "cut", "finished"), end_s=np.where(is_cut, 0.5, 1.0)
+    )
+    cut = Logs(stages, trajectories)
     imputed, completed = (
         CensoredQLearner.of_paper(1, ["A", "B"], COVARIATES, reg=REG, pessimism=1.0, censoring=each).fit(cut)
         for each in ("buckley-james", "none")

@@ -9,20 +9,22 @@ from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, bootstra
 from halfseen.logs import Logs
 from halfseen.workers import Workers
 
-NUM_PATHS = 60
+NUM_TRAJECTORIES = 60
 
 
 @pytest.fixture(scope="module")
 def logs():
-    return with_known_actions(two_stage_trial(num_paths=NUM_PATHS))
+    return with_known_actions(two_stage_trial(num_trajectories=NUM_TRAJECTORIES))
 
 
 def repeated(logs, counts):
-    """A log in which path i is there `counts[i]` times, under other names."""
-    rows = np.repeat(logs.path_ids, counts)
-    names = pd.DataFrame({"path": rows, "name": np.arange(len(rows))})
-    frames = [names.merge(frame, on="path").drop(columns="path") for frame in (logs.stages, logs.paths)]
-    return Logs(*(frame.rename(columns={"name": "path"}) for frame in frames))
+    """A log in which trajectory i is there `counts[i]` times, under other names."""
+    rows = np.repeat(logs.trajectory_ids, counts)
+    names = pd.DataFrame({"trajectory": rows, "name": np.arange(len(rows))})
+    frames = [
+        names.merge(frame, on="trajectory").drop(columns="trajectory") for frame in (logs.stages, logs.trajectories)
+    ]
+    return Logs(*(frame.rename(columns={"name": "trajectory"}) for frame in frames))
 
 
 @pytest.mark.parametrize(
@@ -30,13 +32,13 @@ def repeated(logs, counts):
     ["kaplan-meier", Weighted(Cox(ridge=1.0), by="pooled"), DoublyRobust(), "buckley-james"],
     ids=["weights", "cox by stage", "doubly robust", "imputed"],
 )
-def test_a_replicate_is_what_is_learned_from_the_paths_that_were_drawn(logs, censoring):
-    """A path drawn k times counts as k paths that are the same, in the weights and the targets, too."""
+def test_a_replicate_is_what_is_learned_from_the_trajectories_that_were_drawn(logs, censoring):
+    """A trajectory drawn k times counts as k trajectories that are the same, in the weights and the targets, too."""
     learner = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(logs)
     found = bootstrap(learner, logs, num_replicates=3, random_state=5)
 
-    share = np.full(NUM_PATHS, 1 / NUM_PATHS)
-    counts = np.random.default_rng(5).multinomial(NUM_PATHS, share, size=3)
+    share = np.full(NUM_TRAJECTORIES, 1 / NUM_TRAJECTORIES)
+    counts = np.random.default_rng(5).multinomial(NUM_TRAJECTORIES, share, size=3)
     for k in range(3):
         again = CensoredQLearner.of_paper(2, ACTIONS, ["s1_1", "s2_1"], reg=0.1, censoring=censoring).fit(
             repeated(logs, counts[k])
@@ -79,7 +81,7 @@ def test_what_cannot_be_asked_is_refused(logs):
     learner.fit(logs)
     with pytest.raises(ArgumentError, match="num_replicates is 1"):
         bootstrap(learner, logs, num_replicates=1)
-    with pytest.raises(ArgumentError, match="the log has 10 paths, but the learner was fitted to 60"):
+    with pytest.raises(ArgumentError, match="the log has 10 trajectories, but the learner was fitted to 60"):
         bootstrap(learner, logs.select(range(10)))
     with pytest.raises(ArgumentError, match=r"level is 1\.0"):
         bootstrap(learner, logs, num_replicates=2).q_interval(pd.DataFrame([indicators(1, 0)]), 1, level=1.0)

@@ -38,10 +38,12 @@ def test_a_saturated_q_is_the_weighted_mean_of_each_cell(logs, covariates):
 
 
 def test_the_trial_has_ties_and_cuts_in_both_stages(logs):
-    last = logs.stages.groupby("path").tail(1)
+    last = logs.stages.groupby("trajectory").tail(1)
     cut = last[last["elapsed_s"].isna()]
     assert set(cut["stage"]) == {1, 2}
-    assert set(logs.stages[logs.stages["stage"] == 1]["path"]) != set(logs.stages[logs.stages["stage"] == 2]["path"])
+    assert set(logs.stages[logs.stages["stage"] == 1]["trajectory"]) != set(
+        logs.stages[logs.stages["stage"] == 2]["trajectory"]
+    )
     assert set(logs.end_s[logs.is_finished]) & set(logs.end_s[~logs.is_finished])
     assert logs.stages["action"].isna().any()
 
@@ -55,8 +57,8 @@ def test_a_model_given_is_used_and_not_changed(logs):
 
 
 @pytest.mark.parametrize("name", ["cox", "kernel"])
-def test_cuts_may_depend_on_what_a_path_begins_with(logs, name):
-    first = logs.stages[logs.stages["stage"] == 1].set_index("path").loc[logs.path_ids, ["s1_1", "s1_2"]]
+def test_cuts_may_depend_on_what_a_trajectory_begins_with(logs, name):
+    first = logs.stages[logs.stages["stage"] == 1].set_index("trajectory").loc[logs.trajectory_ids, ["s1_1", "s1_2"]]
     elapsed_s = logs.elapsed_s()
     weights = stage_weights(elapsed_s, logs.end_s, logs.is_finished, name, covariates=first.reset_index(drop=True))
     fitted = learner(covariates=REDUCED, censoring=name).fit(logs)
@@ -71,34 +73,37 @@ def test_diagnostics_are_kept(logs):
     assert fitted.weights_.shape == (400, 2)
 
 
-def test_a_weight_that_is_not_identified_names_path_and_stage():
-    # The last cut comes before path 1 finishes, and path 1 stands for nobody else who was watched that long.
-    stages = {"path": [0, 1, 2], "stage": [1, 1, 1], "elapsed_s": [1.0, 3.0, None], "reward": [1.0, 1.0, None]}
-    paths = {"path": [0, 1, 2], "end_s": [1.0, 3.0, 3.5], "ending": ["finished", "finished", "cut"]}
-    logs = Logs({**stages, "action": ["A", "A", "A"]}, paths)
+def test_a_weight_that_is_not_identified_names_trajectory_and_stage():
+    # The last cut comes before trajectory 1 finishes, and trajectory 1 stands for nobody else who was watched that
+    # long.
+    stages = {"trajectory": [0, 1, 2], "stage": [1, 1, 1], "elapsed_s": [1.0, 3.0, None], "reward": [1.0, 1.0, None]}
+    trajectories = {"trajectory": [0, 1, 2], "end_s": [1.0, 3.0, 3.5], "ending": ["finished", "finished", "cut"]}
+    logs = Logs({**stages, "action": ["A", "A", "A"]}, trajectories)
     gone = KaplanMeier().fit([0.5, 2.0], [True, False])
-    with pytest.raises(PositivityError, match=r"path 1, stage 1: completed at 3 s"):
+    with pytest.raises(PositivityError, match=r"trajectory 1, stage 1: completed at 3 s"):
         learner(horizon=1, covariates=[], censoring=gone).fit(logs)
 
 
 def test_an_unknown_action_is_named(logs):
     strange = logs.stages.assign(action=logs.stages["action"].where(logs.stages.index != 5, "C"))
     row = strange.iloc[5]
-    with pytest.raises(LogError, match=f"path {row['path']}, stage {row['stage']}: action 'C' was not possible"):
-        learner().fit(Logs(strange, logs.paths))
+    with pytest.raises(
+        LogError, match=f"trajectory {row['trajectory']}, stage {row['stage']}: action 'C' was not possible"
+    ):
+        learner().fit(Logs(strange, logs.trajectories))
 
 
 @pytest.mark.parametrize(
     ("changed", "error", "message"),
     [
-        ({"covariates": ["weight_kg"]}, LogError, "covariate 'weight_kg' is missing; there are path, stage"),
+        ({"covariates": ["weight_kg"]}, LogError, "covariate 'weight_kg' is missing; there are trajectory, stage"),
         ({"covariates": ["action"]}, LogError, "covariate 'action' holds no numbers"),
         (
             {"covariates": ["s2_1"], "censoring": "cox"},
             ArgumentError,
-            "none of those of a path's first stage differs between paths",
+            "none of those of a trajectory's first stage differs between trajectories",
         ),
-        ({"horizon": 0}, ArgumentError, "horizon is 0; a path has a whole number of stages, at least 1"),
+        ({"horizon": 0}, ArgumentError, "horizon is 0; a trajectory has a whole number of stages, at least 1"),
         ({"reg": -1.0}, ArgumentError, "reg is -1.0; it is a λ ≥ 0, or 'cv'"),
         ({"reg": float("nan")}, ArgumentError, "reg is nan"),
         ({"reg": "ridge"}, ArgumentError, "reg is 'ridge'"),
@@ -137,9 +142,9 @@ def test_specifications_refuse_what_they_cannot_mean_where_they_are_written(writ
         written()
 
 
-def test_one_path_cannot_be_held_out():
-    stages = {"path": [0], "stage": [1], "elapsed_s": [1.0], "action": ["A"], "reward": [2.0]}
-    logs = Logs(stages, {"path": [0], "end_s": [1.0], "ending": ["finished"]})
+def test_one_trajectory_cannot_be_held_out():
+    stages = {"trajectory": [0], "stage": [1], "elapsed_s": [1.0], "action": ["A"], "reward": [2.0]}
+    logs = Logs(stages, {"trajectory": [0], "end_s": [1.0], "ending": ["finished"]})
     one = learner(horizon=1, covariates=[], reg="cv")
     with pytest.raises(ArgumentError, match="1 of 1 completed a stage; give a number for reg"):
         one.fit(logs)
@@ -150,9 +155,11 @@ def test_one_path_cannot_be_held_out():
 def test_only_possible_actions_are_chosen_and_maximised_over(logs):
     # B pays in stage 2 where s2_1, so forbidding it there lowers what stage 1 is worth.
     no_b = logs.stages[(logs.stages["stage"] == 1) | (logs.stages["action"] != "B")]
-    kept = no_b.groupby("path")["stage"].size()
-    paths = logs.paths[logs.paths["path"].isin(kept.index[kept == logs.stages.groupby("path")["stage"].size()])]
-    part = Logs(no_b[no_b["path"].isin(paths["path"])], paths)
+    kept = no_b.groupby("trajectory")["stage"].size()
+    trajectories = logs.trajectories[
+        logs.trajectories["trajectory"].isin(kept.index[kept == logs.stages.groupby("trajectory")["stage"].size()])
+    ]
+    part = Logs(no_b[no_b["trajectory"].isin(trajectories["trajectory"])], trajectories)
     by_stage = learner(actions={1: ["A", "B"], 2: ["A"]}).fit(part)
     assert set(by_stage.decide(states_of(2), 2)) == {"A"}
     assert set(by_stage.decide(states_of(1), 1)) <= {"A", "B"}
@@ -168,7 +175,7 @@ def test_an_impossible_action_that_looks_best_is_not_in_the_maximum(logs):
     dear = logs.stages.assign(
         reward=logs.stages["reward"].where(logs.stages["stage"] == 1, logs.stages["reward"] - 100)
     )
-    dear = Logs(dear.assign(reward=dear["reward"].where(dear["elapsed_s"].notna())), logs.paths)
+    dear = Logs(dear.assign(reward=dear["reward"].where(dear["elapsed_s"].notna())), logs.trajectories)
     fitted = learner(actions={1: ["A", "B", "C"], 2: ["A", "B"]}).fit(dear)
     first, _ = cell_means(dear)
     assert fitted.q_values(states_of(1), 1)[:, :2] == pytest.approx(first.to_numpy(), abs=1e-8)
@@ -223,7 +230,7 @@ def test_the_random_state_deals_the_folds_and_nothing_else_does(logs):
 
 
 def test_the_order_of_rows_is_irrelevant(logs):
-    shuffled = Logs(logs.stages.sample(frac=1.0, random_state=0), logs.paths.sample(frac=1.0, random_state=1))
+    shuffled = Logs(logs.stages.sample(frac=1.0, random_state=0), logs.trajectories.sample(frac=1.0, random_state=1))
     assert learner(reg=0.1).fit(shuffled).q_functions_.coefficients == pytest.approx(
         learner(reg=0.1).fit(logs).q_functions_.coefficients, abs=1e-12
     )
@@ -258,13 +265,15 @@ def test_a_fit_of_named_actions_loads_what_it_needs():
 import sys
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-path = list(range(8))
-stages = {"path": path, "stage": [1] * 8, "elapsed_s": [1.0] * 8, "action": [*"AB"] * 4, "reward": path, "x": path}
-logs = Logs(stages, {"path": path, "end_s": [1.0] * 8, "ending": ["finished"] * 8})
+names = list(range(8))
+stages = {"trajectory": names, "stage": [1] * 8, "elapsed_s": [1.0] * 8, "action": [*"AB"] * 4, "reward": names}
+ends = {"trajectory": names, "end_s": [1.0] * 8, "ending": ["finished"] * 8}
+logs = Logs(stages | {"x": names}, ends)
 CensoredQLearner.of_paper(1, ["A", "B"], ["x"], reg=0.1).fit(logs)
 print(*[name for name in ("jax", "scipy", "sklearn") if name in sys.modules])
 CensoredQLearner(1, ["A", "B"], ["x"]).fit(logs)
-print(*[name for name in ("jax", "scipy.special", "scipy.spatial", "scipy.stats", "sklearn") if name in sys.modules])
+heavy = ("jax", "scipy.special", "scipy.spatial", "scipy.stats", "sklearn")
+print(*[name for name in heavy if name in sys.modules])
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "\n\n"

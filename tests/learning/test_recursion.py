@@ -19,8 +19,8 @@ def fit(log, task, stages, reg=0.1, num_folds=1):
     return fit_q(log, Regression(np.array(task.blocks), task.num_blocks, regs, num_folds, stages, end_action))
 
 
-def of_paths(change, *logs):
-    """Change every array of logs, each of which has a row a path."""
+def of_trajectories(change, *logs):
+    """Change every array of logs, each of which has a row a trajectory."""
     leaves = zip(*logs, strict=True)
     return Transitions(*(None if each[0] is None else change(*each) for each in leaves))
 
@@ -78,7 +78,7 @@ def test_what_does_not_count_may_hold_anything(stages, task):
     )
     clean = fit(log, task, stages).coefficients
     assert fit(poisoned, task, stages).coefficients == pytest.approx(clean, abs=1e-9)
-    unused = of_paths(lambda leaf: np.concatenate([leaf, leaf[:5]]), poisoned)
+    unused = of_trajectories(lambda leaf: np.concatenate([leaf, leaf[:5]]), poisoned)
     unused.weight[-5:] = 0.0
     unused.reward[-5:] = -1e6
     at_zero = fit(log, task, stages, 0.0).coefficients
@@ -112,15 +112,15 @@ def test_q_of_a_policy_that_draws_is_that_of_a_loop(stages, task):
 
 
 @pytest.mark.parametrize(("stages", "task"), MODES)
-def test_the_order_of_paths_is_irrelevant(stages, task):
+def test_the_order_of_trajectories_is_irrelevant(stages, task):
     log = log_for(task)
     order = np.random.default_rng(5).permutation(len(log.action))
-    shuffled = of_paths(lambda leaf: leaf[order], log)
+    shuffled = of_trajectories(lambda leaf: leaf[order], log)
     clean = fit(log, task, stages).coefficients
     assert fit(shuffled, task, stages).coefficients == pytest.approx(clean, abs=1e-10)
 
 
-def test_a_path_in_no_fold_is_refused():
+def test_a_trajectory_in_no_fold_is_refused():
     with pytest.raises(ArgumentError, match="fold 3 of 2: folds are 0 to 1"):
         fit_q(log_for(FLAT), Regression(np.array(BLOCKS), 3, np.ones(1), 2, "separate"))
 
@@ -141,7 +141,7 @@ def test_it_matters(changed):
 
 @pytest.mark.parametrize(("stages", "task"), MODES)
 def test_what_a_control_variate_adds_to_a_reward_changes_nothing(stages, task):
-    log = log_for(task, num_paths=150)
+    log = log_for(task, num_trajectories=150)
     variates = np.random.default_rng(7).normal(size=(*log.action.shape, 2))
     seen = np.where(log.is_last[..., None], 0.0, variates)
     noisy = log._replace(reward=log.reward + seen @ np.array([3.0, -5.0]))

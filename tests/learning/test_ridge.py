@@ -5,7 +5,7 @@ from sklearn.linear_model import Ridge
 
 from halfseen.learning.ridge import ridge_of, solve, with_prior
 
-NUM_PATHS, NUM_FOLDS = 50, 5
+NUM_TRAJECTORIES, NUM_FOLDS = 50, 5
 REGS = np.logspace(-3, 2, 11)
 
 
@@ -23,12 +23,12 @@ def sums(features, block, weight, fold, target, num_blocks=3, num_folds=1):
 def rows():
     rng = np.random.default_rng(0)
     num_rows = 150
-    path = rng.integers(0, NUM_PATHS, num_rows)
+    trajectory = rng.integers(0, NUM_TRAJECTORIES, num_rows)
     return {
         "features": rng.normal(size=(num_rows, 4)) * [1.0, 10.0, 0.01, 3.0] + [0.0, 50.0, 1.0, -2.0],
         "block": rng.integers(0, 3, num_rows),
         "weight": np.where(rng.random(num_rows) < 0.2, 0.0, rng.uniform(1.0, 4.0, num_rows)),
-        "fold": (path % NUM_FOLDS),
+        "fold": (trajectory % NUM_FOLDS),
     }
 
 
@@ -40,7 +40,7 @@ def target_of(rows):
 def fitted(rows, target, regs, num_folds=1):
     given = dict(rows) if num_folds > 1 else {**rows, "fold": np.zeros_like(rows["fold"])}
     gram, cross = sums(**given, target=target, num_folds=num_folds)
-    return solve(ridge_of(gram, np.asarray(regs, dtype=float), NUM_PATHS), cross)
+    return solve(ridge_of(gram, np.asarray(regs, dtype=float), NUM_TRAJECTORIES), cross)
 
 
 @pytest.mark.parametrize("reg", [1e-3, 0.1, 10.0])
@@ -51,7 +51,7 @@ def test_it_is_scikit_learns_ridge_on_scaled_features(rows, reg):
         mine = rows["block"] == block
         x, w = rows["features"][mine], rows["weight"][mine]
         spread = np.sqrt(np.average((x - np.average(x, axis=0, weights=w)) ** 2, axis=0, weights=w))
-        ridge = Ridge(alpha=reg * NUM_PATHS, solver="svd").fit(x / spread, target[mine], sample_weight=w)
+        ridge = Ridge(alpha=reg * NUM_TRAJECTORIES, solver="svd").fit(x / spread, target[mine], sample_weight=w)
         assert coefficients[block, 1:] * spread == pytest.approx(ridge.coef_, rel=1e-7)
         assert coefficients[block, 0] == pytest.approx(ridge.intercept_, rel=1e-7)
 
@@ -85,7 +85,9 @@ def test_cross_validation_chooses_what_a_loop_chooses(rows):
     for block in range(3):
         mine = rows["block"] == block
         given = (rows[name][mine] for name in ("weight", "fold"))
-        assert reg[block] == naive_choice(rows["features"][mine], target[mine], *given, REGS, NUM_PATHS, NUM_FOLDS)
+        assert reg[block] == naive_choice(
+            rows["features"][mine], target[mine], *given, REGS, NUM_TRAJECTORIES, NUM_FOLDS
+        )
         alone, _ = fitted(rows, target, [reg[block]])
         assert coefficients[block] == pytest.approx(alone[block], rel=1e-9)
     assert len(set(reg)) > 1

@@ -8,17 +8,28 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 
 
-def trial(num_paths, is_swapped, seed=0):
+def trial(num_trajectories, is_swapped, seed=0):
     """Two stages; A suits a positive x and B a negative one, or in the second stage the other way round."""
     rng = np.random.default_rng(seed)
-    path = np.repeat(np.arange(num_paths), 2)
-    stage = np.tile([1, 2], num_paths)
-    x = rng.normal(size=2 * num_paths)
-    action = rng.choice(["A", "B"], 2 * num_paths)
+    trajectory = np.repeat(np.arange(num_trajectories), 2)
+    stage = np.tile([1, 2], num_trajectories)
+    x = rng.normal(size=2 * num_trajectories)
+    action = rng.choice(["A", "B"], 2 * num_trajectories)
     sign = np.where(action == "A", 1.0, -1.0) * np.where((stage == 2) & is_swapped, -1.0, 1.0)
-    reward = sign * x + 0.3 * rng.normal(size=2 * num_paths)
-    stages = {"path": path, "stage": stage, "elapsed_s": stage * 1.0, "action": action, "reward": reward, "x": x}
-    ends = {"path": np.arange(num_paths), "end_s": np.full(num_paths, 2.0), "ending": ["finished"] * num_paths}
+    reward = sign * x + 0.3 * rng.normal(size=2 * num_trajectories)
+    stages = {
+        "trajectory": trajectory,
+        "stage": stage,
+        "elapsed_s": stage * 1.0,
+        "action": action,
+        "reward": reward,
+        "x": x,
+    }
+    ends = {
+        "trajectory": np.arange(num_trajectories),
+        "end_s": np.full(num_trajectories, 2.0),
+        "ending": ["finished"] * num_trajectories,
+    }
     return Logs(pd.DataFrame(stages), ends)
 
 
@@ -32,9 +43,11 @@ def test_stages_are_separate_where_they_differ(is_swapped, stages):
     assert learner.decide(states, 2).tolist() == (["A", "B"] if is_swapped else ["B", "A"])
 
 
-@pytest.mark.parametrize(("num_paths", "said"), [(60, {"stages": "pooled"}), (10, {})], ids=["said", "too few paths"])
-def test_there_is_not_always_a_choice(num_paths, said):
-    learner = CensoredQLearner(2, ["A", "B"], ["x"], **said).fit(trial(num_paths, True))
+@pytest.mark.parametrize(
+    ("num_trajectories", "said"), [(60, {"stages": "pooled"}), (10, {})], ids=["said", "too few trajectories"]
+)
+def test_there_is_not_always_a_choice(num_trajectories, said):
+    learner = CensoredQLearner(2, ["A", "B"], ["x"], **said).fit(trial(num_trajectories, True))
     assert (learner.model_.stages, learner.chosen_) == ("pooled", ())
 
 

@@ -26,9 +26,9 @@ def tables():
     return TableWorld().simulate(scene, UniformPolicy(), episodes=60, seed=0, cut_share=0.3)
 
 
-def streamed(logs, folder, paths_at_once):
+def streamed(logs, folder, trajectories_at_once):
     logs.write(folder, overwrite=True)
-    return LogStream(folder, paths_at_once)
+    return LogStream(folder, trajectories_at_once)
 
 
 def squared_root(q_functions):
@@ -83,7 +83,7 @@ OF_PAPER = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "sepa
     ids=str,
 )
 def test_passes_learn_what_memory_does(known, tmp_path, options, most, monkeypatch):
-    monkeypatch.setattr("halfseen.learning.q_model.MOST_PATHS", most)
+    monkeypatch.setattr("halfseen.learning.q_model.MOST_TRAJECTORIES", most)
     options = {"actions": ACTIONS, "covariates": FULL, **options}
     whole = CensoredQLearner(2, **options).fit(known)
     parts = CensoredQLearner(2, **options).fit(streamed(known, tmp_path / "logs", 90))
@@ -96,11 +96,11 @@ def test_weights_serve_where_actions_of_cuts_are_not_known(trial, tmp_path):
 
 
 def test_the_sample_is_one_of_the_log(trial, tmp_path, monkeypatch):
-    monkeypatch.setattr("halfseen.learning.q_model.MOST_PATHS", 50)
+    monkeypatch.setattr("halfseen.learning.q_model.MOST_TRAJECTORIES", 50)
     found = sample_of(streamed(trial, tmp_path / "logs", 90), seed=3)
-    np.testing.assert_array_equal(found.path_ids, trial.path_ids[sampled(trial.num_paths, 3)])
-    assert found.num_paths == 50
-    assert found.num_stages == trial.select(found.path_ids).num_stages
+    np.testing.assert_array_equal(found.trajectory_ids, trial.trajectory_ids[sampled(trial.num_trajectories, 3)])
+    assert found.num_trajectories == 50
+    assert found.num_stages == trial.select(found.trajectory_ids).num_stages
 
 
 @pytest.mark.slow
@@ -112,7 +112,7 @@ def test_the_sample_is_one_of_the_log(trial, tmp_path, monkeypatch):
 )
 def test_tables_too(tables, tmp_path, options, most, monkeypatch):
     """Their features are in single precision, the sums are not."""
-    monkeypatch.setattr("halfseen.learning.q_model.MOST_PATHS", most)
+    monkeypatch.setattr("halfseen.learning.q_model.MOST_TRAJECTORIES", most)
     whole = CensoredQLearner.for_table(10, laws=None, **options).fit(tables)
     parts = CensoredQLearner.for_table(10, laws=None, **options).fit(streamed(tables, tmp_path / "t", 25))
     assert_the_same(parts, whole, rtol=1e-7, atol=1e-7)
@@ -121,8 +121,8 @@ def test_tables_too(tables, tmp_path, options, most, monkeypatch):
 @pytest.mark.parametrize(
     ("horizon", "changed", "error", "message"),
     [
-        (1, lambda trial: trial, ArgumentError, "horizon is 1, but a path has 2 stages; raise horizon"),
-        (2, all_cut, PositivityError, "all 400 paths were cut"),
+        (1, lambda trial: trial, ArgumentError, "horizon is 1, but a trajectory has 2 stages; raise horizon"),
+        (2, all_cut, PositivityError, "all 400 trajectories were cut"),
     ],
 )
 def test_a_log_that_cannot_be_learned_from_is_refused_in_memory_and_in_passes(
@@ -192,12 +192,14 @@ def test_a_disk_without_room_changes_nothing(known, tmp_path, monkeypatch):
     assert bits(learner.fit(stream)) == one
 
 
-def test_a_bad_shard_names_its_path(known, tmp_path):
+def test_a_bad_shard_names_its_trajectory(known, tmp_path):
     stream = streamed(known, tmp_path / "logs", 40)
     file = tmp_path / "logs" / "stages.parquet"
     table = pd.read_parquet(file)
-    table.loc[table["path"] == known.path_ids[210], "reward"] = np.nan
+    table.loc[table["trajectory"] == known.trajectory_ids[210], "reward"] = np.nan
     table.to_parquet(file, index=False)
     for workers in (None, Workers(2)):
-        with pytest.raises(LogError, match=rf"logs: path {known.path_ids[210]}, stage 1: the stage is completed"):
+        with pytest.raises(
+            LogError, match=rf"logs: trajectory {known.trajectory_ids[210]}, stage 1: the stage is completed"
+        ):
             CensoredQLearner(2, ACTIONS, **DEFAULT).fit(stream, workers)

@@ -11,16 +11,16 @@ from halfseen.logs import Logs, LogStream
 ACTIONS = ["A", "B"]
 
 
-def always_cut(num_paths=200, num_cut=20, horizon=1, seed=0):
-    """B is begun in the last stage of `num_cut` paths, and cut each time; A costs between 1 and 2."""
+def always_cut(num_trajectories=200, num_cut=20, horizon=1, seed=0):
+    """B is begun in the last stage of `num_cut` trajectories, and cut each time; A costs between 1 and 2."""
     rng = np.random.default_rng(seed)
-    stages, paths = [], []
-    for path in range(num_paths):
-        is_cut, clock = path < num_cut, 0.0
+    stages, trajectories = [], []
+    for trajectory in range(num_trajectories):
+        is_cut, clock = trajectory < num_cut, 0.0
         for stage in range(1, horizon + 1):
             takes_b = is_cut and stage == horizon
             clock += rng.uniform(1.0, 2.0)
-            row = {"path": path, "stage": stage, "x": rng.normal(), "action": "B" if takes_b else "A"}
+            row = {"trajectory": trajectory, "stage": stage, "x": rng.normal(), "action": "B" if takes_b else "A"}
             seen = (
                 {"elapsed_s": np.nan, "reward": np.nan}
                 if takes_b
@@ -28,8 +28,8 @@ def always_cut(num_paths=200, num_cut=20, horizon=1, seed=0):
             )
             stages.append(row | seen | {"probability": 0.1 if takes_b else 0.9})
         end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished", "cause": None}
-        paths.append({"path": path, "end_s": clock - (0.5 if is_cut else 0.0)} | end)
-    return Logs(stages=pd.DataFrame(stages), paths=pd.DataFrame(paths))
+        trajectories.append({"trajectory": trajectory, "end_s": clock - (0.5 if is_cut else 0.0)} | end)
+    return Logs(stages=pd.DataFrame(stages), trajectories=pd.DataFrame(trajectories))
 
 
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
@@ -50,7 +50,7 @@ def test_no_verdict_is_given_on_it(stages):
     found = evaluate(FixedSequence(("A", "B")), logs, q=q)
     assert found.verdict == "cannot be said"
     where = "B" if stages == "pooled" else "B in stage 2"
-    assert f"the policy takes {where}, which no path of the log was seen to complete" in found.reason
+    assert f"the policy takes {where}, which no trajectory of the log was seen to complete" in found.reason
     assert evaluate(FixedSequence(("A", "A")), logs, q=q).verdict != "better"
 
 
@@ -67,14 +67,14 @@ def test_the_maximum_of_equation_three_is_over_what_was_seen():
 def logs_of_a(logs):
     """The same log, in which nobody says what was begun and cut."""
     stages = logs.stages.assign(action=logs.stages["action"].where(logs.stages["action"] == "A"))
-    return Logs(stages=stages, paths=logs.paths)
+    return Logs(stages=stages, trajectories=logs.trajectories)
 
 
 def test_an_action_may_be_seen_in_one_stage_alone():
     logs = always_cut(horizon=2)
     stages = logs.stages.copy()
-    stages.loc[(stages["stage"] == 1) & (stages["path"] % 2 == 0), "action"] = "B"
-    logs = Logs(stages=stages, paths=logs.paths)
+    stages.loc[(stages["stage"] == 1) & (stages["trajectory"] % 2 == 0), "action"] = "B"
+    logs = Logs(stages=stages, trajectories=logs.trajectories)
     separate, pooled = (
         CensoredQLearner.of_paper(2, ACTIONS, ["x"], stages=stages, censoring="none").fit(logs)
         for stages in ("separate", "pooled")
@@ -87,7 +87,7 @@ def test_an_action_may_be_seen_in_one_stage_alone():
 
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
 def test_a_stream_sees_what_memory_does(tmp_path, stages):
-    logs = always_cut(horizon=2, num_paths=60, num_cut=50)
+    logs = always_cut(horizon=2, num_trajectories=60, num_cut=50)
     logs.write(tmp_path / "logs")
     whole, parts = (
         CensoredQLearner.of_paper(2, ACTIONS, ["x"], stages=stages, reg=0.1).fit(each)

@@ -19,38 +19,41 @@ KINDS = [Weighted(), DoublyRobust(), BuckleyJames(), Unweighted()]
 
 @pytest.fixture(scope="module")
 def logs():
-    return with_known_actions(two_stage_trial(num_paths=80))
+    return with_known_actions(two_stage_trial(num_trajectories=80))
 
 
 def weighed(logs, targets, **options):
-    model, paths = QModel(2, NamedActions(ACTIONS, ["s1_1", "s2_1"]), targets, **options).fitted(logs)
-    return model, paths, *model.weights_and_imputation(paths)
+    model, trajectories = QModel(2, NamedActions(ACTIONS, ["s1_1", "s2_1"]), targets, **options).fitted(logs)
+    return model, trajectories, *model.weights_and_imputation(trajectories)
 
 
 @pytest.mark.parametrize(
     ("targets", "weights"),
     [
-        (Weighted(truncate_at=1.5), lambda model, paths: model.cut_model.weights(paths.clocks)),
-        (DoublyRobust(outcome_covariates=["s2_1"]), lambda model, paths: model.cut_model.begun_weights(paths.clocks)),
-        (BuckleyJames(), lambda model, paths: paths.is_begun),
-        (Unweighted(), lambda model, paths: paths.is_completed),
+        (Weighted(truncate_at=1.5), lambda model, trajectories: model.cut_model.weights(trajectories.clocks)),
+        (
+            DoublyRobust(outcome_covariates=["s2_1"]),
+            lambda model, trajectories: model.cut_model.begun_weights(trajectories.clocks),
+        ),
+        (BuckleyJames(), lambda model, trajectories: trajectories.is_begun),
+        (Unweighted(), lambda model, trajectories: trajectories.is_completed),
     ],
     ids=lambda each: getattr(type(each), "__name__", ""),
 )
 def test_what_stages_weigh_and_what_is_imputed(logs, targets, weights):
-    model, paths, weight, imputed = weighed(logs, targets)
-    np.testing.assert_array_equal(weight, weights(model, paths))
+    model, trajectories, weight, imputed = weighed(logs, targets)
+    np.testing.assert_array_equal(weight, weights(model, trajectories))
     assert (imputed is None) == isinstance(targets, Weighted | Unweighted)
     assert (model.cut_model is None) == isinstance(targets, BuckleyJames | Unweighted)
     if isinstance(targets, Weighted):
         assert weight.max() == pytest.approx(1.5)
     if isinstance(targets, DoublyRobust):
         assert imputed.is_used.tolist() == [0.0, 1.0]
-        assert imputed.share[paths.is_completed].max() > 1.0
-        inverse = np.minimum(np.where(paths.is_completed, imputed.share, 0.0), 3.0)
+        assert imputed.share[trajectories.is_completed].max() > 1.0
+        inverse = np.minimum(np.where(trajectories.is_completed, imputed.share, 0.0), 3.0)
         np.testing.assert_allclose(imputed.outcome_weight, inverse)
     if isinstance(targets, BuckleyJames):
-        np.testing.assert_array_equal(imputed.share, paths.is_completed)
+        np.testing.assert_array_equal(imputed.share, trajectories.is_completed)
         assert imputed.is_used.tolist() == [1.0, 1.0]
 
 
@@ -113,15 +116,15 @@ def learner(**options):
 def ages(logs):
     """Path, stage, how long the stage was watched, and whether it was completed."""
     rows = []
-    for path, stages in logs.stages.groupby("path"):
-        before, end_s = 0.0, logs.paths.set_index("path").loc[path, "end_s"]
+    for trajectory, stages in logs.stages.groupby("trajectory"):
+        before, end_s = 0.0, logs.trajectories.set_index("trajectory").loc[trajectory, "end_s"]
         for stage, elapsed_s in zip(stages["stage"], stages["elapsed_s"], strict=True):
             is_completed = not np.isnan(elapsed_s)
             # A stage that is cut as it begins is watched for no time at all.
             age = max((elapsed_s if is_completed else end_s) - before, 1e-9)
-            rows.append((path, stage - 1, age, is_completed))
+            rows.append((trajectory, stage - 1, age, is_completed))
             before = elapsed_s
-    return pd.DataFrame(rows, columns=["path", "stage", "age", "is_completed"])
+    return pd.DataFrame(rows, columns=["trajectory", "stage", "age", "is_completed"])
 
 
 def test_actions_can_hasten_cuts(known):
@@ -135,11 +138,13 @@ def test_actions_can_hasten_cuts(known):
 
 
 def test_what_cuts_cannot_depend_on_is_refused(trial, known):
-    with pytest.raises(ArgumentError, match=r"path \d+, stage \d: action=A is not known, and cuts are to depend on it"):
+    with pytest.raises(
+        ArgumentError, match=r"trajectory \d+, stage \d: action=A is not known, and cuts are to depend on it"
+    ):
         learner(censoring=Weighted("cox", by="stage")).fit(trial)
-    with pytest.raises(ArgumentError, match="none of those of all stages differs between paths"):
+    with pytest.raises(ArgumentError, match="none of those of all stages differs between trajectories"):
         learner(censoring=Weighted("cox", by="pooled", covariates=[])).fit(known)
-    texts = Logs(known.stages.assign(colour="red"), known.paths)
+    texts = Logs(known.stages.assign(colour="red"), known.trajectories)
     with pytest.raises(ArgumentError, match="censoring covariate 'colour' is 'red' in every stage"):
         learner(censoring=Weighted("cox", covariates=["colour"])).fit(texts)
     with pytest.raises(LogError, match="the stages have no column 'weather'"):

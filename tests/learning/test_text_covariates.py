@@ -61,11 +61,11 @@ def test_the_policy_looks_at_what_the_text_says(logs):
 
 
 def test_a_stream_learns_categories_from_all_its_parts(logs, tmp_path):
-    late = logs.stages.assign(colour=logs.stages["colour"].where(logs.stages["path"] < 40, "violet"))
-    log = Logs(late, logs.paths)
+    late = logs.stages.assign(colour=logs.stages["colour"].where(logs.stages["trajectory"] < 40, "violet"))
+    log = Logs(late, logs.trajectories)
     log.write(tmp_path / "logs")
     whole = learner(censoring=Weighted("cox")).fit(log)
-    parts = learner(censoring=Weighted("cox")).fit(LogStream(tmp_path / "logs", paths_at_once=20))
+    parts = learner(censoring=Weighted("cox")).fit(LogStream(tmp_path / "logs", trajectories_at_once=20))
     assert parts.policy_.categories == {"colour": ("blue", "green", "red", "violet")}
     np.testing.assert_allclose(parts.policy_.coefficients, whole.policy_.coefficients, atol=1e-9)
 
@@ -75,8 +75,9 @@ def test_an_unknown_category_is_named_with_those_that_are_known(logs):
     strange = logs.stages.assign(colour=logs.stages["colour"].where(logs.stages.index != 5, "mauve"))
     row = strange.iloc[5]
     told = (
-        f"path {row['path']}, stage {row['stage']}: covariate 'colour' is 'mauve', which the log that was learned from "
-        "never showed; known are 'blue', 'green', 'red': give one of these, or learn anew from logs that show 'mauve'"
+        f"trajectory {row['trajectory']}, stage {row['stage']}: covariate 'colour' is 'mauve', which the log that was "
+        "learned from never showed; known are 'blue', 'green', 'red': give one of these, or learn anew from logs that "
+        "show 'mauve'"
     )
     for ask in (policy.q_values, policy.decide):
         with pytest.raises(LogError) as refusal:
@@ -89,16 +90,22 @@ def test_an_unknown_category_is_named_with_those_that_are_known(logs):
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda path, stage: None if path == 7 and stage == 1 else "ok", "is null at path 7, stage 1; fill it in"),
-        (lambda path, stage: f"{path % (MOST_CATEGORIES + 1)}", f"has more than {MOST_CATEGORIES} categories"),
-        (lambda path, stage: "always", "is 'always' in every stage"),
-        (lambda path, stage: date(2026, 1, 1 + path % 3), "holds date, neither numbers nor text"),
-        (lambda path, stage: [1.0, 2.0], "holds mixed, neither numbers nor text"),
-        (lambda path, stage: True if path % 2 else None, "is null at path 0, stage 1"),
+        (
+            lambda trajectory, stage: None if trajectory == 7 and stage == 1 else "ok",
+            "is null at trajectory 7, stage 1; fill it in",
+        ),
+        (
+            lambda trajectory, stage: f"{trajectory % (MOST_CATEGORIES + 1)}",
+            f"has more than {MOST_CATEGORIES} categories",
+        ),
+        (lambda trajectory, stage: "always", "is 'always' in every stage"),
+        (lambda trajectory, stage: date(2026, 1, 1 + trajectory % 3), "holds date, neither numbers nor text"),
+        (lambda trajectory, stage: [1.0, 2.0], "holds mixed, neither numbers nor text"),
+        (lambda trajectory, stage: True if trajectory % 2 else None, "is null at trajectory 0, stage 1"),
     ],
 )
 def test_what_cannot_be_looked_at_is_refused_where_it_is_asked_for(make, message):
-    log = text_log(num_paths=40, other=make)
+    log = text_log(num_trajectories=40, other=make)
     for refused, ask in (
         (LogError, lambda: learner(["x", "other"]).fit(log)),
         (ArgumentError, lambda: learner(["x"], censoring=Weighted("cox", covariates=["other"])).fit(log)),
@@ -112,17 +119,20 @@ def test_what_cannot_be_looked_at_is_refused_where_it_is_asked_for(make, message
     learner().fit(log)
 
 
-def test_a_name_of_paths_is_told_from_a_category_across_the_parts_of_a_log():
-    names = [text_log(num_paths=15, order=lambda path, stage: f"{path}")]
-    parts = [text_log(num_paths=2, order=lambda path, stage: f"{path}"), text_log(num_paths=2, order=lambda p, s: "1")]
-    with pytest.raises(LogError, match="no category that two paths share"):
+def test_a_name_of_trajectories_is_told_from_a_category_across_the_parts_of_a_log():
+    names = [text_log(num_trajectories=15, order=lambda trajectory, stage: f"{trajectory}")]
+    parts = [
+        text_log(num_trajectories=2, order=lambda trajectory, stage: f"{trajectory}"),
+        text_log(num_trajectories=2, order=lambda p, s: "1"),
+    ]
+    with pytest.raises(LogError, match="no category that two trajectories share"):
         learned_categories(names, ["order"], {})
     assert learned_categories(parts, ["order"], {})["order"] == ("0", "1")
 
 
 def test_categories_may_be_numbers_or_truth_where_the_column_says_that_they_are_categories(logs):
     bins = pd.Categorical((logs.stages["x"] > 0).astype(int) + 1)
-    log = Logs(logs.stages.assign(bin=bins, is_heavy=logs.stages["is_heavy"].map(str)), logs.paths)
+    log = Logs(logs.stages.assign(bin=bins, is_heavy=logs.stages["is_heavy"].map(str)), logs.trajectories)
     fitted = learner(["bin", "is_heavy"]).fit(log)
     assert fitted.policy_.categories == {"bin": ("1", "2"), "is_heavy": ("False", "True")}
     as_numbers = fitted.q_values(pd.DataFrame({"bin": [1, 2], "is_heavy": [True, False]}), 1)

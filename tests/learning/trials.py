@@ -14,11 +14,11 @@ def indicators(stage, state):
     return {name: float(name == f"s{stage}_{state}") for name in FULL}
 
 
-def two_stage_trial(seed=0, num_paths=400, last_cut=9, cut_from=1):
-    """Paths of one or two stages on a clock of whole seconds, cut at a whole second: ties abound."""
+def two_stage_trial(seed=0, num_trajectories=400, last_cut=9, cut_from=1):
+    """Trajectories of one or two stages on a clock of whole seconds, cut at a whole second: ties abound."""
     rng = np.random.default_rng(seed)
-    stages, paths = [], []
-    for path in range(num_paths):
+    stages, trajectories = [], []
+    for trajectory in range(num_trajectories):
         states = rng.integers(0, 3), rng.integers(0, 2)
         actions = rng.integers(0, 2, size=2)
         clock = np.cumsum(rng.integers(1, 4, size=2))
@@ -32,7 +32,7 @@ def two_stage_trial(seed=0, num_paths=400, last_cut=9, cut_from=1):
             is_seen = t in completed
             stages.append(
                 {
-                    "path": path,
+                    "trajectory": trajectory,
                     "stage": t + 1,
                     "elapsed_s": float(clock[t]) if is_seen else None,
                     "action": ACTIONS[actions[t]] if is_seen or rng.random() < 0.5 else None,
@@ -42,20 +42,20 @@ def two_stage_trial(seed=0, num_paths=400, last_cut=9, cut_from=1):
                 }
             )
         end_s = float(cut_s if is_cut else clock[num_stages - 1])
-        paths.append({"path": path, "end_s": end_s, "ending": "cut" if is_cut else "finished"})
-    return Logs(pd.DataFrame(stages), pd.DataFrame(paths))
+        trajectories.append({"trajectory": trajectory, "end_s": end_s, "ending": "cut" if is_cut else "finished"})
+    return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories))
 
 
 def with_known_actions(trial):
     """The same with the action of every stage, those that were cut included."""
     by_lot = pd.Series(np.random.default_rng(0).choice(ACTIONS, trial.num_stages))
-    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.paths)
+    return Logs(trial.stages.assign(action=trial.stages["action"].fillna(by_lot)), trial.trajectories)
 
 
 def all_cut(trial):
-    """The same of which no path came to its own end."""
-    stages = trial.stages.groupby("path").head(1).assign(elapsed_s=None, reward=None)
-    return Logs(stages, trial.paths.assign(ending="cut", cause=None))
+    """The same of which no trajectory came to its own end."""
+    stages = trial.stages.groupby("trajectory").head(1).assign(elapsed_s=None, reward=None)
+    return Logs(stages, trial.trajectories.assign(ending="cut", cause=None))
 
 
 def naive_survival(ends, is_finished, u):
@@ -84,7 +84,7 @@ def cell_means(logs):
         return (sums["mass"] / sums["weight"]).unstack("action")
 
     second = means(2, completed.loc[completed["stage"] == 2, "reward"])
-    state_after = rows[rows["stage"] == 2].set_index("path")["state"]
+    state_after = rows[rows["stage"] == 2].set_index("trajectory")["state"]
     first = completed[completed["stage"] == 1]
-    value = first["path"].map(state_after).map(second.max(axis=1)).fillna(0.0)
+    value = first["trajectory"].map(state_after).map(second.max(axis=1)).fillna(0.0)
     return means(1, first["reward"] + value), second

@@ -33,7 +33,7 @@ TASKS = {
 
 
 def tables():
-    """Path 1 finished, path 2 was cut in its second stage with the mug washed, path 3 in its first."""
+    """Trajectory 1 finished, 2 was cut in its second stage with the mug washed, 3 in its first."""
     frames = small_tables()
     frames["objects"] = frames["objects"].assign(
         location=[*["TABLE"] * 7, "DISHWASHER", "TABLE", "TABLE"],
@@ -67,7 +67,7 @@ def put(table, column, row, value):
     return broken
 
 
-stages, paths, objects = (partial(put, name) for name in ("stages", "paths", "objects"))
+stages, trajectories, objects = (partial(put, name) for name in ("stages", "trajectories", "objects"))
 EVERY = slice(None)
 
 
@@ -89,12 +89,12 @@ def both(*breaks):
 
 
 def longer(frames):
-    """Add a path of more stages than the horizon."""
-    stage = {"path": 4, "action": "LIFT", "object": "cup", "reward": 0.0, "probability": 1.0, "steps_to_go": 5}
+    """Add a trajectory of more stages than the horizon."""
+    stage = {"trajectory": 4, "action": "LIFT", "object": "cup", "reward": 0.0, "probability": 1.0, "steps_to_go": 5}
     added = {
-        "paths": [pd.DataFrame([{"path": 4, "end_s": 9.0, "ending": "finished"}])],
+        "trajectories": [pd.DataFrame([{"trajectory": 4, "end_s": 9.0, "ending": "finished"}])],
         "stages": [pd.DataFrame([{**stage, "stage": k, "elapsed_s": float(k)} for k in range(1, HORIZON + 2)])],
-        "objects": [frames["objects"].iloc[:2].assign(path=4, stage=k) for k in range(1, HORIZON + 2)],
+        "objects": [frames["objects"].iloc[:2].assign(trajectory=4, stage=k) for k in range(1, HORIZON + 2)],
     }
     frames.update({name: pd.concat([frames[name], *parts]) for name, parts in added.items()})
 
@@ -121,20 +121,21 @@ def whole(name, content):
     return File(name, lambda old: content)
 
 
-COUNTED = {"stages": 5, "paths": 3, "objects": 10}
+COUNTED = {"stages": 5, "trajectories": 3, "objects": 10}
 BREAKS = {
     "F02": [File("logs.json", None)],
     "F03": [*(whole("logs.json", content) for content in (b'{"format": "halfseen', b"", b"\xff\xfe", b"{"))],
     "F04": [manifest(format="other"), whole("logs.json", b"[]")],
-    "F05": [(manifest(version=2), "version 2 is not the 1 that this"), (manifest(version=None), "version None is not")],
+    "F05": [(manifest(version=3), "version 3 is not the 2 that this"), (manifest(version=None), "version None is not")],
     "F06": [
         *(manifest(rows=counted) for counted in (None, 7, {"stages": 5}, COUNTED | {"../x": 1})),
-        *(manifest(rows=COUNTED | odd) for odd in ({"stages": "5"}, {"stages": -1}, {"stages": 5e9, "paths": []})),
+        *(manifest(rows=COUNTED | odd) for odd in ({"stages": "5"}, {"stages": -1})),
+        manifest(rows=COUNTED | {"stages": 5e9, "trajectories": []}),
     ],
-    "F07": [File("paths.parquet", None), File("objects.parquet", None)],
+    "F07": [File("trajectories.parquet", None), File("objects.parquet", None)],
     "F08": [
         *(File("stages.parquet", lambda old, size=size: old[:size]) for size in (0, 3, 100, -1, -9)),
-        File("paths.parquet", lambda old: old[: len(old) // 2]),
+        File("trajectories.parquet", lambda old: old[: len(old) // 2]),
         whole("objects.parquet", b"not Parquet at all"),
     ],
     "F09": [(manifest(rows=COUNTED | {"stages": 6}), r"stages\.parquet: it has 5 rows where logs\.json counts 6")],
@@ -142,86 +143,94 @@ BREAKS = {
     "C01": [
         *(
             (renamed(table, name, name + "x"), f"^{table}: there is no column '{name}' among .*; rename '{name}x'\\?$")
-            for table, names in (("stages", ("path", "stage", "elapsed_s", "action", "reward")),
-                                 ("paths", ("path", "end_s", "ending")), ("objects", ("path", "stage", "object")))
+            for table, names in (("stages", ("trajectory", "stage", "elapsed_s", "action", "reward")),
+                                 ("trajectories", ("trajectory", "end_s", "ending")),
+                                 ("objects", ("trajectory", "stage", "object")))
             for name in names
         ),
-        (renamed("stages", "reward", "y"), r"no column 'reward' among path, stage, .*; add it"),
+        (renamed("stages", "reward", "y"), r"no column 'reward' among trajectory, stage, .*; add it"),
     ],
-    "C02": [renamed("stages", "steps_to_go", "reward"), renamed("paths", "cause", "path")],
+    "C02": [renamed("stages", "steps_to_go", "reward"), renamed("trajectories", "cause", "trajectory")],
     "C03": [extra("stages", "Reward"), renamed("stages", "probability", "Probability "), extra("objects", "OBJECT")],
-    "C04": [extra("stages", "ending", "cut"), extra("paths", "reward"), extra("objects", "probability")],
+    "C04": [extra("stages", "ending", "cut"), extra("trajectories", "reward"), extra("objects", "probability")],
     "C05": [
         (stages("elapsed_s", EVERY, ["1.5 s", "4 s", "2 s", None, None]), "column 'elapsed_s' holds string, not"),
         stages("elapsed_s", EVERY, pd.to_datetime([15, 40, 20, None, None], unit="s")),
         stages("reward", EVERY, [True] * 5),
-        paths("end_s", EVERY, ["4", "3", "1"]),
+        trajectories("end_s", EVERY, ["4", "3", "1"]),
     ],
-    "C06": [(paths("path", 1, 2.5), "paths, row 1: path 2.5 is no name"), stages("action", EVERY, [0.5, 1, 1, 1, 1])],
+    "C06": [(trajectories("trajectory", 1, 2.5), "trajectories, row 1: trajectory 2.5 is no name"),
+            stages("action", EVERY, [0.5, 1, 1, 1, 1])],
     "C07": [
         (stages("action", EVERY, [{"a": 1}] * 5), "column 'action' holds mixed, not"),
         (stages("action", EVERY, [b"x"] * 5), "column 'action' holds bytes, not"),
         stages("action", EVERY, [[0.1, 0.2]] * 5),
         stages("action", EVERY, [True, False, True, True, None]),
-        paths("cause", EVERY, pd.to_datetime([None, "2024-05-01", "2024-05-02"])),
+        trajectories("cause", EVERY, pd.to_datetime([None, "2024-05-01", "2024-05-02"])),
     ],
-    "C08": [(stages("path", 1, None), "stages, row 1: path"), paths("path", 0, None), objects("object", 3, None)],
+    "C08": [(stages("trajectory", 1, None), "stages, row 1: trajectory"), trajectories("trajectory", 0, None),
+            objects("object", 3, None)],
     "C09": [
-        (stages("steps_to_go", 4, None), "path 3, stage 1: covariate steps_to_go is null"),
+        (stages("steps_to_go", 4, None), "trajectory 3, stage 1: covariate steps_to_go is null"),
         stages("steps_to_go", 0, np.inf),
-        (objects("occlusion", 4, np.nan), "path 2, stage 1, object 'cup': covariate occlusion is null"),
+        (objects("occlusion", 4, np.nan), "trajectory 2, stage 1, object 'cup': covariate occlusion is null"),
         (objects("hidden_by", 7, [0.1, np.nan]), "object 'mug': covariate hidden_by is array"),
-        (objects("hidden_by", 7, None), "path 2, stage 2, object 'mug': covariate hidden_by is null"),
+        (objects("hidden_by", 7, None), "trajectory 2, stage 2, object 'mug': covariate hidden_by is null"),
         objects("hidden_by", 3, [-np.inf, 0.0]),
     ],
     "P01": [lambda frames: frames.update({name: frame[:0] for name, frame in frames.items()})],
-    "P02": [(rows("paths", [0, 1, 2, 1]), "path 2:")],
-    "P03": [*((paths("end_s", 0, value), f"path 1: end_s {value} is") for value in (0.0, -1.0, np.inf)),
-            (paths("end_s", 1, None), "path 2: end_s nan is")],
-    "P04": [paths("end_s", 1, 1.7e9)],
-    "P05": [*((paths("ending", 1, value), f"path 2: ending {told} is")
+    "P02": [(rows("trajectories", [0, 1, 2, 1]), "trajectory 2:")],
+    "P03": [*((trajectories("end_s", 0, value), f"trajectory 1: end_s {value} is") for value in (0.0, -1.0, np.inf)),
+            (trajectories("end_s", 1, None), "trajectory 2: end_s nan is")],
+    "P04": [trajectories("end_s", 1, 1.7e9)],
+    "P05": [*((trajectories("ending", 1, value), f"trajectory 2: ending {told} is")
               for value, told in (("done", "'done'"), ("Cut", "'Cut'"), (None, "null")))],
-    "P06": [(paths("cause", 0, "battery"), "path 1: .* 'battery'")],
-    "P07": [(rows("stages", [0, 1, 2, 3]), "path 3: .*even a path cut in its first"), rows("stages", [])],
-    "S01": [(rows("paths", [0, 1]), "path 3, stage 1:"), (stages("path", EVERY, list("11223")), "path '1', stage 1:")],
-    "S02": [*((stages("stage", 1, value), f"stages, row 1, path 1: stage {told} is")
+    "P06": [(trajectories("cause", 0, "battery"), "trajectory 1: .* 'battery'")],
+    "P07": [(rows("stages", [0, 1, 2, 3]), "trajectory 3: .*even a trajectory cut in its first"), rows("stages", [])],
+    "S01": [(rows("trajectories", [0, 1]), "trajectory 3, stage 1:"), (stages("trajectory", EVERY, list("11223")),
+            "trajectory '1', stage 1:")],
+    "S02": [*((stages("stage", 1, value), f"stages, row 1, trajectory 1: stage {told} is")
               for value, told in ((1.5, "1.5"), (None, "nan"), (np.inf, "inf")))],
-    "S03": [(rows("stages", [0, 1, 2, 3, 4, 2]), "path 2, stage 1:")],
+    "S03": [(rows("stages", [0, 1, 2, 3, 4, 2]), "trajectory 2, stage 1:")],
     "S04": [
-        (stages("stage", 1, 3), "path 1, stage 3: stage 2 is missing"),
-        (stages("stage", 0, 0), "path 1, stage 0: stage 1 is missing"),
+        (stages("stage", 1, 3), "trajectory 1, stage 3: stage 2 is missing"),
+        (stages("stage", 0, 0), "trajectory 1, stage 0: stage 1 is missing"),
         rows("stages", [1, 2, 3, 4]),
     ],
-    "S05": [*((stages("elapsed_s", row, None), f"path {at}:") for row, at in ((1, "1, stage 2"), (2, "2, stage 1")))],
-    "S06": [(stages("elapsed_s", 3, 3.0), "path 2, stage 2: elapsed_s 3.0")],
-    "S07": [*((stages("elapsed_s", 0, value), f"path 1, stage 1: elapsed_s {value}") for value in (0.0, -1.0, np.inf))],
+    "S05": [*((stages("elapsed_s", row, None), f"trajectory {at}:")
+            for row, at in ((1, "1, stage 2"), (2, "2, stage 1")))],
+    "S06": [(stages("elapsed_s", 3, 3.0), "trajectory 2, stage 2: elapsed_s 3.0")],
+    "S07": [*((stages("elapsed_s", 0, value), f"trajectory 1, stage 1: elapsed_s {value}")
+            for value in (0.0, -1.0, np.inf))],
     "S08": [
-        (stages("elapsed_s", 1, 1.2), "path 1, stage 2: elapsed_s 1.2 is before the 1.5 of stage 1"),
-        (stages("elapsed_s", 1, 1.5), "path 1, stage 2: elapsed_s 1.5 is also the 1.5 of stage 1"),
+        (stages("elapsed_s", 1, 1.2), "trajectory 1, stage 2: elapsed_s 1.2 is before the 1.5 of stage 1"),
+        (stages("elapsed_s", 1, 1.5), "trajectory 1, stage 2: elapsed_s 1.5 is also the 1.5 of stage 1"),
         # The place is named in whatever order rows stand.
         *((both(stages("elapsed_s", 1, 1.2), lambda frames, name=name: frames.update({name: frames[name][::-1]})),
-           "path 1, stage 2: elapsed_s 1.2") for name in ("stages", "paths")),
+           "trajectory 1, stage 2: elapsed_s 1.2") for name in ("stages", "trajectories")),
     ],
     "S09": [
-        (stages("elapsed_s", 2, 3.6), "path 2, stage 1: elapsed_s 3.6 is after the path's end_s 3.5"),
+        (stages("elapsed_s", 2, 3.6), "trajectory 2, stage 1: elapsed_s 3.6 is after the trajectory's end_s 3.5"),
         stages("elapsed_s", 2, 2000.0),
-        paths("end_s", 1, 1.9),
+        trajectories("end_s", 1, 1.9),
     ],
-    "S10": [paths("end_s", 0, 4000.0), paths("end_s", 0, 4e6)],
-    "S11": [(stages("action", 0, None), "path 1, stage 1:")],
-    "S12": [*((stages("reward", 1, value), f"path 1, stage 2: .* {told};")
+    "S10": [trajectories("end_s", 0, 4000.0), trajectories("end_s", 0, 4e6)],
+    "S11": [(stages("action", 0, None), "trajectory 1, stage 1:")],
+    "S12": [*((stages("reward", 1, value), f"trajectory 1, stage 2: .* {told};")
               for value, told in ((None, "nan"), (np.inf, "inf")))],
-    "S13": [(stages("reward", 3, 1.0), "path 2, stage 2: reward 1.0")],
-    "S14": [*((stages("probability", row, value), f"path {at}: probability {told}") for row, value, at, told in
+    "S13": [(stages("reward", 3, 1.0), "trajectory 2, stage 2: reward 1.0")],
+    "S14": [*((stages("probability", row, value), f"trajectory {at}: probability {told}") for row, value, at, told in
               ((0, 0.0, "1, stage 1", "0.0"), (3, 1.1, "2, stage 2", "1.1"), (2, None, "2, stage 1", "nan"),
                (3, -0.5, "2, stage 2", "-0.5")))],
-    "O01": [(objects("path", 0, 9), "path 9, stage 1, object 'cup'")],
-    "O02": [(objects("stage", 9, 2), "path 3, .* 'mug': the path has stages 1 to 1"), objects("stage", 0, 0)],
-    "O03": [(objects("object", 3, "cup"), "path 1, stage 2, object 'cup'")],
-    "O04": [(rows("objects", []), "path 1, stage 1"), (rows("objects", [0, 1, *range(4, 10)]), "path 1, stage 2")],
+    "O01": [(objects("trajectory", 0, 9), "trajectory 9, stage 1, object 'cup'")],
+    "O02": [(objects("stage", 9, 2), "trajectory 3, .* 'mug': the trajectory has stages 1 to 1"),
+            objects("stage", 0, 0)],
+    "O03": [(objects("object", 3, "cup"), "trajectory 1, stage 2, object 'cup'")],
+    "O04": [(rows("objects", []), "trajectory 1, stage 1"), (rows("objects", [0, 1, *range(4, 10)]),
+            "trajectory 1, stage 2")],
     "O05": [
-        (stages("object", 2, "jug"), r"path 2, stage 1: object 'jug' .* \('cup', 'mug'\)"),
-        (rows("objects", [0, 1, 2, 3, 4, 6, 7, 8, 9]), r"path 2, stage 1: object 'mug' .* \('cup'\)"),
+        (stages("object", 2, "jug"), r"trajectory 2, stage 1: object 'jug' .* \('cup', 'mug'\)"),
+        (rows("objects", [0, 1, 2, 3, 4, 6, 7, 8, 9]), r"trajectory 2, stage 1: object 'mug' .* \('cup'\)"),
     ],
     "T01": [lambda frames: frames.pop("objects")],
     "T02": [renamed("objects", "lifts", "grips"), renamed("objects", "hidden_by", "x")],
@@ -253,7 +262,7 @@ def written(folder, frames):
     """Write tables as they are, unchecked."""
     folder.mkdir()
     counts = {name: len(frame) for name, frame in frames.items()}
-    (folder / "logs.json").write_text(json.dumps({"format": "halfseen-logs", "version": 1, "rows": counts}))
+    (folder / "logs.json").write_text(json.dumps({"format": "halfseen-logs", "version": 2, "rows": counts}))
     for name, frame in frames.items():
         columns = [pa.array(frame.iloc[:, k], from_pandas=True) for k in range(frame.shape[1])]
         pq.write_table(pa.Table.from_arrays(columns, names=list(frame.columns)), folder / f"{name}.parquet")
@@ -314,7 +323,7 @@ def test_the_page_tells_of_every_rule_and_the_unbroken_logs_break_none(tmp_path)
         folder = written(tmp_path / name, frames)
         for logs in (Logs(**frames), read_logs(folder)):
             for rule in "FTA" if name == "tables" else "F":
-                assert checked(logs, rule).num_paths == 3
+                assert checked(logs, rule).num_trajectories == 3
     with refused(f"^{PATTERNS['F01']}", LogError):
         read_logs(tmp_path / "none")
 
@@ -327,7 +336,7 @@ def test_what_a_file_says_that_is_whole_and_wrong_is_told_with_the_folder(tmp_pa
         read_logs(folder)
     frames = tables()
     stages("elapsed_s", 1, 1.0)(frames)
-    with refused(r"^\S*late: path 1, stage 2: elapsed_s 1.0 is before", LogError):
+    with refused(r"^\S*late: trajectory 1, stage 2: elapsed_s 1.0 is before", LogError):
         read_logs(written(tmp_path / "late", frames))
     # On the command line, too.
     told = CliRunner().invoke(halfseen, ["inspect", str(tmp_path / "late")])
@@ -337,17 +346,20 @@ def test_what_a_file_says_that_is_whole_and_wrong_is_told_with_the_folder(tmp_pa
 @pytest.mark.parametrize(
     ("table", "message"),
     [
-        ({"path": [1, 2], "end_s": [1.0]}, "paths: not a table"),
-        ({"path": np.ones((2, 2))}, "paths: not a table"),
-        (pd.DataFrame([[1, 2]], columns=["path", "path"]), "paths: there are two columns 'path'"),
-        (pd.DataFrame([[1]]), "paths: column 0 has a name that is not text"),
-        ({"path": [1, "a"]}, "paths: a column cannot be stored .*path.*give each column one type"),
-        (3, r"paths: not a table \(it is a int\)"),
+        ({"trajectory": [1, 2], "end_s": [1.0]}, "trajectories: not a table"),
+        ({"trajectory": np.ones((2, 2))}, "trajectories: not a table"),
+        (
+            pd.DataFrame([[1, 2]], columns=["trajectory", "trajectory"]),
+            "trajectories: there are two columns 'trajectory'",
+        ),
+        (pd.DataFrame([[1]]), "trajectories: column 0 has a name that is not text"),
+        ({"trajectory": [1, "a"]}, "trajectories: a column cannot be stored .*trajectory.*give each column one type"),
+        (3, r"trajectories: not a table \(it is a int\)"),
     ],
 )
 def test_what_is_no_table_is_refused(table, message):
     with refused(message, LogError):
-        as_frame("paths", table)
+        as_frame("trajectories", table)
 
 
 # Logs of several robots: a clock that may stand, and no two at one object.
@@ -356,8 +368,8 @@ TURNS = ("right", "left", "right")
 
 
 def log_of_robots(objects=(0, 1, 2), robots=("left", "right", "left"), elapsed_s=(0.0, 2.0, 5.0), **does):
-    done = {"path": 0, "stage": range(1, 4), "elapsed_s": elapsed_s, "action": "WASH", "reward": 1.0}
-    ends = {"path": [0], "end_s": [elapsed_s[-1]], "ending": ["finished"]}
+    done = {"trajectory": 0, "stage": range(1, 4), "elapsed_s": elapsed_s, "action": "WASH", "reward": 1.0}
+    ends = {"trajectory": [0], "end_s": [elapsed_s[-1]], "ending": ["finished"]}
     robots = {} if robots is None else {"robot": robots}
     return Logs(pd.DataFrame(done | {"object": objects} | robots | does), ends)
 
@@ -376,13 +388,13 @@ def test_a_clock_may_stand_where_two_robots_are_free_at_once(tmp_path):
         {"objects": (0, 1, 1), "robots": ("left", "right", "right")},
         {"objects": (0, 1, 0), "robots": ("left", "left", "right")},
     ):
-        assert log_of_robots(**given).num_paths == 1
+        assert log_of_robots(**given).num_trajectories == 1
 
 
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"robots": None}, r"elapsed_s 0.0 is no time after the path's beginning"),
+        ({"robots": None}, r"elapsed_s 0.0 is no time after the trajectory's beginning"),
         ({"elapsed_s": (0.0, 2.0, 1.0)}, r"elapsed_s 1.0 is before the 2.0 of stage 2"),
         ({"objects": (0, 0, 2), "elapsed_s": (1.0, 2.0, 5.0)},
          "stage 2: robot 'right' begins with object 0, which robot 'left' is at since"),

@@ -18,12 +18,12 @@ from halfseen.logs.joining import joined
 from refusals import refused
 from small_logs import flat_log, table_log
 
-OWN = ["path", "run", "run_path"]
+OWN = ["trajectory", "run", "run_trajectory"]
 
 
 def halves(logs):
-    middle = logs.num_paths // 2
-    return logs.select(logs.path_ids[:middle]), logs.select(logs.path_ids[middle:])
+    middle = logs.num_trajectories // 2
+    return logs.select(logs.trajectory_ids[:middle]), logs.select(logs.trajectory_ids[middle:])
 
 
 def written(logs, folder):
@@ -31,35 +31,51 @@ def written(logs, folder):
     return folder
 
 
-def log(path, cause=None, **objects):
-    """A log of one path of one stage."""
+def log(trajectory, cause=None, **objects):
+    """A log of one trajectory of one stage."""
     clock, reward = ([1.0], [2.0]) if cause is None else ([None], [None])
-    stages = {"path": [path], "stage": [1], "elapsed_s": clock, "action": ["A"], "reward": reward, "x": [0.5]}
-    paths = {"path": [path], "end_s": [1.5], "ending": ["finished" if cause is None else "cut"], "cause": [cause]}
-    table = {"path": [path], "stage": [1], "object": [0], **objects} if objects else None
-    return Logs(stages=stages, paths=paths, objects=table)
+    stages = {
+        "trajectory": [trajectory],
+        "stage": [1],
+        "elapsed_s": clock,
+        "action": ["A"],
+        "reward": reward,
+        "x": [0.5],
+    }
+    trajectories = {
+        "trajectory": [trajectory],
+        "end_s": [1.5],
+        "ending": ["finished" if cause is None else "cut"],
+        "cause": [cause],
+    }
+    table = {"trajectory": [trajectory], "stage": [1], "object": [0], **objects} if objects else None
+    return Logs(stages=stages, trajectories=trajectories, objects=table)
 
 
-def one_path(folder, name="p", **columns):
+def one_trajectory(folder, name="p", **columns):
     stages = log(name).stages.drop(columns=[column for column, value in columns.items() if value is ...])
     kept = {column: value for column, value in columns.items() if value is not ...}
-    return written(Logs(stages.assign(**kept), log(name).paths), folder)
+    return written(Logs(stages.assign(**kept), log(name).trajectories), folder)
 
 
-@pytest.mark.parametrize("paths_at_once", [3, 2_000])
-def test_nothing_is_lost(paths_at_once, tmp_path, monkeypatch):
-    monkeypatch.setattr(compaction, "PATHS_AT_ONCE", paths_at_once)
+@pytest.mark.parametrize("trajectories_at_once", [3, 2_000])
+def test_nothing_is_lost(trajectories_at_once, tmp_path, monkeypatch):
+    monkeypatch.setattr(compaction, "TRAJECTORIES_AT_ONCE", trajectories_at_once)
     for whole in (flat_log(24), table_log(12)):
-        place = tmp_path / str(whole.num_paths)
+        place = tmp_path / str(whole.num_trajectories)
         folders = [written(half, place / name) for half, name in zip(halves(whole), "ab", strict=True)]
         done, found = compact(folders, place / "all"), read_logs(place / "all")
-        assert (done.num_paths, done.num_stages, done.num_running) == (whole.num_paths, whole.num_stages, 0)
-        assert found.paths["path"].tolist() == list(range(whole.num_paths))
-        assert found.paths["run_path"].tolist() == [str(name) for name in whole.path_ids]
-        assert found.paths["run"].tolist()[0] == str(place / "a")
+        assert (done.num_trajectories, done.num_stages, done.num_running) == (
+            whole.num_trajectories,
+            whole.num_stages,
+            0,
+        )
+        assert found.trajectories["trajectory"].tolist() == list(range(whole.num_trajectories))
+        assert found.trajectories["run_trajectory"].tolist() == [str(name) for name in whole.trajectory_ids]
+        assert found.trajectories["run"].tolist()[0] == str(place / "a")
         for name, table in whole.tables.items():
             ours = found.tables[name].drop(columns=OWN, errors="ignore")
-            pd.testing.assert_frame_equal(ours, table.drop(columns="path"), check_dtype=False)
+            pd.testing.assert_frame_equal(ours, table.drop(columns="trajectory"), check_dtype=False)
 
 
 def test_folders_of_other_forms_go_along_and_what_is_learned_is_the_same(tmp_path):
@@ -74,33 +90,33 @@ def test_folders_of_other_forms_go_along_and_what_is_learned_is_the_same(tmp_pat
 
 
 def test_what_was_compacted_goes_along_and_keeps_where_it_came_from(tmp_path):
-    compact([one_path(tmp_path / "a"), one_path(tmp_path / "b")], tmp_path / "ab")
-    compact([tmp_path / "ab", one_path(tmp_path / "c", "q")], tmp_path / "abc")
-    paths = read_logs(tmp_path / "abc").paths
-    assert paths["run"].tolist() == [str(tmp_path / name) for name in "abc"]
-    assert paths["run_path"].tolist() == ["p", "p", "q"]
+    compact([one_trajectory(tmp_path / "a"), one_trajectory(tmp_path / "b")], tmp_path / "ab")
+    compact([tmp_path / "ab", one_trajectory(tmp_path / "c", "q")], tmp_path / "abc")
+    trajectories = read_logs(tmp_path / "abc").trajectories
+    assert trajectories["run"].tolist() == [str(tmp_path / name) for name in "abc"]
+    assert trajectories["run_trajectory"].tolist() == ["p", "p", "q"]
 
 
 def test_columns_take_the_type_that_serves_all(tmp_path):
     given = {"a": ("p", {"x": 1}), "b": ("p", {"x": 0.5, "object": 3}), "c": (7, {"x": 2})}
-    folders = [one_path(tmp_path / name, path, **columns) for name, (path, columns) in given.items()]
+    folders = [one_trajectory(tmp_path / name, trajectory, **columns) for name, (trajectory, columns) in given.items()]
     compact(folders, tmp_path / "all")
     stages = read_logs(tmp_path / "all").stages
     assert stages["x"].tolist() == [1.0, 0.5, 2.0]
     assert stages["object"].isna().tolist() == [True, False, True]
 
 
-def test_paths_that_are_being_recorded_are_left_out(tmp_path):
+def test_trajectories_that_are_being_recorded_are_left_out(tmp_path):
     with LogRecorder(tmp_path / "live") as recorder:
-        recorder.begin_path("p").begin_stage(covariates={"x": 0.5}, action="A")
-        done = compact([tmp_path / "live", one_path(tmp_path / "a")], tmp_path / "all")
-        assert (done.num_paths, done.num_running) == (1, 1)
-        with refused("none of the 1 folders has a path that ended", LogError):
+        recorder.begin_trajectory("p").begin_stage(covariates={"x": 0.5}, action="A")
+        done = compact([tmp_path / "live", one_trajectory(tmp_path / "a")], tmp_path / "all")
+        assert (done.num_trajectories, done.num_running) == (1, 1)
+        with refused("none of the 1 folders has a trajectory that ended", LogError):
             compact([tmp_path / "live"], tmp_path / "none")
 
 
 def test_folders_that_do_not_go_together_are_refused(tmp_path):
-    a, tables = one_path(tmp_path / "a"), written(table_log(4), tmp_path / "t")
+    a, tables = one_trajectory(tmp_path / "a"), written(table_log(4), tmp_path / "t")
     for number, (columns, told) in enumerate(
         [
             ({"action": 3}, "stages: column 'action' is int64 in B, and string in those before it; give it one type"),
@@ -110,7 +126,7 @@ def test_folders_that_do_not_go_together_are_refused(tmp_path):
             ({"y": 1.0}, "stages: B has column 'y' and A has not; drop it, or add what was seen"),
         ]
     ):
-        b = one_path(tmp_path / f"b{number}", **columns)
+        b = one_trajectory(tmp_path / f"b{number}", **columns)
         with refused() as caught:
             compact([a, b], tmp_path / "all")
         words = str(caught.value).replace(str(a), "A").replace(str(b), "B").replace("large_string", "string")
@@ -128,7 +144,7 @@ def test_folders_that_do_not_go_together_are_refused(tmp_path):
 
 
 def test_a_fault_in_the_middle_leaves_nothing(tmp_path):
-    folders, calls = [one_path(tmp_path / name) for name in "abc"], iter(range(5))
+    folders, calls = [one_trajectory(tmp_path / name) for name in "abc"], iter(range(5))
 
     def fails():
         if next(calls) == 4:
@@ -140,11 +156,11 @@ def test_a_fault_in_the_middle_leaves_nothing(tmp_path):
 
 
 def test_the_command_line_tells_how_many(tmp_path):
-    folders = [str(one_path(tmp_path / name)) for name in "abc"]
+    folders = [str(one_trajectory(tmp_path / name)) for name in "abc"]
     told = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "all")], catch_exceptions=False).stdout
-    assert told == f"{tmp_path / 'all'}: 3 paths with 3 stages from 3 folders\n"
+    assert told == f"{tmp_path / 'all'}: 3 trajectories with 3 stages from 3 folders\n"
     told = CliRunner().invoke(convert, [*folders, "--out", str(tmp_path / "again"), "--json"]).stdout
-    assert json.loads(told)["num_paths"] == 3
+    assert json.loads(told)["num_trajectories"] == 3
     assert isinstance(CliRunner().invoke(convert, [*folders, "--out", "csv:x"]).exception, ArgumentError)
     told = str(CliRunner().invoke(convert, [*folders, "--out", "x", "--step-s", "1"]).exception)
     assert "--step-s is for a source of kind minari" in told
@@ -153,15 +169,15 @@ def test_the_command_line_tells_how_many(tmp_path):
 # In memory, and whichever way.
 
 
-def test_paths_keep_all_that_is_known_of_them_and_parts_equal_the_whole_that_they_were_taken_from():
+def test_trajectories_keep_all_that_is_known_of_them_and_parts_equal_the_whole_that_they_were_taken_from():
     whole = joined([log(3, tried=[[]]), log(1, "battery", tried=[[0.5, 1.0]]), log(5, tried=[[]])])
-    assert whole.path_ids.tolist() == [1, 3, 5]
-    assert whole.paths["cause"].isna().tolist() == [False, True, True]
+    assert whole.trajectory_ids.tolist() == [1, 3, 5]
+    assert whole.trajectories["cause"].isna().tolist() == [False, True, True]
     assert [list(each) for each in whole.objects["tried"]] == [[0.5, 1.0], [], []]
     again = joined([whole.select([5]), whole.select([1, 3])])
     for name, table in whole.tables.items():
         assert table.equals(again.tables[name])
-    with refused("path 1", LogError):
+    with refused("trajectory 1", LogError):
         joined([log(1), log(1)])
 
 
@@ -192,7 +208,7 @@ def test_what_does_not_fit_together_is_refused(join, logs, told, tmp_path):
 
 
 def test_the_unit_goes_where_the_log_goes(tmp_path):
-    logs = flat_log(num_paths=8).in_unit("Körbe")
+    logs = flat_log(num_trajectories=8).in_unit("Körbe")
     logs.write(tmp_path / "logs")
     write_csv(logs, tmp_path / "csv")
     write_stream([logs], tmp_path / "stream")

@@ -29,39 +29,39 @@ def a_part(number, rng):
         p[0 if shine < 0.7 else 2] += 0.75
         action = ACTIONS[rng.choice(4, p=p)]
         is_won, lasts_s = rng.random() < CHANCE[action] * (1.0 - 0.6 * shine), rng.gamma(6.0, 0.8)
-        row = {"path": number, "stage": stage, "action": action, "probability": p[ACTIONS.index(action)]}
+        row = {"trajectory": number, "stage": stage, "action": action, "probability": p[ACTIONS.index(action)]}
         row |= {"shine": shine, "won": float(is_won)}
         if elapsed_s + lasts_s > cut_s:
             rows.append(row | {"elapsed_s": np.nan, "reward": np.nan})
-            return rows, {"path": number, "end_s": cut_s, "ending": "cut", "cause": "operator"}
+            return rows, {"trajectory": number, "end_s": cut_s, "ending": "cut", "cause": "operator"}
         elapsed_s += lasts_s
         rows.append(row | {"elapsed_s": elapsed_s, "reward": float(is_won)})
         if is_won or action == "skip":
             break
         shine = rng.random()
-    return rows, {"path": number, "end_s": elapsed_s, "ending": "finished", "cause": None}
+    return rows, {"trajectory": number, "end_s": elapsed_s, "ending": "finished", "cause": None}
 
 
 def tables(num_parts=400, seed=0):
     rng = np.random.default_rng(seed)
-    rows, paths = zip(*(a_part(number, rng) for number in range(num_parts)), strict=True)
-    return pd.DataFrame([row for each in rows for row in each]), pd.DataFrame(paths)
+    rows, trajectories = zip(*(a_part(number, rng) for number in range(num_parts)), strict=True)
+    return pd.DataFrame([row for each in rows for row in each]), pd.DataFrame(trajectories)
 
 
-def kinds(stages, paths):
-    logs = Logs(stages.drop(columns="won", errors="ignore"), paths)
+def kinds(stages, trajectories):
+    logs = Logs(stages.drop(columns="won", errors="ignore"), trajectories)
     return {each.kind for each in suspicions(logs)}
 
 
-def as_finished(stages, paths):
-    end_s = stages["path"].map(paths.set_index("path")["end_s"])
+def as_finished(stages, trajectories):
+    end_s = stages["trajectory"].map(trajectories.set_index("trajectory")["end_s"])
     stages = stages.assign(elapsed_s=stages["elapsed_s"].fillna(end_s), reward=stages["reward"].fillna(0.0))
-    return stages, paths.assign(ending="finished", cause=None)
+    return stages, trajectories.assign(ending="finished", cause=None)
 
 
-def with_clock(stages, paths):
-    begun_s = stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
-    return stages.assign(clock=1.7e9 + 60.0 * stages["path"] + begun_s), paths
+def with_clock(stages, trajectories):
+    begun_s = stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0)
+    return stages.assign(clock=1.7e9 + 60.0 * stages["trajectory"] + begun_s), trajectories
 
 
 LIES = {
@@ -69,7 +69,7 @@ LIES = {
     "one probability for all": ("untrue-probability", lambda s, p: (s.assign(probability=0.25), p)),
     "the outcome among covariates": ("outcome-as-covariate", lambda s, p: (s.assign(vacuum_bar=s["won"]), p)),
     "cuts called finished": ("cut-called-finished", as_finished),
-    "the number of the part": ("identifier", lambda s, p: (s.assign(part=s["path"] + 70_000), p)),
+    "the number of the part": ("identifier", lambda s, p: (s.assign(part=s["trajectory"] + 70_000), p)),
     "the clock": ("identifier", with_clock),
     "milliseconds": (
         "long-clock",
@@ -98,9 +98,9 @@ def test_a_lie_is_found(name):
 
 
 def test_what_depends_on_the_action_was_written_down_after_it():
-    stages, paths = tables(1500)
+    stages, trajectories = tables(1500)
     load = stages["action"].eq("fingers") + 0.3 * np.random.default_rng(1).standard_normal(len(stages))
-    assert kinds(stages.assign(load=load), paths) == {"leak"}
+    assert kinds(stages.assign(load=load), trajectories) == {"leak"}
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -116,14 +116,16 @@ def test_hardly_an_honest_log_raises_a_doubt():
 def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
     rng, num = np.random.default_rng(0), 500
     x, action = rng.random(num), rng.integers(0, 2, num)
-    stages = pd.DataFrame({"path": range(num), "stage": 1, "elapsed_s": rng.gamma(4.0, 1.0, num), "x": x})
+    stages = pd.DataFrame({"trajectory": range(num), "stage": 1, "elapsed_s": rng.gamma(4.0, 1.0, num), "x": x})
     stages = stages.assign(action=np.where(action, "A", "B"), probability=0.5, reward=3.0 * x + 0.1 * action)
-    paths = pd.DataFrame({"path": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None})
-    assert kinds(stages, paths) == set()
+    trajectories = pd.DataFrame(
+        {"trajectory": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None}
+    )
+    assert kinds(stages, trajectories) == set()
     # Without probabilities nobody can tell.
-    told = list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), paths)))
+    told = list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), trajectories)))
     assert len(told) == 1
-    assert list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), paths), of=("y",))) == []
+    assert list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), trajectories), of=("y",))) == []
 
 
 @pytest.mark.parametrize(
@@ -140,43 +142,47 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
 )
 def test_columns_of_all_kinds_are_looked_at_without_a_warning(name, values, kind):
     rng, num = np.random.default_rng(0), 120
-    stages = pd.DataFrame({"path": range(num), "stage": 1, "elapsed_s": rng.gamma(3.0, 1.0, num), "probability": 0.5})
+    stages = pd.DataFrame(
+        {"trajectory": range(num), "stage": 1, "elapsed_s": rng.gamma(3.0, 1.0, num), "probability": 0.5}
+    )
     stages = stages.assign(action=rng.choice(["A", "B"], num), reward=rng.random(num), x=rng.random(num))
-    paths = pd.DataFrame({"path": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None})
+    trajectories = pd.DataFrame(
+        {"trajectory": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None}
+    )
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert kinds(stages.assign(**{name: values}), paths) == kind
+        assert kinds(stages.assign(**{name: values}), trajectories) == kind
 
 
-def evaluated(stages, paths, **options):
-    logs = Logs(stages.drop(columns="won", errors="ignore"), paths)
+def evaluated(stages, trajectories, **options):
+    logs = Logs(stages.drop(columns="won", errors="ignore"), trajectories)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         return evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging", **options)
 
 
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():
-    stages, paths = tables(1500)
-    honest, told = evaluated(stages, paths), evaluated(stages.assign(probability=0.8125), paths)
+    stages, trajectories = tables(1500)
+    honest, told = evaluated(stages, trajectories), evaluated(stages.assign(probability=0.8125), trajectories)
     assert honest.verdict == "better"
     assert told.verdict == told.comparisons[0].verdict == "cannot be said"
     assert "the log cannot be true" in told.reason
     assert "--trust-probabilities" in told.reason
     # What cannot be said anyway keeps its reason, and the doubt is noted.
-    few = evaluated(*(each[each["path"] < 60] for each in (stages.assign(probability=0.8125), paths)))
+    few = evaluated(*(each[each["trajectory"] < 60] for each in (stages.assign(probability=0.8125), trajectories)))
     assert (few.verdict, few.reason == told.reason) == ("cannot be said", False)
     assert "the log cannot be true" in few.notes[0]
-    trusted = evaluated(stages.assign(probability=0.8125), paths, trust=("probabilities",))
+    trusted = evaluated(stages.assign(probability=0.8125), trajectories, trust=("probabilities",))
     assert trusted.verdict == "better"
     assert trusted.doubly_robust == told.doubly_robust
     with pytest.raises(ArgumentError, match="trust is 'all'; a log may be trusted in probabilities, covariates"):
-        evaluated(stages, paths, trust=("all",))
+        evaluated(stages, trajectories, trust=("all",))
 
 
 @pytest.mark.parametrize("lie", [as_finished, lambda s, p: (s.assign(vacuum_bar=s["won"]), p)], ids=["ends", "leak"])
 def test_no_verdict_rests_on_cuts_called_ends_or_on_outcomes_among_covariates(lie):
-    stages, paths = lie(*tables(1500))
-    logs = Logs(stages.drop(columns="won"), paths)
+    stages, trajectories = lie(*tables(1500))
+    logs = Logs(stages.drop(columns="won"), trajectories)
     assert evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging").verdict == "cannot be said"
 
 

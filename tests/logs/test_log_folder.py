@@ -24,7 +24,7 @@ def test_the_same_log_gives_the_same_bytes(tmp_path):
     Logs(**tables).write(tmp_path / "a")
     Logs(**{name: frame[::-1] for name, frame in tables.items()}).write(tmp_path / "b")
     names = sorted(os.listdir(tmp_path / "a"))
-    assert names == ["logs.json", "objects.parquet", "paths.parquet", "stages.parquet"]
+    assert names == ["logs.json", "objects.parquet", "stages.parquet", "trajectories.parquet"]
     for name in names:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
 
@@ -36,7 +36,7 @@ def test_text_and_path_name_the_same_folder(tmp_path, logs, monkeypatch):
 
 
 def test_overwrite_replaces_the_whole_folder(folder, logs):
-    Logs(logs.stages, logs.paths).write(folder, overwrite=True)
+    Logs(logs.stages, logs.trajectories).write(folder, overwrite=True)
     assert read_logs(folder).objects is None
     assert not (folder / "objects.parquet").exists()
     assert os.listdir(folder.parent) == ["logs"]

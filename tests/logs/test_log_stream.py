@@ -13,17 +13,22 @@ from halfseen.logs.shards import ShardReader, logs_of
 from refusals import refused
 
 
-def log_of(paths, *, has_objects=False, is_cut=True, name_of=int, **covariates):
-    """Paths of two stages; every third one is cut in its second."""
-    paths = list(paths)
-    rows = [(path, stage, is_cut and path % 3 == 0 and stage == 2) for path, stage in product(paths, (1, 2))]
-    path, stage, cut = (np.array(each) for each in zip(*rows, strict=True))
-    names = [name_of(each) for each in path]
-    done = {"elapsed_s": np.where(cut, np.nan, stage * 1.5), "reward": np.where(cut, np.nan, path * 1.0)}
-    stages = pd.DataFrame({"path": names, "stage": stage, **done, "action": "A", "x": path / 7.0, **covariates})
-    endings = ["cut" if is_cut and each % 3 == 0 else "finished" for each in paths]
-    ends = pd.DataFrame({"path": [name_of(each) for each in paths], "end_s": 3.0, "ending": endings})
-    objects = stages[["path", "stage"]].merge(pd.DataFrame({"object": ["cup", "mug"]}), how="cross")
+def log_of(trajectories, *, has_objects=False, is_cut=True, name_of=int, **covariates):
+    """Trajectories of two stages; every third one is cut in its second."""
+    trajectories = list(trajectories)
+    rows = [
+        (trajectory, stage, is_cut and trajectory % 3 == 0 and stage == 2)
+        for trajectory, stage in product(trajectories, (1, 2))
+    ]
+    trajectory, stage, cut = (np.array(each) for each in zip(*rows, strict=True))
+    names = [name_of(each) for each in trajectory]
+    done = {"elapsed_s": np.where(cut, np.nan, stage * 1.5), "reward": np.where(cut, np.nan, trajectory * 1.0)}
+    stages = pd.DataFrame(
+        {"trajectory": names, "stage": stage, **done, "action": "A", "x": trajectory / 7.0, **covariates}
+    )
+    endings = ["cut" if is_cut and each % 3 == 0 else "finished" for each in trajectories]
+    ends = pd.DataFrame({"trajectory": [name_of(each) for each in trajectories], "end_s": 3.0, "ending": endings})
+    objects = stages[["trajectory", "stage"]].merge(pd.DataFrame({"object": ["cup", "mug"]}), how="cross")
     return Logs(stages, ends, objects if has_objects else None)
 
 
@@ -31,30 +36,30 @@ PLAIN, OF_OBJECTS, NAMED = {}, {"has_objects": True}, {"name_of": "p{:03d}".form
 
 
 @pytest.mark.parametrize(
-    ("kind", "paths_at_once", "rows_in_group"),
+    ("kind", "trajectories_at_once", "rows_in_group"),
     [(PLAIN, 4, 7), (OF_OBJECTS, 4, 3), (NAMED, 2, 3), (PLAIN, 10, 100), (OF_OBJECTS, 100, 5), (NAMED, 10, 5)],
 )
-def test_parts_put_together_are_the_log(tmp_path, monkeypatch, kind, paths_at_once, rows_in_group):
+def test_parts_put_together_are_the_log(tmp_path, monkeypatch, kind, trajectories_at_once, rows_in_group):
     monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", rows_in_group)
     monkeypatch.setattr(shards, "ROWS_IN_GROUP", 3)
     monkeypatch.setattr(shards, "NUM_SHARDS", 3)
     logs = log_of(range(13), **kind)
     logs.write(tmp_path / "logs")
-    stream = LogStream(tmp_path / "logs", paths_at_once)
+    stream = LogStream(tmp_path / "logs", trajectories_at_once)
     dealt, reader = stream.shards(), ShardReader(stream.as_folder)
     parts = [part for shard in dealt for part in shard.parts]
-    assert [part.number for part in parts] == list(range(-(-13 // paths_at_once)))
+    assert [part.number for part in parts] == list(range(-(-13 // trajectories_at_once)))
     assert len(dealt) >= min(3, len(parts))
     # The last comes first: nothing that was read before is needed; a stream can be read again.
     found = [reader.read(part) for part in reversed(parts)][::-1]
     for these in (found, list(stream), list(stream)):
-        assert [part.num_paths for part in these[:-1]] == [paths_at_once] * (len(parts) - 1)
+        assert [part.num_trajectories for part in these[:-1]] == [trajectories_at_once] * (len(parts) - 1)
         for name, table in logs.tables.items():
             together = pd.concat([part.tables[name] for part in these], ignore_index=True)
             pd.testing.assert_frame_equal(together, table, check_dtype=False)
-    assert (stream.num_paths, stream.num_stages, stream.has_objects) == (13, 26, logs.objects is not None)
+    assert (stream.num_trajectories, stream.num_stages, stream.has_objects) == (13, 26, logs.objects is not None)
     some = logs_of(stream.as_folder, [reader.tables(part, np.array([0])) for part in parts])
-    assert some.path_ids.tolist() == [part.path_ids[0] for part in found]
+    assert some.trajectory_ids.tolist() == [part.trajectory_ids[0] for part in found]
     assert some.num_stages == 2 * len(parts)
 
 
@@ -74,17 +79,17 @@ def test_rows_that_are_out_of_place_are_told(folder):
     def streamed(folder):
         return list(LogStream(folder, 5))
 
-    broken = r"logs: path 7, stage 2: the stage is completed, yet its reward is nan"
+    broken = r"logs: trajectory 7, stage 2: the stage is completed, yet its reward is nan"
     for name, rows, told in (
-        ("stages", [*range(10, 20), *range(10)], {streamed: r"stages\.parquet: no row of path 0 comes next"}),
+        ("stages", [*range(10, 20), *range(10)], {streamed: r"stages\.parquet: no row of trajectory 0 comes next"}),
         ("stages", [*range(18), 0, 1], {
-            streamed: r"path 9: it has no stage|rows of path 0 stand where|no row of path 9",
-            read_all: r"logs: path 0, stage 1: paths has no such path",
+            streamed: r"trajectory 9: it has no stage|rows of trajectory 0 stand where|no row of trajectory 9",
+            read_all: r"logs: trajectory 0, stage 1: trajectories has no such trajectory",
         }),
         # A stream sorts the rows of its parts.
-        ("stages", [0, 2, 1, 3, *range(4, 20)], {read_all: r"stages\.parquet: the rows of its paths do not stand"}),
+        ("stages", [0, 2, 1, 3, *range(4, 20)], {read_all: r"stages\.parquet: the rows of its trajectories do not"}),
         ("stages", None, {streamed: broken, read_all: broken}),
-        *(("paths", rows, {streamed: r"paths\.parquet is not sorted|in paths twice"})
+        *(("trajectories", rows, {streamed: r"trajectories\.parquet is not sorted|in trajectories twice"})
           for rows in ([1, 0, *range(2, 10)], [*range(5), 4, *range(6, 10)])),
     ):  # fmt: skip
         file = folder / f"{name}.parquet"
@@ -94,7 +99,7 @@ def test_rows_that_are_out_of_place_are_told(folder):
             frame.loc[15, "reward"] = np.nan
             frame.to_parquet(file, index=False)
             first, _ = [part for shard in LogStream(folder, 5).shards() for part in shard.parts]
-            assert ShardReader(LogStream(folder, 5).as_folder).read(first).num_paths == 5
+            assert ShardReader(LogStream(folder, 5).as_folder).read(first).num_trajectories == 5
         else:
             pq.write_table(table.take(rows), file)
         for read, words in told.items():
@@ -107,22 +112,22 @@ def test_what_is_written_in_parts_is_read_as_a_whole(tmp_path):
     parts = [log_of(range(5), is_cut=False), log_of(range(5, 9)), log_of(range(9, 20), is_cut=False)]
     write_stream(iter(parts), tmp_path / "logs")
     logs = read_logs(tmp_path / "logs")
-    assert logs.path_ids.tolist() == list(range(20))
-    assert logs.paths.loc[6, "cause"] == "unknown"
+    assert logs.trajectory_ids.tolist() == list(range(20))
+    assert logs.trajectories.loc[6, "cause"] == "unknown"
     assert logs.stages["reward"].isna().sum() == 1
     with refused("it is there already", ArgumentError):
         write_stream(iter(parts), tmp_path / "logs")
     write_stream(iter(parts[:1]), tmp_path / "logs", overwrite=True)
-    assert read_logs(tmp_path / "logs").num_paths == 5
+    assert read_logs(tmp_path / "logs").num_trajectories == 5
 
 
 @pytest.mark.parametrize(
     ("parts", "told"),
     [
-        ([log_of(range(5, 10)), log_of(range(5))], "path 0: it comes after path 9; sort the parts"),
+        ([log_of(range(5, 10)), log_of(range(5))], "trajectory 0: it comes after trajectory 9; sort the parts"),
         (
             [log_of(range(5)), log_of(range(5, 9), y=1.0)],
-            "stages: column 'y' comes with path 5, and parts before",
+            "stages: column 'y' comes with trajectory 5, and parts before",
         ),
         ([], "there is no part"),
     ],
@@ -134,7 +139,7 @@ def test_nothing_is_left_of_what_went_wrong(tmp_path, parts, told):
 
 
 def test_a_stream_of_no_folder_or_of_no_parts_is_refused(folder, tmp_path):
-    with refused("paths_at_once is 0", ArgumentError):
+    with refused("trajectories_at_once is 0", ArgumentError):
         LogStream(folder, 0)
     for read in (read_logs, LogStream):
         with refused("nowhere: there is no such folder", LogError):

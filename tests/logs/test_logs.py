@@ -19,14 +19,14 @@ def logs():
 
 
 def test_knows_its_size(logs):
-    assert (logs.num_paths, logs.num_stages, logs.horizon) == (3, 5, 2)
+    assert (logs.num_trajectories, logs.num_stages, logs.horizon) == (3, 5, 2)
     assert logs.cut_share == pytest.approx(2 / 3)
     assert logs.stage_covariates == ["steps_to_go"]
-    assert logs.path_columns == ["scene"]
-    np.testing.assert_array_equal(logs.path_ids, [1, 2, 3])
+    assert logs.trajectory_columns == ["scene"]
+    np.testing.assert_array_equal(logs.trajectory_ids, [1, 2, 3])
 
 
-def test_arrays_are_in_the_order_of_the_paths(logs):
+def test_arrays_are_in_the_order_of_the_trajectories(logs):
     np.testing.assert_array_equal(logs.end_s, [4.0, 3.5, 0.5])
     np.testing.assert_array_equal(logs.is_finished, [True, False, False])
     np.testing.assert_array_equal(logs.elapsed_s(), [[1.5, 4.0], [2.0, np.nan], [np.nan, np.nan]])
@@ -35,7 +35,7 @@ def test_arrays_are_in_the_order_of_the_paths(logs):
 
 def test_summary_counts(logs):
     summary = logs.summary()
-    assert str(summary) == "3 paths of up to 2 stages and 4 s: 1 finished, 2 cut (67%)."
+    assert str(summary) == "3 trajectories of up to 2 stages and 4 s: 1 finished, 2 cut (67%)."
     assert repr(logs) == f"<Logs: {summary}>"
     assert summary.causes == {"battery": 1, "operator": 1}
     assert summary.actions == {"FINISH": 1, "LIFT": 1, "WASH": 1}
@@ -59,18 +59,18 @@ def test_optional_columns_are_added_as_null():
     tables = small_tables()
     del tables["objects"]
     tables["stages"] = tables["stages"].drop(columns=["object", "probability"])
-    tables["paths"] = tables["paths"].drop(columns="cause")
+    tables["trajectories"] = tables["trajectories"].drop(columns="cause")
     logs = Logs(**tables)
     assert logs.objects is None
     assert logs.stages["object"].isna().all()
     assert "probability" not in logs.stages
-    assert logs.paths["cause"].isna().tolist() == [True, False, False]
-    assert logs.paths["cause"].tolist()[1:] == ["unknown", "unknown"]
+    assert logs.trajectories["cause"].isna().tolist() == [True, False, False]
+    assert logs.trajectories["cause"].tolist()[1:] == ["unknown", "unknown"]
 
 
 def test_a_log_in_which_nothing_is_completed_is_legal():
-    stages = {"path": ["a"], "stage": [1], "elapsed_s": [None], "action": [None], "reward": [None]}
-    logs = Logs(stages=stages, paths={"path": ["a"], "end_s": [1], "ending": ["cut"]})
+    stages = {"trajectory": ["a"], "stage": [1], "elapsed_s": [None], "action": [None], "reward": [None]}
+    logs = Logs(stages=stages, trajectories={"trajectory": ["a"], "end_s": [1], "ending": ["cut"]})
     assert logs.stages["reward"].dtype == logs.stages["elapsed_s"].dtype == np.float64
     assert logs.end_s.dtype == np.float64
     assert np.isnan(logs.elapsed_s()).all()
@@ -89,7 +89,7 @@ def test_integers_stay_integers_beside_null():
 def test_categories_become_plain_names():
     tables = small_tables()
     tables["stages"]["action"] = tables["stages"]["action"].astype("category")
-    tables["paths"]["cause"] = tables["paths"]["cause"].astype("category")
+    tables["trajectories"]["cause"] = tables["trajectories"]["cause"].astype("category")
     assert_same(Logs(**tables), Logs(**small_tables()))
 
 
@@ -97,23 +97,25 @@ def test_categories_become_plain_names():
 def test_whatever_is_valid_is_sorted_and_can_be_taken_apart(tables, data):
     logs = Logs(**tables)
     for name, frame in logs.tables.items():
-        keys = [key for key in ("path", "stage", "object") if key in frame][: {"paths": 1, "stages": 2}.get(name, 3)]
+        keys = [key for key in ("trajectory", "stage", "object") if key in frame][
+            : {"trajectories": 1, "stages": 2}.get(name, 3)
+        ]
         pd.testing.assert_frame_equal(frame, frame.sort_values(keys, ignore_index=True))
     # The order of rows is irrelevant, and logs of logs are the same.
     assert_same(logs, Logs(**{name: None if frame is None else frame[::-1] for name, frame in tables.items()}))
-    assert_same(logs, Logs(logs.stages, logs.paths, logs.objects))
+    assert_same(logs, Logs(logs.stages, logs.trajectories, logs.objects))
     # Every stage has its place.
-    expected = np.full((logs.num_paths, logs.horizon), np.nan)
-    rows = {path: row for row, path in enumerate(logs.path_ids)}
-    for path, stage, elapsed_s in logs.stages[["path", "stage", "elapsed_s"]].itertuples(index=False):
-        expected[rows[path], stage - 1] = elapsed_s
+    expected = np.full((logs.num_trajectories, logs.horizon), np.nan)
+    rows = {trajectory: row for row, trajectory in enumerate(logs.trajectory_ids)}
+    for trajectory, stage, elapsed_s in logs.stages[["trajectory", "stage", "elapsed_s"]].itertuples(index=False):
+        expected[rows[trajectory], stage - 1] = elapsed_s
     np.testing.assert_array_equal(logs.elapsed_s(), expected)
-    # Whole paths are kept.
-    kept = data.draw(st.sets(st.sampled_from(logs.path_ids.tolist()), min_size=1))
+    # Whole trajectories are kept.
+    kept = data.draw(st.sets(st.sampled_from(logs.trajectory_ids.tolist()), min_size=1))
     part = logs.select(sorted(kept))
-    assert set(part.path_ids.tolist()) == kept
-    assert part.num_stages == logs.stages["path"].isin(kept).sum()
-    assert_same(part, part.select(part.path_ids))
+    assert set(part.trajectory_ids.tolist()) == kept
+    assert part.num_stages == logs.stages["trajectory"].isin(kept).sum()
+    assert_same(part, part.select(part.trajectory_ids))
 
 
 def test_does_not_touch_what_it_is_given():
@@ -121,13 +123,13 @@ def test_does_not_touch_what_it_is_given():
     before = copy.deepcopy(tables)
     logs = Logs(**tables)
     logs.stages.loc[0, "steps_to_go"] = 99
-    logs.paths.loc[0, "end_s"] = 99.0
+    logs.trajectories.loc[0, "end_s"] = 99.0
     for name, frame in before.items():
         pd.testing.assert_frame_equal(tables[name], frame)
 
 
 def test_what_is_not_there_is_refused(logs):
-    with refused("path 7: there is no such path", LogError):
+    with refused("trajectory 7: there is no such trajectory", LogError):
         logs.select([1, 7])
     with refused(r"'rewards' among .*; rename 'reward'\?", LogError):
         logs.stage_values("rewards")

@@ -75,9 +75,9 @@ def test_what_is_no_footer_is_refused(tmp_path, content):
 def test_a_file_that_ends_the_library_s_process_is_refused(tmp_path):
     """Its footer has a histogram that is longer than there are levels: asked for a column, Arrow 26 dies."""
     broken = Path(__file__).with_name("histogram_too_long.parquet")
-    tell = {"format": "halfseen-logs", "version": 1, "rows": {"stages": 3, "paths": 3}}
+    tell = {"format": "halfseen-logs", "version": 2, "rows": {"stages": 3, "trajectories": 3}}
     (tmp_path / "logs.json").write_text(json.dumps(tell))
-    for name in ("stages", "paths"):
+    for name in ("stages", "trajectories"):
         shutil.copy(broken, tmp_path / f"{name}.parquet")
     with pytest.raises(LogError, match="histogram size mismatch"):
         read_logs(tmp_path)

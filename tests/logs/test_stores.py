@@ -35,13 +35,13 @@ def test_they_are_read(name, log, store):
 
 def test_an_address_of_this_machine_is_one(tmp_path):
     flat_log().write(tmp_path / "logs")
-    assert read_logs(f"file://{tmp_path}/logs").num_paths == flat_log().num_paths
+    assert read_logs(f"file://{tmp_path}/logs").num_trajectories == flat_log().num_trajectories
 
 
 def test_they_are_learned_from_in_passes(store, tmp_path):
     words = [f"{store}/flat", "--out", str(tmp_path / "policy"), "--in-passes", "--no-verdict", "--reg", "0.1"]
     result = CliRunner().invoke(learn, words, catch_exceptions=False)
-    assert result.stdout.startswith(f"{tmp_path / 'policy'}: learned from 40 paths")
+    assert result.stdout.startswith(f"{tmp_path / 'policy'}: learned from 40 trajectories")
     policy = read_policy(tmp_path / "policy").policy
     known = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1).fit(flat_log()).policy_
     np.testing.assert_allclose(policy.coefficients, known.coefficients, rtol=1e-6, atol=1e-9)
@@ -50,14 +50,14 @@ def test_they_are_learned_from_in_passes(store, tmp_path):
 def test_they_are_compacted(store, tmp_path):
     flat_log().write(tmp_path / "here")
     done = compact([f"{store}/flat", tmp_path / "here"], tmp_path / "all")
-    assert done.num_paths == 2 * flat_log().num_paths
-    assert read_logs(tmp_path / "all").paths["run"].iloc[0] == f"{store}/flat"
+    assert done.num_trajectories == 2 * flat_log().num_trajectories
+    assert read_logs(tmp_path / "all").trajectories["run"].iloc[0] == f"{store}/flat"
 
 
 def test_one_is_converted(store, tmp_path):
     words = [f"{store}/flat", "--out", str(tmp_path / "here")]
     assert CliRunner().invoke(convert, words, catch_exceptions=False).exit_code == 0
-    assert read_logs(tmp_path / "here").num_paths == flat_log().num_paths
+    assert read_logs(tmp_path / "here").num_trajectories == flat_log().num_trajectories
 
 
 @pytest.mark.parametrize(

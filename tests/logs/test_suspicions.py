@@ -10,25 +10,38 @@ from halfseen.logs import Logs
 from halfseen.logs.inspection.suspicions import suspicions
 
 
-def sound_tables(num_paths=120, num_stages=4, seed=0):
-    """Paths of an exploring policy, a third of them cut at any time."""
+def sound_tables(num_trajectories=120, num_stages=4, seed=0):
+    """Trajectories of an exploring policy, a third of them cut at any time."""
     rng = np.random.default_rng(seed)
-    stages, paths, objects = [], [], []
-    for path in range(num_paths):
+    stages, trajectories, objects = [], [], []
+    for trajectory in range(num_trajectories):
         clock_s = np.cumsum(rng.exponential(3.0, num_stages))
         cut_s = rng.exponential(25.0)
         is_cut = cut_s < clock_s[-1]
         cause = rng.choice(["operator", "battery"]) if is_cut else None
         end_s = min(cut_s, clock_s[-1])
-        paths.append({"path": path, "end_s": end_s, "ending": "cut" if is_cut else "finished", "cause": cause})
+        trajectories.append(
+            {"trajectory": trajectory, "end_s": end_s, "ending": "cut" if is_cut else "finished", "cause": cause}
+        )
         for stage in range(1, int((clock_s <= end_s).sum()) + 1 + int(is_cut)):
             is_completed = clock_s[stage - 1] <= end_s
             seen = {"distance": rng.lognormal(), "offset": rng.normal(), "is_wet": rng.random() < 0.5}
-            row = {"path": path, "stage": stage, "elapsed_s": clock_s[stage - 1] if is_completed else None, **seen}
+            row = {
+                "trajectory": trajectory,
+                "stage": stage,
+                "elapsed_s": clock_s[stage - 1] if is_completed else None,
+                **seen,
+            }
             reward = rng.normal() if is_completed else None
             stages.append(row | {"action": rng.choice(["PICK", "LOOK"]), "reward": reward, "probability": 0.5})
-            objects.append({"path": path, "stage": stage, "object": 0, "occlusion": rng.random(), "lifts": 0})
-    return {"stages": pd.DataFrame(stages), "paths": pd.DataFrame(paths), "objects": pd.DataFrame(objects)}
+            objects.append(
+                {"trajectory": trajectory, "stage": stage, "object": 0, "occlusion": rng.random(), "lifts": 0}
+            )
+    return {
+        "stages": pd.DataFrame(stages),
+        "trajectories": pd.DataFrame(trajectories),
+        "objects": pd.DataFrame(objects),
+    }
 
 
 def found(tables):
@@ -43,7 +56,7 @@ def tables():
 @pytest.mark.parametrize("seed", range(5))
 def test_sound_logs_raise_none(seed):
     assert found(sound_tables(seed=seed)) == {}
-    assert found(sound_tables(num_paths=12, seed=seed)) == {}
+    assert found(sound_tables(num_trajectories=12, seed=seed)) == {}
 
 
 @pytest.mark.parametrize("cut_kind", ["independent", "occlusion", "attempt"])
@@ -58,24 +71,24 @@ def test_simulated_logs_raise_none(cut_kind):
     assert suspicions(logs) == ()
 
 
-def test_where_every_path_was_cut_it_is_the_first_that_is_said(tables):
-    was_cut = tables["paths"].loc[tables["paths"]["ending"] == "cut", "path"]
-    told = found({name: table[table["path"].isin(was_cut)] for name, table in tables.items()})
+def test_where_every_trajectory_was_cut_it_is_the_first_that_is_said(tables):
+    was_cut = tables["trajectories"].loc[tables["trajectories"]["ending"] == "cut", "trajectory"]
+    told = found({name: table[table["trajectory"].isin(was_cut)] for name, table in tables.items()})
     assert next(iter(told)) == "all-cut"
-    assert told["all-cut"].startswith(f"all {len(was_cut)} paths were cut: nobody saw one come to its own end")
+    assert told["all-cut"].startswith(f"all {len(was_cut)} trajectories were cut: nobody saw one come to its own end")
 
 
 def caused(tables, cause, rows=slice(None), end_s=None):
-    is_cut = np.flatnonzero(tables["paths"]["ending"] == "cut")
-    tables["paths"].loc[is_cut, "cause"] = "operator"
-    tables["paths"].loc[is_cut[rows], "cause"] = cause
+    is_cut = np.flatnonzero(tables["trajectories"]["ending"] == "cut")
+    tables["trajectories"].loc[is_cut, "cause"] = "operator"
+    tables["trajectories"].loc[is_cut[rows], "cause"] = cause
     if end_s is not None:
-        tables["paths"].loc[is_cut, "end_s"] = np.linspace(end_s, end_s * 1.001, len(is_cut))
+        tables["trajectories"].loc[is_cut, "end_s"] = np.linspace(end_s, end_s * 1.001, len(is_cut))
 
 
 def in_milliseconds(tables):
-    for name, column in (("stages", "elapsed_s"), ("paths", "end_s")):
-        tables[name].loc[tables[name]["path"] < 10, column] *= 1000
+    for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
+        tables[name].loc[tables[name]["trajectory"] < 10, column] *= 1000
 
 
 def stages(column, value, of=lambda stages: slice(None)):
@@ -92,7 +105,7 @@ def stages(column, value, of=lambda stages: slice(None)):
 
 
 def late(rows):
-    return rows["path"] >= 60
+    return rows["trajectory"] >= 60
 
 
 def without_probability(tables):
@@ -104,12 +117,12 @@ def without_probability(tables):
     [
         *(
             (lambda tables, name=name: caused(tables, name, slice(3)), "end-among-causes",
-             f"^3 paths are cut by {name!r}: if that is how the task ends")
+             f"^3 trajectories are cut by {name!r}: if that is how the task ends")
             for name in ("done", "Success", " finished ")
         ),
         (without_probability, "no-probability",
          "^no action has a probability: learning needs none, but evaluating asks"),
-        (lambda tables: caused(tables, "time-out", end_s=tables["paths"]["end_s"].max() + 1), "horizon-as-cut",
+        (lambda tables: caused(tables, "time-out", end_s=tables["trajectories"]["end_s"].max() + 1), "horizon-as-cut",
          "{cuts} of {cuts} cuts by time-out fall at"),
         (in_milliseconds, "mixed-clock-units", r"in (10|9) .*are some clocks in milliseconds\?"),
         *(
@@ -132,7 +145,7 @@ def without_probability(tables):
 def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, change, kind, sentence):
     change(tables)
     counts = {
-        "cuts": (tables["paths"]["ending"] == "cut").sum(),
+        "cuts": (tables["trajectories"]["ending"] == "cut").sum(),
         "completed": tables["stages"]["elapsed_s"].notna().sum(),
         "stages": len(tables["stages"]),
     }
@@ -142,23 +155,23 @@ def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, cha
 
 
 def test_cuts_in_one_stage(tables):
-    cut = tables["paths"].loc[tables["paths"]["ending"] == "cut", "path"]
+    cut = tables["trajectories"].loc[tables["trajectories"]["ending"] == "cut", "trajectory"]
     stages = tables["stages"]
-    stages = stages[~stages["path"].isin(cut) | (stages["stage"] == 1)].copy()
-    stages.loc[stages["path"].isin(cut), ["elapsed_s", "reward"]] = np.nan
-    told = f"all {len(cut)} cuts fall in stage 1: does something of the task itself end paths there?"
-    assert found({"stages": stages, "paths": tables["paths"]}) == {"cuts-in-one-stage": told}
+    stages = stages[~stages["trajectory"].isin(cut) | (stages["stage"] == 1)].copy()
+    stages.loc[stages["trajectory"].isin(cut), ["elapsed_s", "reward"]] = np.nan
+    told = f"all {len(cut)} cuts fall in stage 1: does something of the task itself end trajectories there?"
+    assert found({"stages": stages, "trajectories": tables["trajectories"]}) == {"cuts-in-one-stage": told}
 
 
 def test_object_covariates_of_mixed_units(tables):
     tables["objects"]["occlusion"] += 0.1
-    tables["objects"].loc[tables["objects"]["path"] < 20, "occlusion"] *= 1e3
+    tables["objects"].loc[tables["objects"]["trajectory"] < 20, "occlusion"] *= 1e3
     assert "object covariate occlusion is around" in found(tables)["mixed-covariate-units"]
 
 
 def test_names_that_differ_in_spelling(tables):
-    causes = tables["paths"]["cause"]
-    tables["paths"]["cause"] = causes.where(causes.index % 2 == 0, causes.str.upper())
+    causes = tables["trajectories"]["cause"]
+    tables["trajectories"]["cause"] = causes.where(causes.index % 2 == 0, causes.str.upper())
     tables["stages"].loc[::3, "action"] = tables["stages"]["action"].str.title() + " "
     spelling = [s.sentence for s in suspicions(Logs(**tables)) if s.kind == "spelling"]
     assert spelling[0] == "causes 'BATTERY', 'battery' differ only in their spelling: count them as one"
@@ -172,18 +185,18 @@ def test_no_exploration(tables):
     assert set(found(tables)) == {"one-action"}
 
 
-def test_copied_paths(tables):
-    again = {name: frame[frame["path"].isin([3, 5, 8])] for name, frame in tables.items()}
-    again = {name: frame.assign(path=frame["path"] + 1000) for name, frame in again.items()}
+def test_copied_trajectories(tables):
+    again = {name: frame[frame["trajectory"].isin([3, 5, 8])] for name, frame in tables.items()}
+    again = {name: frame.assign(trajectory=frame["trajectory"] + 1000) for name, frame in again.items()}
     told = found({name: pd.concat([frame, again[name]]) for name, frame in tables.items()})
-    assert set(told) == {"duplicated-paths"}
-    assert re.search(r"\(such as (3 and 1003|5 and 1005)\)", told["duplicated-paths"])
+    assert set(told) == {"duplicated-trajectories"}
+    assert re.search(r"\(such as (3 and 1003|5 and 1005)\)", told["duplicated-trajectories"])
 
 
-def test_paths_of_whole_steps_may_agree(tables):
-    stages, is_cut = tables["stages"], tables["paths"]["ending"] == "cut"
+def test_trajectories_of_whole_steps_may_agree(tables):
+    stages, is_cut = tables["stages"], tables["trajectories"]["ending"] == "cut"
     is_completed = stages["elapsed_s"].notna()
     stages["elapsed_s"] = stages["stage"].where(is_completed).astype(float)
     stages["reward"] = (stages["reward"] > 0).where(is_completed).astype(float)
-    tables["paths"]["end_s"] = stages.groupby("path")["stage"].max().to_numpy() - 0.5 * is_cut
+    tables["trajectories"]["end_s"] = stages.groupby("trajectory")["stage"].max().to_numpy() - 0.5 * is_cut
     assert found(tables) == {}

@@ -26,9 +26,9 @@ def view():
     return perceive(read_cloud(table_paths()[7]))
 
 
-def bars_of(decision, path):
-    draw_decision(replace(decision, reason="because", warnings=()), path, horizon=10)
-    return {one.strip() for one in words_of(path)[1:]} & VALUES.keys()
+def bars_of(decision, trajectory):
+    draw_decision(replace(decision, reason="because", warnings=()), trajectory, horizon=10)
+    return {one.strip() for one in words_of(trajectory)[1:]} & VALUES.keys()
 
 
 def words_of(path):

@@ -61,7 +61,7 @@ class TableArrays:
         return self.config.reward_dirty_left * float(belief @ np.array(dirty))
 
     def _step(self, action, row, state: Any):
-        """Fill the row of T; return the expected reward. An attempt on what is gone ends the path, as FINISH does."""
+        """Fill the row of T; return the expected reward. An attempt on what is gone ends it, as FINISH does."""
         outcomes = [] if state is None or action == 0 else self._outcomes(action, state)
         if state is None or not outcomes:
             self.T[action, row, -1] = 1.0

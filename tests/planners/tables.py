@@ -1,4 +1,4 @@
-"""Tables in the middle of a path, made by hand."""
+"""Tables in the middle of a trajectory, made by hand."""
 
 import numpy as np
 from naive_planner import CONFIG

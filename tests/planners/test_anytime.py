@@ -165,8 +165,8 @@ def test_where_nothing_is_hidden_alike_objects_are_worth_the_same():
     ],
     ids=["no step", "no object"],
 )
-def test_a_path_that_is_over_is_refused(state):
-    with pytest.raises(ArgumentError, match="the path is over"):
+def test_a_trajectory_that_is_over_is_refused(state):
+    with pytest.raises(ArgumentError, match="the trajectory is over"):
         plan(CONFIG, state, KEY, num_simulations=NUM)
 
 

@@ -152,8 +152,8 @@ def test_draws_have_the_sampling_error_of_the_mean():
     [
         ({"num_rollouts": 1}, "num_rollouts is 1; at least 2"),
         ({"level": 0.0}, r"level is 0\.0"),
-        ({"state": replace(state_of(CUPS, HIDES, 6), steps_to_go=np.int32(0))}, "the path is over"),
-        ({"state": state_of([replace(cup, is_on_table=False) for cup in CUPS], HIDES, 6)}, "the path is over"),
+        ({"state": replace(state_of(CUPS, HIDES, 6), steps_to_go=np.int32(0))}, "the trajectory is over"),
+        ({"state": state_of([replace(cup, is_on_table=False) for cup in CUPS], HIDES, 6)}, "the trajectory is over"),
     ],
 )
 def test_what_cannot_be_explained_is_refused(change, message):

@@ -85,14 +85,14 @@ def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
 
 @pytest.mark.slow
 def test_futures_of_a_team_are_worth_what_comes_of_it():
-    config, num_paths = replace(PAIR, reward_per_s=-0.1), 200
+    config, num_trajectories = replace(PAIR, reward_per_s=-0.1), 200
     rule = ReservingPolicy(config, RULE)
-    paths = play(config, layouts_of(2), rule, KEY, num_paths)
-    keys = random.keys_of(random.key_of(11), num_paths)
+    trajectories = play(config, layouts_of(2), rule, KEY, num_trajectories)
+    keys = random.keys_of(random.key_of(11), num_trajectories)
     for stage in (1, 3):
-        is_there = paths.is_taken[:, stage]
-        later = np.sum(np.where(paths.is_taken, paths.reward, 0.0)[:, stage:], axis=1)[is_there]
-        states, taken = picked(paths.states, (is_there, stage)), paths.action[is_there, stage]
+        is_there = trajectories.is_taken[:, stage]
+        later = np.sum(np.where(trajectories.is_taken, trajectories.reward, 0.0)[:, stage:], axis=1)[is_there]
+        states, taken = picked(trajectories.states, (is_there, stage)), trajectories.action[is_there, stage]
         worth = future_rewards(config, states, rule, keys[is_there], 8)
         found = worth[np.arange(len(taken)), :, taken].mean(axis=1)
         difference = found - later

@@ -155,16 +155,18 @@ def test_rules_leave_to_the_other_what_they_never_hold():
     clumsy = replace(LOGISTIC, log_odds=-30.0)
     world = world_of(None, clumsy, price=-0.05)
     for name in ("greedy", "history-penalty"):
-        paths = played(world, named_policy(name, world.played_config))
-        states, action = met(paths), np.asarray(paths.action)[np.asarray(paths.is_taken)]
+        trajectories = played(world, named_policy(name, world.played_config))
+        states, action = met(trajectories), np.asarray(trajectories.action)[np.asarray(trajectories.is_taken)]
         of_clumsy = np.asarray(states.decider) == 1
         assert not np.isin(action[of_clumsy], np.arange(1, 1 + 2 * NUM_OBJECTS)).any()
         assert np.isin(action[~of_clumsy], np.arange(1, 1 + NUM_OBJECTS)).any()
     # A rule that believes in one law for all does not know.
     unknowing = TeamOfRules(GreedyPolicy(WORLD, uses_history=True, counts_penalty=True))
-    paths = played(world, unknowing)
-    is_wash = np.isin(np.asarray(paths.action), np.arange(1, 1 + NUM_OBJECTS)) & np.asarray(paths.is_taken)
-    assert (np.asarray(paths.states.decider)[is_wash] == 1).any()
+    trajectories = played(world, unknowing)
+    is_wash = np.isin(np.asarray(trajectories.action), np.arange(1, 1 + NUM_OBJECTS)) & np.asarray(
+        trajectories.is_taken
+    )
+    assert (np.asarray(trajectories.states.decider)[is_wash] == 1).any()
 
 
 def test_what_another_is_at_ends_as_its_own_law_says():
@@ -201,12 +203,15 @@ def test_what_another_is_at_ends_as_its_own_law_says():
 def test_futures_are_worth_what_comes_of_them():
     world, stage = world_of(None, LOGISTIC, price=-0.1), 2
     rule = named_policy("history-penalty", world.played_config)
-    paths = played(world, rule, 200)
-    is_there = paths.is_taken[:, stage]
-    later = np.sum(np.where(paths.is_taken, paths.reward, 0.0)[:, stage:], axis=1)[is_there]
-    states, keys = picked(paths.states, (is_there, stage)), random.keys_of(random.key_of(11), int(is_there.sum()))
+    trajectories = played(world, rule, 200)
+    is_there = trajectories.is_taken[:, stage]
+    later = np.sum(np.where(trajectories.is_taken, trajectories.reward, 0.0)[:, stage:], axis=1)[is_there]
+    states, keys = (
+        picked(trajectories.states, (is_there, stage)),
+        random.keys_of(random.key_of(11), int(is_there.sum())),
+    )
     worth = future_rewards(world.played_config, states, rule, keys, 8)
-    taken = paths.action[is_there, stage]
+    taken = trajectories.action[is_there, stage]
     difference = worth[np.arange(len(taken)), :, taken].mean(axis=1) - later
     assert abs(difference.mean()) < 4.0 * difference.std() / np.sqrt(len(difference))
     assert np.corrcoef(difference + later, later)[0, 1] > 0.1

@@ -39,11 +39,11 @@ def layouts_of(num_robots):
     return replace(pad_scenes([scene]), workspace=Workspace(reach, near[None]))
 
 
-def states_of(team, num_paths=40):
+def states_of(team, num_trajectories=40):
     """States that a team meets, half by chance; axis B."""
     behaviour = ExploringPolicy(TeamOfRules(RULE))
-    paths = play(team, layouts_of(team.num_robots), behaviour, random.key_of(3), num_paths)
-    return picked(paths.states, paths.is_taken)
+    trajectories = play(team, layouts_of(team.num_robots), behaviour, random.key_of(3), num_trajectories)
+    return picked(trajectories.states, trajectories.is_taken)
 
 
 def while_the_other_washes(team):

@@ -32,10 +32,10 @@ def config_of(price=0.0, speed=(1.0, 1.0)):
     return replace(RULE.config, speed=speed, reward_per_s=price)
 
 
-def states_of(config, num_paths=60):
+def states_of(config, num_trajectories=60):
     """States that two robots meet by chance; axis B."""
-    paths = play(config, layouts_of(REACH), UniformPolicy(), KEY, num_paths)
-    return picked(paths.states, paths.is_taken)
+    trajectories = play(config, layouts_of(REACH), UniformPolicy(), KEY, num_trajectories)
+    return picked(trajectories.states, trajectories.is_taken)
 
 
 def chosen(policy, states):
@@ -97,18 +97,18 @@ def test_one_robot_does_as_its_rule(policy):
 def test_what_is_dealt_to_another_is_left_alone_until_that_one_goes():
     # Everyone reaches everything: the even numbers fall to robot 0, the odd ones to robot 1.
     config, layouts = config_of(), layouts_of(np.ones((2, NUM_OBJECTS), dtype=bool))
-    paths = play(config, layouts, RoundRobin(RULE), KEY, 60)
-    is_wash = paths.is_taken & (paths.action >= 1) & (paths.action <= NUM_OBJECTS)
-    decider = paths.states.decider
-    other_goes_on = ~at(gone(paths.states.robots), 1 - decider)
-    is_dealt = (paths.action - 1) % 2 == decider
+    trajectories = play(config, layouts, RoundRobin(RULE), KEY, 60)
+    is_wash = trajectories.is_taken & (trajectories.action >= 1) & (trajectories.action <= NUM_OBJECTS)
+    decider = trajectories.states.decider
+    other_goes_on = ~at(gone(trajectories.states.robots), 1 - decider)
+    is_dealt = (trajectories.action - 1) % 2 == decider
     assert is_dealt[is_wash & other_goes_on].all()
     assert not is_dealt[is_wash & ~other_goes_on].all()
 
 
 def test_one_at_a_time_never_has_two_at_work():
-    paths = play(config_of(), layouts_of(REACH), OneAtATime(RULE), KEY, 60)
-    robots = paths.states.robots
+    trajectories = play(config_of(), layouts_of(REACH), OneAtATime(RULE), KEY, 60)
+    robots = trajectories.states.robots
     num_at_work = np.sum(robots.is_busy & (robots.verb != actions.WAIT), axis=-1)
-    begins = paths.is_taken & (paths.action != WAIT)
+    begins = trajectories.is_taken & (trajectories.action != WAIT)
     assert (num_at_work[begins] == 0).all()

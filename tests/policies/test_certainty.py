@@ -80,20 +80,20 @@ def test_stages_to_come_widen_by_their_number_draws_by_its_root_and_what_no_log_
 
 
 def test_stages_to_come_are_counted_as_if_nothing_had_been_cut():
-    """Paths go on with a chance of 0.6 at each of four stages; half of the stages of some are cut away at random."""
-    rng, stages, paths = np.random.default_rng(2), [], []
-    for path in range(4000):
+    """Trajectories go on with a chance of 0.6 at each of four stages; half of some are cut away at random."""
+    rng, stages, trajectories = np.random.default_rng(2), [], []
+    for trajectory in range(4000):
         num = 1 + int(np.argmax([*(rng.random(3) > 0.6), True]))
         cut_in = int(rng.integers(1, 5)) if rng.random() < 0.5 else 9
         for stage in range(1, min(num, cut_in) + 1):
             done = stage < cut_in
-            stages.append((path, stage, "A", float(stage) if done else np.nan, 0.0 if done else np.nan))
+            stages.append((trajectory, stage, "A", float(stage) if done else np.nan, 0.0 if done else np.nan))
         is_cut = cut_in <= num
-        paths.append((path, cut_in - 0.5 if is_cut else float(num), "cut" if is_cut else "finished"))
+        trajectories.append((trajectory, cut_in - 0.5 if is_cut else float(num), "cut" if is_cut else "finished"))
     exact = [1 + 0.6 + 0.36 + 0.216, 1 + 0.6 + 0.36, 1.6, 1.0]
     logs = Logs(
-        pd.DataFrame(stages, columns=["path", "stage", "action", "elapsed_s", "reward"]),
-        pd.DataFrame(paths, columns=["path", "end_s", "ending"]),
+        pd.DataFrame(stages, columns=["trajectory", "stage", "action", "elapsed_s", "reward"]),
+        pd.DataFrame(trajectories, columns=["trajectory", "end_s", "ending"]),
     )
     np.testing.assert_allclose(stages_left(stage_counts(logs)), exact, atol=0.06)
 
@@ -102,7 +102,7 @@ SEEN = NamedObservation(pd.DataFrame({"x1": [0.1], "x2": [1]}), 1)
 
 
 def test_what_was_learned_holds_how_sure_it_is(stored):
-    logs = flat_log(num_paths=60)
+    logs = flat_log(num_trajectories=60)
     learner = CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], q_function="linear", reg=0.1)
     policy = stored(learner, logs)
     decision, known = decider_of(policy).decide(SEEN), policy.q_error

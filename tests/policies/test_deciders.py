@@ -147,7 +147,7 @@ NEVER_VARIED = {"x": (4.0, 4.0), "y": (0.0, 0.0)}
         (NEVER_VARIED, {"x": 8.1, "y": 0.0}, "^x is"),
         (NEVER_VARIED, {"x": 4.0, "y": 1.1}, "^y is"),
         ({"a": (0.0, 1.0), "b": (0.1, 3.0)}, {"a": 1.5, "b": 800.0}, r"^b is 800,"),
-        # Words, and stages that no path came to.
+        # Words, and stages that no trajectory came to.
         (None, {"x": 1e9}, None),
         ({"x": {"red": 3}}, {"x": "mauve"}, None),
     ],
@@ -163,5 +163,5 @@ def test_more_than_a_whole_range_beyond_an_end_is_refused(ranges, values, refuse
     assert "\n" not in str(refusal.value)
 
 
-def test_a_stage_that_no_path_came_to_is_told():
-    assert beyond(None, {}) == ("no path of the logs came to this stage; Q is extrapolated",)
+def test_a_stage_that_no_trajectory_came_to_is_told():
+    assert beyond(None, {}) == ("no trajectory of the logs came to this stage; Q is extrapolated",)

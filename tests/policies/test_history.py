@@ -18,21 +18,21 @@ NAMES = ["mug", "cup", "bowl"]
 
 
 def history(action, target, *, location=("TABLE",) * 3, ending="cut"):
-    """An older path, and one whose second stage begins with a failed attempt on the cup; names sort otherwise."""
+    """An older trajectory, and one whose second stage begins with a failed attempt on the cup; names sort otherwise."""
     order, rows = np.argsort(NAMES), []
-    for path, stage in ((1, 1), (2, 1), (2, 2)):
+    for trajectory, stage in ((1, 1), (2, 1), (2, 2)):
         for k in order:
             is_tried = (k, stage) == (1, 2)
-            row = {"path": path, "stage": stage, "object": NAMES[k], "hidden_by": HIDES[k][order].tolist()}
-            row |= {"location": location[k] if (path, stage) == (2, 2) else "TABLE", "occlusion": 0.3}
+            row = {"trajectory": trajectory, "stage": stage, "object": NAMES[k], "hidden_by": HIDES[k][order].tolist()}
+            row |= {"location": location[k] if (trajectory, stage) == (2, 2) else "TABLE", "occlusion": 0.3}
             row |= {"log_odds": 0.1 * (k + 1) * stage, "lifts": int(k == 2) * (stage - 1)}
             row |= {"attempt_occlusions": [0.2] * is_tried, "attempt_succeeded": [False] * is_tried}
             rows.append(row)
     last = (5.0, 1.0) if ending == "finished" else (None, None)
     stages = [(1, 1, 2.0, "FINISH", None, 0.0), (2, 1, 3.0, "WASH", "cup", -1.0)]
     stages.append((2, 2, last[0], action, target, last[1]))
-    columns = ["path", "stage", "elapsed_s", "action", "object", "reward"]
-    ends = {"path": [1, 2], "end_s": [2.0, 5.0], "ending": ["finished", ending]}
+    columns = ["trajectory", "stage", "elapsed_s", "action", "object", "reward"]
+    ends = {"trajectory": [1, 2], "end_s": [2.0, 5.0], "ending": ["finished", ending]}
     return Logs(pd.DataFrame(stages, columns=columns), ends, pd.DataFrame(rows))
 
 
@@ -65,9 +65,9 @@ PLACES_M = np.array([[0.0, 0.0, 0.05], [0.2, 0.0, 0.05], [0.2, 0.2, 0.05]])
 def placed(*arguments, **more):
     """The history, with the places of its objects."""
     logs = history(*arguments, **more)
-    rank = logs.objects.groupby(["path", "stage"]).cumcount()
+    rank = logs.objects.groupby(["trajectory", "stage"]).cumcount()
     places = {name: PLACES_M[rank, axis] for axis, name in enumerate(("x_m", "y_m", "z_m"))}
-    return Logs(logs.stages, logs.paths, logs.objects.assign(**places))
+    return Logs(logs.stages, logs.trajectories, logs.objects.assign(**places))
 
 
 def shows(*ranks):
@@ -113,7 +113,7 @@ OTHERS = "object 0 may be another than 'bowl' of the history", "object 1 may be 
 FAILED = "WASH of 'bowl' is taken to have failed: object 0, 0.12 m from where it was, is taken for it"
 STANDS = "WASH of 'bowl' held, but object 2 stands where it was: it is taken for another"
 NEW = np.log(0.6 / 0.4)
-OTHER_THINGS = r"path 2, stage 2: 3 objects .* of other objects than the cloud shows"
+OTHER_THINGS = r"trajectory 2, stage 2: 3 objects .* of other objects than the cloud shows"
 
 
 @pytest.mark.parametrize(
@@ -172,7 +172,7 @@ def test_another_order_of_the_objects_is_suspected():
 def numbered(*did):
     logs, numbers = history(*did), {"bowl": 0, "cup": 1, "mug": 2}
     stages, objects = logs.stages, logs.objects.assign(object=logs.objects["object"].map(numbers))
-    return Logs(stages.assign(object=stages["object"].map(numbers).astype("Int64")), logs.paths, objects)
+    return Logs(stages.assign(object=stages["object"].map(numbers).astype("Int64")), logs.trajectories, objects)
 
 
 def finished(*did):
@@ -180,7 +180,7 @@ def finished(*did):
 
 
 PRESENT, WASHED_MUG, PICKED = (None, None), ("WASH", "mug"), r"of object .* is none that the table knows"
-FAR = "path 2, stage 2: none of the 3 objects that the cloud shows is within"
+FAR = "trajectory 2, stage 2: none of the 3 objects that the cloud shows is within"
 
 
 @pytest.mark.parametrize(

@@ -93,7 +93,7 @@ def random_state(num_objects, horizon, rng):
 def test_it_decides_a_thousand_tables_alike(options, stored):
     """250 of each of the four kinds."""
     rng, horizon, num_objects = np.random.default_rng(1), 3, 4
-    kept = stored(CensoredQLearner.for_table(horizon, laws=None, **options), table_log(num_paths=60))
+    kept = stored(CensoredQLearner.for_table(horizon, laws=None, **options), table_log(num_trajectories=60))
     session = onnxruntime.InferenceSession(onnx_model(kept, num_objects))
     states = [random_state(num_objects, horizon, rng) for _ in range(250)]
     wanted = kept.policy.q_values(stacked(states))
@@ -121,7 +121,7 @@ def test_the_model_names_what_it_takes_and_gives_and_a_number_of_objects_is_for_
 def test_text_comes_as_an_indicator_of_each_category_but_the_first(stored):
     plain, rng = flat_log(), np.random.default_rng(3)
     kind = rng.choice(["mug", "glass", "bowl"], len(plain.stages))
-    logs = Logs(plain.stages.assign(kind=kind), plain.paths)
+    logs = Logs(plain.stages.assign(kind=kind), plain.trajectories)
     policy = stored(CensoredQLearner(2, ["A", "B", "C"], ["x1", "kind"], reg=0.1), logs)
     model = onnx_model(policy)
     assert metadata(model)["covariates"] == ["x1", "kind=glass", "kind=mug"]

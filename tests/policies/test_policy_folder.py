@@ -139,7 +139,7 @@ def test_the_record_says_what_was_learned_from_and_the_ranges_of_each_stage_or_o
     stored, learner, log = read_policy(kept / "flat"), fitted["flat"], logs["flat"]
     of = stored.record
     assert of["schema"]["possible"] == [["A", "B"], ["A", "C"]]
-    assert (of["log"]["num_paths"], of["log"]["sha256"]) == (40, log_digest(log))
+    assert (of["log"]["num_trajectories"], of["log"]["sha256"]) == (40, log_digest(log))
     assert of["learner"]["censoring"] == "kaplan-meier"
     assert of["reg"]["values"] == learner.q_functions_.reg.tolist()
     weights = of["diagnostics"]["weights"]
@@ -158,7 +158,7 @@ def test_a_log_has_one_digest_wherever_it_lies(logs, tmp_path):
     assert log_digest(read_logs(tmp_path / "logs")) == log_digest(tables)
     moved = tables.objects.copy()
     moved.at[3, "hidden_by"] = [0.11, 0.0] if moved.at[3, "object"] else [0.0, 0.41]
-    for other in (tables.select(tables.path_ids[1:]), Logs(tables.stages, tables.paths, moved)):
+    for other in (tables.select(tables.trajectory_ids[1:]), Logs(tables.stages, tables.trajectories, moved)):
         assert log_digest(other) != log_digest(tables)
 
 

@@ -76,7 +76,7 @@ def array(name, change):
 
 REFUSED = {
     "flat": [
-        (of_record(version=2), "version 2 is not the 1 that halfseen"),
+        (of_record(version=1), "version 1 is not the 2 that halfseen"),
         (of_record(format="pickle"), "describes no policy"),
         (of_record(kind="tree"), "kind is 'tree'"),
         (record(lambda r: r.pop("seen")), "seen does not give the range of x1, x2"),
@@ -148,7 +148,7 @@ REFUSED = {
         (of_schema(basis="rule"), "array 'excess.coefficients' is none that a policy has"),
     ],
     "team": [
-        (of_record(version=2), "version 2 is not the 1 that halfseen"),
+        (of_record(version=1), "version 1 is not the 2 that halfseen"),
         (record(lambda r: r["schema"].pop("num_robots")), "num_robots is None and not a whole number"),
         (of_schema(num_robots="two"), "num_robots is 'two' and not a whole number"),
         (of_schema(num_robots=True), "num_robots is True and not a whole number"),

@@ -122,9 +122,9 @@ def test_what_is_no_rule_is_told_in_one_line(tmp_path, text, name, message):
         ("shine,action\nhigh,A", PARTS, ArgumentError, "shine = high, and shine holds numbers"),
         (
             "shine,action\n1,A",
-            pd.DataFrame({"path": [4, 7], "stage": [2, 2], "shine": [0.1, None]}),
+            pd.DataFrame({"trajectory": [4, 7], "stage": [2, 2], "shine": [0.1, None]}),
             LogError,
-            "path 7.*stage 2.*'shine' is null",
+            "trajectory 7.*stage 2.*'shine' is null",
         ),
     ],
 )

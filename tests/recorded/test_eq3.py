@@ -72,7 +72,7 @@ def test_an_evaluation_is_what_was_recorded(cell):
     """But for the doubly robust value, whose weights are of states now, and what follows from it."""
     found = json.loads(json.dumps(evaluate(cell.policy_, read_logs(FOLDERS["later"])).as_dict()))
     expected = told()["cell/evaluation"]
-    for name in ("importance_sampling", "fitted_q", "logging", "support", "num_paths", "level", "reward_unit"):
+    for name in ("importance_sampling", "fitted_q", "logging", "support", "num_trajectories", "level", "reward_unit"):
         assert_same(found[name], expected[name])
 
 

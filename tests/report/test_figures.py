@@ -1,4 +1,4 @@
-"""Paths along time, and what is chosen in each stage."""
+"""Trajectories along time, and what is chosen in each stage."""
 
 import numpy as np
 import pandas as pd
@@ -13,32 +13,42 @@ from halfseen.report.timeline import MOST_ROWS, UNKNOWN_ACTION, timeline
 from halfseen.report.timeline_figure import draw_timeline
 
 
-def log_of(paths):
-    """Paths as (times of completed stages, time of the cut or None, cause, action of the stage in which it was cut)."""
+def log_of(trajectories):
+    """Trajectories as (times of completed stages, time of the cut or None, cause, action of the cut stage)."""
     stages, ends = [], []
-    for path, (times, cut_s, cause, last) in enumerate(paths):
+    for trajectory, (times, cut_s, cause, last) in enumerate(trajectories):
         for stage, elapsed_s in enumerate(times, start=1):
-            row = {"path": path, "stage": stage, "elapsed_s": elapsed_s, "action": f"a{stage}", "reward": 0.0}
+            row = {
+                "trajectory": trajectory,
+                "stage": stage,
+                "elapsed_s": elapsed_s,
+                "action": f"a{stage}",
+                "reward": 0.0,
+            }
             stages.append(row)
         if cut_s is not None:
-            stages.append({"path": path, "stage": len(times) + 1, "elapsed_s": None, "action": last, "reward": None})
+            stages.append(
+                {"trajectory": trajectory, "stage": len(times) + 1, "elapsed_s": None, "action": last, "reward": None}
+            )
         end_s = times[-1] if cut_s is None else cut_s
-        ends.append({"path": path, "end_s": end_s, "ending": "cut" if cut_s else "finished", "cause": cause})
+        ends.append(
+            {"trajectory": trajectory, "end_s": end_s, "ending": "cut" if cut_s else "finished", "cause": cause}
+        )
     frame = pd.DataFrame(stages).astype({"elapsed_s": float, "reward": float})
     return Logs(frame, pd.DataFrame(ends))
 
 
-def many(num_paths, num_stages=2, seed=0):
+def many(num_trajectories, num_stages=2, seed=0):
     rng = np.random.default_rng(seed)
-    clocks = np.cumsum(rng.uniform(0.5, 2.0, (num_paths, num_stages)), axis=1)
+    clocks = np.cumsum(rng.uniform(0.5, 2.0, (num_trajectories, num_stages)), axis=1)
     return log_of([(clock.tolist(), None, None, None) for clock in clocks])
 
 
-def test_rows_are_paths_by_how_they_ended_and_then_by_length():
+def test_rows_are_trajectories_by_how_they_ended_and_then_by_length():
     finished, cut = [([1.0, 4.0], *[None] * 3), ([3.0], *[None] * 3)], [([1.0], 2.0, "operator", "b")]
     others = [([], 0.5, "operator", None), ([1.0], 5.0, "battery", "b")]
     told = timeline(log_of([finished[0], *cut, finished[1], *others]))
-    groups = [(group.name, group.num_paths) for group in told.endings]
+    groups = [(group.name, group.num_trajectories) for group in told.endings]
     assert groups == [("finished", 2), ("cut: operator", 2), ("cut: battery", 1)]
     assert told.end_s.tolist() == [3.0, 4.0, 0.5, 2.0, 5.0]
     pieces = set(zip(told.row, told.begin_s, told.until_s, told.action, told.is_completed, strict=True))
@@ -54,18 +64,18 @@ def test_rows_are_paths_by_how_they_ended_and_then_by_length():
     }
 
 
-def test_every_way_to_end_has_its_paths():
+def test_every_way_to_end_has_its_trajectories():
     logs = log_of([([1.0], 2.0, f"cause {k % 7}", "b") for k in range(21)] + [([1.0], None, None, None)])
     ways = endings(logs)
     assert np.sum(list(ways.values()), axis=0).tolist() == [1] * 22
     assert list(ways)[-1] == "cut: 3 other causes"
 
 
-def test_many_paths_are_evenly_spaced_ones_of_each_way_to_end():
+def test_many_trajectories_are_evenly_spaced_ones_of_each_way_to_end():
     logs, rarely = many(2000), log_of([([1.0], 1.5, "battery", "b")])
     both = Logs(
-        pd.concat([logs.stages, rarely.stages.assign(path=2000)]),
-        pd.concat([logs.paths, rarely.paths.assign(path=2000)]),
+        pd.concat([logs.stages, rarely.stages.assign(trajectory=2000)]),
+        pd.concat([logs.trajectories, rarely.trajectories.assign(trajectory=2000)]),
     )
     told = timeline(both)
     assert [group.num_rows for group in told.endings] == [MOST_ROWS, 1]
@@ -74,7 +84,7 @@ def test_many_paths_are_evenly_spaced_ones_of_each_way_to_end():
     assert told.end_s[: MOST_ROWS // 2].max() == pytest.approx(np.median(ends_s), abs=0.05)
 
 
-def test_a_log_of_many_long_paths_is_a_small_drawing_without_names_of_paths():
+def test_a_log_of_many_long_trajectories_is_a_small_drawing_without_names_of_trajectories():
     told = timeline(many(3000, num_stages=30))
     colours = action_colours(sorted(set(told.action)))
     svg = inline_svg(lambda: draw_timeline(told, colours), "f", "t")

@@ -19,7 +19,7 @@ from small_report import ACTIONS, COVARIATES, hostile_log
 
 @pytest.fixture(scope="module")
 def logs():
-    return hostile_log(num_paths=80)
+    return hostile_log(num_trajectories=80)
 
 
 @pytest.fixture(scope="module")
@@ -74,15 +74,15 @@ def test_a_drawn_map_names_its_covariates_and_hatches(policy, logs):
 
 def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkeypatch):
     monkeypatch.setattr(table_map_module, "FEWEST_OBJECTS", 1)
-    logs = table_log(num_paths=60)
+    logs = table_log(num_trajectories=60)
     policy = CensoredQLearner.for_table(3, reg=0.1).fit(logs).policy_
     task = task_of(policy, logs)
     told = table_map(policy, task, logs)
     taken = task.target_probabilities(policy, logs, 3)
     num = {"WASH": 0, "LIFT": 0}
-    ids = list(logs.path_ids)
-    for path, stage in zip(logs.stages["path"], logs.stages["stage"], strict=True):
-        chances = taken[ids.index(path), stage - 1]
+    ids = list(logs.trajectory_ids)
+    for trajectory, stage in zip(logs.stages["trajectory"], logs.stages["stage"], strict=True):
+        chances = taken[ids.index(trajectory), stage - 1]
         name = ActionSpace.of_size(len(chances)).names[int(np.argmax(chances))].split()[0]
         num[name] = num.get(name, 0) + 1
     on_table = (logs.objects["location"] == "TABLE").sum()
@@ -90,5 +90,5 @@ def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkey
     for verb, share in told.share.items():
         assert np.nansum(share * told.num_objects) == pytest.approx(num[verb])
         assert verb in inline_svg(lambda verb=verb: draw_table_map(told, verb), "f", "t")
-    bare = Logs(logs.stages, logs.paths, logs.objects.drop(columns="log_odds"))
+    bare = Logs(logs.stages, logs.trajectories, logs.objects.drop(columns="log_odds"))
     assert table_map(policy, task, bare) is None

@@ -45,20 +45,22 @@ def test_it_tells_of_the_log_and_of_nothing_else(findings):
 
 
 def one_stage(ends):
-    """Paths of one stage: (end, whether it finished)."""
+    """Trajectories of one stage: (end, whether it finished)."""
     end_s, is_done = (np.array(each) for each in zip(*ends, strict=True))
     done = {"elapsed_s": np.where(is_done, end_s, np.nan), "reward": np.where(is_done, 1.0, np.nan)}
-    paths = {"path": range(len(ends)), "end_s": end_s, "ending": np.where(is_done, "finished", "cut")}
-    return Logs(pd.DataFrame({"path": range(len(ends)), "stage": 1, "action": "A", **done}), pd.DataFrame(paths))
+    trajectories = {"trajectory": range(len(ends)), "end_s": end_s, "ending": np.where(is_done, "finished", "cut")}
+    return Logs(
+        pd.DataFrame({"trajectory": range(len(ends)), "stage": 1, "action": "A", **done}), pd.DataFrame(trajectories)
+    )
 
 
 @pytest.mark.parametrize(
     ("ends", "says"),
     [
-        ([(2.0, True)], "1 path, which was not cut; every path counts once"),
-        ([(2.0, False)], "1 path: it was cut, by unknown; what was seen stands badly"),
-        ([(2.0, True), (3.0, True)], "2 paths, none of them cut"),
-        ([(2.0, False), (3.0, False)], "2 paths: all were cut, by unknown; what was seen stands badly"),
+        ([(2.0, True)], "1 trajectory, which was not cut; every trajectory counts once"),
+        ([(2.0, False)], "1 trajectory: it was cut, by unknown; what was seen stands badly"),
+        ([(2.0, True), (3.0, True)], "2 trajectories, none of them cut"),
+        ([(2.0, False), (3.0, False)], "2 trajectories: all were cut, by unknown; what was seen stands badly"),
     ],
 )
 def test_the_smallest_logs_have_a_page_without_empty_parts(ends, says):
@@ -81,11 +83,11 @@ def test_what_is_earned_is_told_of_today_and_in_an_hour():
     known = evaluation(reward_unit="parts", share=estimate(1.5, 0.2), per_hour=per_hour)
     said = standing(known).replace("\u00a0", " ")
     assert said == (
-        "The best estimate is 1.50 parts a path: 150 % of today’s (130 to 170 %) and 360 parts an hour (288 to 432), "
-        "where today’s is 180."
+        "The best estimate is 1.50 parts a trajectory: 150 % of today’s (130 to 170 %) and 360 parts an hour (288 to "
+        "432), where today’s is 180."
     )
     assert why_no_hours(known) == ""
     assert standing(evaluation()) == ""
-    # Where too few paths follow the policy, its value is not to be believed, in whatever unit.
+    # Where too few trajectories follow the policy, its value is not to be believed, in whatever unit.
     few = replace(known, doubly_robust=replace(known.doubly_robust, effective_sample_size=3.0))
     assert standing(few) == ""

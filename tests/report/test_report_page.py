@@ -74,7 +74,8 @@ def page(findings):
 def test_every_section_and_figure_is_there_and_the_answer_comes_first(page, findings):
     read = Reader(page)
     assert [name for name in read.ids if name in SECTIONS] == list(SECTIONS)
-    # Values, paths along time, Ĝ, three of the weights, choices, Q, and maps of the stages that have states enough.
+    # Values, trajectories along time, Ĝ, three of the weights, choices, Q, and maps of the stages that have states
+    # enough.
     assert read.tags.count("svg") == 8 + len(findings.policy.maps) > 8
     text = " ".join("".join(read.words).split())
     first = "The learned policy is better than the logging policy: it earns <this> much."
@@ -92,11 +93,11 @@ def test_every_section_and_figure_is_there_and_the_answer_comes_first(page, find
 
 @pytest.mark.parametrize("verdict", ["better", "not better", "cannot be said"])
 def test_the_answer_names_the_opponent_once(verdict):
-    reason = "it earns between -1 and 2 more a path than the logging policy; if it is 1, twice as many paths would tell"
+    reason = "it earns between -1 and 2 more a trajectory than the logging policy; if it is 1, twice as many would tell"
     said, remedy = answer(replace(evaluation(verdict), reason=reason))
     assert said.count("the logging policy") == 1
-    assert said.endswith(": it earns between −1 and 2 more a path.")
-    assert remedy == "If it is 1, twice as many paths would tell."
+    assert said.endswith(": it earns between −1 and 2 more a trajectory.")
+    assert remedy == "If it is 1, twice as many would tell."
 
 
 def test_the_page_stands_alone(page):
@@ -137,9 +138,13 @@ def test_the_same_findings_are_the_same_bytes(findings, page, stored, logs, monk
 
 
 def test_watched_is_kaplan_meier_with_the_numbers_still_watched():
-    stages = {"path": range(4), "stage": 1, "elapsed_s": [1.0, None, 2.0, 6.0], "action": "A"}
-    paths = {"path": range(4), "end_s": [1.0, 2.0, 2.0, 6.0], "ending": ["finished", "cut", "finished", "finished"]}
-    told = watched(Logs(pd.DataFrame(stages | {"reward": [0.0, None, 0.0, 0.0]}), pd.DataFrame(paths)))
+    stages = {"trajectory": range(4), "stage": 1, "elapsed_s": [1.0, None, 2.0, 6.0], "action": "A"}
+    trajectories = {
+        "trajectory": range(4),
+        "end_s": [1.0, 2.0, 2.0, 6.0],
+        "ending": ["finished", "cut", "finished", "finished"],
+    }
+    told = watched(Logs(pd.DataFrame(stages | {"reward": [0.0, None, 0.0, 0.0]}), pd.DataFrame(trajectories)))
     assert told.time_s.tolist() == [0.0, 2.0, 6.0]
     assert told.survival.tolist() == [1.0, 0.5, 0.5]
     assert told.risk_time_s.tolist() == [0, 1, 2, 3, 4, 5, 6]
@@ -156,7 +161,7 @@ def test_a_log_without_cuts_says_so_and_assumes_nothing_of_them(stored, monkeypa
     monkeypatch.setattr(found_in, "evaluate", lambda *_, **__: evaluation())
     told = find(stored, logs, num_replicates=2)
     page = page_of(told, "x")
-    assert "No path was cut: each was watched to its own end." in page
+    assert "No trajectory was cut: each was watched to its own end." in page
     assert "explains the cuts" not in page
     assert "learned from other logs than these" in page
     assert told.policy.curves[0].low is None

@@ -6,15 +6,15 @@ from starlette.testclient import TestClient
 
 from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
-from halfseen.serving.paths import RecordedPaths
+from halfseen.serving.trajectories import RecordedTrajectories
 
 
 @contextmanager
 def client_of(policy, folder=None, *, of_tables=False, token=None, largest_bytes=None, law=None, **answering):
     """Ask a server that records into a folder, if one is given."""
-    recorded = nullcontext() if folder is None else RecordedPaths(folder, is_of_tables=of_tables)
-    with recorded as paths:
-        served = Served(policy, Answering(**answering, paths=paths), extrapolates=of_tables, law=law)
+    recorded = nullcontext() if folder is None else RecordedTrajectories(folder, is_of_tables=of_tables)
+    with recorded as trajectories:
+        served = Served(policy, Answering(**answering, trajectories=trajectories), extrapolates=of_tables, law=law)
         app = app_of(served, token, largest_bytes=largest_bytes)
         with TestClient(app, base_url="http://127.0.0.1") as client:
             yield client

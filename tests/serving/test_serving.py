@@ -126,41 +126,41 @@ def test_what_is_decided_becomes_a_log_with_probabilities(flat, tmp_path):
     folder, rewards, taken = tmp_path / "logs", [], []
     with client_of(flat, folder, epsilon=0.4) as client:
         rng = np.random.default_rng(3)
-        for path in range(24):
+        for trajectory in range(24):
             for stage in (1, 2):
                 state = {"x1": float(rng.normal()), "x2": int(rng.integers(3)), "seen_by": "left"}
                 told = client.post("/decide", json=state).json()
-                assert (told["path"], told["stage"]) == (path + 1, stage)
+                assert (told["trajectory"], told["stage"]) == (trajectory + 1, stage)
                 taken.append((told["action"], told["probability"]))
                 assert "has no reward yet" in refused(client.post("/decide", json=state), 409)
                 assert "has no reward yet" in refused(client.post("/end", json={"ending": "finished"}), 409)
                 rewards.append(float(rng.normal()))
                 assert client.post("/reward", json={"reward": rewards[-1]}).json()["waits_for"] == "decision"
                 assert "no stage waits" in refused(client.post("/reward", json={"reward": 1.0}), 409)
-            cause = {"ending": "cut", "cause": "operator"} if path % 4 == 0 else {"ending": "finished"}
+            cause = {"ending": "cut", "cause": "operator"} if trajectory % 4 == 0 else {"ending": "finished"}
             assert client.post("/end", json=cause).json()["stages"] == 2
     logs = read_logs(folder)
-    # What the last stage of a path that was cut between two stages led to was not seen.
+    # What the last stage of a trajectory that was cut between two stages led to was not seen.
     is_seen = (np.arange(24) % 4 > 0)[:, None] | [True, False]
     np.testing.assert_array_equal(logs.stages["reward"], np.where(is_seen.ravel(), rewards, np.nan))
     assert list(zip(logs.stages["action"], logs.stages["probability"], strict=True)) == taken
     assert set(logs.stages["seen_by"]) == {"left"}
-    assert (logs.num_paths, int(logs.is_finished.sum())) == (24, 18)
+    assert (logs.num_trajectories, int(logs.is_finished.sum())) == (24, 18)
     assert set(logs.stages["probability"].round(9)) == {0.8, 0.2}
     assert 2 <= sum(p < 0.5 for _, p in taken) <= 20
     learned(0.1).fit(logs)
 
 
-def test_a_path_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path):
+def test_a_trajectory_in_progress_is_told_and_cut_when_the_server_stops(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
-        assert client.get("/health").json()["recording"] == {"path": None, "stage": 0, "waits_for": "decision"}
+        assert client.get("/health").json()["recording"] == {"trajectory": None, "stage": 0, "waits_for": "decision"}
         told = client.post("/decide", json=SEEN).json()
-        where = {"path": 1, "stage": 1, "waits_for": "reward", "action": told["action"]}
+        where = {"trajectory": 1, "stage": 1, "waits_for": "reward", "action": told["action"]}
         assert client.get("/health").json()["recording"] == where
         client.post("/reward", json={"reward": 1.0, "elapsed_s": 2.0})
         assert "leave it out" in refused(client.post("/decide", json=SEEN | {"stage": 1}), 409)
         assert "is before" in refused(client.post("/end", json={"ending": "finished", "elapsed_s": 1.0}), 422)
-    assert read_logs(tmp_path / "logs").paths["cause"].tolist() == ["server stopped"]
+    assert read_logs(tmp_path / "logs").trajectories["cause"].tolist() == ["server stopped"]
 
 
 @pytest.mark.parametrize(
@@ -171,14 +171,14 @@ def test_an_end_says_which(flat, tmp_path, end):
     with client_of(flat, tmp_path / "logs") as client:
         client.post("/decide", json=SEEN)
         refused(client.post("/end", json=end), 422)
-        assert client.get("/health").json()["recording"]["path"] == 1
+        assert client.get("/health").json()["recording"]["trajectory"] == 1
 
 
 def test_what_cannot_be_recorded_is_not_decided(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
         assert "could not be recorded" in refused(client.post("/decide", json=SEEN | {"reward": 1.0}), 422)
-        assert client.get("/health").json()["recording"]["path"] is None
-        assert client.post("/decide", json=SEEN).json()["path"] == 1
+        assert client.get("/health").json()["recording"]["trajectory"] is None
+        assert client.post("/decide", json=SEEN).json()["trajectory"] == 1
         assert "reward" in refused(client.post("/reward", json={"reward": "much"}), 422)
         client.post("/reward", json={"reward": 1})
         assert "could not be recorded" in refused(client.post("/decide", json={"x1": 0.4, "x2": 1}), 422)
@@ -247,7 +247,7 @@ def test_the_description_tells_what_can_be_asked(asked):
     assert list(api) == ["/decide", "/reload", "/health"]
 
 
-def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_of_a_path(tables, tmp_path):
+def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_of_a_trajectory(tables, tmp_path):
     with client_of(tables, tmp_path / "logs", of_tables=True) as client:
         api, page = client.get("/openapi.json").json()["paths"], client.get("/")
     assert list(api) == ["/decide", "/reward", "/end", "/reload", "/health"]
@@ -278,9 +278,9 @@ def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
 
 
 def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, tmp_path):
-    logs = table_log(num_paths=1, num_objects=3, hides=np.pad(HIDES, (0, 1)), seed=2)
-    columns = [name for name in logs.objects.columns if name not in ("path", "stage")]
-    rows = logs.objects[(logs.objects["path"] == 0) & (logs.objects["stage"] == 1)][columns]
+    logs = table_log(num_trajectories=1, num_objects=3, hides=np.pad(HIDES, (0, 1)), seed=2)
+    columns = [name for name in logs.objects.columns if name not in ("trajectory", "stage")]
+    rows = logs.objects[(logs.objects["trajectory"] == 0) & (logs.objects["stage"] == 1)][columns]
     objects = json.loads(rows.to_json(orient="records"))
     with client_of(tables, tmp_path / "logs") as client:
         told = client.post("/decide", json={"objects": objects}).json()

@@ -1,4 +1,4 @@
-"""A path that is served from clouds: gone on with as `act` does, and recorded as it was decided."""
+"""A trajectory that is served from clouds: gone on with as `act` does, and recorded as it was decided."""
 
 import asyncio
 import json
@@ -31,7 +31,7 @@ from halfseen.policies.folder import write_policy
 from halfseen.policies.table_observation import Past, see_table
 from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
-from halfseen.serving.paths import RecordedPaths
+from halfseen.serving.trajectories import RecordedTrajectories
 from halfseen.world.logs import states_of
 
 # The middle one hides the last in part.
@@ -97,8 +97,8 @@ def labels_of(rng, num_objects):
 
 
 def last_rows(logs):
-    path = logs.select(logs.path_ids[-1:])
-    return path.objects[path.objects["stage"] == path.horizon].reset_index(drop=True)
+    trajectory = logs.select(logs.trajectory_ids[-1:])
+    return trajectory.objects[trajectory.objects["stage"] == trajectory.horizon].reset_index(drop=True)
 
 
 def can_at(row):
@@ -213,7 +213,7 @@ def test_what_comes_into_view_has_a_name_of_its_own_and_keeps_it(recorded, shows
         names.append({can_at(row): row["object"] for _, row in rows.iterrows()})
         assert rows["location"].tolist() == ["TABLE"] * len(rows)
         if told["verb"] == "FINISH":
-            pytest.fail("the seed of the fixture lets no path end here")
+            pytest.fail("the seed of the fixture lets no trajectory end here")
         rewarded(recorded, held=False)
     assert [len(each) for each in names] == [2, 3, 3, 4]
     assert all(before.items() <= after.items() for before, after in pairwise(names))
@@ -221,21 +221,21 @@ def test_what_comes_into_view_has_a_name_of_its_own_and_keeps_it(recorded, shows
     assert "which the cloud does not show" in told["warnings"][0]
 
 
-def test_what_cannot_be_gone_on_from_leaves_the_path_as_it_was(recorded, shows, tmp_path):
+def test_what_cannot_be_gone_on_from_leaves_the_trajectory_as_it_was(recorded, shows, tmp_path):
     def journal():
         return {file.name: file.read_bytes() for file in sorted((tmp_path / "logs").iterdir())}
 
     cloud, bare = shows(*CANS), [{"object": 0, "location": "TABLE"}]
     decided(recorded, cloud)
     waits = journal()
-    assert "path 1, stage 1: it has no reward yet" in refused(post(recorded, cloud), 409)
+    assert "trajectory 1, stage 1: it has no reward yet" in refused(post(recorded, cloud), 409)
     assert journal() == waits
     rewarded(recorded, held=False)
     before, where = journal(), recorded.get("/health").json()
-    assert "stage is 1, but the path in progress has come to 2" in refused(post(recorded, cloud, stage="1"), 409)
+    assert "stage is 1, but the trajectory in progress has come to 2" in refused(post(recorded, cloud, stage="1"), 409)
     assert "it came as a cloud, and now JSON" in refused(recorded.post("/decide", json={"objects": bare}), 409)
     assert refused(post(recorded, b"VERSION .7\n"), 422).startswith("cloud.pcd: ")
-    assert "where it is cleared, the path is over" in refused(post(recorded, shows()), 422)
+    assert "where it is cleared, the trajectory is over" in refused(post(recorded, shows()), 422)
     assert "of another table" in refused(post(recorded, shows(ELSEWHERE)), 422)
     assert "labels.csv: object 0 of 3" in refused(post(recorded, cloud, "object,label\n"), 422)
     assert (journal(), recorded.get("/health").json()) == (before, where)
@@ -254,9 +254,9 @@ def test_names_and_columns_that_a_folder_has_not_are_refused(recorded, shows, tm
     assert "lists it no more" in refused(recorded.post("/decide", json={"objects": other}), 422)
     recorded.post("/end", json={"ending": "cut", "cause": "operator"})
     assert "object 0 is a number, those before are text" in refused(post(recorded, shows(*CANS)), 422)
-    assert recorded.get("/health").json()["recording"]["path"] is None
-    assert recorded.post("/decide", json={"objects": objects}).json()["path"] == 2
-    assert read_logs(tmp_path / "logs").num_paths == 2
+    assert recorded.get("/health").json()["recording"]["trajectory"] is None
+    assert recorded.post("/decide", json={"objects": objects}).json()["trajectory"] == 2
+    assert read_logs(tmp_path / "logs").num_trajectories == 2
 
 
 def test_the_log_is_there_whenever_the_server_is_killed(recorded, shows, tmp_path):
@@ -268,7 +268,7 @@ def test_the_log_is_there_whenever_the_server_is_killed(recorded, shows, tmp_pat
         decided(recorded, shows(*CANS))
         assert left().stages["stage"].tolist() == list(range(1, stage + 1))
         rewarded(recorded, held=False)
-        assert left().paths["cause"].tolist() == ["crash"]
+        assert left().trajectories["cause"].tolist() == ["crash"]
     assert len(left().objects) == 6
 
 
@@ -292,12 +292,12 @@ def test_others_are_answered_while_a_cloud_is_looked_at_and_the_order_stays(tabl
             return health, (await decision).json(), (await reward).json()
 
     monkeypatch.setattr(table_observation, "perceive", slowly)
-    with RecordedPaths(tmp_path / "logs", is_of_tables=True) as paths:
-        served = Served(tables, Answering(paths=paths), extrapolates=True)
+    with RecordedTrajectories(tmp_path / "logs", is_of_tables=True) as trajectories:
+        served = Served(tables, Answering(trajectories=trajectories), extrapolates=True)
         health, told, rewarded = asyncio.run(ask(app_of(served), shows(*CANS)))
-    assert health["recording"] == {"path": None, "stage": 0, "waits_for": "decision"}
+    assert health["recording"] == {"trajectory": None, "stage": 0, "waits_for": "decision"}
     assert told["stage"] == 1
-    assert rewarded == {"path": 1, "stage": 1, "waits_for": "decision"}
+    assert rewarded == {"trajectory": 1, "stage": 1, "waits_for": "decision"}
 
 
 def test_nothing_is_decided_for_a_client_that_has_gone(tables, shows, tmp_path, monkeypatch):
@@ -323,10 +323,10 @@ def test_nothing_is_decided_for_a_client_that_has_gone(tables, shows, tmp_path, 
     headers = [(name.lower().encode(), value.encode()) for name, value in request.headers.items()]
     scope = {"type": "http", "method": "POST", "path": "/decide", "query_string": b"", "headers": headers}
     monkeypatch.setattr(table_observation, "perceive", hung_up)
-    with RecordedPaths(tmp_path / "logs", is_of_tables=True) as paths:
-        app = app_of(Served(tables, Answering(paths=paths), extrapolates=True))
+    with RecordedTrajectories(tmp_path / "logs", is_of_tables=True) as trajectories:
+        app = app_of(Served(tables, Answering(trajectories=trajectories), extrapolates=True))
         asyncio.run(app(scope, receive, send))
-        assert paths.facts == {"path": None, "stage": 0, "waits_for": "decision"}
+        assert trajectories.facts == {"trajectory": None, "stage": 0, "waits_for": "decision"}
     assert b"the client has gone" in sent[-1]["body"]
 
 
@@ -335,7 +335,7 @@ def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path)
     rng, folder = np.random.default_rng(2), tmp_path / "logs"
     clouds, cans = {k: shows(*CANS[:k]) for k in (2, 3)}, None
     with client_of(tables, folder, of_tables=True, epsilon=0.5, rng=rng) as client:
-        for path in range(30):
+        for trajectory in range(30):
             num_left = len(CANS)
             for _ in range(2):
                 told = decided(client, clouds[num_left], labels_of(rng, num_left))
@@ -347,14 +347,14 @@ def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path)
                 rewarded(client, reward=float(rng.normal()), held=held)
                 num_left -= held
             client.post(
-                "/end", json={"ending": "cut", "cause": "operator"} if path % 5 == 4 else {"ending": "finished"}
+                "/end", json={"ending": "cut", "cause": "operator"} if trajectory % 5 == 4 else {"ending": "finished"}
             )
     logs = read_logs(folder)
-    assert (logs.num_paths, int(logs.is_finished.sum())) == (30, 24)
+    assert (logs.num_trajectories, int(logs.is_finished.sum())) == (30, 24)
     assert suspicions(logs) == ()
     learner = CensoredQLearner.for_table(HORIZON, reg=0.1).fit(logs)
     write_policy(learner, logs, tmp_path / "next")
-    (prior,) = logs.paths["dirty_share"].unique()
+    (prior,) = logs.trajectories["dirty_share"].unique()
     assert read_policy(tmp_path / "next").record["schema"]["dirty_share"] == prior
     told = evaluate(learner.policy_, logs, against="logging", censoring="kaplan-meier", num_folds=2)
     assert np.isfinite(told.doubly_robust.value)

@@ -87,14 +87,14 @@ def _reward(rng, index, lead):
     luck = rng.normal()
     own = OWN + luck + lead
     rows = []
-    for size in REWARD.num_paths:
+    for size in REWARD.num_trajectories:
         for share in REWARD.cut_shares:
-            steps = np.log2(max(REWARD.num_paths) / size)
+            steps = np.log2(max(REWARD.num_trajectories) / size)
             reward = own - 0.35 * steps + 0.8 * (0.5 - share) + 0.1 * rng.normal()
             weights = {"effective_sample_size": 5.5 * size * (1 - share), "largest_weight": 1.0 + 8.0 * share}
             weights["basis"] = MODEL if size > 25 else RULE
-            rows.append({"num_paths": size, "cut_share": share, **weights, **_means(reward)})
-    headline = next(row for row in rows if (row["num_paths"], row["cut_share"]) == (800, 0.5))["reward"]
+            rows.append({"num_trajectories": size, "cut_share": share, **weights, **_means(reward)})
+    headline = next(row for row in rows if (row["num_trajectories"], row["cut_share"]) == (800, 0.5))["reward"]
     baselines = {
         name: _beside(10, PLANNED + 0.1 * k + luck + 0.2 * rng.normal(), own)
         for k, name in enumerate(REWARD.planner_names)
@@ -110,14 +110,14 @@ def _reward(rng, index, lead):
         baselines[name] = _beside(NUM_EPISODES, made[-1]["reward"], headline)
     baselines[REWARD.peer.name] = _beside(10, PLANNED + luck + 0.2 * rng.normal(), own)
     peer = [
-        {name: row[name] for name in ("num_paths", "cut_share")} | {"over_peer": lead + 0.3 * rng.normal()}
+        {name: row[name] for name in ("num_trajectories", "cut_share")} | {"over_peer": lead + 0.3 * rng.normal()}
         for row in rows
     ]
     return {"index": index, "learned": rows, "beside": beside, "baselines": baselines, "peer": peer}
 
 
 def _made(row, reward):
-    return {"num_paths": row["num_paths"], "cut_share": row["cut_share"], **_means(reward)}
+    return {"num_trajectories": row["num_trajectories"], "cut_share": row["cut_share"], **_means(reward)}
 
 
 def _beside(num_episodes, other, own):
@@ -140,25 +140,25 @@ def _planning(rng, index, lead):
 def _censoring(rng, index, gain):
     luck = rng.normal()
     rows = []
-    for size in CENSORING.num_paths:
+    for size in CENSORING.num_trajectories:
         for kind in CENSORING.cut_kinds:
             for k, treatment in enumerate(TREATMENTS):
                 behind = k * gain if kind == "independent" else 0.0
                 reward = OWN + luck + 0.3 * np.log2(size / 800) - behind + 0.1 * rng.normal()
-                rows.append({"treatment": treatment, "cut_kind": kind, "num_paths": size, **_means(reward)})
+                rows.append({"treatment": treatment, "cut_kind": kind, "num_trajectories": size, **_means(reward)})
     return {"index": index, "learned": rows}
 
 
 def _grasp(rng, index, lead):
     luck = rng.normal(size=2)
     rows = []
-    for size in GRASP.num_paths:
+    for size in GRASP.num_trajectories:
         for k, model in enumerate(MODEL_NAMES):
             above = {"succession": 0.2, "oracle": 0.0, "svm": 0.01 - lead}.get(model, 0.01)
             noise, attempts = rng.normal(size=4) * 0.001, rng.integers(100, 300, size=10)
             said = attempts * (np.arange(10) + 0.5) / 10
             successes = rng.binomial(attempts, said / attempts).tolist()
-            row: dict = {"model": model, "num_paths": size, "stands_in": False}
+            row: dict = {"model": model, "num_trajectories": size, "stands_in": False}
             row |= {"log_loss": 0.5 + above + 0.01 * luck[0] + noise[0]}
             row |= {"brier": 0.15 + above / 3 + 0.01 * luck[0] + noise[1]}
             row |= {"learned_reward": 9.0 + luck[1] - above + 0.1 * k + noise[2]}
@@ -171,10 +171,10 @@ def _grasp(rng, index, lead):
 
 def _regret(rng, index, lead):
     rows = [{"policy": who.name, "regrets": [0.5 / k, 0.7 / k]} for k, who in enumerate(REGRET.planners, start=1)]
-    for size in REGRET.num_paths:
+    for size in REGRET.num_trajectories:
         for share in REGRET.cut_shares:
             values = (np.maximum(0.0, [60.0 / size - lead, 2.0 * share]) + 0.02 * rng.random()).tolist()
-            rows.append({"policy": "censored_q", "num_paths": size, "cut_share": share, "regrets": values})
+            rows.append({"policy": "censored_q", "num_trajectories": size, "cut_share": share, "regrets": values})
     return {"index": index, "rows": rows}
 
 
@@ -216,16 +216,16 @@ def attempt_pieces(gain=0.0, repetitions=8, has_both=True):
     design, rng = Attempts(), np.random.default_rng(3)
     prepared = {COMPLETED: source(), **({VISIBLE_ONLY: source(1)} if has_both else {})}
     decided = np.flatnonzero(prepared[COMPLETED]["tried"]["is_finished"])
-    path = np.array(prepared[COMPLETED]["tried"]["path"])[decided]
+    trajectory = np.array(prepared[COMPLETED]["tried"]["trajectory"])[decided]
     hard = rng.normal(0.15, 0.05, NUM_TABLES)
-    pieces = [_attempts(design, index, decided, path, hard, gain, rng) for index in range(repetitions)]
+    pieces = [_attempts(design, index, decided, trajectory, hard, gain, rng) for index in range(repetitions)]
     return Pieces(prepared, {}, pieces)
 
 
-def _attempts(design, index, decided, path, hard, gain, rng):
-    tables = split_of(design, np.unique(path), 0, index).held_out
-    rows = np.isin(path, tables)
-    weight = np.array([np.sum(path == table) for table in tables], dtype=float)
+def _attempts(design, index, decided, trajectory, hard, gain, rng):
+    tables = split_of(design, np.unique(trajectory), 0, index).held_out
+    rows = np.isin(trajectory, tables)
+    weight = np.array([np.sum(trajectory == table) for table in tables], dtype=float)
     scores = []
     for size in design.num_tables:
         for model in ATTEMPT_MODELS:

@@ -76,14 +76,14 @@ def test_only_sizes_that_every_repetition_has_are_learned_from():
 
 
 def test_scores_are_those_of_attempts_that_were_held_out(pieces, tried):
-    split, piece = split_of(TINY, np.unique(tried["path"]), 5, 1), pieces.repetitions[1]
-    learned = tried[tried["path"].isin(list(split.learned[:12]))]
-    held_out = tried[tried["path"].isin(list(split.held_out))]
+    split, piece = split_of(TINY, np.unique(tried["trajectory"]), 5, 1), pieces.repetitions[1]
+    learned = tried[tried["trajectory"].isin(list(split.learned[:12]))]
+    held_out = tried[tried["trajectory"].isin(list(split.held_out))]
     weight = dict(zip(held_out.index[held_out["is_finished"]], checked_attempts(held_out).weight, strict=True))
     sums = dict.fromkeys(split.held_out.tolist(), 0.0)
     for said, (number, row) in zip(predicted("svm-facts", learned, held_out), held_out.iterrows(), strict=True):
         if row["is_finished"]:
-            sums[row["path"]] -= weight[number] * np.log(said if row["succeeded"] else 1.0 - said)
+            sums[row["trajectory"]] -= weight[number] * np.log(said if row["succeeded"] else 1.0 - said)
     (found,) = (row for row in piece["scores"] if (row["model"], row["num_tables"]) == ("svm-facts", 12))
     np.testing.assert_allclose(found["log_loss"], list(sums.values()), rtol=1e-9)
     assert piece["rows"] == list(weight)

@@ -30,7 +30,7 @@ from halfseen.study.experiments.clutter.words import factor_words, levels, map_s
 from halfseen.world.config import WorldConfig
 
 COLUMNS = (
-    "num_objects occlusion labels reward_wash_clean grip_offset_std is_assumed num_paths cut_share repetitions "
+    "num_objects occlusion labels reward_wash_clean grip_offset_std is_assumed num_trajectories cut_share repetitions "
     "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high "
     "verdict"
 )
@@ -133,7 +133,9 @@ def test_the_factor_that_decides_is_named_with_its_count_and_no_factor_is_blamed
     assert title.startswith(
         f"Learning pays in 27 of 99 places, most often where {dear} (27 of 27); the best heuristic is good enough in "
     )
-    assert sentence.startswith(f"{title}. It pays where the policy learned from 200 logged paths, of which about half ")
+    assert sentence.startswith(
+        f"{title}. It pays where the policy learned from 200 logged trajectories, of which about half "
+    )
     assert "gains more than 5 % of what the best heuristic earns above finishing at once" in sentence
     # What is dear is learned; spreads were varied where it is not dear, and so tell nothing apart.
     counts = {"grip_offset_std": [], "labels": []}

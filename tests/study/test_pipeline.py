@@ -27,7 +27,7 @@ FINISH, WASH_0, LIFT_1 = 0, 1, 4
 
 
 def cut_by_hand(is_cut=True):
-    """Five paths of two dirty cups: 0 finished; others cut in stage 1 (WASH), 2 (LIFT), 2 (FINISH), 1 (LIFT)."""
+    """Five trajectories of two dirty cups: 0 finished; others cut in stage 1 (WASH), 2 (LIFT), 2 (FINISH), 1 (LIFT)."""
     episodes = play(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), UniformPolicy(), random.key_of(0), 5)
     there = np.ones((5, 3, 2), dtype=bool)
     there[0, 1:, 0] = there[3, 1:, 0] = False
@@ -55,10 +55,10 @@ def seen(treatment, is_cut=True):
     source = Source(CONFIG, pad_scenes([Scene(np.zeros((2, 2)))]), 0)
     cuts = cut_by_hand(is_cut)
     encoded = source.logged(cuts.episodes)
-    paths = encoded.lay_out(cuts, treatment).take(slice(5))
+    trajectories = encoded.lay_out(cuts, treatment).take(slice(5))
     model = encoded.model(treatment)
-    weight = model.targets.weights(paths, model.targets.fit_cuts(paths.clocks))
-    return paths.reward, weight, paths.is_last
+    weight = model.targets.weights(trajectories, model.targets.fit_cuts(trajectories.clocks))
+    return trajectories.reward, weight, trajectories.is_last
 
 
 COMPLETED = [[5, -0.2, -5], [0, 0, 0], [-1, 0, 0], [5, 0, 0], [0, 0, 0]]
@@ -82,7 +82,7 @@ def test_each_treatment_has_the_rows_weights_and_ends_by_hand(treatment, weight,
     if rewards is not None:
         np.testing.assert_allclose(found, rewards, rtol=1e-6)
     ended = range(5) if treatment == "failures" else range(1)
-    np.testing.assert_array_equal(np.argwhere(is_last), [[path, last[path]] for path in ended])
+    np.testing.assert_array_equal(np.argwhere(is_last), [[trajectory, last[trajectory]] for trajectory in ended])
 
 
 @pytest.mark.parametrize("treatment", TREATMENTS)
@@ -147,7 +147,7 @@ def test_with_laws_it_is_what_the_learner_of_tables_learns_from_the_same_log(con
     for size, one in zip((30, 60), source.logged(episodes).learn([(cuts, "weighted")], (30, 60)), strict=True):
         learner = CensoredQLearner.for_table(config.horizon, censoring="kaplan-meier", random_state=seed)
         learner.world = config
-        theirs = learner.fit(logs.select(logs.path_ids[:size])).assisted_
+        theirs = learner.fit(logs.select(logs.trajectory_ids[:size])).assisted_
         assert one.assisted.basis == theirs.basis
         assert law_test(one.assisted) == pytest.approx(law_test(theirs), rel=1e-4, abs=1e-6)
         assert one.assisted.laws.config.grasping == theirs.laws.config.grasping

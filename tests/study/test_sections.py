@@ -76,14 +76,14 @@ def test_the_first_sentence_compares_on_the_same_episodes(lead, verdict, title):
     first = section.sentences[0]
     assert first.count("earns more than the strongest heuristic (history, counting the penalty): supported") == 1
     assert f"POMDP planner, 512 simulations): {verdict} (" in first
-    assert f"{row['censored_q']:.2f} against {row['other']:.2f} a path on the same 300 episodes" in first
+    assert f"{row['censored_q']:.2f} against {row['other']:.2f} a trajectory on the same 300 episodes" in first
     assert title in section.drawings[0].title
 
 
 def test_a_planner_stands_as_far_from_what_was_learned_as_on_the_episodes_of_both_and_times_are_not_tested():
     _, _, tables, section = example(REWARD)
     figure1, table1 = tables["figure1"].set_index("policy"), tables["table1"]
-    own = row_of(tables["figure1"], policy="censored_q", num_paths=800, cut_share=0.5)
+    own = row_of(tables["figure1"], policy="censored_q", num_trajectories=800, cut_share=0.5)
     for name in REWARD.planner_names:
         gap = table1.query(f"baseline == '{name}' and measure == 'reward'").iloc[0]["effect"]
         assert own["mean_reward"] - figure1.loc[name, "mean_reward"] == pytest.approx(gap)
@@ -97,7 +97,7 @@ def test_a_planner_stands_as_far_from_what_was_learned_as_on_the_episodes_of_bot
 
 def test_the_planner_with_fitted_laws_stands_beside_what_was_learned_from_each_log():
     _, pieces, tables, _ = example(REWARD)
-    place = {"num_paths": 50, "cut_share": 1 / 3}
+    place = {"num_trajectories": 50, "cut_share": 1 / 3}
     over, learned = (
         np.mean([row[what] for piece in pieces.repetitions for row in piece[of] if place.items() <= row.items()])
         for of, what in (("peer", "over_peer"), ("learned", "reward"))
@@ -105,10 +105,10 @@ def test_the_planner_with_fitted_laws_stands_beside_what_was_learned_from_each_l
     line = row_of(tables["figure1"], policy=REWARD.peer.name, **place)
     assert line["mean_reward"] == pytest.approx(learned - over)
     assert row_of(tables["peer"], **place)["effect"] == pytest.approx(over)
-    rows = tables["peer"].query("num_paths == 50")
+    rows = tables["peer"].query("num_trajectories == 50")
     is_mean = rows["cut_share"].isna()
     assert rows.loc[is_mean, "effect"].item() == pytest.approx(rows.loc[~is_mean, "effect"].mean())
-    assert len(tables["peer"]) == len(REWARD.num_paths) * (len(REWARD.cut_shares) + 1)
+    assert len(tables["peer"]) == len(REWARD.num_trajectories) * (len(REWARD.cut_shares) + 1)
 
 
 def test_what_is_made_of_logs_stands_above_the_strongest_heuristic_on_the_same_episodes():
@@ -117,14 +117,14 @@ def test_what_is_made_of_logs_stands_above_the_strongest_heuristic_on_the_same_e
     figure1 = tables["figure1"]
     for name in REWARD.beside_names:
         of_size = [[row["reward"] for row in piece["beside"][name][:4]] for piece in pieces.repetitions]
-        rows = where(figure1, policy=name, num_paths=25)
+        rows = where(figure1, policy=name, num_trajectories=25)
         mean = rows[rows["cut_share"].isna()].iloc[0]
         assert mean["gain"] == pytest.approx(np.mean(of_size) - rule.mean())
         assert mean["mean_reward"] == pytest.approx(np.mean(of_size))
     best = row_of(figure1, policy="history-penalty")
     assert (best["gain"], best["gain_se"]) == (0.0, 0.0)
     told = next(each for each in section.sentences if each.startswith("Above the strongest heuristic"))
-    own = row_of(figure1, policy="censored_q", num_paths=25, cut_share=0.5)["gain"]
+    own = row_of(figure1, policy="censored_q", num_trajectories=25, cut_share=0.5)["gain"]
     assert f"the learned policy earns {own:.2f} (".replace("-", "−") in told
     assert all(words in told for words in ("Q₁ with laws fitted", "linear eq. 3 without laws", "with fitted laws"))
     assert "contradicted the laws fitted to it" in section.listings[-1].caption
@@ -188,9 +188,9 @@ def test_the_papers_claim_is_said_to_hold_only_where_it_does(gain, verdict, titl
 
 def test_calibration_has_an_error_over_repetitions():
     _, pieces, tables, _ = example(GRASP)
-    row = tables["figure5"].query("model == 'beta' and num_paths == 50").iloc[3]
+    row = tables["figure5"].query("model == 'beta' and num_trajectories == 50").iloc[3]
     met = [each for piece in pieces.repetitions for each in piece["grasp"]]
-    bins = [each["bins"] for each in met if (each["model"], each["num_paths"]) == ("beta", 50)]
+    bins = [each["bins"] for each in met if (each["model"], each["num_trajectories"]) == ("beta", 50)]
     attempts, said, won = (np.array([each[k][3] for each in bins]) for k in ("attempts", "probabilities", "successes"))
     assert row["difference"] == pytest.approx((won.sum() - said.sum()) / attempts.sum())
     residual = won - said - row["difference"] * attempts
@@ -205,7 +205,7 @@ def test_planners_that_play_in_few_repetitions_are_compared_on_those():
         played = {name: of for name, of in piece["baselines"].items() if name not in planned}
         few[k] = piece | {"peer": [], "baselines": played}
     tables, alone = (design.tabulate(setting, pieces._replace(repetitions=some)) for some in (few, few[:8]))
-    figure1 = tables["figure1"].set_index(["policy", "num_paths", "cut_share"])
+    figure1 = tables["figure1"].set_index(["policy", "num_trajectories", "cut_share"])
     counts = figure1["repetitions"].groupby("policy").unique().map(list).to_dict()
     names = (*REWARD.baseline_names, "censored_q")
     assert counts == {name: [8 if name in planned else 30] for name in names}
@@ -225,7 +225,7 @@ def test_the_report_opens_with_what_each_way_brings_above_leaving_the_table(gain
     rule = Claim("x", "earns more than", "earns less than", "y", Estimate(float(np.mean(gain)), *gain, 0.1, 30.0))
     opening = opening_of(REWARD, setting, figure1, rule)
     nothing = -5.0 * 0.6 * np.mean([scene.num_objects for scene in setting.scenes])
-    ours = row_of(figure1, policy="censored_q", num_paths=800, cut_share=0.5)["mean_reward"] - nothing
+    ours = row_of(figure1, policy="censored_q", num_trajectories=800, cut_share=0.5)["mean_reward"] - nothing
     theirs = row_of(figure1, role="best_heuristic")["mean_reward"] - nothing
     assert f"cut short, clears a table {words}" in opening.title
     assert f"{ours:.1f} points a table, against {theirs:.1f}." in opening.title

@@ -19,28 +19,28 @@ from halfseen.workers import Workers
 
 REWARD = "mean_reward se low high"
 COLUMNS = {
-    "figure1": f"policy num_paths cut_share repetitions {REWARD} role gain gain_se gain_low gain_high",
+    "figure1": f"policy num_trajectories cut_share repetitions {REWARD} role gain gain_se gain_low gain_high",
     "table1": "baseline measure censored_q other p_value p_holm effect supported effect_low effect_high num_episodes",
-    "peer": "num_paths cut_share p_value p_holm effect supported effect_low effect_high",
-    "weights": "num_paths cut_share effective_sample_size largest_weight by_laws",
+    "peer": "num_trajectories cut_share p_value p_holm effect supported effect_low effect_high",
+    "weights": "num_trajectories cut_share effective_sample_size largest_weight by_laws",
     "figure2": f"policy kind simulations decision_ms {REWARD} over_censored_q se_over over_low over_high "
     "repetitions episodes",
-    "figure4": f"treatment cut_kind num_paths cut_share repetitions {REWARD} behind_default se_behind behind_low "
-    "behind_high",
-    "grasp_tests": "measure num_paths svm beta p_value p_holm effect supported effect_low effect_high",
-    "figure5": "model num_paths bin_from attempts mean_probability share_succeeded difference se low high",
-    "map": "num_objects occlusion labels reward_wash_clean grip_offset_std is_assumed num_paths cut_share repetitions "
-    "censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low gain_share_high "
-    "verdict",
-    "regret": "policy num_paths cut_share regret se low high regret_share optimum repetitions",
+    "figure4": f"treatment cut_kind num_trajectories cut_share repetitions {REWARD} behind_default se_behind "
+    "behind_low behind_high",
+    "grasp_tests": "measure num_trajectories svm beta p_value p_holm effect supported effect_low effect_high",
+    "figure5": "model num_trajectories bin_from attempts mean_probability share_succeeded difference se low high",
+    "map": "num_objects occlusion labels reward_wash_clean grip_offset_std is_assumed num_trajectories cut_share "
+    "repetitions censored_q best_heuristic heuristic_reward finish_reward gain gain_se gain_share gain_share_low "
+    "gain_share_high verdict",
+    "regret": "policy num_trajectories cut_share regret se low high regret_share optimum repetitions",
 }
 OF_LAW = (
-    replace(TINY[0], num_paths=(50,), cut_shares=(0.5,), planners=((4, 2),)),
+    replace(TINY[0], num_trajectories=(50,), cut_shares=(0.5,), planners=((4, 2),)),
     replace(TINY[1], simulations=((4, 2),)),
-    replace(TINY[2], num_paths=(50,)),
-    replace(TINY[3], num_paths=(50,)),
+    replace(TINY[2], num_trajectories=(50,)),
+    replace(TINY[3], num_trajectories=(50,)),
     TINY[4],
-    replace(TINY[5], num_paths=(50,), cut_shares=(0.5,)),
+    replace(TINY[5], num_trajectories=(50,), cut_shares=(0.5,)),
     TINY[6],
 )
 """With fewer sizes of logs: what they come to is asked of the others."""
@@ -85,12 +85,12 @@ def test_experiments_share_the_episodes_and_the_log_of_a_repetition(study_folder
         assert played["history-penalty"] == pytest.approx(
             reward["baselines"]["history-penalty"]["other"]["reward"], abs=1e-5
         )
-        learned = {(row["num_paths"], row["cut_share"]): row["reward"] for row in reward["learned"]}
+        learned = {(row["num_trajectories"], row["cut_share"]): row["reward"] for row in reward["learned"]}
         assert played["censored_q"] == pytest.approx(learned[50, 0.5], abs=1e-5)
-        linear = {(row["num_paths"], row["cut_share"]): row["reward"] for row in reward["beside"]["linear_q"]}
+        linear = {(row["num_trajectories"], row["cut_share"]): row["reward"] for row in reward["beside"]["linear_q"]}
         for row in grasp["grasp"]:
             if row["model"] == "succession":
-                assert row["learned_reward"] == pytest.approx(linear[row["num_paths"], 0.5], abs=1e-5)
+                assert row["learned_reward"] == pytest.approx(linear[row["num_trajectories"], 0.5], abs=1e-5)
             if row["model"] == "oracle":
                 assert row["heuristic_reward"] == pytest.approx(played["history-penalty"], abs=1e-5)
 
@@ -163,7 +163,7 @@ def test_without_laws_those_that_learn_with_them_learn_by_linear_eq_3_and_others
 
 @pytest.mark.slow
 def test_a_study_without_laws_has_one_curve_of_what_is_learned_and_laws_for_others(tmp_path):
-    (design,) = without_laws([replace(TINY[0], num_paths=(50,), cut_shares=(0.5,), planners=((4, 2),))])
+    (design,) = without_laws([replace(TINY[0], num_trajectories=(50,), cut_shares=(0.5,), planners=((4, 2),))])
     results = run_study(SETTING, tmp_path, [design], workers=Workers(1))
     policies = set(pd.read_csv(tmp_path / "figure1.csv")["policy"])
     assert {"censored_q", "fitted-one-step", "fitted-rule", "fitted-planner-4"} < policies
@@ -176,10 +176,16 @@ def test_a_study_without_laws_has_one_curve_of_what_is_learned_and_laws_for_othe
     ("make", "message"),
     [
         (lambda: replace(SETTING, repetitions=1), "repetitions is 1; "),
-        (lambda: replace(TINY[0], table_num_paths=30), "table_num_paths is 30; it is one of num_paths"),
+        (
+            lambda: replace(TINY[0], table_num_trajectories=30),
+            "table_num_trajectories is 30; it is one of num_trajectories",
+        ),
         (lambda: replace(TINY[0], table_cut_share=0.3), "table_cut_share is 0.3; it is one of cut_shares"),
         (lambda: replace(TINY[1], horizons=(3, 2)), "horizons is .3, 2.; give at least two"),
-        (lambda: replace(TINY[2], compared_num_paths=30), "compared_num_paths is 30; it is one of num_paths"),
+        (
+            lambda: replace(TINY[2], compared_num_trajectories=30),
+            "compared_num_trajectories is 30; it is one of num_trajectories",
+        ),
         (lambda: replace(TINY[4], cut_share=1.0), "cut_share of the map is 1"),
     ],
 )

@@ -30,13 +30,15 @@ TINY = (
         fitted_episodes=2,
         selection_blocks=2,
         selection_planned=2,
-        table_num_paths=50,
+        table_num_trajectories=50,
         num_starts=300,
     ),
-    Planning(((4, 2), (8, 1)), (1, 2), 8, horizon_episodes=4, num_paths=50, episodes_per_scene=2, num_starts=300),
-    Censoring(SIZES, compared_num_paths=50, episodes_per_scene=2),
+    Planning(
+        ((4, 2), (8, 1)), (1, 2), 8, horizon_episodes=4, num_trajectories=50, episodes_per_scene=2, num_starts=300
+    ),
+    Censoring(SIZES, compared_num_trajectories=50, episodes_per_scene=2),
     Grasp(SIZES, episodes_per_scene=2, num_starts=300),
-    Clutter((2, 3), (0.2,), (1.0,), (-10.0,), (0.5,), num_paths=50, num_tables=4, episodes_per_table=5),
+    Clutter((2, 3), (0.2,), (1.0,), (-10.0,), (0.5,), num_trajectories=50, num_tables=4, episodes_per_table=5),
     Regret(2, 3, SIZES, (0.0, 0.5), planner_horizons=(1, 2), planner_simulations=8),
     Attempts((5, 10), 2),
 )

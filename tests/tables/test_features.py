@@ -39,8 +39,8 @@ PER_OBJECT = {"is_object": False, "is_on_table": False, "grip": -3.0, "log_odds"
 
 @pytest.fixture(scope="module")
 def states():
-    paths = played(team_of(2), 40, seed=5, reach=REACH)
-    return picked(paths.states, np.nonzero(paths.is_taken))
+    trajectories = played(team_of(2), 40, seed=5, reach=REACH)
+    return picked(trajectories.states, np.nonzero(trajectories.is_taken))
 
 
 @pytest.fixture(scope="module")
@@ -48,8 +48,8 @@ def of_one():
     hides = np.zeros((NUM_OBJECTS, NUM_OBJECTS))
     hides[2, 0], hides[3, 1], hides[3, 2] = 0.7, 0.5, 0.4
     logger = ExploringPolicy(WashWhatIsDirty(), 0.5)
-    paths = play(WorldConfig(), pad_scenes([Scene(hides)]), logger, random.key_of(0), 60)
-    return picked(paths.states, np.nonzero(paths.is_taken))
+    trajectories = play(WorldConfig(), pad_scenes([Scene(hides)]), logger, random.key_of(0), 60)
+    return picked(trajectories.states, np.nonzero(trajectories.is_taken))
 
 
 @pytest.fixture(scope="module")
@@ -226,8 +226,8 @@ def test_where_all_was_seen_nothing_is_gained_by_a_look():
 def test_the_present_takes_grips_from_the_cloud_and_what_was_seen_from_the_log():
     scene = Scene(HIDES, grip=np.array([0.5, -1.0, 0.0]))
     logs = TableWorld(FITTED).simulate(scene, UniformPolicy(), episodes=40, seed=0, cut_share=0.5)
-    for path in logs.path_ids[~logs.is_finished]:
-        history = logs.select([path])
+    for trajectory in logs.trajectory_ids[~logs.is_finished]:
+        history = logs.select([trajectory])
         last = history.objects[history.objects["stage"] == history.horizon]
         there = last[last["location"] == "TABLE"]
         if len(there) == 3 and history.stages["action"].iloc[-1] == "LIFT":
@@ -235,7 +235,7 @@ def test_the_present_takes_grips_from_the_cloud_and_what_was_seen_from_the_log()
             assert now.grip.tolist() == [0.5, -1.0, 0.0]
             np.testing.assert_array_equal(now.seen, there["seen"].to_numpy(dtype=np.float32))
             return
-    raise AssertionError("no path was cut in a LIFT")
+    raise AssertionError("no trajectory was cut in a LIFT")
 
 
 @pytest.mark.slow

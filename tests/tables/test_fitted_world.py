@@ -69,19 +69,19 @@ def test_the_true_laws_are_not_looked_at(config):
 
 def test_a_log_tells_its_share_of_dirty_objects_though_nobody_wrote_it_down():
     logs = logs_of(WorldConfig(dirty_share=0.3), episodes=300)
-    untold = Logs(logs.stages, logs.paths.drop(columns="dirty_share"), logs.objects)
+    untold = Logs(logs.stages, logs.trajectories.drop(columns="dirty_share"), logs.objects)
     assert fit_world(logs, WorldConfig()).dirty_share == pytest.approx(0.3, abs=1e-6)
     assert fit_world(untold, WorldConfig()).dirty_share == pytest.approx(0.3, abs=0.03)
 
 
 @pytest.mark.parametrize("known", [WorldConfig(), FITTED])
-def test_fits_to_the_first_paths_are_fits_to_a_log_of_them(known):
+def test_fits_to_the_first_trajectories_are_fits_to_a_log_of_them(known):
     logs = logs_of(known)
     some = fitted_to(evidence_of(logs, known).first(20), known)
-    assert some == fit_world(logs.select(logs.path_ids[:20]), known)
+    assert some == fit_world(logs.select(logs.trajectory_ids[:20]), known)
 
 
 def test_a_log_without_objects_is_refused():
     logs = logs_of(WorldConfig(), episodes=5)
     with pytest.raises(LogError, match="objects"):
-        fit_world(Logs(logs.stages, logs.paths.drop(columns="dirty_share")), WorldConfig())
+        fit_world(Logs(logs.stages, logs.trajectories.drop(columns="dirty_share")), WorldConfig())

@@ -20,10 +20,10 @@ TRIED_IN = {"cup": 1, "fork": 2, "mug": 3, "bowl": 4}
 
 
 def late(listed):
-    """One path, with these objects at its stages; it tries cup, fork and mug in turn, and none holds."""
+    """One trajectory, with these objects at its stages; it tries cup, fork and mug in turn, and none holds."""
     rows = [
         {
-            "path": 0,
+            "trajectory": 0,
             "stage": stage,
             "object": name,
             "location": "TABLE",
@@ -40,10 +40,14 @@ def late(listed):
         for name in there
     ]
     number = range(len(listed))
-    stages = {"path": [0 for _ in number], "stage": [k + 1 for k in number], "elapsed_s": [k + 1.0 for k in number]}
+    stages = {
+        "trajectory": [0 for _ in number],
+        "stage": [k + 1 for k in number],
+        "elapsed_s": [k + 1.0 for k in number],
+    }
     stages |= {"action": ["LIFT"] * len(listed), "object": ["cup", "fork", "mug"][: len(listed)]}
     stages |= {"reward": [-1.0 for _ in number]}
-    return Logs(stages, {"path": [0], "end_s": [float(len(listed))], "ending": ["finished"]}, pd.DataFrame(rows))
+    return Logs(stages, {"trajectory": [0], "end_s": [float(len(listed))], "ending": ["finished"]}, pd.DataFrame(rows))
 
 
 def test_an_object_that_comes_into_view_late_is_padding_until_then():
@@ -80,7 +84,9 @@ def test_what_is_not_in_view_yet_changes_nothing_of_what_is_decided():
 
 
 def test_an_object_that_is_not_listed_again_is_named():
-    with pytest.raises(LogError, match="path 0, stage 2, object 'fork': stage 3 lists it no more; list an object from"):
+    with pytest.raises(
+        LogError, match="trajectory 0, stage 2, object 'fork': stage 3 lists it no more; list an object from"
+    ):
         states_of(late([["cup", "mug"], ["cup", "fork", "mug"], ["cup", "mug"]]), 4)
 
 
@@ -88,17 +94,17 @@ def seen_later(logs, late):
     """The log, as if this object had come into view at the second stage, where nothing was done to it at the first."""
     stages, objects = logs.stages, logs.objects
     first = objects["stage"] == 1
-    is_begun = stages[(stages["stage"] == 1) & (stages["object"] != late)]["path"]
-    is_late = first & objects["path"].isin(is_begun)
+    is_begun = stages[(stages["stage"] == 1) & (stages["object"] != late)]["trajectory"]
+    is_late = first & objects["trajectory"].isin(is_begun)
     pairs = zip(objects["hidden_by"], is_late, strict=True)
     shorter = [[*each[:late], *each[late + 1 :]] if is_shorter else each for each, is_shorter in pairs]
-    return Logs(stages, logs.paths, objects.assign(hidden_by=shorter)[~(is_late & (objects["object"] == late))])
+    return Logs(stages, logs.trajectories, objects.assign(hidden_by=shorter)[~(is_late & (objects["object"] == late))])
 
 
 def test_a_policy_is_learned_from_objects_that_come_late():
     hides = np.tril(np.full((3, 3), 0.3), -1)
     logs = seen_later(table_log(num_objects=3, hides=hides), 1)
-    sizes = logs.objects.groupby(["path", "stage"]).size()
+    sizes = logs.objects.groupby(["trajectory", "stage"]).size()
     assert set(sizes.xs(1, level="stage")) == {2, 3}
     learner = CensoredQLearner.for_table(3, reg=0.1).fit(logs)
     assert np.isfinite(learner.policy_.coefficients).all()
@@ -107,7 +113,9 @@ def test_a_policy_is_learned_from_objects_that_come_late():
 def test_the_first_label_of_a_late_object_moves_it_from_the_prior():
     logs = late([["cup", "mug"], ["cup", "fork", "mug"]])
     at_even, high = (
-        evidence_of(Logs(logs.stages, logs.paths.assign(dirty_share=share), logs.objects), WorldConfig(horizon=2)).told
+        evidence_of(
+            Logs(logs.stages, logs.trajectories.assign(dirty_share=share), logs.objects), WorldConfig(horizon=2)
+        ).told
         for share in (0.5, 0.9999)
     )
     # Cup and mug, then cup, fork and mug: the log-odds of the fork are 6, and those of a prior of 0.9999 are 9.2.

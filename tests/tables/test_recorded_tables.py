@@ -33,8 +33,8 @@ def recorded_states(name):
     for key in WORLD:
         if key.startswith(f"{name}/states."):
             field, _, still = key[len(f"{name}/states.") :].partition(" ")
-            path, stage = TABLES[f"{name}/at"].T
-            found[field] = WORLD[key][path] if still else WORLD[key][path, stage]
+            trajectory, stage = TABLES[f"{name}/at"].T
+            found[field] = WORLD[key][trajectory] if still else WORLD[key][trajectory, stage]
     parts = {"robots": Robots, "workspace": Workspace}
     table = {
         field.removeprefix("table."): value for field, value in found.items() if not field.startswith(tuple(parts))
@@ -76,13 +76,13 @@ def test_one_state_looks_as_it_does_among_others(name):
 )
 def test_logs_are_encoded_as_they_were(name, task, log, horizon):
     encoded, words = task.encode(read_logs(log), horizon), WORDS[f"encoded/{name}"]
-    path, stage = TABLES[f"encoded/{name}/at"].T
+    trajectory, stage = TABLES[f"encoded/{name}/at"].T
     for what, told in words.items():
         value = getattr(encoded, what)
         assert list(value.shape) == told["shape"]
         assert value.sum() == pytest.approx(told["sum"], rel=1e-6)
         np.testing.assert_allclose(
-            value[path, stage], TABLES[f"encoded/{name}/{what}"], rtol=1e-5, atol=3e-6, err_msg=what
+            value[trajectory, stage], TABLES[f"encoded/{name}/{what}"], rtol=1e-5, atol=3e-6, err_msg=what
         )
     assert hashlib.sha256(encoded.action.tobytes()).hexdigest() == words["action"]["sha256"]
 
@@ -103,7 +103,7 @@ def test_laws_are_fitted_as_they_were():
 @pytest.mark.parametrize("robot", [0, 1])
 def test_the_view_of_an_agent_is_what_it_was(robot):
     view, words = agent_view(read_logs(TEAM_LOG), robot), WORDS[f"alone/{robot}"]
-    for name in ("stages", "paths", "objects"):
+    for name in ("stages", "trajectories", "objects"):
         frame, told = getattr(view, name), words[name]
         text = frame.to_csv(index=False, float_format="%.9g")
         assert list(frame.columns) == told["columns"]

@@ -8,7 +8,7 @@ import pytest
 from halfseen.arrays import mapped
 from halfseen.censoring import stage_weights
 from halfseen.learning import CensoredQLearner, NamedActions
-from halfseen.learning.rows import path_arrays
+from halfseen.learning.rows import trajectory_arrays
 from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.planners import GreedyPolicy
 from halfseen.tables import TeamTask
@@ -51,7 +51,7 @@ def encoded(cuts):
 
 @pytest.fixture(scope="module")
 def seen(cuts, encoded):
-    return path_arrays(to_logs(cuts, "independent", [SCENE]), encoded, None)
+    return trajectory_arrays(to_logs(cuts, "independent", [SCENE]), encoded, None)
 
 
 @pytest.fixture(scope="module")
@@ -144,27 +144,27 @@ PRICE = -0.2
 TEAM_SPACE = ActionSpace(TEAM_SCENE.num_objects)
 
 
-def rewarded(paths, cut_share=0.0):
+def rewarded(trajectories, cut_share=0.0):
     """What the stages of a log paid, as the learner sees them."""
-    learner = CensoredQLearner(paths.action.shape[1], TeamTask(grasp=None), q_function="linear", stages="pooled")
-    logs = logged(paths, cut_share)
+    learner = CensoredQLearner(trajectories.action.shape[1], TeamTask(grasp=None), q_function="linear", stages="pooled")
+    logs = logged(trajectories, cut_share)
     model = learner.compose(logs)
     laid = model.lay_out(logs)
     return model.rewarded(laid, np.ones(laid.reward.shape))
 
 
 @pytest.fixture(scope="module")
-def paths():
+def trajectories():
     return played(team_of(2, reward_per_s=PRICE), 300, seed=7, reach=REACH)
 
 
-def test_what_ended_is_what_the_rewards_say(paths):
-    action, states = paths.action, paths.states
-    duration_s = np.where(paths.is_taken, paths.duration_s, 0.0)
+def test_what_ended_is_what_the_rewards_say(trajectories):
+    action, states = trajectories.action, trajectories.states
+    duration_s = np.where(trajectories.is_taken, trajectories.duration_s, 0.0)
     ended = outcomes_of(states, TEAM_SPACE.verb(action), TEAM_SPACE.target(action), duration_s)
-    goes_on = paths.is_taken[:, 1:]
+    goes_on = trajectories.is_taken[:, 1:]
     failed, lift_s, stage_s, left = (ended[:, :-1, k][goes_on] for k in range(4))
-    paid = paths.reward[:, :-1][goes_on]
+    paid = trajectories.reward[:, :-1][goes_on]
     certain = -failed - 0.1 * lift_s + PRICE * stage_s
     washed = paid - certain
     # A robot without decisions ends before the stage does, and its last LIFT is taken to last as long as the stage.
@@ -178,8 +178,8 @@ def test_what_ended_is_what_the_rewards_say(paths):
     assert is_early.sum() > 50, "FINISH of one robot is no end"
 
 
-def test_prices_of_what_is_certain_are_found_in_the_whole_and_in_parts(paths):
-    whole = rewarded(paths)
+def test_prices_of_what_is_certain_are_found_in_the_whole_and_in_parts(trajectories):
+    whole = rewarded(trajectories)
     pays = pays_of([whole])
     np.testing.assert_allclose(pays.certain, (-1.0, -0.1, PRICE), atol=0.01)
     # An object that left pays 15 p − 10, and one that is left dirty costs 5; up to the coin that each of them is.
@@ -189,16 +189,16 @@ def test_prices_of_what_is_certain_are_found_in_the_whole_and_in_parts(paths):
     np.testing.assert_allclose(in_parts, np.concatenate(pays), rtol=1e-9, atol=1e-9)
 
 
-def test_shaped_rewards_add_up_to_what_was_paid_above_leaving_the_table(paths):
-    stages = rewarded(paths)
+def test_shaped_rewards_add_up_to_what_was_paid_above_leaving_the_table(trajectories):
+    stages = rewarded(trajectories)
     pays = pays_of([stages])
     above = shaped(stages, pays, stages.reward).sum(axis=1)
-    left = (1.0 / (1.0 + np.exp(-paths.states.log_odds[:, 0]))).sum(axis=1) * pays.left[0]
+    left = (1.0 / (1.0 + np.exp(-trajectories.states.log_odds[:, 0]))).sum(axis=1) * pays.left[0]
     np.testing.assert_allclose(above, stages.reward.sum(axis=1) - left, rtol=1e-6, atol=1e-4)
 
 
-def test_with_less_noise_the_mean_stays(paths):
-    stages = rewarded(paths)
+def test_with_less_noise_the_mean_stays(trajectories):
+    stages = rewarded(trajectories)
     pays = pays_of([stages])
     plain, reduced = (shaped(stages, pays, reward) for reward in (stages.reward, expected(stages, pays)))
     gap = (reduced - plain).sum(axis=1)
@@ -208,7 +208,7 @@ def test_with_less_noise_the_mean_stays(paths):
 
 
 def test_a_stage_that_was_cut_pays_nothing():
-    paths = played(team_of(2), 40, seed=9)
-    stages = rewarded(paths, 0.5)
+    trajectories = played(team_of(2), 40, seed=9)
+    stages = rewarded(trajectories, 0.5)
     pays, cut = pays_of([stages]), stages._replace(weight=np.zeros_like(stages.weight))
     assert not shaped(cut, pays, expected(cut, pays)).any()

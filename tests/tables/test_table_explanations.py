@@ -18,8 +18,8 @@ CONFIG = WorldConfig(horizon=HORIZON)
 SCENE = Scene(np.array([[0.0, 0.6, 0.0], [0.1, 0.0, 0.0], [0.0, 0.0, 0.0]]))
 
 
-def logs_of(num_paths):
-    return TableWorld(CONFIG).simulate(SCENE, ExploringPolicy(UniformPolicy()), num_paths, seed=0, cut_share=0.3)
+def logs_of(num_trajectories):
+    return TableWorld(CONFIG).simulate(SCENE, ExploringPolicy(UniformPolicy()), num_trajectories, seed=0, cut_share=0.3)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_what_was_learned_is_what_is_explained(learner, explainer, state):
 
 
 @pytest.mark.slow
-def test_the_more_paths_the_less_doubt(explainer, state):
+def test_the_more_trajectories_the_less_doubt(explainer, state):
     many = logs_of(480)
     surer = LearnedExplainer.of(
         CensoredQLearner.for_table(HORIZON, laws=None).fit(many), many, num_replicates=20
@@ -119,11 +119,11 @@ def test_the_seed_of_the_draws_is_all_that_chance_has(learner, logs, state):
 
 
 def test_what_cannot_be_explained_is_refused(learner, logs, explainer, state):
-    with pytest.raises(ArgumentError, match="the log has 12 paths, but the learner was fitted to 60"):
+    with pytest.raises(ArgumentError, match="the log has 12 trajectories, but the learner was fitted to 60"):
         LearnedExplainer.of(learner, logs_of(12))
     with pytest.raises(ArgumentError, match="fit it to a log of tables"):
         LearnedExplainer.of(CensoredQLearner.for_table(HORIZON, laws=None), logs)
     with pytest.raises(ArgumentError, match="num_replicates is 1"):
         LearnedExplainer.of(learner, logs, num_replicates=1)
-    with pytest.raises(ArgumentError, match="the path is over"):
+    with pytest.raises(ArgumentError, match="the trajectory is over"):
         explainer.explain(replace(state, steps_to_go=np.asarray(0)))

@@ -78,7 +78,7 @@ def test_what_was_learned_beats_chance_and_what_it_watched(learner, scene):
 def test_it_learns_the_same_from_the_same_log_whatever_the_names_of_objects(learner, logs):
     names = {k: f"cup {k}" for k in range(NUM_OBJECTS)}
     stages, objects = (table.assign(object=table["object"].map(names)) for table in (logs.stages, logs.objects))
-    for same in (logs, Logs(stages, logs.paths, objects)):
+    for same in (logs, Logs(stages, logs.trajectories, objects)):
         again = CensoredQLearner.for_table(horizon=10, laws=None).fit(same)
         assert np.array_equal(again.q_functions_.coefficients, learner.q_functions_.coefficients)
         assert again.policy_.coefficients.dtype == np.float32
@@ -86,7 +86,7 @@ def test_it_learns_the_same_from_the_same_log_whatever_the_names_of_objects(lear
 
 def gone(logs):
     row = logs.stages[logs.stages["object"].notna()].iloc[0]
-    acted = logs.objects[["path", "stage", "object"]].eq(row[["path", "stage", "object"]]).all(axis=1)
+    acted = logs.objects[["trajectory", "stage", "object"]].eq(row[["trajectory", "stage", "object"]]).all(axis=1)
     return row, {"objects": logs.objects.assign(location=logs.objects["location"].mask(acted, "DISHWASHER"))}
 
 
@@ -98,8 +98,8 @@ def dropped(logs):
 @pytest.mark.parametrize(("spoil", "told"), [(gone, ".* is not on the table"), (dropped, "action 'DROP'")])
 def test_an_action_that_cannot_be_is_named(logs, spoil, told):
     row, changed = spoil(logs)
-    tables = {"stages": logs.stages, "paths": logs.paths, "objects": logs.objects} | changed
-    with pytest.raises(LogError, match=f"path {row['path']}, stage {row['stage']}: {told}"):
+    tables = {"stages": logs.stages, "trajectories": logs.trajectories, "objects": logs.objects} | changed
+    with pytest.raises(LogError, match=f"trajectory {row['trajectory']}, stage {row['stage']}: {told}"):
         CensoredQLearner.for_table(horizon=10, laws=None).fit(Logs(**tables))
 
 
@@ -111,8 +111,8 @@ def test_cuts_may_depend_on_the_first_table(scene):
     table = table_covariates(logs, columns)[(logs.stages["stage"] == 1).to_numpy()].reset_index(drop=True)
     assert logs.objects is not None
     objects = logs.objects[logs.objects["stage"] == 1]
-    for row, path in enumerate(logs.path_ids[:20]):
-        mine = objects[objects["path"] == path]
+    for row, trajectory in enumerate(logs.trajectory_ids[:20]):
+        mine = objects[objects["trajectory"] == trajectory]
         assert table.loc[row, "num_objects"] == len(mine)
         assert table.loc[row, "mean_occlusion"] == pytest.approx(mine["occlusion"].mean())
     learner = CensoredQLearner.for_table(horizon=10, censoring=Cox(ridge=1.0), reg=1.0).fit(logs)
@@ -147,12 +147,12 @@ def test_a_verb_that_was_never_completed_is_never_taken(scene, tmp_path):
 
 
 def log_of(log_odds=(0.4, -0.2, 1.0), **columns):
-    """Two paths of two stages; the last object is of a second stage."""
-    stages = pd.DataFrame({"path": [0, 0, 1], "stage": [1, 2, 1], "elapsed_s": [1.0, 2.0, 1.0]})
+    """Two trajectories of two stages; the last object is of a second stage."""
+    stages = pd.DataFrame({"trajectory": [0, 0, 1], "stage": [1, 2, 1], "elapsed_s": [1.0, 2.0, 1.0]})
     stages = stages.assign(action=["LIFT", "FINISH", "FINISH"], object=["a", None, None], reward=0.0)
-    paths = pd.DataFrame({"path": [0, 1], "end_s": [2.0, 1.0], "ending": "finished"} | columns)
-    objects = pd.DataFrame({"path": [0, 1, 0], "stage": [1, 1, 2], "object": "a", "location": "TABLE"})
-    return Logs(stages, paths, objects.assign(log_odds=log_odds, occlusion=0.0))
+    trajectories = pd.DataFrame({"trajectory": [0, 1], "end_s": [2.0, 1.0], "ending": "finished"} | columns)
+    objects = pd.DataFrame({"trajectory": [0, 1, 0], "stage": [1, 1, 2], "object": "a", "location": "TABLE"})
+    return Logs(stages, trajectories, objects.assign(log_odds=log_odds, occlusion=0.0))
 
 
 @pytest.mark.parametrize(
@@ -170,11 +170,11 @@ def test_the_prior_is_the_column_and_where_there_is_none_the_mean_of_the_first_s
 
 def test_what_tells_no_prior_is_refused():
     for shares in ([0.3, 0.5], [1.0, 1.0]):
-        with pytest.raises(LogError, match=r"paths: dirty_share goes from \S+ to \S+; one policy has one prior"):
+        with pytest.raises(LogError, match=r"trajectories: dirty_share goes from \S+ to \S+; one policy has one prior"):
             logged_dirty_share(log_of(dirty_share=shares))
     logs = log_of()
     with pytest.raises(LogError, match="objects: the log has none"):
-        logged_dirty_share(Logs(logs.stages.drop(columns="object"), logs.paths))
+        logged_dirty_share(Logs(logs.stages.drop(columns="object"), logs.trajectories))
 
 
 def test_it_is_a_task_whose_blocks_are_verbs_and_whose_features_have_no_names():

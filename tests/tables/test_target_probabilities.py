@@ -34,22 +34,22 @@ RULE = WashWhatIsDirty()
 
 
 @pytest.fixture(scope="module", params=[1, 2, 3])
-def paths(request):
+def trajectories(request):
     return played(team_of(request.param), 40, seed=2)
 
 
-def test_a_policy_that_draws_nothing_takes_what_it_decides(paths):
-    taken = table_probabilities(RULE, paths.states)
-    assert taken.shape == possible_actions(paths.states).shape
-    np.testing.assert_array_equal(taken.argmax(axis=-1), RULE.decide(paths.states, None).action)
-    np.testing.assert_array_equal(taken.argmax(axis=-1), decisions(RULE, paths.states))
+def test_a_policy_that_draws_nothing_takes_what_it_decides(trajectories):
+    taken = table_probabilities(RULE, trajectories.states)
+    assert taken.shape == possible_actions(trajectories.states).shape
+    np.testing.assert_array_equal(taken.argmax(axis=-1), RULE.decide(trajectories.states, None).action)
+    np.testing.assert_array_equal(taken.argmax(axis=-1), decisions(RULE, trajectories.states))
     np.testing.assert_array_equal(taken.sum(axis=-1), 1.0)
 
 
-def test_what_a_log_tells_of_its_own_policy_is_the_probability_that_was_logged(paths):
+def test_what_a_log_tells_of_its_own_policy_is_the_probability_that_was_logged(trajectories):
     logger = ExploringPolicy(UniformPolicy(), 0.5)
-    layout, key = layout_of(paths.states.num_robots), random.key_of(3)
-    drawn = play(team_of(paths.states.num_robots), layout, ExploringPolicy(RULE, 0.3), key, 40)
+    layout, key = layout_of(trajectories.states.num_robots), random.key_of(3)
+    drawn = play(team_of(trajectories.states.num_robots), layout, ExploringPolicy(RULE, 0.3), key, 40)
     likely = table_probabilities(ExploringPolicy(RULE, 0.3), drawn.states)
     own = np.take_along_axis(likely, drawn.action[..., None], axis=-1)[..., 0]
     np.testing.assert_allclose(own[drawn.is_taken], drawn.probability[drawn.is_taken], rtol=1e-5)
@@ -58,27 +58,27 @@ def test_what_a_log_tells_of_its_own_policy_is_the_probability_that_was_logged(p
     assert not uniform[~possible_actions(drawn.states)].any()
 
 
-def test_what_does_not_say_how_it_draws_is_not_known(paths):
-    assert np.isnan(table_probabilities(Whimsical(), paths.states)).all()
+def test_what_does_not_say_how_it_draws_is_not_known(trajectories):
+    assert np.isnan(table_probabilities(Whimsical(), trajectories.states)).all()
     with pytest.raises(ArgumentError, match="Whimsical draws its actions, so that a state does not tell what it does"):
-        decisions(Whimsical(), paths.states)
+        decisions(Whimsical(), trajectories.states)
 
 
-def test_what_is_for_others_is_refused(paths):
+def test_what_is_for_others_is_refused(trajectories):
     with pytest.raises(ArgumentError, match="str decides nothing about tables"):
-        table_probabilities("greedy", paths.states)
+        table_probabilities("greedy", trajectories.states)
     with pytest.raises(PolicyError, match="GreedyPolicy decides for one robot"):
-        table_probabilities(GreedyPolicy(WorldConfig()), paths.states)
+        table_probabilities(GreedyPolicy(WorldConfig()), trajectories.states)
     with pytest.raises(PolicyError, match="the policy is for 4 robots, and the team has"):
-        table_probabilities(IndependentPolicies((RULE,) * 4), paths.states)
+        table_probabilities(IndependentPolicies((RULE,) * 4), trajectories.states)
 
 
 TEAM = team_of(2, horizon=4, reward_per_s=-0.05)
 REACH = [[1, 1, 1, 0], [0, 1, 1, 1]]
 
 
-def log_of(policy, num_paths, cut_share, seed):
-    drawn = play(TEAM, layout_of(2, REACH), policy, random.key_of(seed), num_paths)
+def log_of(policy, num_trajectories, cut_share, seed):
+    drawn = play(TEAM, layout_of(2, REACH), policy, random.key_of(seed), num_trajectories)
     cuts = cut(drawn, cut_rate(drawn, cut_share, "independent"), "independent", np.random.default_rng(0))
     return to_logs(cuts, "independent", [SCENE], 0.6)
 

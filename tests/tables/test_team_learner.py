@@ -107,7 +107,7 @@ def test_a_base_that_is_none_of_this_team_is_refused(logs, base, error, told):
 
 
 def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(logs):
-    some = Logs(logs.stages.drop(columns="1_reward"), logs.paths, logs.objects)
+    some = Logs(logs.stages.drop(columns="1_reward"), logs.trajectories, logs.objects)
     learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
     assert learner.policy_.base is None
     assert any("what each robot does alone cannot be learned: stages: there is no" in told for told in learner.chosen_)
@@ -117,8 +117,8 @@ def test_q_is_of_the_best_policy_where_the_log_does_not_tell_each_robots_reward(
 def test_what_was_never_seen_completed_has_no_value():
     never_lifts = played(TEAM, 120, seed=8, reach=REACH)
     logs = logged(never_lifts, 0.3)
-    kept = logs.stages.groupby("path")["action"].transform(lambda actions: not (actions == Verb.LIFT.name).any())
-    some = logs.select(logs.stages.loc[kept, "path"].unique())
+    kept = logs.stages.groupby("trajectory")["action"].transform(lambda actions: not (actions == Verb.LIFT.name).any())
+    some = logs.select(logs.stages.loc[kept, "trajectory"].unique())
     learner = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(some)
     assert [told.split(" was ")[0] for told in learner.unseen_] == ["LIFT"]
     played_anew = play(TEAM, LAYOUT, learner.policy_, random.key_of(1), 100)
@@ -152,10 +152,10 @@ def test_one_robot_alone_does_what_it_does_as_a_team_of_one():
 
 def test_each_for_itself_does_what_is_possible_and_keeps_its_own_policy():
     each = IndependentPolicies((RULE, UniformPolicy()))
-    paths = play(TEAM, LAYOUT, each, random.key_of(5), 60)
-    taken, possible = paths.is_taken, possible_actions(paths.states)
-    assert np.take_along_axis(possible, paths.action[..., None], axis=2)[..., 0][taken].all()
-    by = paths.probability[taken], paths.states.decider[taken]
+    trajectories = play(TEAM, LAYOUT, each, random.key_of(5), 60)
+    taken, possible = trajectories.is_taken, possible_actions(trajectories.states)
+    assert np.take_along_axis(possible, trajectories.action[..., None], axis=2)[..., 0][taken].all()
+    by = trajectories.probability[taken], trajectories.states.decider[taken]
     assert (by[0][by[1] == 0] == 1.0).all()
     assert (by[0][by[1] == 1] < 1.0).any()
     with pytest.raises(ArgumentError, match="policies is"):
@@ -197,6 +197,6 @@ def test_what_a_team_does_not_know_is_refused(logs, change):
     row = int(np.flatnonzero(stages["action"] == "LIFT")[0])
     for column, value in change.items():
         stages.loc[row, column] = value
-    broken = Logs(stages, logs.paths, logs.objects)
+    broken = Logs(stages, logs.trajectories, logs.objects)
     with pytest.raises(LogError, match="is none that a team knows; give WASH or LIFT with an object"):
         CensoredQLearner.for_team(2, horizon=5).fit(broken)

@@ -23,8 +23,8 @@ def accuracy(occlusion):
 def naive_step(table, verb, target, exponential, label_uniforms):
     """One action; `table` is a dict of lists (hides, on_table, log_odds, dirty, offset) and steps_to_go.
 
-    `exponential` is the draw of E, `label_uniforms` that of each label. Returns reward, duration [s], whether the path
-    is over, and the table after it.
+    `exponential` is the draw of E, `label_uniforms` that of each label. Returns reward, duration [s], whether the
+    trajectory is over, and the table after it.
     """
     after = {key: list(value) if isinstance(value, list) else value for key, value in table.items()}
     after["steps_to_go"] -= 1

@@ -34,25 +34,25 @@ def test_a_cut_falls_after_what_was_completed_and_before_the_next(played, kind):
     slack_s = 1e-4
     assert (cuts.end_s > before - slack_s)[was_cut].all()
     assert (cuts.end_s < after + slack_s)[was_cut].all()
-    # Stages are completed in a row from the first, and of a cut path one more was begun.
+    # Stages are completed in a row from the first, and of a cut trajectory one more was begun.
     assert (cuts.is_completed[:, 1:] <= cuts.is_completed[:, :-1]).all()
     assert (cuts.is_begun.sum(axis=1) == num_completed + was_cut).all()
     assert (cuts.is_begun <= is_taken).all()
-    assert (was_cut & (num_completed == 0)).any(), "some path is cut in its first stage"
+    assert (was_cut & (num_completed == 0)).any(), "some trajectory is cut in its first stage"
 
 
 def test_the_hazards_are_those_of_the_text(played):
     sample = picked(played, np.s_[:60])
     duration = np.asarray(sample.duration_s, dtype=float)
     expected = {kind: np.zeros(duration.shape) for kind in CUT_KINDS}
-    for path, stage in np.argwhere(np.asarray(sample.is_taken)):
-        hides = np.asarray(sample.states.hides)[path, stage]
-        on_table = np.asarray(sample.states.is_on_table)[path, stage].tolist()
+    for trajectory, stage in np.argwhere(np.asarray(sample.is_taken)):
+        hides = np.asarray(sample.states.hides)[trajectory, stage]
+        on_table = np.asarray(sample.states.is_on_table)[trajectory, stage].tolist()
         hidden = [hidden_share(hides, on_table, i) for i in np.flatnonzero(on_table)]
-        seconds = duration[path, stage]
-        expected["independent"][path, stage] = seconds
-        expected["attempt"][path, stage] = seconds**2 / 2.0
-        expected["occlusion"][path, stage] = seconds * np.exp(3.0 * np.mean(hidden))
+        seconds = duration[trajectory, stage]
+        expected["independent"][trajectory, stage] = seconds
+        expected["attempt"][trajectory, stage] = seconds**2 / 2.0
+        expected["occlusion"][trajectory, stage] = seconds * np.exp(3.0 * np.mean(hidden))
     for kind in CUT_KINDS:
         assert unit_hazards(sample, kind) == pytest.approx(expected[kind], rel=1e-4), kind
 

@@ -101,7 +101,7 @@ BESIDE = [(0, 0.0, 0.0), (1, 2.0, 5.0), (0, 2.0, 5.0)]
     ],
     ids=[
         "side by side",
-        "a clear table ends the path",
+        "a clear table ends the trajectory",
         "seconds cost",
         "a fast robot",
         "all park",
@@ -203,7 +203,7 @@ def test_what_a_robot_that_drops_out_was_at_is_put_back_and_the_others_go_on():
     assert float(answers[3][2].reward) == 5.0
 
 
-def test_the_path_is_over_when_all_have_dropped_out_or_parked():
+def test_the_trajectory_is_over_when_all_have_dropped_out_or_parked():
     answers = dropped([5.0, 0.5], [(Verb.FINISH, 0), (Verb.WASH, 1)])
     _, after, outcome = answers[-1]
     assert (after.robots.is_parked.tolist(), after.robots.is_out.tolist()) == ([True, False], [False, True])

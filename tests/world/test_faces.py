@@ -39,7 +39,7 @@ def equal(left, right):
 
 
 def follow(env, actions, seed=0):
-    """Every answer of the environment to these actions, until the path ends."""
+    """Every answer of the environment to these actions, until the trajectory ends."""
     answers = [env.reset(seed=seed)]
     for action in actions:
         answers.append(env.step(action))
@@ -158,7 +158,7 @@ def test_truncated_is_a_cut_and_loses_the_stage():
         assert equal(observation, answers[-2][0])
         before_s = answers[-2][-1]["elapsed_s"]
         assert before_s < info["elapsed_s"] <= before_s + 7.0 + 1e-5
-        with pytest.raises(ArgumentError, match="the path is over; call reset"):
+        with pytest.raises(ArgumentError, match="the trajectory is over; call reset"):
             env.step(0)
         num_cut_late += len(answers) > 2
     assert num_cut_late > 3
@@ -276,7 +276,7 @@ def test_a_robot_that_drops_out_ends_nothing_and_a_cut_all():
             is_ended = terminated or truncated
             num_out += bool(seen["is_out"][0]) and not is_ended
             num_cut += truncated and (reward, info["cause"]) == (0.0, "operator")
-        with pytest.raises(ArgumentError, match="the path is over; call reset"):
+        with pytest.raises(ArgumentError, match="the trajectory is over; call reset"):
             env.step(0)
     assert num_out > 3
     assert num_cut > 1
@@ -372,7 +372,7 @@ def agents(**options):
 # Observations are dictionaries, as an action mask asks for; it would have arrays, and warns.
 @pytest.mark.filterwarnings("ignore:Observation is not a NumPy array:UserWarning")
 @pytest.mark.filterwarnings("ignore:Observation space for each agent probably should be:UserWarning")
-def test_pettingzoo_finds_no_fault_and_the_same_path_for_the_same_seed(options):
+def test_pettingzoo_finds_no_fault_and_the_same_trajectory_for_the_same_seed(options):
     pettingzoo_test = pytest.importorskip("pettingzoo.test")
     with contextlib.redirect_stdout(io.StringIO()):
         pettingzoo_test.api_test(agents(**options), num_cycles=60)

@@ -84,14 +84,14 @@ def test_an_attempt_may_move_what_it_lifts():
     assert hidden.grasp_trait["count"].tolist() == [0, 1, 0]
 
 
-def test_the_path_keeps_what_the_laws_did(episodes):
+def test_the_trajectory_keeps_what_the_laws_did(episodes):
     hides, action = np.asarray(episodes.states.hides), np.asarray(episodes.action)
     moved = np.array(episodes.is_taken)[:, :-1] & np.array(episodes.is_taken)[:, 1:] & (action[:, :-1] >= LIFT)
-    path, stage = np.nonzero(moved)
-    assert len(path) > 20
-    target = action[path, stage] - LIFT
-    assert (hides[path, stage + 1, target] == 0.0).all()
-    assert (hides[path, stage + 1, :, target] == 0.0).all()
+    trajectory, stage = np.nonzero(moved)
+    assert len(trajectory) > 20
+    target = action[trajectory, stage] - LIFT
+    assert (hides[trajectory, stage + 1, target] == 0.0).all()
+    assert (hides[trajectory, stage + 1, :, target] == 0.0).all()
 
 
 def test_what_is_not_there_cannot_be_held():

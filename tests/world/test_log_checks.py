@@ -37,7 +37,7 @@ def changed(logs, table="stages", row=0, **values):
         if np.ndim(value) == 0:
             column = type(logs.tables[table][name])(column, dtype=object).infer_objects()
         tables[table][name] = column
-    return Logs(tables["stages"], tables["paths"], tables["objects"])
+    return Logs(tables["stages"], tables["trajectories"], tables["objects"])
 
 
 def refused(told, read, logs):
@@ -60,23 +60,23 @@ def refused(told, read, logs):
     ],
 )
 def test_a_broken_object_is_named(alone, column, value, told):
-    place = "path 0, stage 1, object 0: "
+    place = "trajectory 0, stage 1, object 0: "
     refused(place + told, lambda logs: states_of(changed(logs, "objects", **{column: value}), 10), alone)
 
 
 def test_an_object_that_vanishes_is_named(alone):
     stages, objects = alone.stages, alone.objects
-    path = int(stages.loc[(stages["stage"] == 2) & (stages["path"] % 2 == 0), "path"].iloc[0])
-    acted = stages.loc[(stages["path"] == path) & (stages["stage"] == 2), "object"].fillna(-1).iloc[0]
+    trajectory = int(stages.loc[(stages["stage"] == 2) & (stages["trajectory"] % 2 == 0), "trajectory"].iloc[0])
+    acted = stages.loc[(stages["trajectory"] == trajectory) & (stages["stage"] == 2), "object"].fillna(-1).iloc[0]
     gone = next(k for k in range(3) if k != acted)
-    kept = ~((objects["path"] == path) & (objects["stage"] == 2) & (objects["object"] == gone))
-    told = f"path {path}, stage 1, object {gone}: stage 2 lists it no more"
-    refused(told, lambda logs: states_of(logs, 10), Logs(stages, alone.paths, objects[kept]))
+    kept = ~((objects["trajectory"] == trajectory) & (objects["stage"] == 2) & (objects["object"] == gone))
+    told = f"trajectory {trajectory}, stage 1, object {gone}: stage 2 lists it no more"
+    refused(told, lambda logs: states_of(logs, 10), Logs(stages, alone.trajectories, objects[kept]))
 
 
 def test_a_log_without_objects_or_with_too_many_stages_is_refused(alone):
-    nothing = Logs(alone.stages.drop(columns="object"), alone.paths)
-    fewer = Logs(alone.stages, alone.paths, alone.objects.drop(columns="lifts"))
+    nothing = Logs(alone.stages.drop(columns="object"), alone.trajectories)
+    fewer = Logs(alone.stages, alone.trajectories, alone.objects.drop(columns="lifts"))
     refused("the log has none", lambda logs: states_of(logs, 10), nothing)
     refused("there is no column 'lifts' among", lambda logs: states_of(logs, 10), fewer)
     refused("more than horizon=2", lambda logs: states_of(logs, 2), alone)
@@ -92,12 +92,15 @@ READERS = pytest.mark.parametrize(
 @pytest.mark.parametrize(
     ("values", "told"),
     [
-        ({"robot": 7}, r"path 0, stage 1: robot is 7, but its columns tell of robots 0 to 1"),
+        ({"robot": 7}, r"trajectory 0, stage 1: robot is 7, but its columns tell of robots 0 to 1"),
         ({"1_does": "WASH"}, r"stage 1: 1_does is 'WASH'; it is FREE, PARKED"),
         ({"1_does": "DANCE 1"}, r"1_does is 'DANCE 1'"),
-        ({"0_does": "WASH 1"}, r"path 0, stage 1: 0_does is 'WASH 1', yet robot 0 decides; it decides when it is FREE"),
+        (
+            {"0_does": "WASH 1"},
+            r"trajectory 0, stage 1: 0_does is 'WASH 1', yet robot 0 decides; it decides when it is FREE",
+        ),
         ({"0_does": "OUT"}, "0_does is 'OUT', yet robot 0 decides"),
-        ({"1_does": "WASH 7"}, "1_does is 'WASH 7', and no path has more than 4 objects, from 0"),
+        ({"1_does": "WASH 7"}, "1_does is 'WASH 7', and no trajectory has more than 4 objects, from 0"),
         ({"1_since_s": -1.0}, r"1_since_s is -1.0, below 0"),
         ({"1_decisions_to_go": -1}, "1_decisions_to_go is -1, no count"),
         ({"1_decisions_to_go": 2.5}, "1_decisions_to_go is 2.5, no count"),
@@ -113,19 +116,21 @@ def test_stages_that_no_team_has_are_refused(team, values, told, read):
 @READERS
 @pytest.mark.parametrize("column", ["1_since_s", "1_decisions_to_go"])
 def test_text_in_place_of_numbers_is_refused(team, column, read):
-    text = Logs(team.stages.assign(**{column: team.stages[column].astype(str)}), team.paths, team.objects)
+    text = Logs(team.stages.assign(**{column: team.stages[column].astype(str)}), team.trajectories, team.objects)
     refused(f"stages: column '{column}' holds string, not numbers; convert it", read, text)
 
 
-def test_more_decisions_than_a_path_may_have_are_refused(team):
+def test_more_decisions_than_a_trajectory_may_have_are_refused(team):
     told = "1_decisions_to_go is 1000000000, more than horizon=10 decisions of all robots together; raise horizon"
     many = changed(team, **{"1_decisions_to_go": 10**9})
-    refused(f"path 0, stage 1: {told}", lambda logs: states_of(logs, 10), many)
+    refused(f"trajectory 0, stage 1: {told}", lambda logs: states_of(logs, 10), many)
 
 
 def test_two_robots_at_one_object_are_refused(frail):
     both = changed(frail, **{"1_does": "WASH 1", "2_does": "LIFT 1"})
-    refused("path 0, stage 1: 1_does is 'WASH 1', and 2_does the same object", lambda logs: states_of(logs, 15), both)
+    refused(
+        "trajectory 0, stage 1: 1_does is 'WASH 1', and 2_does the same object", lambda logs: states_of(logs, 15), both
+    )
 
 
 @READERS
@@ -149,33 +154,36 @@ def test_lists_that_name_what_there_is_not_are_refused(team, column, value, told
 @READERS
 def test_who_acts_beyond_its_reach_is_refused(team, read):
     acts = team.stages[(team.stages["robot"] == 0) & team.stages["object"].notna()].iloc[0]
-    nobody = Logs(team.stages, team.paths, team.objects.assign(reached_by=[[1]] * len(team.objects)))
+    nobody = Logs(team.stages, team.trajectories, team.objects.assign(reached_by=[[1]] * len(team.objects)))
     refused(f"robot 0 begins with object {acts['object']}, which it does not reach", read, nobody)
 
 
 @READERS
 def test_a_drop_out_of_a_robot_that_there_is_none_of_is_refused(team, read):
-    told = r"paths: column '5_out_s' is of a robot .*; the stages tell of robots 0 to 1: "
-    refused(told, read, Logs(team.stages, team.paths.assign(**{"5_out_s": np.nan}), team.objects))
+    told = r"trajectories: column '5_out_s' is of a robot .*; the stages tell of robots 0 to 1: "
+    refused(told, read, Logs(team.stages, team.trajectories.assign(**{"5_out_s": np.nan}), team.objects))
 
 
 @pytest.mark.parametrize(
     ("change", "told"),
     [
-        ({"0_out_s": lambda paths: paths["end_s"] + 1.0}, r"path 0: 0_out_s [\d.]+ lies outside the path"),
-        ({"0_out_s": -1.0}, r"path 0: 0_out_s -1.0 lies outside the path"),
-        ({"0_out_s": np.inf}, r"path 0: 0_out_s inf lies outside the path"),
-        ({"2_out_cause": "battery"}, r"path 0: 2_out_cause is given, yet 2_out_s is not"),
+        (
+            {"0_out_s": lambda trajectories: trajectories["end_s"] + 1.0},
+            r"trajectory 0: 0_out_s [\d.]+ lies outside the trajectory",
+        ),
+        ({"0_out_s": -1.0}, r"trajectory 0: 0_out_s -1.0 lies outside the trajectory"),
+        ({"0_out_s": np.inf}, r"trajectory 0: 0_out_s inf lies outside the trajectory"),
+        ({"2_out_cause": "battery"}, r"trajectory 0: 2_out_cause is given, yet 2_out_s is not"),
         ({"0_out_s": 1e-3}, r"robot 0 decides at [\d.]+ s, yet dropped out at 0.001 s"),
     ],
 )
 def test_a_drop_out_that_cannot_be_is_refused(frail, change, told):
-    refused(told, lambda logs: Logs(logs.stages, logs.paths.assign(**change), logs.objects), frail)
+    refused(told, lambda logs: Logs(logs.stages, logs.trajectories.assign(**change), logs.objects), frail)
 
 
 def test_what_a_robot_brought_is_a_number_where_the_stage_was_completed(frail):
     nothing = frail.stages.assign(**{"1_reward": np.nan})
-    told = r"path 0, stage 1: 1_reward is null; give a finite number for each completed"
-    refused(told, lambda logs: Logs(nothing, logs.paths, logs.objects), frail)
+    told = r"trajectory 0, stage 1: 1_reward is null; give a finite number for each completed"
+    refused(told, lambda logs: Logs(nothing, logs.trajectories, logs.objects), frail)
     assert "1_reward" not in frail.stage_covariates
     assert "1_since_s" in frail.stage_covariates

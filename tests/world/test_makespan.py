@@ -48,7 +48,7 @@ def plain(state):
 
 @pytest.mark.parametrize("num_robots", [1, 2, 3])
 def test_it_is_the_bound_of_scheduling_theory(num_robots):
-    paths = played(team_of(num_robots), 6, seed=3, reach=REACH[num_robots])
-    bounds = makespans(paths.states, others_of(paths.states))
-    for at in zip(*np.nonzero(paths.is_taken), strict=True):
-        np.testing.assert_allclose(bounds[at], plain(picked(paths.states, at)), rtol=1e-5, atol=1e-6)
+    trajectories = played(team_of(num_robots), 6, seed=3, reach=REACH[num_robots])
+    bounds = makespans(trajectories.states, others_of(trajectories.states))
+    for at in zip(*np.nonzero(trajectories.is_taken), strict=True):
+        np.testing.assert_allclose(bounds[at], plain(picked(trajectories.states, at)), rtol=1e-5, atol=1e-6)

@@ -137,7 +137,7 @@ def test_a_policy_that_chooses_by_belief_does_not_spoil_it(suspicious):
     assert abs(dirty.mean() - believed.mean()) < 4.0 * np.sqrt((believed * (1 - believed)).sum()) / len(dirty)
 
 
-def test_the_clock_runs_and_a_path_ends_once(played):
+def test_the_clock_runs_and_a_trajectory_ends_once(played):
     is_taken = played.is_taken
     assert is_taken[:, 0].all()
     assert (is_taken[:, 1:] <= is_taken[:, :-1]).all()

@@ -29,7 +29,7 @@ def test_a_team_of_one_that_reaches_all_simulates_what_one_robot_does():
     rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
     mine = TableWorld(robots=[Robot((0.0, -0.5), 5.0)]).simulate(SCENES, TeamOfRules(rule), 30, seed=3, cut_share=0.4)
     theirs = TableWorld().simulate(SCENES, rule, 30, seed=3, cut_share=0.4)
-    assert mine.paths.equals(theirs.paths)
+    assert mine.trajectories.equals(theirs.trajectories)
     for name in ("stages", "objects"):
         truth = theirs.tables[name]
         assert mine.tables[name][truth.columns].equals(truth)
@@ -39,15 +39,18 @@ def test_a_team_of_one_that_reaches_all_simulates_what_one_robot_does():
 def test_the_wanted_share_is_cut_and_one_cut_ends_the_table_for_all(kind):
     logs = WORLD.simulate(SCENES, UniformPolicy(), 300, seed=0, cut_share=0.5, cut_kind=kind)
     assert abs(logs.cut_share - 0.5) < 4 * 0.5 / np.sqrt(300)
-    assert logs.stages.groupby("path")["elapsed_s"].apply(lambda each: each.isna().sum()).max() == 1
-    assert logs.paths["scene"].tolist()[:3] == ["four", "two", "four"]
+    assert logs.stages.groupby("trajectory")["elapsed_s"].apply(lambda each: each.isna().sum()).max() == 1
+    assert logs.trajectories["scene"].tolist()[:3] == ["four", "two", "four"]
 
 
 def test_each_robot_touches_what_it_reaches_and_padding_is_nobodys():
     logs = WORLD.simulate(SCENES, UniformPolicy(), 40, seed=0)
     did = logs.stages.dropna(subset=["object"])
     truth = [Team(TEAM).workspace(scene).is_in_reach for scene in SCENES]
-    assert all(truth[path % 2][robot, target] for path, robot, target in did[["path", "robot", "object"]].values)
+    assert all(
+        truth[trajectory % 2][robot, target]
+        for trajectory, robot, target in did[["trajectory", "robot", "object"]].values
+    )
     layouts = WORLD.layouts(SCENES)
     assert not np.asarray(layouts.workspace.is_in_reach)[1, :, 2:].any()
     assert not np.asarray(layouts.workspace.is_near)[1, 2:].any()
@@ -61,10 +64,10 @@ def test_same_seed_same_logs_and_evaluate_plays_the_same_tables(world, kind, cau
         world.simulate(SCENES, UniformPolicy(), 40, seed=seed, cut_share=0.5, cut_kind=kind) for seed in (5, 5, 6)
     )
     assert first.stages.equals(again.stages)
-    assert first.paths.equals(again.paths)
-    assert not first.paths.equals(other.paths)
+    assert first.trajectories.equals(again.trajectories)
+    assert not first.trajectories.equals(other.trajectories)
     assert 0.2 < first.cut_share < 0.8
-    assert set(first.paths["cause"].dropna()) == {cause}
+    assert set(first.trajectories["cause"].dropna()) == {cause}
     totals = world.evaluate(SCENES, UniformPolicy(), 40, seed=5)
     played = play(world.played_config, world.layouts(SCENES), UniformPolicy(), random.key_of(5), 40)
     np.testing.assert_allclose(totals.reward, np.sum(np.where(played.is_taken, played.reward, 0.0), axis=1), rtol=1e-5)
@@ -75,8 +78,8 @@ def test_robots_tell_when_they_drop_out():
     assert world.played_config.drop_out_rate == (0.0, 0.05)
     assert WORLD.played_config.drop_out_rate is None
     logs = world.simulate(SCENES, UniformPolicy(), 40, seed=0, drop_out_cause="e-stop")
-    assert set(logs.paths["1_out_cause"].dropna()) == {"e-stop"}
-    assert logs.paths["0_out_s"].isna().all()
+    assert set(logs.trajectories["1_out_cause"].dropna()) == {"e-stop"}
+    assert logs.trajectories["0_out_s"].isna().all()
 
 
 def test_perception_tells_where_objects_stand():

@@ -38,9 +38,14 @@ def tables_of(states, hidden):
 @pytest.fixture(scope="module")
 def steps(played):
     """A few hundred states of all kinds, with what is hidden, the action taken there and its key."""
-    path, stage = np.nonzero(played.is_taken[:150])
-    keys = random.keys_of(random.key_of(11), len(path))
-    return picked(played.states, (path, stage)), picked(played.hidden, path), played.action[path, stage], keys
+    trajectory, stage = np.nonzero(played.is_taken[:150])
+    keys = random.keys_of(random.key_of(11), len(trajectory))
+    return (
+        picked(played.states, (trajectory, stage)),
+        picked(played.hidden, trajectory),
+        played.action[trajectory, stage],
+        keys,
+    )
 
 
 def test_a_step_is_the_step_of_the_text(steps):

@@ -35,11 +35,11 @@ def recorded(played, scenes):
 
 def test_the_log_says_what_happened(recorded):
     cuts, logs = recorded
-    assert logs.num_paths == 90
+    assert logs.num_trajectories == 90
     assert np.array_equal(logs.is_finished, cuts.is_finished)
     assert np.array_equal(logs.end_s, cuts.end_s)
-    assert set(logs.paths["cause"].dropna()) == {"sensor-lost"}
-    assert logs.paths["scene"].tolist()[:4] == ["random-1", "random-3", "random-5", "random-1"]
+    assert set(logs.trajectories["cause"].dropna()) == {"sensor-lost"}
+    assert logs.trajectories["scene"].tolist()[:4] == ["random-1", "random-3", "random-5", "random-1"]
     assert logs.num_stages == cuts.is_begun.sum()
     expected = np.where(cuts.is_completed, cuts.episodes.elapsed_s, np.nan)[:, : logs.horizon]
     np.testing.assert_allclose(logs.elapsed_s(), expected, rtol=1e-5)
@@ -50,11 +50,11 @@ def test_the_log_says_what_happened(recorded):
 def test_the_log_holds_nothing_hidden(recorded):
     _, logs = recorded
     assert set(logs.objects.columns) == {
-        *("path", "stage", "object", "location", "occlusion", "log_odds"),
+        *("trajectory", "stage", "object", "location", "occlusion", "log_odds"),
         *("successes", "failures", "lifts", "hidden_by", "attempt_occlusions", "attempt_succeeded"),
     }
     assert logs.stage_covariates == []
-    assert logs.path_columns == ["scene"]
+    assert logs.trajectory_columns == ["scene"]
 
 
 def test_states_and_features_come_back_from_the_log_and_from_disk(recorded, tmp_path):
@@ -84,7 +84,7 @@ def test_states_and_features_come_back_from_the_log_and_from_disk(recorded, tmp_
 def test_what_laws_make_of_a_table_comes_back(config, scenes, names, tmp_path):
     cuts = TableWorld(config).record(scenes, UniformPolicy(), episodes=60, seed=1)
     logs = TableWorld(config).simulate(scenes, UniformPolicy(), episodes=60, seed=1)
-    assert logs.paths["dirty_share"].tolist() == [config.dirty_share] * logs.num_paths
+    assert logs.trajectories["dirty_share"].tolist() == [config.dirty_share] * logs.num_trajectories
     logs.write(tmp_path / "logs")
     for told in (logs, read_logs(tmp_path / "logs")):
         states = states_of(told, config.horizon)
@@ -97,8 +97,8 @@ def test_what_laws_make_of_a_table_comes_back(config, scenes, names, tmp_path):
 
 def test_a_log_without_what_shows_is_read_as_if_it_were_0():
     logs = TableWorld(FITTED).simulate(FITTED_SCENES, UniformPolicy(), episodes=20, seed=1)
-    plain = states_of(Logs(logs.stages, logs.paths, logs.objects.drop(columns=["grip", "seen"])), 10)
-    zeros = states_of(Logs(logs.stages, logs.paths, logs.objects.assign(grip=0.0, seen=0.0)), 10)
+    plain = states_of(Logs(logs.stages, logs.trajectories, logs.objects.drop(columns=["grip", "seen"])), 10)
+    zeros = states_of(Logs(logs.stages, logs.trajectories, logs.objects.assign(grip=0.0, seen=0.0)), 10)
     assert not plain.grip.any()
     for left, right in zip(leaves_of(plain), leaves_of(zeros), strict=True):
         assert np.array_equal(left, right)
@@ -107,18 +107,18 @@ def test_a_log_without_what_shows_is_read_as_if_it_were_0():
 @pytest.fixture(scope="module", params=[1, 2, 3])
 def team(request):
     """What a team played, and its log."""
-    paths = played_teams.played(team_of(request.param), 60)
-    return paths, logged(paths, 0.5)
+    trajectories = played_teams.played(team_of(request.param), 60)
+    return trajectories, logged(trajectories, 0.5)
 
 
 def test_a_log_of_a_team_tells_who_decided_by_one_clock_that_never_falls(team, tmp_path):
-    paths, logs = team
-    assert 0.2 < (logs.paths["ending"] == "cut").mean() < 0.8
+    trajectories, logs = team
+    assert 0.2 < (logs.trajectories["ending"] == "cut").mean() < 0.8
     logs.write(tmp_path / "log")
     assert read_logs(tmp_path / "log").stages["robot"].tolist() == logs.stages["robot"].tolist()
-    assert (np.diff(paths.elapsed_s, axis=1) >= 0).all()
-    first = logs.stages[logs.stages["path"] == 0].dropna(subset=["elapsed_s"])
-    np.testing.assert_allclose(first["elapsed_s"], paths.elapsed_s[0, : len(first)], rtol=1e-5)
+    assert (np.diff(trajectories.elapsed_s, axis=1) >= 0).all()
+    first = logs.stages[logs.stages["trajectory"] == 0].dropna(subset=["elapsed_s"])
+    np.testing.assert_allclose(first["elapsed_s"], trajectories.elapsed_s[0, : len(first)], rtol=1e-5)
     assert ((logs.stages["probability"] > 0) & (logs.stages["probability"] <= 1)).all()
 
 
@@ -128,8 +128,10 @@ def test_who_decides_is_free_and_nobody_is_at_what_another_is_at(team):
     for r in range(stages["robot"].max() + 1):
         is_mine = stages["robot"] == r
         assert stages.loc[is_mine, f"{r}_does"].eq("FREE").all()
-        spent = stages[f"{r}_decisions_to_go"].groupby(stages["path"]).diff().dropna()
-        np.testing.assert_array_equal(-spent, is_mine.groupby(stages["path"]).shift(fill_value=False)[spent.index])
+        spent = stages[f"{r}_decisions_to_go"].groupby(stages["trajectory"]).diff().dropna()
+        np.testing.assert_array_equal(
+            -spent, is_mine.groupby(stages["trajectory"]).shift(fill_value=False)[spent.index]
+        )
         others = stages[~is_mine].dropna(subset=["object"])
         at = others[f"{r}_does"].str.extract(r"(\d+)$")[0].astype("Int64")
         assert not (at == others["object"]).fillna(False).any()
@@ -137,26 +139,26 @@ def test_who_decides_is_free_and_nobody_is_at_what_another_is_at(team):
 
 def test_the_log_tells_who_made_each_attempt(team):
     """By plain loops: who is at an object as its number of attempts grows has tried it."""
-    paths, logs = team
-    found = logs.objects.set_index(["path", "stage", "object"])["attempt_by"]
-    actions, robots, tried = ActionSpace(NUM_OBJECTS), paths.states.robots, paths.states.attempt_object
-    for path, rows in logs.stages.groupby("path"):
+    trajectories, logs = team
+    found = logs.objects.set_index(["trajectory", "stage", "object"])["attempt_by"]
+    actions, robots, tried = ActionSpace(NUM_OBJECTS), trajectories.states.robots, trajectories.states.attempt_object
+    for trajectory, rows in logs.stages.groupby("trajectory"):
         by = {target: [] for target in range(NUM_OBJECTS)}
         for t, target in np.ndindex(len(rows), NUM_OBJECTS):
-            if (tried[path, t] == target).sum() > len(by[target]):
-                was = path, t - 1
+            if (tried[trajectory, t] == target).sum() > len(by[target]):
+                was = trajectory, t - 1
                 verb, at = np.where(robots.is_busy[was], robots.verb[was], 0), robots.target[was].copy()
-                decider, action = paths.states.decider[was], paths.action[was]
+                decider, action = trajectories.states.decider[was], trajectories.action[was]
                 verb[decider], at[decider] = actions.verb(action), actions.target(action)
                 by[target] += [r for r in range(robots.num_robots) if verb[r] in TARGETED and at[r] == target]
-            assert list(found[path, t + 1, target]) == by[target]
+            assert list(found[trajectory, t + 1, target]) == by[target]
     assert {robot for each in found for robot in each} == set(range(robots.num_robots))
 
 
 def test_from_a_log_come_the_states_that_the_team_saw(team):
-    paths, logs = team
-    states, seen = states_of(logs, paths.action.shape[1]), paths.states
-    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
+    trajectories, logs = team
+    states, seen = states_of(logs, trajectories.action.shape[1]), trajectories.states
+    at = logs.stages["trajectory"].to_numpy(), logs.stages["stage"].to_numpy() - 1
     for name in ("is_busy", "is_parked", "decisions_to_go"):
         np.testing.assert_array_equal(getattr(states.robots, name)[at], getattr(seen.robots, name)[at])
     is_busy = seen.robots.is_busy[at]
@@ -170,11 +172,11 @@ def test_from_a_log_come_the_states_that_the_team_saw(team):
 def test_by_who_tried_the_grips_are_believed_as_where_they_were_seen():
     world = world_of(None, LOGISTIC)
     cuts = world.record([SCENE], UniformPolicy(), 60, seed=0)
-    paths, logs = cuts.episodes, to_logs(cuts, "independent", [SCENE])
-    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
+    trajectories, logs = cuts.episodes, to_logs(cuts, "independent", [SCENE])
+    at = logs.stages["trajectory"].to_numpy(), logs.stages["stage"].to_numpy() - 1
     found, known = (
         softmax(grip_posterior(world.played_config, picked(each, at)).log_weights)
-        for each in (states_of(logs, paths.action.shape[1]), paths.states)
+        for each in (states_of(logs, trajectories.action.shape[1]), trajectories.states)
     )
     np.testing.assert_allclose(found, known, rtol=1e-3, atol=1e-6)
 
@@ -182,30 +184,30 @@ def test_by_who_tried_the_grips_are_believed_as_where_they_were_seen():
 @pytest.fixture(scope="module")
 def frail():
     """What a team played whose robots drop out, and its log."""
-    paths = played_teams.played(team_of(3, drop_out_rate=RATES), 80)
-    return paths, logged(paths, 0.3)
+    trajectories = played_teams.played(team_of(3, drop_out_rate=RATES), 80)
+    return trajectories, logged(trajectories, 0.3)
 
 
-def test_paths_tell_when_and_why_each_robot_dropped_out(frail, tmp_path):
-    paths, logs = frail
-    until_s = paths.hidden.until_out_s
+def test_trajectories_tell_when_and_why_each_robot_dropped_out(frail, tmp_path):
+    trajectories, logs = frail
+    until_s = trajectories.hidden.until_out_s
     for r in range(3):
-        out_s = logs.paths[f"{r}_out_s"].to_numpy()
+        out_s = logs.trajectories[f"{r}_out_s"].to_numpy()
         seen = ~np.isnan(out_s)
         np.testing.assert_allclose(out_s[seen], until_s[seen, r], rtol=1e-5)
         assert (out_s[seen] <= logs.end_s[seen]).all()
-        assert logs.paths[f"{r}_out_cause"].eq("battery").to_numpy(dtype=bool).tolist() == seen.tolist()
-    share = [logs.paths[f"{r}_out_s"].notna().mean() for r in range(3)]
+        assert logs.trajectories[f"{r}_out_cause"].eq("battery").to_numpy(dtype=bool).tolist() == seen.tolist()
+    share = [logs.trajectories[f"{r}_out_s"].notna().mean() for r in range(3)]
     assert share[0] > share[1] > share[2] == 0.0
     logs.write(tmp_path / "log")
-    pd.testing.assert_frame_equal(read_logs(tmp_path / "log").paths, logs.paths)
+    pd.testing.assert_frame_equal(read_logs(tmp_path / "log").trajectories, logs.trajectories)
 
 
 def test_who_drew_a_drop_out_before_the_end_and_did_not_drop_out_had_come_to_its_end(frail):
-    paths, logs = frail
-    until_s, states = paths.hidden.until_out_s, paths.states.robots
-    last = logs.stages.groupby("path")["stage"].max().to_numpy() - 1
-    out_s = logs.paths[[f"{r}_out_s" for r in range(3)]].to_numpy()
+    trajectories, logs = frail
+    until_s, states = trajectories.hidden.until_out_s, trajectories.states.robots
+    last = logs.stages.groupby("trajectory")["stage"].max().to_numpy() - 1
+    out_s = logs.trajectories[[f"{r}_out_s" for r in range(3)]].to_numpy()
     for k, r in np.argwhere((until_s < logs.end_s[:, None]) & np.isnan(out_s)):
         is_going_home = states.is_busy[k, last[k], r] and states.verb[k, last[k], r] == 0
         is_spent = states.decisions_to_go[k, last[k], r] <= 1
@@ -214,8 +216,8 @@ def test_who_drew_a_drop_out_before_the_end_and_did_not_drop_out_had_come_to_its
 
 def test_from_then_on_stages_say_out_and_the_robot_decides_no_more(frail):
     _, logs = frail
-    stages = logs.stages.merge(logs.paths, on="path")
-    begin_s = stages["elapsed_s"].groupby(stages["path"]).shift(fill_value=0.0)
+    stages = logs.stages.merge(logs.trajectories, on="trajectory")
+    begin_s = stages["elapsed_s"].groupby(stages["trajectory"]).shift(fill_value=0.0)
     for r in range(3):
         is_out = begin_s >= stages[f"{r}_out_s"]
         np.testing.assert_array_equal(stages[f"{r}_does"] == "OUT", is_out)
@@ -223,11 +225,11 @@ def test_from_then_on_stages_say_out_and_the_robot_decides_no_more(frail):
 
 
 def test_states_come_back_and_who_is_out_does_not_go_on(frail):
-    paths, logs = frail
-    states = states_of(logs, paths.action.shape[1])
-    at = logs.stages["path"].to_numpy(), logs.stages["stage"].to_numpy() - 1
+    trajectories, logs = frail
+    states = states_of(logs, trajectories.action.shape[1])
+    at = logs.stages["trajectory"].to_numpy(), logs.stages["stage"].to_numpy() - 1
     robots, others = picked(states.robots, at), np.arange(3) != states.decider[at][:, None]
-    np.testing.assert_array_equal(robots.is_out, paths.states.robots.is_out[at])
+    np.testing.assert_array_equal(robots.is_out, trajectories.states.robots.is_out[at])
     assert robots.is_out.any()
     is_at_it = robots.is_busy & (robots.verb != Verb.FINISH)
     truth = others & ~robots.is_parked & ~robots.is_out & (is_at_it | (~robots.is_busy & (robots.decisions_to_go > 0)))
@@ -236,7 +238,7 @@ def test_states_come_back_and_who_is_out_does_not_go_on(frail):
 
 def test_without_a_hazard_nothing_of_it_is_in_the_log():
     logs = logged(played_teams.played(team_of(2), 20), 0.0)
-    assert not [name for name in logs.paths.columns if "out" in name]
+    assert not [name for name in logs.trajectories.columns if "out" in name]
     assert states_of(logs, 10).robots.is_out is None
     assert cut_at_drop_outs(logs) is logs
 
@@ -244,18 +246,20 @@ def test_without_a_hazard_nothing_of_it_is_in_the_log():
 def test_a_log_cut_at_drop_outs_is_that_of_a_table_that_ended_there(frail):
     _, logs = frail
     ended = cut_at_drop_outs(logs)
-    out_s = np.fmin.reduce(logs.paths[[f"{r}_out_s" for r in range(3)]].to_numpy(), axis=1)
+    out_s = np.fmin.reduce(logs.trajectories[[f"{r}_out_s" for r in range(3)]].to_numpy(), axis=1)
     is_out = ~np.isnan(out_s)
     assert 10 < is_out.sum() < 70
     np.testing.assert_array_equal(ended.end_s, np.where(is_out, out_s, logs.end_s))
-    assert ended.paths["cause"][is_out].eq("battery").all()
-    assert ended.paths["ending"][~is_out].tolist() == logs.paths["ending"][~is_out].tolist()
+    assert ended.trajectories["cause"][is_out].eq("battery").all()
+    assert ended.trajectories["ending"][~is_out].tolist() == logs.trajectories["ending"][~is_out].tolist()
     assert not ended.stages.filter(like="_does").eq("OUT").any(axis=None)
-    for path, stages in ended.stages.groupby("path"):
-        whole = logs.stages[logs.stages["path"] == path]
+    for trajectory, stages in ended.stages.groupby("trajectory"):
+        whole = logs.stages[logs.stages["trajectory"] == trajectory]
         completed = stages[stages["elapsed_s"].notna()]
-        if is_out[path]:
-            assert completed["elapsed_s"].tolist() == whole["elapsed_s"][whole["elapsed_s"] < out_s[path]].tolist()
+        if is_out[trajectory]:
+            assert (
+                completed["elapsed_s"].tolist() == whole["elapsed_s"][whole["elapsed_s"] < out_s[trajectory]].tolist()
+            )
             assert len(stages) == len(completed) + 1
         else:
             pd.testing.assert_frame_equal(stages.reset_index(drop=True), whole.reset_index(drop=True))
@@ -264,12 +268,12 @@ def test_a_log_cut_at_drop_outs_is_that_of_a_table_that_ended_there(frail):
 @pytest.mark.slow
 def test_weights_take_out_of_a_log_cut_at_drop_outs_what_the_drop_outs_did_to_it():
     def total(logs):
-        return logs.stages.groupby("path")["reward"].sum().to_numpy()
+        return logs.stages.groupby("trajectory")["reward"].sum().to_numpy()
 
-    num_paths = 6000
-    truth = total(logged(played_teams.played(team_of(2, horizon=6), num_paths, seed=3), 0.0))
+    num_trajectories = 6000
+    truth = total(logged(played_teams.played(team_of(2, horizon=6), num_trajectories, seed=3), 0.0))
     frail_team = team_of(2, horizon=6, drop_out_rate=(0.04, 0.04))
-    with_drop_outs = logged(played_teams.played(frail_team, num_paths, seed=4), 0.0)
+    with_drop_outs = logged(played_teams.played(frail_team, num_trajectories, seed=4), 0.0)
     ended = cut_at_drop_outs(with_drop_outs)
     assert ended.cut_share > 0.5
     weights = stage_weights(ended.elapsed_s(), ended.end_s, ended.is_finished)
@@ -277,7 +281,9 @@ def test_weights_take_out_of_a_log_cut_at_drop_outs_what_the_drop_outs_did_to_it
 
     def apart(values):
         """Difference from the truth, in standard errors."""
-        return abs(np.mean(values) - np.mean(truth)) / (np.hypot(np.std(values), np.std(truth)) / np.sqrt(num_paths))
+        return abs(np.mean(values) - np.mean(truth)) / (
+            np.hypot(np.std(values), np.std(truth)) / np.sqrt(num_trajectories)
+        )
 
     assert apart(weighted) < 4.0
     assert apart(total(with_drop_outs)) > 5.0

@@ -13,7 +13,7 @@ from picked import leaves_of
 from played_teams import logged, played, team_of
 
 HALF = np.array([[True, True, True, False], [False, True, True, True]])
-OF_STAGES = ["path", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot"]
+OF_STAGES = ["trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot"]
 
 
 @pytest.fixture(scope="module")
@@ -27,38 +27,40 @@ def seen_in(logs, row):
     seen = {
         name: row[name] for name in logs.stages.columns if "_does" in name or "_since_s" in name or "_to_go" in name
     }
-    is_there = (logs.objects["path"] == row["path"]) & (logs.objects["stage"] == row["stage"])
-    return seen, logs.objects[is_there].drop(columns=["path", "stage"]).to_dict("records")
+    is_there = (logs.objects["trajectory"] == row["trajectory"]) & (logs.objects["stage"] == row["stage"])
+    return seen, logs.objects[is_there].drop(columns=["trajectory", "stage"]).to_dict("records")
 
 
-def begin(path, logs, row, **change):
+def begin(trajectory, logs, row, **change):
     seen, objects = seen_in(logs, row)
     target = None if pd.isna(row["object"]) else row["object"]
     given = {"action": row["action"], "object": target, "probability": row["probability"], "robot": row["robot"]}
     given |= {name: value for name, value in change.items() if name in given}
     seen |= {name: value for name, value in change.items() if name in seen}
-    path.begin_stage(seen, change.get("objects", objects), **given)
+    trajectory.begin_stage(seen, change.get("objects", objects), **given)
 
 
-def record(logs, folder, num_paths=None):
+def record(logs, folder, num_trajectories=None):
     """Live through a log."""
     with LogRecorder(folder, check=check_log) as recorder:
-        for end in logs.paths.head(num_paths).to_dict("records"):
-            path = recorder.begin_path(end["path"], scene=end["scene"], dirty_share=end["dirty_share"])
+        for end in logs.trajectories.head(num_trajectories).to_dict("records"):
+            trajectory = recorder.begin_trajectory(
+                end["trajectory"], scene=end["scene"], dirty_share=end["dirty_share"]
+            )
             outs = sorted((end[f"{r}_out_s"], r) for r in (0, 1) if not pd.isna(end[f"{r}_out_s"]))
-            for row in logs.stages[logs.stages["path"] == end["path"]].to_dict("records"):
-                begin(path, logs, row)
+            for row in logs.stages[logs.stages["trajectory"] == end["trajectory"]].to_dict("records"):
+                begin(trajectory, logs, row)
                 until_s = end["end_s"] if pd.isna(row["elapsed_s"]) else row["elapsed_s"]
                 while outs and outs[0][0] <= until_s:
                     out_s, robot = outs.pop(0)
-                    path.drop_out(robot, end[f"{robot}_out_cause"], elapsed_s=out_s)
+                    trajectory.drop_out(robot, end[f"{robot}_out_cause"], elapsed_s=out_s)
                 if not pd.isna(row["elapsed_s"]):
                     own = [row["0_reward"], row["1_reward"]]
-                    path.complete_stage(row["reward"], elapsed_s=row["elapsed_s"], own_rewards=own)
+                    trajectory.complete_stage(row["reward"], elapsed_s=row["elapsed_s"], own_rewards=own)
             if end["ending"] == "finished":
-                path.finish(elapsed_s=end["end_s"])
+                trajectory.finish(elapsed_s=end["end_s"])
             else:
-                path.cut(end["cause"], elapsed_s=end["end_s"])
+                trajectory.cut(end["cause"], elapsed_s=end["end_s"])
 
 
 @pytest.fixture(scope="module")
@@ -70,10 +72,10 @@ def recorded(logs, tmp_path_factory):
 
 def test_the_log_of_a_team_is_recorded_as_it_was(logs, recorded):
     assert 0 < logs.cut_share < 1
-    assert logs.paths[["0_out_s", "1_out_s"]].notna().sum().min() > 2
+    assert logs.trajectories[["0_out_s", "1_out_s"]].notna().sum().min() > 2
     assert logs.stages["elapsed_s"].eq(0.0).any()
     back = read_logs(recorded)
-    for name in ("stages", "paths", "objects"):
+    for name in ("stages", "trajectories", "objects"):
         there, wanted = getattr(back, name), getattr(logs, name)
         assert set(there.columns) == set(wanted.columns)
         pd.testing.assert_frame_equal(there[wanted.columns], wanted, check_dtype=False)
@@ -90,7 +92,7 @@ def test_the_same_is_learned_from_it(logs, recorded):
     np.testing.assert_array_equal(ours.coefficients, theirs.coefficients)
 
 
-SECOND = "path 0, stage 2"
+SECOND = "trajectory 0, stage 2"
 
 
 @pytest.mark.parametrize(
@@ -100,16 +102,16 @@ SECOND = "path 0, stage 2"
         ({"robot": 0}, f"{SECOND}: 0_does is 'WASH 2', yet robot 0 decides"),
         ({"object": 2}, f"{SECOND}: robot 1 begins with object 2, which robot 0 is at by 0_does"),
         ({"0_does": "DANCE"}, f"{SECOND}: 0_does is 'DANCE'; it is FREE"),
-        ({"0_does": "WASH 9"}, f"{SECOND}: 0_does is 'WASH 9', and no path has more than 4 objects"),
+        ({"0_does": "WASH 9"}, f"{SECOND}: 0_does is 'WASH 9', and no trajectory has more than 4 objects"),
         ({"0_since_s": -1.0}, f"{SECOND}: 0_since_s is -1"),
         ({"1_decisions_to_go": 0}, f"{SECOND}: 1_decisions_to_go is 0, yet robot 1 decides"),
         ({"object": 0}, f"{SECOND}: robot 1 begins with object 0, which it does not reach"),
         ({"objects": "somewhere"}, f"{SECOND}, object 0: location is none of TABLE, DISHWASHER, LOST"),
-        ({"objects": "fewer"}, "path 0, stage 1, object 0: stage 2 lists it no more"),
+        ({"objects": "fewer"}, "trajectory 0, stage 1, object 0: stage 2 lists it no more"),
     ],
 )
 def test_what_no_team_learns_from_is_refused_when_it_is_told(logs, tmp_path, change, told):
-    first = logs.stages[(logs.stages["path"] == 0) & (logs.stages["stage"] == 1)].to_dict("records")[0]
+    first = logs.stages[(logs.stages["trajectory"] == 0) & (logs.stages["stage"] == 1)].to_dict("records")[0]
     first |= {"action": "WASH", "object": 2, "elapsed_s": 0.0, "robot": 0}
     second = first | {"stage": 1, "robot": 1, "object": 3, "0_does": "WASH 2", "0_decisions_to_go": 3}
     _, objects = seen_in(logs, first)
@@ -119,18 +121,18 @@ def test_what_no_team_learns_from_is_refused_when_it_is_told(logs, tmp_path, cha
     }
     change = {name: others[value] if name == "objects" else value for name, value in change.items()}
     with LogRecorder(tmp_path / "logs", check=check_log) as recorder:
-        path = recorder.begin_path(0)
+        trajectory = recorder.begin_trajectory(0)
         unreached = [{name: each[name] for name in each if name != "reached_by"} for each in objects]
         with pytest.raises(LogError, match="objects: there is no column 'reached_by'"):
-            begin(path, logs, first, objects=unreached)
-        begin(path, logs, first)
-        path.complete_stage(0.0, elapsed_s=0.0, own_rewards=[0.0, 0.0])
+            begin(trajectory, logs, first, objects=unreached)
+        begin(trajectory, logs, first)
+        trajectory.complete_stage(0.0, elapsed_s=0.0, own_rewards=[0.0, 0.0])
         with pytest.raises(LogError, match=told) as refused:
-            begin(path, logs, second, **change)
+            begin(trajectory, logs, second, **change)
         assert "\n" not in str(refused.value)
-        begin(path, logs, second)
+        begin(trajectory, logs, second)
         with pytest.raises(LogError, match=r"column '2_out_s' is of a robot that there is none of"):
-            path.drop_out(2, "battery", elapsed_s=1.0)
-        path.complete_stage(0.0, elapsed_s=2.0, own_rewards=[0.0, 0.0])
-        path.finish()
+            trajectory.drop_out(2, "battery", elapsed_s=1.0)
+        trajectory.complete_stage(0.0, elapsed_s=2.0, own_rewards=[0.0, 0.0])
+        trajectory.finish()
     check_log(read_logs(tmp_path / "logs"))

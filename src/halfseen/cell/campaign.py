@@ -198,12 +198,12 @@ class Campaign:
         shutil.rmtree(place, ignore_errors=True)
         cell, is_dirty = self.conditions.cell(self.seed, index)
         with LogRecorder(place) as recorder:
-            path = recorder.begin_path(index, dirty_share=float(self.belief.config.dirty_share))
+            trajectory = recorder.begin_trajectory(index, dirty_share=float(self.belief.config.dirty_share))
             key = random.fold_in(random.key_of(self.seed), index)
             follower = _Nobody() if self.follow is None else self.follow(index, cell)
             clear = partial(play_team if self.conditions.stations else play, cell, is_dirty)
             told = {"tells_truth": self.tells_truth, "on_decision": follower.decided}
-            run = clear(self.policy, self.belief, path, key, **told)
+            run = clear(self.policy, self.belief, trajectory, key, **told)
         follower.ended(run)
         write_file(place / RUN_FILE, json.dumps(asdict(run), indent=1))
         return run

@@ -15,7 +15,7 @@ from halfseen.arrays import Rows
 from halfseen.cell.account import Account, Run
 from halfseen.cell.stops import StoppedError
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.recording.path_recorder import PathRecorder
+from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
 from halfseen.world import random
 from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.policy import Policy
@@ -121,7 +121,7 @@ class Shift(ABC):
 def cleared(
     shift: Shift,
     policy: Policy,
-    path: PathRecorder,
+    trajectory: TrajectoryRecorder,
     key: Key,
     *,
     tells_truth: bool,
@@ -135,7 +135,7 @@ def cleared(
         Who works at it.
     policy
         What decides.
-    path, key, tells_truth, on_decision
+    trajectory, key, tells_truth, on_decision
         As for `halfseen.cell.episode.play`.
 
     Returns
@@ -157,18 +157,18 @@ def cleared(
                 account.truth.add_to(rows, cell)
             drawn_from = random.fold_in(key, step)
             chosen, chance = _chosen(policy, state, drawn_from)
-            path.begin_stage(shift.covariates(), rows, chosen.name, chosen.acted_on, chance, shift.decider)
+            trajectory.begin_stage(shift.covariates(), rows, chosen.name, chosen.acted_on, chance, shift.decider)
             account.decide(chosen.name)
             on_decision(_moment(step, state, chosen, shift.begin(chosen, rows), drawn_from))
             is_over = shift.go_on() or step + 1 == shift.num_decisions
             paid, elapsed_s = account.pay(is_over=is_over), cell.cell.time_s - begin_s
-            path.complete_stage(paid.reward, elapsed_s=elapsed_s, own_rewards=paid.of_robots)
+            trajectory.complete_stage(paid.reward, elapsed_s=elapsed_s, own_rewards=paid.of_robots)
             if is_over:
                 break
-        path.finish(elapsed_s=cell.cell.time_s - begin_s)
+        trajectory.finish(elapsed_s=cell.cell.time_s - begin_s)
     except StoppedError as stopped:
         account.run.cause = str(stopped)
-        path.cut(account.run.cause, elapsed_s=cell.cell.time_s - begin_s)
+        trajectory.cut(account.run.cause, elapsed_s=cell.cell.time_s - begin_s)
     account.run.seconds = cell.cell.time_s - begin_s
     return replace(account.run, **account.truth.counts(cell))
 

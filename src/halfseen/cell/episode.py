@@ -1,4 +1,4 @@
-"""One table, from the first look to its end, by one robot: what came of it, and its path in a log."""
+"""One table, from the first look to its end, by one robot: what came of it, and its trajectory in a log."""
 
 from collections.abc import Callable
 
@@ -8,7 +8,7 @@ from halfseen.cell.account import Account, Run
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
 from halfseen.cell.table_state import Belief, rows_of, state_of
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.recording.path_recorder import PathRecorder
+from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
 from halfseen.world.actions import Verb
 from halfseen.world.policy import Policy
@@ -21,7 +21,7 @@ def play(
     is_dirty: Bool[np.ndarray, " N"],
     policy: Policy,
     belief: Belief,
-    path: PathRecorder,
+    trajectory: TrajectoryRecorder,
     key: Key,
     *,
     tells_truth: bool = False,
@@ -39,7 +39,7 @@ def play(
         What decides.
     belief
         What the robot believes of the world; its rewards are those that are earned.
-    path
+    trajectory
         What is recorded; it is ended, finished or cut.
     key
         What the policy draws from.
@@ -55,7 +55,7 @@ def play(
     """
     account = Account(Run(), cell, is_dirty, belief.config)
     shift = _OneRobot(cell, account, belief)
-    return cleared(shift, policy, path, key, tells_truth=tells_truth, on_decision=on_decision)
+    return cleared(shift, policy, trajectory, key, tells_truth=tells_truth, on_decision=on_decision)
 
 
 class _OneRobot(Shift):

@@ -162,8 +162,8 @@ def scenes_of(logs: Logs) -> list[Scene]:
     assert logs.objects is not None, "tables have objects"
     first = pd.DataFrame(logs.objects[logs.objects["stage"] == 1])
     return [
-        Scene(_matrix(rows["hidden_by"]), str(path), np.array(rows["grip"], dtype=np.float64))
-        for path, rows in first.groupby("path", sort=True)
+        Scene(_matrix(rows["hidden_by"]), str(trajectory), np.array(rows["grip"], dtype=np.float64))
+        for trajectory, rows in first.groupby("trajectory", sort=True)
     ]
 
 

@@ -45,7 +45,7 @@ class TableSeen:
 
 def tables_seen() -> list[TableSeen]:
     """Read what is seen of the ten tables, in their order."""
-    told = json.loads(_path().read_text(encoding="utf-8"))
+    told = json.loads(_trajectory().read_text(encoding="utf-8"))
     return [
         TableSeen(Scene(np.array(one["hides"]), one["name"], places_m=np.array(one["places_m"])), tuple(one["facts"]))
         for one in told
@@ -62,7 +62,7 @@ def look_again() -> list[TableSeen]:
     return [TableSeen(view.scene(), tuple(asdict(each) for each in facts_of(view))) for view in views]
 
 
-def _path() -> Path:
+def _trajectory() -> Path:
     return Path(str(files("halfseen.cell"))) / "tables_seen.json"
 
 
@@ -75,7 +75,7 @@ def _told(seen: TableSeen) -> dict[str, Any]:
 def main() -> None:
     """Write what is seen now."""
     told = [_told(seen) for seen in look_again()]
-    write_file(_path(), "[\n" + ",\n".join(json.dumps(one, default=bool) for one in told) + "\n]\n")
+    write_file(_trajectory(), "[\n" + ",\n".join(json.dumps(one, default=bool) for one in told) + "\n]\n")
 
 
 if __name__ == "__main__":

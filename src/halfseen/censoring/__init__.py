@@ -1,12 +1,12 @@
 """Censoring models Ĝ(u⁻ | z) = P(C ≥ u | z), and the inverse-probability-of-censoring weights that they give.
 
-A *path* is a trajectory: one episode. A *cut* right-censors it at the time C, by something outside the task. What is
-modelled is C, so the roles are swapped beside survival analysis of failures: a cut is the event, and the path's own end
-censors it.
+A *trajectory* is a trajectory: one episode. A *cut* right-censors it at the time C, by something outside the task. What
+is modelled is C, so the roles are swapped beside survival analysis of failures: a cut is the event, and the
+trajectory's own end censors it.
 
 Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
 `kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →
-`named` (models by name) → `weights` → `diagnostics` → `stage_clocks` → `cut_model` (Ĝ by path or by stage) →
+`named` (models by name) → `weights` → `diagnostics` → `stage_clocks` → `cut_model` (Ĝ by trajectory or by stage) →
 `specification` (which model, on which clock). The report: `positivity_facts` → `positivity_text`, `positivity_figure`
 → `positivity`.
 """

@@ -14,14 +14,14 @@ from halfseen.shapes import Float, Int
 def checked_covariates(
     covariates: Any, num_rows: int, kind: str, names: list[str] | None = None
 ) -> tuple[Float[np.ndarray, "n p"], list[str]]:
-    """Covariates of paths as float64, and what their columns are called.
+    """Covariates of trajectories as float64, and what their columns are called.
 
     Parameters
     ----------
     covariates
-        One row for each path, shape (n, p): array-like, or a pandas or Arrow table, whose names are kept.
+        One row for each trajectory, shape (n, p): array-like, or a pandas or Arrow table, whose names are kept.
     num_rows
-        Number of paths.
+        Number of trajectories.
     kind
         The model that asks, for the message.
     names
@@ -34,7 +34,7 @@ def checked_covariates(
         missing or infinite; the row and the column are named.
     """
     if covariates is None:
-        raise ArgumentError(f"{kind} needs covariates, one row for each path; give them, or use KaplanMeier")
+        raise ArgumentError(f"{kind} needs covariates, one row for each trajectory; give them, or use KaplanMeier")
     table = _as_table(covariates)
     if table is not None:
         values, found = _table_values(table, names), [str(name) for name in table.columns]
@@ -43,7 +43,9 @@ def checked_covariates(
         values = _matrix(covariates)
         found = [f"column {j}" for j in range(values.shape[1])] if names is None else names
     if len(values) != num_rows:
-        raise ArgumentError(f"covariates has {len(values)} rows for {num_rows} paths; give one row per path")
+        raise ArgumentError(
+            f"covariates has {len(values)} rows for {num_rows} trajectories; give one row per trajectory"
+        )
     if values.shape[1] != len(found):
         raise ArgumentError(f"covariates has {values.shape[1]} columns, and the fit had {len(found)}; give the same")
     if values.shape[1] == 0:
@@ -52,19 +54,21 @@ def checked_covariates(
     return values, found
 
 
-def rows_of(covariates: Any, rows: Int[np.ndarray, " k"], num_paths: int) -> Any:
-    """Repeat the covariates of these paths, as a table if they came as one.
+def rows_of(covariates: Any, rows: Int[np.ndarray, " k"], num_trajectories: int) -> Any:
+    """Repeat the covariates of these trajectories, as a table if they came as one.
 
     Raises
     ------
     ArgumentError
-        There is not one row for each path.
+        There is not one row for each trajectory.
     """
     if covariates is None:
         return None
     known = _known(covariates)
-    if len(known) != num_paths:
-        raise ArgumentError(f"covariates has {len(known)} rows for {num_paths} paths; give one row per path")
+    if len(known) != num_trajectories:
+        raise ArgumentError(
+            f"covariates has {len(known)} rows for {num_trajectories} trajectories; give one row per trajectory"
+        )
     return known.iloc[rows] if isinstance(known, pd.DataFrame) else known[rows]
 
 
@@ -97,7 +101,7 @@ def checked_question(
 
 
 def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> None:
-    """Refuse a covariate that is the same for all paths.
+    """Refuse a covariate that is the same for all trajectories.
 
     Raises
     ------
@@ -108,8 +112,8 @@ def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> N
     if constant.any():
         column = int(np.argmax(constant))
         raise ArgumentError(
-            f"covariates, {names[column]}: {covariates[0, column]:g} in every row, which tells no path from another; "
-            "leave it out"
+            f"covariates, {names[column]}: {covariates[0, column]:g} in every row, which tells no trajectory from "
+            "another; leave it out"
         )
 
 
@@ -132,7 +136,9 @@ def _matrix(covariates: Any) -> Float[np.ndarray, "n p"]:
     except (TypeError, ValueError) as error:
         raise ArgumentError(f"covariates is not made of numbers ({error}); encode categories as numbers") from error
     if values.ndim != 2:
-        raise ArgumentError(f"covariates has shape {values.shape}; give one row per path and one column per covariate")
+        raise ArgumentError(
+            f"covariates has shape {values.shape}; give one row per trajectory and one column per covariate"
+        )
     return values
 
 
@@ -165,6 +171,6 @@ def _refuse_missing(values: Float[np.ndarray, "n p"], names: list[str]) -> None:
     if len(wrong):
         row, column = wrong[0]
         raise ArgumentError(
-            f"covariates, row {row}, {names[column]}: {values[row, column]} is no value; fill it in, or leave the path "
-            "out knowingly"
+            f"covariates, row {row}, {names[column]}: {values[row, column]} is no value; fill it in, or leave the "
+            "trajectory out knowingly"
         )

@@ -38,10 +38,10 @@ STEP_TOLERANCE = 1e-8
 class Cox(Estimator):
     """Proportional hazards of being cut (right-censored), P(C ≥ u | z) = exp(−Λ0(u⁻) exp((z − z̄)β)) [Cox1972]_.
 
-    β maximises the partial likelihood of the cuts; a path that finishes at s leaves before those that are cut at s.
-    Λ0 is Breslow's baseline [Breslow1974]_ for ``ties="breslow"``, and Efron's [Efron1977]_, which spreads the cuts of
-    one time, for ``ties="efron"``. Unlike `KaplanMeier`, Ĝ never reaches 0, not even where the last paths were cut:
-    beyond ``last_time_`` it keeps its last value, which no path speaks for.
+    β maximises the partial likelihood of the cuts; a trajectory that finishes at s leaves before those that are cut at
+    s. Λ0 is Breslow's baseline [Breslow1974]_ for ``ties="breslow"``, and Efron's [Efron1977]_, which spreads the cuts
+    of one time, for ``ties="efron"``. Unlike `KaplanMeier`, Ĝ never reaches 0, not even where the last trajectories
+    were cut: beyond ``last_time_`` it keeps its last value, which no trajectory speaks for.
 
     Parameters
     ----------
@@ -49,28 +49,28 @@ class Cox(Estimator):
         How cuts at equal times count: ``"efron"`` or ``"breslow"``.
     ridge
         Penalty ridge/2 · Σ_j (β_j · sd_j)² on the log partial likelihood, ≥ 0; above 0 it also settles collinear
-        covariates, and those that tell the cut paths apart perfectly.
+        covariates, and those that tell the cut trajectories apart perfectly.
 
     Attributes
     ----------
     coefficients_ : Float[ndarray, "p"]
-        β, one for each covariate in its own unit; 0 where no path was cut.
+        β, one for each covariate in its own unit; 0 where no trajectory was cut.
     standard_errors_ : Float[ndarray, "p"]
-        Their standard errors, from the inverse information; infinite where no path was cut and ridge is 0.
+        Their standard errors, from the inverse information; infinite where no trajectory was cut and ridge is 0.
     covariates_ : list of str
         What the columns are called.
     means_ : Float[ndarray, "p"]
         z̄: the mean of each covariate.
     times_ : Float[ndarray, "k"]
-        Distinct times at which paths were cut [s], increasing.
+        Distinct times at which trajectories were cut [s], increasing.
     cumulative_hazard_ : Float[ndarray, "k"]
-        Λ0 just after each of `times_`, for a path at `means_`.
+        Λ0 just after each of `times_`, for a trajectory at `means_`.
     log_likelihood_ : float
         Log partial likelihood at β, without the penalty.
     num_iterations_ : int
         Newton steps taken.
-    num_paths_ : int
-        Number of paths that the model was fitted to.
+    num_trajectories_ : int
+        Number of trajectories that the model was fitted to.
     num_cut_ : int
         Number of those that were cut.
     last_time_ : float
@@ -78,7 +78,7 @@ class Cox(Estimator):
 
     Examples
     --------
-    Paths with more clutter are cut sooner:
+    Trajectories with more clutter are cut sooner:
 
     >>> clutter = [[0.1], [0.9], [0.4], [0.8], [0.2], [0.6]]
     >>> cox = Cox().fit([9.0, 2.0, 5.0, 4.0, 6.0, 7.0], [True, False, False, True, False, False], clutter)
@@ -96,7 +96,7 @@ class Cox(Estimator):
     cumulative_hazard_: Float[np.ndarray, " k"]
     log_likelihood_: float
     num_iterations_: int
-    num_paths_: int
+    num_trajectories_: int
     num_cut_: int
     last_time_: float
 
@@ -111,26 +111,28 @@ class Cox(Estimator):
         ------
         ArgumentError
             A time is not finite and positive, the lengths differ, a covariate is missing, constant or a combination of
-            others, fewer paths were cut than there are covariates, or a covariate tells the cut paths apart so well
-            that its coefficient has no end.
+            others, fewer trajectories were cut than there are covariates, or a covariate tells the cut trajectories
+            apart so well that its coefficient has no end.
         """
         self._check_parameters()
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "Cox")
-        paths = cut_order(ends, finished)
+        trajectories = cut_order(ends, finished)
         means, scales = values.mean(axis=0), values.std(axis=0)
-        if len(paths.times):
-            refuse_too_few_cuts(len(paths.cuts), names, self.ridge)
+        if len(trajectories.times):
+            refuse_too_few_cuts(len(trajectories.cuts), names, self.ridge)
             refuse_constant(values, names)
-            scaled = ((values - means) / scales)[paths.order]
-            beta, best, self.num_iterations_ = _maximise(scaled, paths, self.ties == "efron", float(self.ridge), names)
+            scaled = ((values - means) / scales)[trajectories.order]
+            beta, best, self.num_iterations_ = _maximise(
+                scaled, trajectories, self.ties == "efron", float(self.ridge), names
+            )
             covariance = np.linalg.inv(best.information + self.ridge * np.eye(len(beta)))
             self.coefficients_, self.standard_errors_ = beta / scales, np.sqrt(np.diag(covariance)) / scales
             self.cumulative_hazard_, self.log_likelihood_ = np.cumsum(best.hazard), best.value
         else:
             self._fit_nothing(len(names))
         self.covariates_, self.means_ = names, means
-        self.times_, self.num_paths_, self.num_cut_ = paths.times, len(ends), len(paths.cuts)
+        self.times_, self.num_trajectories_, self.num_cut_ = trajectories.times, len(ends), len(trajectories.cuts)
         self.last_time_ = float(ends.max())
         return self
 
@@ -154,7 +156,7 @@ class Cox(Estimator):
             return np.exp(-hazard * ratio).reshape(times.shape)
 
     def _fit_nothing(self, num_covariates: int) -> None:
-        """No path was cut, so Ĝ is 1 and the data say nothing about β."""
+        """No trajectory was cut, so Ĝ is 1 and the data say nothing about β."""
         self.coefficients_ = np.zeros(num_covariates)
         self.standard_errors_ = np.full(num_covariates, np.inf)
         self.cumulative_hazard_ = np.empty(0)
@@ -168,20 +170,20 @@ class Cox(Estimator):
 
 
 def _maximise(
-    covariates: Float[np.ndarray, "n p"], paths: CutOrder, is_efron: bool, ridge: float, names: list[str]
+    covariates: Float[np.ndarray, "n p"], trajectories: CutOrder, is_efron: bool, ridge: float, names: list[str]
 ) -> tuple[Float[np.ndarray, " p"], PartialLikelihood, int]:
     """Find β, the partial likelihood there, and the number of Newton steps; covariates are standardised."""
     beta = np.zeros(covariates.shape[1])
-    now = partial_likelihood(beta, covariates, paths, is_efron)
+    now = partial_likelihood(beta, covariates, trajectories, is_efron)
     initial = now.information
     if ridge == 0:
-        refuse_unidentified(initial, len(paths.cuts), names)
+        refuse_unidentified(initial, len(trajectories.cuts), names)
     for iteration in range(1, MAX_ITERATIONS + 1):
         step = np.linalg.solve(now.information + ridge * np.eye(len(beta)), now.gradient - ridge * beta)
         floor = _penalised(now, beta, ridge)
         floor -= 1e-12 * max(1.0, abs(floor))
         for halving in range(MAX_HALVINGS):
-            now = partial_likelihood(beta + step / 2**halving, covariates, paths, is_efron)
+            now = partial_likelihood(beta + step / 2**halving, covariates, trajectories, is_efron)
             if _penalised(now, beta + step / 2**halving, ridge) >= floor:
                 beta = beta + step / 2**halving
                 break

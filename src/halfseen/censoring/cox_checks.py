@@ -21,8 +21,8 @@ def refuse_too_few_cuts(num_cuts: int, names: list[str], ridge: float | int) -> 
     """
     if num_cuts < len(names) and ridge == 0:
         raise ArgumentError(
-            f"{num_cuts} path{'s were' if num_cuts > 1 else ' was'} cut, too few for {len(names)} covariates; leave "
-            "covariates out, give ridge > 0, or use KaplanMeier"
+            f"{num_cuts} {'trajectories were' if num_cuts > 1 else 'trajectory was'} cut, too few for {len(names)} "
+            "covariates; leave covariates out, give ridge > 0, or use KaplanMeier"
         )
 
 
@@ -38,8 +38,8 @@ def refuse_unidentified(information: Float[np.ndarray, "p p"], num_cuts: int, na
     if (own <= NO_INFORMATION * num_cuts).any():
         column = int(np.argmin(own))
         raise ArgumentError(
-            f"covariates, {names[column]}: the same for all paths still watched, whenever one was cut; leave it out, "
-            "or give ridge > 0"
+            f"covariates, {names[column]}: the same for all trajectories still watched, whenever one was cut; leave it "
+            "out, or give ridge > 0"
         )
     correlation = information / np.sqrt(np.outer(own, own))
     eigenvalues, directions = np.linalg.eigh(correlation)
@@ -71,6 +71,6 @@ def refuse_separation(
 def separation_message(name: str) -> str:
     """Tell which coefficient has no end: the partial likelihood is monotone in it."""
     return (
-        f"covariates, {name}: its coefficient runs off to infinity, since it tells perfectly which of the paths still "
-        "watched is cut next; leave it out, give ridge > 0, or use KaplanMeier"
+        f"covariates, {name}: its coefficient runs off to infinity, since it tells perfectly which of the trajectories "
+        "still watched is cut next; leave it out, give ridge > 0, or use KaplanMeier"
     )

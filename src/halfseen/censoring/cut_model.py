@@ -1,15 +1,16 @@
-"""Who is cut, and when: Ĝ on the clock of a path (total time), or on that of each stage (gap time).
+"""Who is cut, and when: Ĝ on the clock of a trajectory (total time), or on that of each stage (gap time).
 
 ========  ============================================================================================
 ``by``    what the model is fitted to
 ========  ============================================================================================
-path      one row a path: its end, and the covariates with which it began
+trajectory      one row a trajectory: its end, and the covariates with which it began
 stage     for each stage t its own model: how long it was watched, its covariates and its action
 pooled    the same, one model for the rows of all stages
 ========  ============================================================================================
 
-On the clock of stages, a path is uncut until U_t with probability Ĝ(U_t⁻) = Π_{s≤t} K̂_s(D_s⁻ | S_s, A_s), where D_s is
-the duration of stage s: cuts may depend on all that a path has shown so far, through S_s and A_s [Robins1992]_.
+On the clock of stages, a trajectory is uncut until U_t with probability Ĝ(U_t⁻) = Π_{s≤t} K̂_s(D_s⁻ | S_s, A_s), where
+D_s is the duration of stage s: cuts may depend on all that a trajectory has shown so far, through S_s and A_s
+[Robins1992]_.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ from halfseen.censoring.weights import stage_weights
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
 from halfseen.shapes import Bool, Float, Int
 
-CensoringBy = Literal["path", "stage", "pooled"]
+CensoringBy = Literal["trajectory", "stage", "pooled"]
 CENSORING_BY: tuple[str, ...] = get_args(CensoringBy)
 
 
@@ -49,7 +50,7 @@ class CutModel:
     Parameters
     ----------
     by
-        ``"path"``, ``"stage"`` or ``"pooled"``.
+        ``"trajectory"``, ``"stage"`` or ``"pooled"``.
     fitted
         One model; or one for each stage.
     truncate_at
@@ -61,13 +62,13 @@ class CutModel:
     truncate_at: float | int | None = None
 
     def survival(
-        self, paths: StageClocks, age_s: Float[np.ndarray, "n T *S"], is_wanted: Bool[np.ndarray, "n T"]
+        self, trajectories: StageClocks, age_s: Float[np.ndarray, "n T *S"], is_wanted: Bool[np.ndarray, "n T"]
     ) -> Float[np.ndarray, "n T *S"]:
         """K̂: probability that a begun stage is not cut before these ages, given that it began; 1 where not wanted.
 
         Parameters
         ----------
-        paths
+        trajectories
             The log, or another one with the same covariates.
         age_s
             Time since the stage began [s].
@@ -75,66 +76,74 @@ class CutModel:
             Begun stages that are asked about.
         """
         probabilities = np.ones(age_s.shape)
-        if self.by == "path":
-            path, stage = np.nonzero(is_wanted)
-            start = paths.begun_at_s[path, stage]
-            begun = self._ask(0, paths, start, path, np.zeros_like(stage))
-            end = self._ask(0, paths, _add(start, age_s[path, stage]), path, np.zeros_like(stage))
-            probabilities[path, stage] = end / np.where(begun > 0, begun, 1.0).reshape((-1,) + (1,) * (end.ndim - 1))
+        if self.by == "trajectory":
+            trajectory, stage = np.nonzero(is_wanted)
+            start = trajectories.begun_at_s[trajectory, stage]
+            begun = self._ask(0, trajectories, start, trajectory, np.zeros_like(stage))
+            end = self._ask(0, trajectories, _add(start, age_s[trajectory, stage]), trajectory, np.zeros_like(stage))
+            probabilities[trajectory, stage] = end / np.where(begun > 0, begun, 1.0).reshape(
+                (-1,) + (1,) * (end.ndim - 1)
+            )
             return probabilities
         if self.by == "pooled":
-            path, stage = np.nonzero(is_wanted)
-            probabilities[path, stage] = self._ask(0, paths, age_s[path, stage], path, stage)
+            trajectory, stage = np.nonzero(is_wanted)
+            probabilities[trajectory, stage] = self._ask(0, trajectories, age_s[trajectory, stage], trajectory, stage)
             return probabilities
         for t in range(is_wanted.shape[1]):
-            path = np.flatnonzero(is_wanted[:, t])
-            if len(path):
-                probabilities[path, t] = self._ask(t, paths, age_s[path, t], path, np.full_like(path, t))
+            trajectory = np.flatnonzero(is_wanted[:, t])
+            if len(trajectory):
+                probabilities[trajectory, t] = self._ask(
+                    t, trajectories, age_s[trajectory, t], trajectory, np.full_like(trajectory, t)
+                )
         return probabilities
 
-    def weights(self, paths: StageClocks) -> Float[np.ndarray, "n T"]:
+    def weights(self, trajectories: StageClocks) -> Float[np.ndarray, "n T"]:
         """δ_t / Ĝ(U_t⁻), 0 where a stage was not completed.
 
         Raises
         ------
         PositivityError
-            Ĝ is 0 at an observed completion, and no truncation was asked for; path and stage are named.
+            Ĝ is 0 at an observed completion, and no truncation was asked for; trajectory and stage are named.
         """
-        if self.by == "path":
+        if self.by == "trajectory":
             model, columns = self.fitted[0]
             return stage_weights(
-                paths.elapsed_s,
-                paths.end_s,
-                paths.is_finished,
+                trajectories.elapsed_s,
+                trajectories.end_s,
+                trajectories.is_finished,
                 model,
                 self.truncate_at,
-                covariates=_frame(paths.covariate_names, paths.covariates[:, 0], columns),
-                path_ids=paths.path_ids,
+                covariates=_frame(trajectories.covariate_names, trajectories.covariates[:, 0], columns),
+                trajectory_ids=trajectories.trajectory_ids,
             )
-        within = self.survival(paths, paths.watched_s, paths.is_completed)
-        survival = np.cumprod(np.where(paths.is_completed, within, 1.0), axis=1)
+        within = self.survival(trajectories, trajectories.watched_s, trajectories.is_completed)
+        survival = np.cumprod(np.where(trajectories.is_completed, within, 1.0), axis=1)
         if self.truncate_at is None:
-            _refuse_unseen(paths, survival)
-            return np.where(paths.is_completed, 1.0 / survival, 0.0)
-        return np.where(paths.is_completed, 1.0 / np.maximum(survival, 1.0 / self.truncate_at), 0.0)
+            _refuse_unseen(trajectories, survival)
+            return np.where(trajectories.is_completed, 1.0 / survival, 0.0)
+        return np.where(trajectories.is_completed, 1.0 / np.maximum(survival, 1.0 / self.truncate_at), 0.0)
 
-    def begun_weights(self, paths: StageClocks) -> Float[np.ndarray, "n T"]:
+    def begun_weights(self, trajectories: StageClocks) -> Float[np.ndarray, "n T"]:
         """1 / Ĝ(U_{t−1}⁻) of each begun stage: what the stage before it weighed; 0 elsewhere."""
-        before = np.concatenate([np.ones((paths.num_paths, 1)), self.weights(paths)[:, :-1]], axis=1)
-        return np.where(paths.is_begun, before, 0.0)
+        before = np.concatenate(
+            [np.ones((trajectories.num_trajectories, 1)), self.weights(trajectories)[:, :-1]], axis=1
+        )
+        return np.where(trajectories.is_begun, before, 0.0)
 
     def _ask(
-        self, which: int, paths: StageClocks, at_s: Float[np.ndarray, " k *S"], path: Any, stage: Any
+        self, which: int, trajectories: StageClocks, at_s: Float[np.ndarray, " k *S"], trajectory: Any, stage: Any
     ) -> Float[np.ndarray, " k *S"]:
         model, columns = self.fitted[which]
         return np.asarray(
-            model.survival(at_s, _frame(paths.covariate_names, paths.covariates[path, stage], columns)),
+            model.survival(
+                at_s, _frame(trajectories.covariate_names, trajectories.covariates[trajectory, stage], columns)
+            ),
             dtype=np.float64,
         )
 
 
 def fit_cut_model(
-    paths: StageClocks,
+    trajectories: StageClocks,
     censoring: str | CensoringModel,
     by: CensoringBy,
     truncate_at: float | int | None = None,
@@ -143,45 +152,49 @@ def fit_cut_model(
 
     Parameters
     ----------
-    paths
+    trajectories
         The log.
     censoring
         Name of a model, or a model.
     by
-        ``"path"``, ``"stage"`` or ``"pooled"``.
+        ``"trajectory"``, ``"stage"`` or ``"pooled"``.
     truncate_at
         Largest weight allowed.
 
     Raises
     ------
     ArgumentError
-        The model cannot be fitted, or needs the action of a stage in which a path was cut, which was not logged.
+        The model cannot be fitted, or needs the action of a stage in which a trajectory was cut, which was not logged.
     """
     if not isinstance(censoring, str) and is_fitted(censoring):
-        columns = np.arange(len(paths.covariate_names) if uses_covariates(censoring) else 0)
-        which = paths.num_stages if by == "stage" else 1
+        columns = np.arange(len(trajectories.covariate_names) if uses_covariates(censoring) else 0)
+        which = trajectories.num_stages if by == "stage" else 1
         return CutModel(by, (FittedRows(censoring, columns),) * which, truncate_at)
-    if by == "path":
-        _refuse_unknown(paths, np.broadcast_to(np.arange(paths.num_stages) == 0, paths.is_begun.shape))
-        rows = paths.end_s, paths.is_finished, paths.covariates[:, 0]
-        return fit_path_cuts(*rows, paths.covariate_names, censoring, truncate_at)
+    if by == "trajectory":
+        _refuse_unknown(
+            trajectories, np.broadcast_to(np.arange(trajectories.num_stages) == 0, trajectories.is_begun.shape)
+        )
+        rows = trajectories.end_s, trajectories.is_finished, trajectories.covariates[:, 0]
+        return fit_trajectory_cuts(*rows, trajectories.covariate_names, censoring, truncate_at)
     if isinstance(censoring, str) and censoring == "cox":
         censoring = Cox(ridge=STAGE_RIDGE)
     fitted = []
-    for t in range(paths.num_stages) if by == "stage" else [None]:
-        wanted = paths.is_begun if t is None else paths.is_begun & (np.arange(paths.num_stages) == t)
+    for t in range(trajectories.num_stages) if by == "stage" else [None]:
+        wanted = (
+            trajectories.is_begun if t is None else trajectories.is_begun & (np.arange(trajectories.num_stages) == t)
+        )
         if not wanted.any():
-            # No path came so far: nothing can be asked of it either.
+            # No trajectory came so far: nothing can be asked of it either.
             fitted.append(fitted[-1])
             continue
-        _refuse_unknown(paths, wanted)
-        rows = paths.watched_s[wanted], paths.is_completed[wanted], paths.covariates[wanted]
+        _refuse_unknown(trajectories, wanted)
+        rows = trajectories.watched_s[wanted], trajectories.is_completed[wanted], trajectories.covariates[wanted]
         where = "all stages" if t is None else f"stage {t + 1}"
-        fitted.append(_fit(censoring, *rows, paths.covariate_names, where))
+        fitted.append(_fit(censoring, *rows, trajectories.covariate_names, where))
     return CutModel(by, tuple(fitted), truncate_at)
 
 
-def fit_path_cuts(
+def fit_trajectory_cuts(
     end_s: Rows,
     is_finished: RowMask,
     covariates: Float[np.ndarray, "n P"],
@@ -189,12 +202,12 @@ def fit_path_cuts(
     censoring: str | CensoringModel,
     truncate_at: float | int | None = None,
 ) -> CutModel:
-    """Fit Ĝ on the clock of paths, given the covariates with which each began."""
+    """Fit Ĝ on the clock of trajectories, given the covariates with which each began."""
     if not isinstance(censoring, str) and is_fitted(censoring):
         columns = np.arange(len(names) if uses_covariates(censoring) else 0)
-        return CutModel("path", (FittedRows(censoring, columns),), truncate_at)
-    fitted = _fit(censoring, end_s, is_finished, covariates, names, "a path's first stage")
-    return CutModel("path", (fitted,), truncate_at)
+        return CutModel("trajectory", (FittedRows(censoring, columns),), truncate_at)
+    fitted = _fit(censoring, end_s, is_finished, covariates, names, "a trajectory's first stage")
+    return CutModel("trajectory", (fitted,), truncate_at)
 
 
 def _fit(
@@ -212,7 +225,8 @@ def _fit(
     columns = np.flatnonzero(differs)
     if not len(columns):
         raise ArgumentError(
-            f"censoring uses covariates, and none of those of {where} differs between paths; choose 'kaplan-meier'"
+            f"censoring uses covariates, and none of those of {where} differs between trajectories; choose "
+            "'kaplan-meier'"
         )
     try:
         return FittedRows(model.fit(watched_s, is_completed, _frame(names, covariates, columns)), columns)
@@ -228,26 +242,27 @@ def _frame(
     return pd.DataFrame(values[:, columns], columns=pd.Index([names[column] for column in columns]))
 
 
-def _refuse_unknown(paths: StageClocks, wanted: Bool[np.ndarray, "n T"]) -> None:
-    unknown = wanted & np.isnan(paths.covariates).any(axis=-1)
+def _refuse_unknown(trajectories: StageClocks, wanted: Bool[np.ndarray, "n T"]) -> None:
+    unknown = wanted & np.isnan(trajectories.covariates).any(axis=-1)
     if unknown.any():
-        path, stage = np.argwhere(unknown)[0]
-        name = paths.covariate_names[int(np.argmax(np.isnan(paths.covariates[path, stage])))]
+        trajectory, stage = np.argwhere(unknown)[0]
+        name = trajectories.covariate_names[int(np.argmax(np.isnan(trajectories.covariates[trajectory, stage])))]
         raise ArgumentError(
-            f"path {paths.path_ids[path]}, stage {stage + 1}: {name} is not known, and cuts are to depend on it; log "
-            "the action of the stage in which a path is cut, or leave 'action' out of censoring_covariates"
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: {name} is not known, and cuts "
+            "are to depend on it; log the action of the stage in which a trajectory is cut, or leave 'action' out of "
+            "censoring_covariates"
         )
 
 
-def _refuse_unseen(paths: StageClocks, survival: Float[np.ndarray, "n T"]) -> None:
-    unseen = paths.is_completed & (survival <= 0)
+def _refuse_unseen(trajectories: StageClocks, survival: Float[np.ndarray, "n T"]) -> None:
+    unseen = trajectories.is_completed & (survival <= 0)
     if unseen.any():
-        path, stage = np.argwhere(unseen)[0]
-        age_s = paths.watched_s[path, stage]
+        trajectory, stage = np.argwhere(unseen)[0]
+        age_s = trajectories.watched_s[trajectory, stage]
         raise PositivityError(
-            f"path {paths.path_ids[path]}, stage {stage + 1}: completed {age_s:g} s after it began, where the "
-            f"censoring model leaves no stage uncut (Ĝ = 0), so its weight is not identified; shorten the stages to "
-            f"below {age_s:g} s, pool the stages, or truncate the weights knowingly with truncate_at=…"
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: completed {age_s:g} s after it "
+            "began, where the censoring model leaves no stage uncut (Ĝ = 0), so its weight is not identified; shorten "
+            f"the stages to below {age_s:g} s, pool the stages, or truncate the weights knowingly with truncate_at=…"
         )
 
 

@@ -20,7 +20,7 @@ class WeightDiagnostics:
     Parameters
     ----------
     num_weights
-        Number of weights, those of cut paths included.
+        Number of weights, those of cut trajectories included.
     num_seen
         Number of weights above 0.
     effective_sample_size
@@ -147,8 +147,8 @@ def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:
     """
     if diagnostics.effective_sample_size < FEWEST_EFFECTIVE:
         warnings.warn(
-            f"{diagnostics} That is too few to trust an average; record more paths, shorten the horizon, or truncate "
-            "the weights knowingly with truncate_at=…",
+            f"{diagnostics} That is too few to trust an average; record more trajectories, shorten the horizon, or "
+            "truncate the weights knowingly with truncate_at=…",
             HalfseenWarning,
             stacklevel=stacklevel,
         )

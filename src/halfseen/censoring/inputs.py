@@ -10,35 +10,36 @@ from halfseen.shapes import Float
 
 
 def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") -> tuple[Rows, RowMask]:
-    """Observed ends of paths and whether each was the path's own.
+    """Observed ends of trajectories and whether each was the trajectory's own.
 
     Parameters
     ----------
     time
-        Observed end of each path [s], finite and positive, shape (n,).
+        Observed end of each trajectory [s], finite and positive, shape (n,).
     is_finished
-        True where the path reached its own end, False where it was cut, shape (n,); 0 and 1 will do.
+        True where the trajectory reached its own end, False where it was cut, shape (n,); 0 and 1 will do.
     name
         What `time` is called in the caller's signature, for the message.
 
     Raises
     ------
     ArgumentError
-        There are no rows, the lengths differ, or a value is none that a path can have; the row is named.
+        There are no rows, the lengths differ, or a value is none that a trajectory can have; the row is named.
     """
     ends = checked_floats(time, name)
     finished = _checked_bools(is_finished, "is_finished")
     if len(ends) != len(finished):
         raise ArgumentError(
-            f"{name} has {len(ends)} rows and is_finished has {len(finished)}; give one of each per path"
+            f"{name} has {len(ends)} rows and is_finished has {len(finished)}; give one of each per trajectory"
         )
     if len(ends) == 0:
-        raise ArgumentError(f"{name} has no rows; give at least one path")
+        raise ArgumentError(f"{name} has no rows; give at least one trajectory")
     wrong = ~((ends > 0) & np.isfinite(ends))
     if wrong.any():
         row = int(np.argmax(wrong))
         raise ArgumentError(
-            f"{name}, row {row}: {ends[row]} is no end of a path; give a finite time after the path's beginning, > 0 s"
+            f"{name}, row {row}: {ends[row]} is no end of a trajectory; give a finite time after the trajectory's "
+            "beginning, > 0 s"
         )
     return ends, finished
 

@@ -3,9 +3,9 @@
 ========  ========================================================
 symbol    here
 ========  ========================================================
-X_i       ``time``: the observed end of path i [s]
+X_i       ``time``: the observed end of trajectory i [s]
 δ_i       ``is_finished``: False = cut
-s         ``times_``: the distinct times at which paths were cut [s]
+s         ``times_``: the distinct times at which trajectories were cut [s]
 Ĝ(s)      ``survival_``: just after the cuts at s
 Ĝ(u⁻)     ``survival(u)``: just before the cuts at u, P(C ≥ u)
 ========  ========================================================
@@ -22,20 +22,20 @@ from halfseen.shapes import Float
 
 
 class KaplanMeier(Estimator):
-    """Product-limit estimate of the survival function of the censoring time, the same for all paths.
+    """Product-limit estimate of the survival function of the censoring time, the same for all trajectories.
 
-    Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a path that finishes at s leaves before those that
-    are cut at s [KaplanMeier1958]_. Beyond the last observed end Ĝ keeps its last value: 0 when the last paths were
-    cut, and otherwise a value that no path speaks for, so ask no further than ``last_time_``.
+    Ĝ(u⁻) = Π_{s<u} (1 − cuts(s) / (at_risk(s) − finished(s))), where a trajectory that finishes at s leaves before
+    those that are cut at s [KaplanMeier1958]_. Beyond the last observed end Ĝ keeps its last value: 0 when the last
+    trajectories were cut, and otherwise a value that no trajectory speaks for, so ask no further than ``last_time_``.
 
     Attributes
     ----------
     times_ : Float[ndarray, "k"]
-        Distinct times at which paths were cut [s], increasing.
+        Distinct times at which trajectories were cut [s], increasing.
     survival_ : Float[ndarray, "k"]
         Ĝ just after each of `times_`: the steps of the right-continuous curve.
-    num_paths_ : int
-        Number of paths that the curve was fitted to.
+    num_trajectories_ : int
+        Number of trajectories that the curve was fitted to.
     num_cut_ : int
         Number of those that were cut.
     last_time_ : float
@@ -51,7 +51,7 @@ class KaplanMeier(Estimator):
 
     times_: Float[np.ndarray, " k"]
     survival_: Float[np.ndarray, " k"]
-    num_paths_: int
+    num_trajectories_: int
     num_cut_: int
     last_time_: float
 
@@ -66,7 +66,7 @@ class KaplanMeier(Estimator):
         _refuse_covariates(covariates)
         ends, finished = checked_ends(time, is_finished)
         self.times_, self.survival_ = _steps(ends, finished)
-        self.num_paths_ = len(ends)
+        self.num_trajectories_ = len(ends)
         self.num_cut_ = int(len(ends) - np.count_nonzero(finished))
         self.last_time_ = float(ends.max())
         return self

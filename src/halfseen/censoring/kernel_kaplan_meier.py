@@ -5,8 +5,8 @@ symbol    here
 ========  ==============================================================================================
 z_i       ``covariates``: row i, in standard deviations
 h         ``bandwidth_``: width of the neighbourhood, in standard deviations
-K_i(z)    kernel weight of path i for the question z: 1 at z_i = z, falling with |z − z_i| / h
-s         ``times_``: the distinct times at which paths were cut [s]
+K_i(z)    kernel weight of trajectory i for the question z: 1 at z_i = z, falling with |z − z_i| / h
+s         ``times_``: the distinct times at which trajectories were cut [s]
 Ĝ(u⁻|z)   ``survival(u, z)`` = Π_{s<u} (1 − Σ_i K_i(z) 1{i cut at s} / Σ_i K_i(z) 1{i watched at s})
 ========  ==============================================================================================
 """
@@ -27,36 +27,36 @@ from halfseen.shapes import Float
 
 
 class KernelKaplanMeier(Estimator):
-    """Product-limit estimate among the paths that are like the one asked about [Beran1981]_.
+    """Product-limit estimate among the trajectories that are like the one asked about [Beran1981]_.
 
-    A path that finishes at s leaves before those that are cut at s. As the bandwidth grows, Ĝ becomes `KaplanMeier`'s;
-    at infinity it is the same. A question near which nobody is watched any more when others are cut has no answer, and
-    is refused rather than answered from afar.
+    A trajectory that finishes at s leaves before those that are cut at s. As the bandwidth grows, Ĝ becomes
+    `KaplanMeier`'s; at infinity it is the same. A question near which nobody is watched any more when others are cut
+    has no answer, and is refused rather than answered from afar.
 
     Parameters
     ----------
     bandwidth
         Width of the neighbourhood in standard deviations of the covariates, > 0; or ``"cv"``, which chooses among
-        `BANDWIDTHS` by the likelihood of held-out paths (see `cross_validated`).
+        `BANDWIDTHS` by the likelihood of held-out trajectories (see `cross_validated`).
     kernel
         ``"gaussian"``: exp(−d²/2) for a distance of d bandwidths, and 0 beyond 8; ``"epanechnikov"``: 1 − d² within 1.
     num_folds
         Folds of the cross-validation.
     random_state
-        Seed, or a Generator, that deals the paths to folds.
+        Seed, or a Generator, that deals the trajectories to folds.
 
     Attributes
     ----------
     bandwidth_ : float
         The bandwidth in use, in standard deviations.
     cv_scores_ : dict of float to float
-        Mean log-likelihood of a held-out path for each bandwidth that was tried; empty if one was given.
+        Mean log-likelihood of a held-out trajectory for each bandwidth that was tried; empty if one was given.
     covariates_ : list of str
         What the columns are called.
     times_ : Float[ndarray, "k"]
-        Distinct times at which paths were cut [s], increasing.
-    num_paths_ : int
-        Number of paths that the model was fitted to.
+        Distinct times at which trajectories were cut [s], increasing.
+    num_trajectories_ : int
+        Number of trajectories that the model was fitted to.
     num_cut_ : int
         Number of those that were cut.
     last_time_ : float
@@ -64,7 +64,7 @@ class KernelKaplanMeier(Estimator):
 
     Notes
     -----
-    Each question costs O(n), so the weights of n paths cost O(n²); memory stays bounded.
+    Each question costs O(n), so the weights of n trajectories cost O(n²); memory stays bounded.
 
     Examples
     --------
@@ -80,7 +80,7 @@ class KernelKaplanMeier(Estimator):
     cv_scores_: dict[float, float]
     covariates_: list[str]
     times_: Float[np.ndarray, " k"]
-    num_paths_: int
+    num_trajectories_: int
     num_cut_: int
     last_time_: float
 
@@ -97,7 +97,7 @@ class KernelKaplanMeier(Estimator):
         self.random_state = random_state
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "KernelKaplanMeier":
-        """Keep the paths, and choose the bandwidth; given as in `CensoringModel.fit`.
+        """Keep the trajectories, and choose the bandwidth; given as in `CensoringModel.fit`.
 
         Raises
         ------
@@ -115,9 +115,9 @@ class KernelKaplanMeier(Estimator):
         scaled = (values - self._means) / self._scales
         self.cv_scores_ = self._scores(ends, finished, scaled)
         self.bandwidth_ = self._chosen()
-        self._curve = LocalCurve.of_paths(ends, finished, scaled)
+        self._curve = LocalCurve.of_trajectories(ends, finished, scaled)
         self.covariates_, self.times_ = names, self._curve.times
-        self.num_paths_, self.num_cut_ = len(ends), int(np.count_nonzero(~finished))
+        self.num_trajectories_, self.num_cut_ = len(ends), int(np.count_nonzero(~finished))
         self.last_time_ = float(ends.max())
         return self
 
@@ -129,7 +129,7 @@ class KernelKaplanMeier(Estimator):
         ArgumentError
             The model is not fitted, a time is NaN, or the covariates do not match.
         PositivityError
-            Some path was cut before u, and none near z was still watched then.
+            Some trajectory was cut before u, and none near z was still watched then.
         """
         if not hasattr(self, "times_"):
             raise ArgumentError("this KernelKaplanMeier is not fitted; call fit(time, is_finished, covariates) first")
@@ -141,7 +141,7 @@ class KernelKaplanMeier(Estimator):
         if len(wrong):
             row, column = wrong[0]
             raise PositivityError(
-                f"covariates, row {row}: no path near it was still watched when others were cut before "
+                f"covariates, row {row}: no trajectory near it was still watched when others were cut before "
                 f"{per_row[row, column]:g} s, so P(C ≥ {per_row[row, column]:g} s) is not identified at bandwidth "
                 f"{self.bandwidth_:g}; give a larger bandwidth, ask for an earlier time, or use Cox"
             )
@@ -154,7 +154,7 @@ class KernelKaplanMeier(Estimator):
         return cross_validated(ends, finished, scaled, self.kernel, num_folds, np.random.default_rng(seed))
 
     def _chosen(self) -> float:
-        """Choose the widest of the best bandwidths; where no path was cut, any will do."""
+        """Choose the widest of the best bandwidths; where no trajectory was cut, any will do."""
         if self.bandwidth != "cv":
             return float(self.bandwidth)
         if not self.cv_scores_:

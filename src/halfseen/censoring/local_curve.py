@@ -9,9 +9,9 @@ from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.partial_likelihood import CutOrder, cut_order
 from halfseen.shapes import Float
 
-# Floats in one block of questions × paths: 32 MB.
+# Floats in one block of questions × trajectories: 32 MB.
 BLOCK_SIZE = 4_000_000
-# Beyond this many bandwidths a path says nothing: exp(−8²/2) is 1e-14.
+# Beyond this many bandwidths a trajectory says nothing: exp(−8²/2) is 1e-14.
 GAUSSIAN_REACH = 8.0
 
 
@@ -28,29 +28,29 @@ KERNELS = {"gaussian": _gaussian, "epanechnikov": _epanechnikov}
 
 @dataclass(frozen=True)
 class LocalCurve:
-    """Paths in the order in which they leave.
+    """Trajectories in the order in which they leave.
 
     Parameters
     ----------
     covariates
-        Standardised covariates of the paths, in that order.
-    paths
+        Standardised covariates of the trajectories, in that order.
+    trajectories
         The order, and where the cuts stand in it.
     """
 
     covariates: Float[np.ndarray, "n p"]
-    paths: CutOrder
+    trajectories: CutOrder
 
     @classmethod
-    def of_paths(cls, ends: Rows, finished: RowMask, covariates: Float[np.ndarray, "n p"]) -> "LocalCurve":
-        """Sort paths by their ends [s], finishes before cuts at equal times."""
-        paths = cut_order(ends, finished)
-        return cls(covariates[paths.order], paths)
+    def of_trajectories(cls, ends: Rows, finished: RowMask, covariates: Float[np.ndarray, "n p"]) -> "LocalCurve":
+        """Sort trajectories by their ends [s], finishes before cuts at equal times."""
+        trajectories = cut_order(ends, finished)
+        return cls(covariates[trajectories.order], trajectories)
 
     @property
     def times(self) -> Float[np.ndarray, " k"]:
-        """Distinct times at which paths were cut [s]."""
-        return self.paths.times
+        """Distinct times at which trajectories were cut [s]."""
+        return self.trajectories.times
 
     def survival(
         self, u: Float[np.ndarray, "m q"], covariates: Float[np.ndarray, "m p"], bandwidth: float, kernel: str
@@ -82,22 +82,22 @@ class LocalCurve:
 
     def _levels(self, covariates: Float[np.ndarray, "b p"], bandwidth: float, kernel: str) -> Float[np.ndarray, "b K"]:
         """Ĝ before the first cut and after each, one row for each question."""
-        paths = self.paths
+        trajectories = self.trajectories
         ones = np.ones((len(covariates), 1))
-        if len(paths.times) == 0:
+        if len(trajectories.times) == 0:
             return ones
         from scipy.spatial.distance import cdist
 
         with np.errstate(over="ignore"):
             near = KERNELS[kernel](np.square(cdist(covariates, self.covariates) / bandwidth))
-        # One column more: nobody is left after the last path.
+        # One column more: nobody is left after the last trajectory.
         watched = np.pad(np.cumsum(near[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
-        before, after = watched[:, paths.first], watched[:, paths.first + paths.num_cuts]
+        before, after = watched[:, trajectories.first], watched[:, trajectories.first + trajectories.num_cuts]
         stays = np.divide(after, before, out=np.full(before.shape, np.nan), where=before > 0)
         return np.concatenate([ones, np.cumprod(stays, axis=1)], axis=1)
 
 
-def _blocks(num_questions: int, num_paths: int) -> Iterator[slice]:
-    size = max(1, BLOCK_SIZE // max(1, num_paths))
+def _blocks(num_questions: int, num_trajectories: int) -> Iterator[slice]:
+    size = max(1, BLOCK_SIZE // max(1, num_trajectories))
     for start in range(0, num_questions, size):
         yield slice(start, min(start + size, num_questions))

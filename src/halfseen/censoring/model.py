@@ -1,4 +1,4 @@
-"""What a censoring model is: anything that, once fitted to the ends of trajectories (paths), tells P(C ≥ u | z)."""
+"""What a censoring model is: anything that, once fitted to the ends of trajectories, tells P(C ≥ u | z)."""
 
 from typing import Any, Protocol, runtime_checkable
 
@@ -10,9 +10,9 @@ from halfseen.shapes import Float
 
 @runtime_checkable
 class CensoringModel(Protocol):
-    """Estimates the distribution of C, the time at which something outside the task cuts (right-censors) a path.
+    """Estimates the distribution of C, the time at which something outside the task cuts (right-censors) a trajectory.
 
-    C is itself right-censored, by the path's own end. At equal times completions come before cuts.
+    C is itself right-censored, by the trajectory's own end. At equal times completions come before cuts.
 
     A model that was fitted has an attribute whose name ends in ``_``, as in scikit-learn; one without is fitted, on a
     copy, by whoever needs it. A model that conditions on covariates says ``uses_covariates = True``; one that does not
@@ -20,17 +20,17 @@ class CensoringModel(Protocol):
     """
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "CensoringModel":
-        """Fit to the observed ends of paths.
+        """Fit to the observed ends of trajectories.
 
         Parameters
         ----------
         time
-            Observed end of each path [s], finite and positive, shape (n,).
+            Observed end of each trajectory [s], finite and positive, shape (n,).
         is_finished
-            False where the path was cut, shape (n,).
+            False where the trajectory was cut, shape (n,).
         covariates
-            What the model conditions on, one row for each path, shape (n, p): array-like, or a table, whose names are
-            kept for messages. None for a model that conditions on nothing.
+            What the model conditions on, one row for each trajectory, shape (n, p): array-like, or a table, whose names
+            are kept for messages. None for a model that conditions on nothing.
         """
         ...
 

@@ -41,18 +41,18 @@ def named_model(censoring: str | CensoringModel) -> CensoringModel:
 def fitted_model(
     model: str | CensoringModel | None, time: ArrayLike, is_finished: ArrayLike, covariates: Any
 ) -> CensoringModel:
-    """Take a fitted model as it is; fit a name, or a copy of an unfitted model, to these paths.
+    """Take a fitted model as it is; fit a name, or a copy of an unfitted model, to these trajectories.
 
     Parameters
     ----------
     model
         A name, a model, or None for Kaplan–Meier.
     time
-        Observed end of each path [s], shape (n,).
+        Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the path was cut, shape (n,).
+        False where the trajectory was cut, shape (n,).
     covariates
-        One row for each path, or None.
+        One row for each trajectory, or None.
 
     Raises
     ------

@@ -1,12 +1,12 @@
-"""Cox's partial likelihood of the cuts, with its gradient and information, for paths sorted once.
+"""Cox's partial likelihood of the cuts, with its gradient and information, for trajectories sorted once.
 
-A path that finishes at s leaves before those that are cut at s. So in the order of the time, finishes first, those
-at risk at a cut time are the paths from its first cut on, and every sum over them is a suffix sum.
+A trajectory that finishes at s leaves before those that are cut at s. So in the order of the time, finishes first,
+those at risk at a cut time are the trajectories from its first cut on, and every sum over them is a suffix sum.
 
 ========  ==============================================================================================
 symbol    here
 ========  ==============================================================================================
-s_k       ``times``: the distinct times at which paths were cut [s]
+s_k       ``times``: the distinct times at which trajectories were cut [s]
 R_k       the risk set at s_k: the rows from ``first[k]`` on
 D_k       cut at s_k: the ``num_cuts[k]`` rows from ``first[k]`` on
 r_i       relative risk exp(z_i β)
@@ -28,18 +28,18 @@ SMALLEST_RISK = 1e-290
 
 @dataclass(frozen=True)
 class CutOrder:
-    """Paths in the order in which they leave, and where each group of cuts stands in it.
+    """Trajectories in the order in which they leave, and where each group of cuts stands in it.
 
     Parameters
     ----------
     order
-        Rows of the paths, sorted by time, finishes before cuts at equal times.
+        Rows of the trajectories, sorted by time, finishes before cuts at equal times.
     times
-        Distinct times at which paths were cut [s].
+        Distinct times at which trajectories were cut [s].
     first
-        Place in the order of the first path cut at each time.
+        Place in the order of the first trajectory cut at each time.
     num_cuts
-        Number of paths cut at each time.
+        Number of trajectories cut at each time.
     group
         For each cut, the index of its time.
     place
@@ -60,7 +60,7 @@ class CutOrder:
 
 
 def cut_order(ends: Rows, finished: RowMask) -> CutOrder:
-    """Sort paths by their ends, finishes before cuts at equal times."""
+    """Sort trajectories by their ends, finishes before cuts at equal times."""
     order = np.lexsort((~finished, ends))
     cuts = np.flatnonzero(~finished[order])
     cut_ends = ends[order[cuts]]
@@ -93,7 +93,7 @@ class PartialLikelihood:
 
 
 def partial_likelihood(
-    beta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n p"], paths: CutOrder, is_efron: bool
+    beta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n p"], trajectories: CutOrder, is_efron: bool
 ) -> PartialLikelihood:
     """Evaluate Cox's partial likelihood [Cox1972]_ in O(n p²), ties after [Breslow1974]_ or [Efron1977]_.
 
@@ -102,37 +102,37 @@ def partial_likelihood(
     beta
         Coefficients.
     covariates
-        Covariates of the paths, in their order of leaving.
-    paths
+        Covariates of the trajectories, in their order of leaving.
+    trajectories
         That order.
     is_efron
         Efron's treatment of ties among the cuts; otherwise Breslow's.
 
     Notes
     -----
-    No p × p matrix is made for each path. Σ_j Σ_{i ∈ R_j} r_i z_i z_iᵀ / D_j is one product Zᵀ diag(r · exposure) Z,
-    where a path's exposure Σ_{j: i ∈ R_j} 1/D_j grows from cut to cut while it is watched.
+    No p × p matrix is made for each trajectory. Σ_j Σ_{i ∈ R_j} r_i z_i z_iᵀ / D_j is one product Zᵀ diag(r · exposure)
+    Z, where a trajectory's exposure Σ_{j: i ∈ R_j} 1/D_j grows from cut to cut while it is watched.
     """
     scores = covariates @ beta
     # Relative to the largest, so that no risk overflows.
     shift = scores.max()
     risk = np.exp(scores - shift)
-    cuts, group = paths.cuts, paths.group
-    at_risk = _suffix_sums(risk)[paths.first][group]
-    at_risk_gradient = _suffix_sums(risk[:, None] * covariates)[paths.first][group]
-    phi = paths.place / paths.num_cuts[group] if is_efron else np.zeros(len(cuts))
+    cuts, group = trajectories.cuts, trajectories.group
+    at_risk = _suffix_sums(risk)[trajectories.first][group]
+    at_risk_gradient = _suffix_sums(risk[:, None] * covariates)[trajectories.first][group]
+    phi = trajectories.place / trajectories.num_cuts[group] if is_efron else np.zeros(len(cuts))
     if is_efron:
-        at_risk = at_risk - phi * _group_sums(risk[cuts], paths)[group]
-        cut_gradient = _group_sums(risk[cuts, None] * covariates[cuts], paths)[group]
+        at_risk = at_risk - phi * _group_sums(risk[cuts], trajectories)[group]
+        cut_gradient = _group_sums(risk[cuts, None] * covariates[cuts], trajectories)[group]
         at_risk_gradient = at_risk_gradient - phi[:, None] * cut_gradient
     if at_risk.min() < SMALLEST_RISK:
-        return _nowhere(len(beta), len(paths.times))
+        return _nowhere(len(beta), len(trajectories.times))
     mean = at_risk_gradient / at_risk[:, None]
-    hazard = _group_sums(1.0 / at_risk, paths)
+    hazard = _group_sums(1.0 / at_risk, trajectories)
     steps = np.zeros(len(risk))
-    steps[paths.first] = hazard
+    steps[trajectories.first] = hazard
     exposure = np.cumsum(steps)
-    exposure[cuts] -= _group_sums(phi / at_risk, paths)[group]
+    exposure[cuts] -= _group_sums(phi / at_risk, trajectories)[group]
     return PartialLikelihood(
         value=float((scores[cuts] - shift).sum() - np.log(at_risk).sum()),
         gradient=(covariates[cuts] - mean).sum(axis=0),
@@ -151,6 +151,6 @@ def _suffix_sums(values: np.ndarray) -> np.ndarray:
     return np.cumsum(values[::-1], axis=0)[::-1]
 
 
-def _group_sums(values: np.ndarray, paths: CutOrder) -> np.ndarray:
+def _group_sums(values: np.ndarray, trajectories: CutOrder) -> np.ndarray:
     """Sum over the cuts at each time."""
-    return np.add.reduceat(values, np.concatenate(([0], np.cumsum(paths.num_cuts)[:-1])), axis=0)
+    return np.add.reduceat(values, np.concatenate(([0], np.cumsum(trajectories.num_cuts)[:-1])), axis=0)

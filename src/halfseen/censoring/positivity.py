@@ -1,4 +1,4 @@
-"""The positivity report: from paths and a censoring model to numbers, told in words or drawn."""
+"""The positivity report: from trajectories and a censoring model to numbers, told in words or drawn."""
 
 from typing import TYPE_CHECKING, Any
 
@@ -10,9 +10,9 @@ from halfseen.censoring.diagnostics import weight_diagnostics
 from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation
 from halfseen.censoring.model import CensoringModel
 from halfseen.censoring.named import fitted_model
-from halfseen.censoring.positivity_facts import PositivityFacts, Truncation, WeightedPath
+from halfseen.censoring.positivity_facts import PositivityFacts, Truncation, WeightedTrajectory
 from halfseen.censoring.positivity_text import text
-from halfseen.censoring.weights import path_names, refuse_improbable, survival_of_rows
+from halfseen.censoring.weights import refuse_improbable, survival_of_rows, trajectory_names
 from halfseen.errors import ArgumentError
 from halfseen.shapes import Float
 
@@ -34,7 +34,7 @@ class PositivityReport(PositivityFacts):
 
     @property
     def panels(self) -> tuple[str, ...]:
-        """Names of the panels of its figure that have something to show; none where no path finished."""
+        """Names of the panels of its figure that have something to show; none where no trajectory finished."""
         if not self.num_finished:
             return ()
         return ("weights", "means", "sizes") if self.truncations else ("weights",)
@@ -59,29 +59,30 @@ def positivity_report(
     model: str | CensoringModel | None = None,
     *,
     covariates: Any = None,
-    path_ids: ArrayLike | None = None,
+    trajectory_ids: ArrayLike | None = None,
     target: ArrayLike | None = None,
     target_name: str = "target",
     truncate_at: float | int | None = None,
 ) -> PositivityReport:
-    """Report what the weights of these paths rest on; unlike the weights, it also answers where they have none.
+    """Report what the weights of these trajectories rest on; unlike the weights, it also answers where they have none.
 
     The weighted mean at a grid of bounds follows [ColeHernan2008]_.
 
     Parameters
     ----------
     time
-        Observed end of each path [s], shape (n,).
+        Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the path was cut, shape (n,).
+        False where the trajectory was cut, shape (n,).
     model
-        As in `censoring_weights`: fitted, or a name or an unfitted model that is fitted to these paths.
+        As in `censoring_weights`: fitted, or a name or an unfitted model that is fitted to these trajectories.
     covariates
-        What `model` conditions on, one row for each path.
-    path_ids
-        Names of the paths; their rows by default.
+        What `model` conditions on, one row for each trajectory.
+    trajectory_ids
+        Names of the trajectories; their rows by default.
     target
-        The quantity whose mean is wanted, one value for each path, NaN where it was cut; the time to finish by default.
+        The quantity whose mean is wanted, one value for each trajectory, NaN where it was cut; the time to finish by
+        default.
     target_name
         What it is called, with its unit.
     truncate_at
@@ -90,41 +91,41 @@ def positivity_report(
     Raises
     ------
     ArgumentError
-        A value is none that a path can have; the row is named.
+        A value is none that a trajectory can have; the row is named.
 
     Examples
     --------
     >>> report = positivity_report([1.0, 2.0, 2.0, 3.0], [True, False, True, True])
-    >>> [(heavy.path, round(heavy.weight, 6)) for heavy in report.heaviest]
+    >>> [(heavy.trajectory, round(heavy.weight, 6)) for heavy in report.heaviest]
     [(3, 2.0), (0, 1.0), (2, 1.0)]
     """
     ends, finished = checked_ends(time, is_finished)
-    names = path_names(path_ids, len(ends))
+    names = trajectory_names(trajectory_ids, len(ends))
     bound = checked_truncation(truncate_at)
     model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
     values, quantity = _target(target, target_name, ends, rows)
     seen = survival_of_rows(model, ends[rows], covariates, rows, len(ends))
-    refuse_improbable(seen, lambda k: (f"path {names[rows[k]]}", "finished", ends[rows[k]]))
+    refuse_improbable(seen, lambda k: (f"trajectory {names[rows[k]]}", "finished", ends[rows[k]]))
     with np.errstate(divide="ignore"):
         weights = 1.0 / seen
     last_s = min(float(ends.max()), float(getattr(model, "last_time_", np.inf)))
     until_s = min(last_s, float(ends[rows][np.isinf(weights)].min(initial=np.inf)))
     in_use = np.zeros(len(ends))
-    # Without a bound the paths that have no weight stand outside; the report says so first.
+    # Without a bound the trajectories that have no weight stand outside; the report says so first.
     in_use[rows] = np.where(np.isinf(weights), 0.0, weights) if bound is None else np.minimum(weights, bound)
     tail_from_s = float(np.quantile(ends[rows], 1 - TAIL_SHARE, method="higher")) if len(rows) else np.nan
-    path = names.tolist()
+    trajectory = names.tolist()
     order = np.lexsort((ends[rows], -weights))
-    named = [WeightedPath(path[rows[k]], float(ends[rows[k]]), float(weights[k])) for k in order]
+    named = [WeightedTrajectory(trajectory[rows[k]], float(ends[rows[k]]), float(weights[k])) for k in order]
     return PositivityReport(
-        num_paths=len(ends),
+        num_trajectories=len(ends),
         num_finished=len(rows),
         overall=weight_diagnostics(in_use, bound),
         tail=weight_diagnostics(in_use[finished & (ends >= tail_from_s)], bound),
         tail_from_s=tail_from_s,
-        heaviest=tuple(path for path in named if np.isfinite(path.weight))[:NUM_HEAVIEST],
-        unidentified=tuple(path for path in named if np.isinf(path.weight)),
+        heaviest=tuple(trajectory for trajectory in named if np.isfinite(trajectory.weight))[:NUM_HEAVIEST],
+        unidentified=tuple(trajectory for trajectory in named if np.isinf(trajectory.weight)),
         identified_until_s=until_s,
         num_extrapolated=int(np.count_nonzero((ends[rows] > until_s) & (seen > 0))),
         ends_in_cut=bool((~finished[ends == ends.max()]).any()),
@@ -143,11 +144,13 @@ def _target(target: ArrayLike | None, name: str, ends: Rows, rows: np.ndarray) -
         return ends[rows], "time to finish [s]"
     values = checked_floats(target, "target")
     if len(values) != len(ends):
-        raise ArgumentError(f"target has {len(values)} rows for {len(ends)} paths; give one value per path")
+        raise ArgumentError(
+            f"target has {len(values)} rows for {len(ends)} trajectories; give one value per trajectory"
+        )
     wrong = ~np.isfinite(values[rows])
     if wrong.any():
         row = rows[int(np.argmax(wrong))]
-        raise ArgumentError(f"target, row {row}: {values[row]}, but the path finished; give a finite value")
+        raise ArgumentError(f"target, row {row}: {values[row]}, but the trajectory finished; give a finite value")
     return values[rows], name
 
 

@@ -9,16 +9,16 @@ from halfseen.censoring.diagnostics import FEWEST_EFFECTIVE, WeightDiagnostics
 from halfseen.shapes import Float
 
 MEAN_WEIGHT_MARGIN = 0.1
-"""Weights whose mean is this far from 1 do not stand for all paths."""
+"""Weights whose mean is this far from 1 do not stand for all trajectories."""
 
 
 @dataclass(frozen=True)
-class WeightedPath:
-    """One path that finished, and its weight.
+class WeightedTrajectory:
+    """One trajectory that finished, and its weight.
 
     Parameters
     ----------
-    path
+    trajectory
         Its name.
     time_s
         When it finished [s].
@@ -26,7 +26,7 @@ class WeightedPath:
         1/Ĝ(time⁻), infinite where Ĝ is 0.
     """
 
-    path: Any
+    trajectory: Any
     time_s: float
     weight: float
 
@@ -40,7 +40,7 @@ class Truncation:
     truncate_at
         The bound; None for none.
     mean
-        Σ w y / Σ w over the paths that finished: the weighted mean of the quantity.
+        Σ w y / Σ w over the trajectories that finished: the weighted mean of the quantity.
     effective_sample_size
         (Σ w)² / Σ w².
     share_removed
@@ -59,31 +59,31 @@ class PositivityFacts:
 
     Parameters
     ----------
-    num_paths
-        Number of paths.
+    num_trajectories
+        Number of trajectories.
     num_finished
         Number of those that reached their own end; the rest were cut.
     overall
         Diagnostics of the weights as they are used (bounded, if a bound was given).
     tail
-        The same for the tail alone: the paths that finished at `tail_from_s` or later.
+        The same for the tail alone: the trajectories that finished at `tail_from_s` or later.
     tail_from_s
         The time from which the last quarter of the observed finishes lies [s]; NaN where none finished.
     heaviest
         The five largest weights, or fewer, before any truncation, and whose they are.
     unidentified
-        Paths that finished where Ĝ is 0: without truncation they have no weight.
+        Trajectories that finished where Ĝ is 0: without truncation they have no weight.
     identified_until_s
-        The last observed end, of these paths or of those that the model was fitted to, whichever comes first [s];
-        earlier if Ĝ is 0 at an observed finish. Nothing is known of finishes later than this.
+        The last observed end, of these trajectories or of those that the model was fitted to, whichever comes first
+        [s]; earlier if Ĝ is 0 at an observed finish. Nothing is known of finishes later than this.
     num_extrapolated
-        Number of paths that finished later than `identified_until_s` with Ĝ above 0: the model answers for them
+        Number of trajectories that finished later than `identified_until_s` with Ĝ above 0: the model answers for them
         without having seen anyone so late.
     ends_in_cut
-        True where the last observed end is a cut, so that some paths would have finished later than any did.
+        True where the last observed end is a cut, so that some trajectories would have finished later than any did.
     mean_weight
-        Σ w / n. Near 1 if the model is right and every finish could be seen; for Kaplan–Meier on its own paths it is
-        exactly the estimated probability to finish by `identified_until_s` [SattenDatta2001]_.
+        Σ w / n. Near 1 if the model is right and every finish could be seen; for Kaplan–Meier on its own trajectories
+        it is exactly the estimated probability to finish by `identified_until_s` [SattenDatta2001]_.
     truncations
         The weighted mean at a grid of bounds, from none (where all is identified) down to 1, which is no weighting.
     quantity
@@ -91,20 +91,20 @@ class PositivityFacts:
     truncate_at
         The bound in use, if any.
     finish_s
-        When each path that finished did so [s].
+        When each trajectory that finished did so [s].
     weights
         Its weight before truncation, infinite where Ĝ is 0.
     cut_s
-        When each cut path was cut [s].
+        When each cut trajectory was cut [s].
     """
 
-    num_paths: int
+    num_trajectories: int
     num_finished: int
     overall: WeightDiagnostics
     tail: WeightDiagnostics
     tail_from_s: float
-    heaviest: tuple[WeightedPath, ...]
-    unidentified: tuple[WeightedPath, ...]
+    heaviest: tuple[WeightedTrajectory, ...]
+    unidentified: tuple[WeightedTrajectory, ...]
     identified_until_s: float
     num_extrapolated: int
     ends_in_cut: bool
@@ -133,10 +133,10 @@ class PositivityFacts:
 
     @property
     def is_off(self) -> bool:
-        """True where unbounded weights add up to less or more than the paths, within a tenth."""
+        """True where unbounded weights add up to less or more than the trajectories, within a tenth."""
         return self.truncate_at is None and abs(self.mean_weight - 1.0) > MEAN_WEIGHT_MARGIN
 
     @property
     def is_thin(self) -> bool:
-        """True where the tail's effective sample size is below 10, and below half of its paths."""
+        """True where the tail's effective sample size is below 10, and below half of its trajectories."""
         return self.tail.effective_sample_size < min(FEWEST_EFFECTIVE, self.tail.num_seen / 2)

@@ -80,7 +80,7 @@ def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> 
         heavy = facts.heaviest[0]
         is_late = heavy.time_s > np.mean(axes.get_xlim())
         axes.annotate(
-            f"path {heavy.path}: {heavy.weight:.3g}",
+            f"trajectory {heavy.trajectory}: {heavy.weight:.3g}",
             (heavy.time_s, heavy.weight),
             xytext=(-7 if is_late else 7, 0),
             textcoords="offset points",
@@ -96,7 +96,7 @@ def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> 
 def _draw_means(axes: Axes, facts: PositivityFacts, title_chars: int = 40) -> None:
     rows = facts.truncations
     if not rows:
-        _leave_empty(axes, "no path finished")
+        _leave_empty(axes, "no trajectory finished")
         return
     bounds, means = _bounds(facts), [row.mean for row in rows]
     axes.axhline(means[0], color=FAINT, lw=0.9)
@@ -114,7 +114,7 @@ def _draw_means(axes: Axes, facts: PositivityFacts, title_chars: int = 40) -> No
 def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> None:
     rows = facts.truncations
     if not rows:
-        _leave_empty(axes, "no path finished")
+        _leave_empty(axes, "no trajectory finished")
         return
     bounds, sizes = _bounds(facts), [row.effective_sample_size for row in rows]
     axes.axhline(FEWEST_EFFECTIVE, color=CUT_COLOUR, lw=0.9)
@@ -133,7 +133,7 @@ def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> Non
     axes.set_ylim(0, 1.15 * max(*sizes, FEWEST_EFFECTIVE, facts.num_finished))
     axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8.5, color=CUT_INK)
     _bound_axis(axes, bounds)
-    axes.set_ylabel("effective sample size [paths]")
+    axes.set_ylabel("effective sample size [trajectories]")
     shown = "Effective sample size of the finishes; in per cent, the weight that the bound takes away"
     _title(axes, shown, title_chars)
 
@@ -156,8 +156,8 @@ def _bound_axis(axes: Axes, bounds: list[float]) -> None:
 
 def _weights_title(facts: PositivityFacts) -> str:
     if not facts.heaviest:
-        return f"{facts.num_paths} paths, of which none has a weight"
-    shown = f"{facts.num_finished} of {facts.num_paths} paths finished"
+        return f"{facts.num_trajectories} trajectories, of which none has a weight"
+    shown = f"{facts.num_finished} of {facts.num_trajectories} trajectories finished"
     if facts.heaviest[0].weight == 1:
         return f"{shown}, and all weigh 1"
     mass = facts.weights[np.isfinite(facts.weights)]

@@ -21,13 +21,13 @@ class CensoringSpec:
     model
         ``"kaplan-meier"``, ``"cox"``, ``"kernel"``, or a fitted or unfitted `CensoringModel`: what Ĝ is.
     by
-        ``"path"``: Ĝ on the total-time scale, given how the path began; ``"stage"``: a model for each stage, on the
-        gap-time scale; ``"pooled"``: one such model for all stages (see `cut_model`). By stage or pooled, ``"cox"`` is
-        ``Cox(ridge=1)``.
+        ``"trajectory"``: Ĝ on the total-time scale, given how the trajectory began; ``"stage"``: a model for each
+        stage, on the gap-time scale; ``"pooled"``: one such model for all stages (see `cut_model`). By stage or pooled,
+        ``"cox"`` is ``Cox(ridge=1)``.
     covariates
         What a model that uses covariates is given: columns of the stages, and ``"action"`` for the action; for a table
         ``"num_objects"``, ``"mean_occlusion"``, ``"action"``, ``"target_occlusion"``. None for all, the action by
-        stage only, and of a path's first table the first two.
+        stage only, and of a trajectory's first table the first two.
     truncate_at
         Largest weight 1/Ĝ allowed; None truncates nothing.
 
@@ -38,7 +38,7 @@ class CensoringSpec:
     """
 
     model: str | CensoringModel = "kaplan-meier"
-    by: CensoringBy | str = "path"
+    by: CensoringBy | str = "trajectory"
     covariates: Sequence[str] | None = None
     truncate_at: float | int | None = None
 
@@ -66,10 +66,10 @@ class CensoringSpec:
         return uses_covariates(named_model(self.model))
 
     def looks_at(self, clocks: StageClocks) -> StageClocks | None:
-        """What of a part of a log Ĝ is fitted to, beyond the ends of the paths; None if nothing."""
-        if self.by != "path":
+        """What of a part of a log Ĝ is fitted to, beyond the ends of the trajectories; None if nothing."""
+        if self.by != "trajectory":
             return clocks
-        # On the clock of paths, Ĝ looks at how each began alone.
+        # On the clock of trajectories, Ĝ looks at how each began alone.
         return clocks.begun() if self.uses_covariates else None
 
     def fit_cuts(self, clocks: StageClocks) -> CutModel:
@@ -78,7 +78,8 @@ class CensoringSpec:
         Raises
         ------
         ArgumentError
-            The model cannot be fitted, or needs the action of a stage in which a path was cut, which was not logged.
+            The model cannot be fitted, or needs the action of a stage in which a trajectory was cut, which was not
+            logged.
         """
         by: Any = self.by
         return fit_cut_model(clocks, self.model, by, self.truncate_at)

@@ -1,4 +1,4 @@
-"""When each stage of each path began and ended, and who was cut: what models of the cuts by stage run on."""
+"""When each stage of each trajectory began and ended, and who was cut: what models of the cuts by stage run on."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -12,14 +12,14 @@ SMALLEST_AGE_S = 1e-9
 
 
 class StageClocks(NamedTuple):
-    """Paths, one a row, and their stages, padded to T; what a path has no stage for holds 0, False or NaN."""
+    """Trajectories, one a row, and their stages, padded to T; where there is no stage stands 0, False or NaN."""
 
-    path_ids: np.ndarray
+    trajectory_ids: np.ndarray
     elapsed_s: Float[np.ndarray, "n T"]
     """U_t, on the total-time scale [s]; NaN where not completed."""
     end_s: Float[np.ndarray, " n"]
     is_finished: Bool[np.ndarray, " n"]
-    """False where the path was right-censored."""
+    """False where the trajectory was right-censored."""
     is_begun: Bool[np.ndarray, "n T"]
     covariates: Float[np.ndarray, "n T P"]
     """What cuts may depend on; 0 where there is no such stage."""
@@ -27,10 +27,10 @@ class StageClocks(NamedTuple):
 
     @classmethod
     def of_ends(cls, end_s: Float[np.ndarray, " n"], is_finished: Bool[np.ndarray, " n"]) -> "StageClocks":
-        """Paths of which nothing is known but their ends; what is not known takes no memory."""
+        """Trajectories of which nothing is known but their ends; what is not known takes no memory."""
         shape = (len(end_s), 1)
         return cls(
-            path_ids=np.broadcast_to(np.array(None), len(end_s)),
+            trajectory_ids=np.broadcast_to(np.array(None), len(end_s)),
             elapsed_s=np.broadcast_to(np.nan, shape),
             end_s=end_s,
             is_finished=is_finished,
@@ -40,13 +40,13 @@ class StageClocks(NamedTuple):
         )
 
     @property
-    def num_paths(self) -> int:
-        """Number n of paths."""
+    def num_trajectories(self) -> int:
+        """Number n of trajectories."""
         return len(self.end_s)
 
     @property
     def num_stages(self) -> int:
-        """Number T of stages that a path may have."""
+        """Number T of stages that a trajectory may have."""
         return self.elapsed_s.shape[1]
 
     @property
@@ -56,14 +56,14 @@ class StageClocks(NamedTuple):
 
     @property
     def is_last(self) -> Bool[np.ndarray, "n T"]:
-        """Completed stages after which a path had come to its own end."""
+        """Completed stages after which a trajectory had come to its own end."""
         last = self.is_begun.sum(axis=1) - 1
         return (np.arange(self.num_stages) == last[:, None]) & self.is_finished[:, None]
 
     @property
     def begun_at_s(self) -> Float[np.ndarray, "n T"]:
         """U_{t−1} of each begun stage [s]; 0 elsewhere."""
-        before = np.concatenate([np.zeros((self.num_paths, 1)), self.elapsed_s[:, :-1]], axis=1)
+        before = np.concatenate([np.zeros((self.num_trajectories, 1)), self.elapsed_s[:, :-1]], axis=1)
         return np.where(self.is_begun, before, 0.0)
 
     @property
@@ -74,12 +74,12 @@ class StageClocks(NamedTuple):
         return np.where(self.is_begun, age, 0.0)
 
     def take(self, rows: Int[np.ndarray, " k"] | slice) -> "StageClocks":
-        """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
+        """Keep these trajectories, which may repeat, in this order; a slice of them copies nothing."""
         kept: Any = {name: leaf[rows] for name, leaf in self._asdict().items() if name != "covariate_names"}
         return self._replace(**kept)
 
     def begun(self) -> "StageClocks":
-        """Keep of each path its end and what it was like as it began: its first stage."""
+        """Keep of each trajectory its end and what it was like as it began: its first stage."""
         first = {name: getattr(self, name)[:, :1] for name in ("elapsed_s", "is_begun", "covariates")}
         return self._replace(**first)
 

@@ -1,4 +1,4 @@
-"""Inverse-probability-of-censoring weights (IPCW): w = δ / Ĝ(U⁻), for paths and stages (design, §2; paper, eqs. 2, 3).
+"""Inverse-probability-of-censoring weights (IPCW), w = δ / Ĝ(U⁻), of trajectories and stages (design §2; eqs. 2, 3).
 
 A stage that was completed at U stands for all that would have been completed then, had nothing been cut
 [Robins1992]_ [GoldbergKosorok2012]_ [GoldbergKosorok2017]_.
@@ -25,25 +25,25 @@ def censoring_weights(
     *,
     covariates: Any = None,
     truncate_at: float | int | None = None,
-    path_ids: ArrayLike | None = None,
+    trajectory_ids: ArrayLike | None = None,
 ) -> Rows:
-    """Weight of each path's own end: is_finished / Ĝ(time⁻ | z).
+    """Weight of each trajectory's own end: is_finished / Ĝ(time⁻ | z).
 
     Parameters
     ----------
     time
-        Observed end of each path [s], shape (n,).
+        Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the path was cut, shape (n,).
+        False where the trajectory was cut, shape (n,).
     model
         A fitted censoring model; or ``"kaplan-meier"`` (None means the same), ``"cox"``, ``"kernel"`` or an unfitted
-        model, which is fitted to these paths on a copy.
+        model, which is fitted to these trajectories on a copy.
     covariates
-        What `model` conditions on, one row for each path.
+        What `model` conditions on, one row for each trajectory.
     truncate_at
         Largest weight allowed, ≥ 1; None truncates nothing.
-    path_ids
-        Names of the paths for messages; their rows by default.
+    trajectory_ids
+        Names of the trajectories for messages; their rows by default.
 
     Returns
     -------
@@ -55,15 +55,15 @@ def censoring_weights(
     PositivityError
         Ĝ is 0 at an observed end, and no truncation was asked for.
     ArgumentError
-        A value is none that a path can have; the row is named.
+        A value is none that a trajectory can have; the row is named.
     """
     ends, finished = checked_ends(time, is_finished)
     model = fitted_model(model, ends, finished, covariates)
     rows = np.flatnonzero(finished)
     seen = survival_of_rows(model, ends[rows], covariates, rows, len(ends))
-    names = path_names(path_ids, len(ends))
+    names = trajectory_names(trajectory_ids, len(ends))
     weights = np.zeros(len(ends))
-    weights[rows] = _inverse(seen, truncate_at, lambda k: (f"path {names[rows[k]]}", "finished", ends[rows[k]]))
+    weights[rows] = _inverse(seen, truncate_at, lambda k: (f"trajectory {names[rows[k]]}", "finished", ends[rows[k]]))
     return weights
 
 
@@ -75,7 +75,7 @@ def stage_weights(
     truncate_at: float | int | None = None,
     *,
     covariates: Any = None,
-    path_ids: ArrayLike | None = None,
+    trajectory_ids: ArrayLike | None = None,
 ) -> Float[np.ndarray, "n T"]:
     """Weight of each completed stage: w_it = δ_it / Ĝ(U_it⁻ | z_i).
 
@@ -85,10 +85,10 @@ def stage_weights(
         Clock at the end of each stage [s], NaN where the stage was not completed, shape (n, T); 0 where a
         robot of several decided at the begin, and another at once after it.
     end_s
-        Observed end of each path [s], shape (n,).
+        Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the path was cut, shape (n,).
-    model, truncate_at, covariates, path_ids
+        False where the trajectory was cut, shape (n,).
+    model, truncate_at, covariates, trajectory_ids
         As in `censoring_weights`.
 
     Returns
@@ -101,11 +101,11 @@ def stage_weights(
     PositivityError
         Ĝ is 0 at an observed completion, and no truncation was asked for.
     ArgumentError
-        A value is none that a path can have; the row and the stage are named.
+        A value is none that a trajectory can have; the row and the stage are named.
     """
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
-    names = path_names(path_ids, len(ends))
+    names = trajectory_names(trajectory_ids, len(ends))
     _check_clock(clock, ends, names)
     model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
@@ -113,16 +113,20 @@ def stage_weights(
     seen = survival_of_rows(model, times, covariates, rows, len(ends))
     weights = np.zeros(clock.shape)
     weights[rows, columns] = _inverse(
-        seen, truncate_at, lambda k: (f"path {names[rows[k]]}, stage {columns[k] + 1}", "completed", times[k])
+        seen, truncate_at, lambda k: (f"trajectory {names[rows[k]]}, stage {columns[k] + 1}", "completed", times[k])
     )
     return weights
 
 
 def survival_of_rows(
-    model: CensoringModel, times: Float[np.ndarray, " k"], covariates: Any, rows: Int[np.ndarray, " k"], num_paths: int
+    model: CensoringModel,
+    times: Float[np.ndarray, " k"],
+    covariates: Any,
+    rows: Int[np.ndarray, " k"],
+    num_trajectories: int,
 ) -> Float[np.ndarray, " k"]:
-    """Ĝ(times⁻ | z) at one time for each of `rows`, which may repeat; covariates has a row for each path."""
-    return np.asarray(model.survival(times, rows_of(covariates, rows, num_paths)), dtype=np.float64)
+    """Ĝ(times⁻ | z) at one time for each of `rows`, which may repeat; covariates has a row for each trajectory."""
+    return np.asarray(model.survival(times, rows_of(covariates, rows, num_trajectories)), dtype=np.float64)
 
 
 def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, describe: Any) -> Float[np.ndarray, " k"]:
@@ -133,9 +137,9 @@ def _inverse(seen: Float[np.ndarray, " k"], truncate_at: float | int | None, des
     if bound is None and unseen.any():
         where, what, when = describe(int(np.argmax(unseen)))
         raise PositivityError(
-            f"{where}: {what} at {when:g} s, where the censoring model leaves no path uncut (Ĝ = 0), so its weight "
-            f"is not identified; shorten the horizon so that it ends before {when:g} s, fit the model to paths "
-            "that were watched longer, or truncate the weights knowingly with truncate_at=…"
+            f"{where}: {what} at {when:g} s, where the censoring model leaves no trajectory uncut (Ĝ = 0), so its "
+            f"weight is not identified; shorten the horizon so that it ends before {when:g} s, fit the model to "
+            "trajectories that were watched longer, or truncate the weights knowingly with truncate_at=…"
         )
     if bound is None:
         return 1.0 / seen
@@ -155,19 +159,24 @@ def refuse_improbable(seen: Float[np.ndarray, " k"], describe: Any) -> None:
 
 def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarray) -> None:
     if len(clock) != len(ends):
-        raise ArgumentError(f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per path")
+        raise ArgumentError(
+            f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per trajectory"
+        )
     wrong = np.argwhere((clock < 0) | (clock > ends[:, None]))
     if len(wrong):
         row, column = wrong[0]
         raise ArgumentError(
-            f"path {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in [0, {ends[row]}], so not "
-            "between the path's beginning and its end_s; fix the clock, or put NaN where the stage was not completed"
+            f"trajectory {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in [0, {ends[row]}], "
+            "so not between the trajectory's beginning and its end_s; fix the clock, or put NaN where the stage was "
+            "not completed"
         )
 
 
-def path_names(path_ids: ArrayLike | None, num_paths: int) -> np.ndarray:
-    """Names of the paths for messages: `path_ids`, or their rows."""
-    names = np.arange(num_paths) if path_ids is None else np.asarray(path_ids)
-    if names.shape != (num_paths,):
-        raise ArgumentError(f"path_ids has shape {names.shape} for {num_paths} paths; give one name per path")
+def trajectory_names(trajectory_ids: ArrayLike | None, num_trajectories: int) -> np.ndarray:
+    """Names of the trajectories for messages: `trajectory_ids`, or their rows."""
+    names = np.arange(num_trajectories) if trajectory_ids is None else np.asarray(trajectory_ids)
+    if names.shape != (num_trajectories,):
+        raise ArgumentError(
+            f"trajectory_ids has shape {names.shape} for {num_trajectories} trajectories; give one name per trajectory"
+        )
     return names

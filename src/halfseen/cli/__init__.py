@@ -16,7 +16,7 @@ from halfseen.errors import HalfseenError, HalfseenWarning
 from halfseen.suggestions import did_you_mean
 
 VERBS = {
-    "inspect": "Say what a folder of logs holds: paths, endings, causes, weights, and what looks wrong.",
+    "inspect": "Say what a folder of logs holds: trajectories, endings, causes, weights, and what looks wrong.",
     "learn": "Learn a policy from a folder of logs.",
     "evaluate": "Say what a policy is worth, from logs of another one, before it runs.",
     "act": "Decide at one table, and say why.",

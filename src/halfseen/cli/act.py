@@ -23,7 +23,7 @@ UNKNOWN = "How sure this is nobody knows: the policy was learned without pessimi
 @click.command(epilog="Example: halfseen act policy table.pcd --history logs")
 @click.argument("policy", type=options.PATH)
 @click.argument("cloud", type=options.PATH)
-@click.option("--history", type=options.PATH, help="Of a table: logs whose last path is the one so far.")
+@click.option("--history", type=options.PATH, help="Of a table: logs whose last trajectory is the one so far.")
 @click.option(
     "--stage",
     type=click.IntRange(1, options.MOST_STAGES),

@@ -71,13 +71,13 @@ def film(
             bar.update()
 
         with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
-            path = recorder.begin_path(table)
+            trajectory = recorder.begin_trajectory(table)
             if stations:
                 team = team_policy_of(name, 0.0, belief.config, num_arms)
-                run = play_team(cell, is_dirty, team, belief, path, key, on_decision=follow)
+                run = play_team(cell, is_dirty, team, belief, trajectory, key, on_decision=follow)
             else:
                 policy = policy_of(name, 0.0, belief.config)
-                run = play(cell, is_dirty, policy, belief, path, key, on_decision=follow)
+                run = play(cell, is_dirty, policy, belief, trajectory, key, on_decision=follow)
         bar.reach(num_stages)
         bar.begin("draw", 0)
         taken.write(out, cell)

@@ -25,7 +25,7 @@ CSV, MINARI, SQL = "csv:", "minari:", "sql:"
 OPTIONS_OF = {
     ("mapping",): ("bag", "sql"),
     ("clouds", "see"): ("bag",),
-    ("stages", "paths", "objects"): ("sql",),
+    ("stages", "trajectories", "objects"): ("sql",),
     ("action", "reward", "done"): ("lerobot", "steps", "hdf5"),
     ("clock", "step_s", "truncated"): ("minari", "lerobot", "steps", "hdf5"),
 }
@@ -44,7 +44,7 @@ def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> N
 HELP = """Read the logs of SOURCE and write them to another form, all or nothing.
 
 \b
-FOLDER              logs, as Parquet or CSV
+FOLDER              logs, as Parquet or CSV; those of an older halfseen are brought up to date
 BAG                 ROS 1 or 2, or MCAP with ROS 2, JSON or protobuf (or a folder of bags)
 minari:NAME-v0      a Minari dataset, also by its folder
 FOLDER of LeRobot   a dataset of its version 3
@@ -52,7 +52,7 @@ TABLE               steps as of RLDS: .parquet, .csv or .arrow (or a folder of t
 FILE.hdf5           steps as of D4RL
 sql:URL             rows of a database, as SQLAlchemy reaches it
 
-Several folders of logs, such as those of many recorders, become one of Parquet files; paths that are still being
+Several folders of logs, such as those of many recorders, become one of Parquet files; trajectories that are still being
 recorded are left out.
 """
 
@@ -75,7 +75,7 @@ recorded are left out.
 @click.option("--clouds", type=options.PATH, help="Of a bag: write each stage's cloud there as .pcd.")
 @click.option("--see", is_flag=True, help="Of a bag: what each stage's cloud shows becomes its objects.")
 @click.option("--stages", metavar="SELECT", help="Of sql: the rows that are the stages, by the columns of a log.")
-@click.option("--paths", metavar="SELECT", help="Of sql: the rows that are the paths.")
+@click.option("--trajectories", metavar="SELECT", help="Of sql: the rows that are the trajectories.")
 @click.option("--objects", metavar="SELECT", help="Of sql: the rows that are the objects, if there are any.")
 @click.option("--action", metavar="NAME", help="Of others' steps: the column that holds the action.")
 @click.option("--reward", metavar="NAME", help="Of others' steps: the column that holds the reward.")
@@ -182,7 +182,9 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
     with Progress(2 * len(sources), "convert", "folders") as bar:
         done = compact(sources, target, on_progress=bar.update)
     left_out = f"; {done.num_running} still being recorded left out" if done.num_running else ""
-    told = f"{done.num_paths} paths with {done.num_stages} stages from {done.num_folders} folders{left_out}"
+    told = (
+        f"{done.num_trajectories} trajectories with {done.num_stages} stages from {done.num_folders} folders{left_out}"
+    )
     report = {"sources": list(sources), "target": target, "sentence": told, **done._asdict()}
     say(json.dumps(report, indent=2) if as_json else f"{target}: {told}")
 
@@ -190,7 +192,8 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
 def _kind(source: str) -> str:
     """What a source is, by what stands there; in an object store there is one form alone."""
     from halfseen.errors import LogError
-    from halfseen.logs.place import is_remote
+    from halfseen.logs.formats import is_older
+    from halfseen.logs.place import is_remote, place_of
 
     path = Path(source)
     if source.startswith(SQL):
@@ -198,7 +201,7 @@ def _kind(source: str) -> str:
     if source.startswith(MINARI) or (path / "data" / "metadata.json").is_file():
         return "minari"
     if is_remote(source):
-        return "parquet"
+        return "older" if is_older(place_of(source)) else "parquet"
     if not path.exists():
         raise LogError(
             f"{source}: there is no such file or folder; a Minari dataset is called {MINARI}NAME-v0, and a database "
@@ -206,7 +209,9 @@ def _kind(source: str) -> str:
         )
     if (path / "meta" / "info.json").exists():
         return "lerobot"
-    if (path / "stages.csv").exists() or (path / "paths.csv").exists():
+    if is_older(path):
+        return "older"
+    if (path / "stages.csv").exists() or (path / "trajectories.csv").exists():
         return "csv"
     if not path.is_dir() and path.suffix in (".h5", ".hdf5"):
         return "hdf5"
@@ -222,7 +227,7 @@ def _step_files(path: Path) -> list[Path]:
     if not path.is_dir():
         return [path] if path.suffix in TABLE_FILES else []
     files = sorted(file for file in path.iterdir() if file.suffix in TABLE_FILES)
-    return [] if any(file.stem in ("stages", "paths", "objects") for file in files) else files
+    return [] if any(file.stem in ("stages", "trajectories", "objects") for file in files) else files
 
 
 def _bags(path: Path) -> list[Path]:
@@ -257,11 +262,14 @@ def _check_options(kind: str, chosen: Mapping[str, Any]) -> None:
 
 def _read(kind: str, source: str, clouds: Path | None, **chosen: Any) -> "Logs":
     from halfseen.logs import formats, read_logs
+    from halfseen.logs.place import place_of
 
     if kind == "csv":
         return formats.read_csv(source)
     if kind == "parquet":
         return read_logs(source)
+    if kind == "older":
+        return formats.read_older(place_of(source))
     if kind == "bag":
         return read_bags(_bags(Path(source)), chosen["mapping"], chosen["see"], clouds)
     if kind == "sql":
@@ -279,20 +287,24 @@ def _read(kind: str, source: str, clouds: Path | None, **chosen: Any) -> "Logs":
 
 
 def _read_sql(
-    url: str, stages: str | None, paths: str | None, objects: str | None, mapping: Path | None, **_: Any
+    url: str, stages: str | None, trajectories: str | None, objects: str | None, mapping: Path | None, **_: Any
 ) -> "Logs":
     """Read a database by its queries, which options say, or a file."""
     from halfseen.errors import ArgumentError
     from halfseen.logs.formats import Queries, read_queries, read_sql
 
-    queries = {"stages": stages, "paths": paths, "objects": objects}
+    queries = {"stages": stages, "trajectories": trajectories, "objects": objects}
     if mapping is not None and any(query is not None for query in queries.values()):
-        raise ArgumentError(f"--mapping {mapping}: --stages, --paths and --objects say the same; give one of them")
+        raise ArgumentError(
+            f"--mapping {mapping}: --stages, --trajectories and --objects say the same; give one of them"
+        )
     if mapping is not None:
         return read_sql(url, read_queries(mapping))
-    if stages is None or paths is None:
-        raise ArgumentError("a database needs --stages and --paths, a SELECT each, or a --mapping FILE that has both")
-    return read_sql(url, Queries(stages, paths, objects))
+    if stages is None or trajectories is None:
+        raise ArgumentError(
+            "a database needs --stages and --trajectories, a SELECT each, or a --mapping FILE that has both"
+        )
+    return read_sql(url, Queries(stages, trajectories, objects))
 
 
 def _shown(source: str) -> str:

@@ -83,11 +83,11 @@ def evaluate(
 ) -> None:
     """Say what the policy in the folder POLICY is worth before it runs.
 
-    With --logs, from what another policy did, of which paths were cut: by importance sampling, by fitted Q evaluation
-    and doubly robust, and whether it is better than the policy that made the logs, than that without its exploration,
-    or than whatever --against names: "better" is better than each; where that takes long, workers do it. With --world,
-    by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics; a policy of a
-    team by the robots of --team, and in no other way yet.
+    With --logs, from what another policy did, of which trajectories were cut: by importance sampling, by fitted Q
+    evaluation and doubly robust, and whether it is better than the policy that made the logs, than that without its
+    exploration, or than whatever --against names: "better" is better than each; where that takes long, workers do it.
+    With --world, by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics; a
+    policy of a team by the robots of --team, and in no other way yet.
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy

@@ -18,7 +18,7 @@ Row = Mapping[str, Any]
 MOST_ROWS = 20
 CUTS = {
     "cause of cut": "{cause}",
-    "paths": "{num_paths}",
+    "trajectories": "{num_trajectories}",
     "share": "{share:.0%}",
     "first [s]": "{earliest_s:.3g}",
     "median [s]": "{median_s:.3g}",
@@ -52,7 +52,7 @@ STAGES = {
 @click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs, with every row.")
 @options.unused_seed
 def inspect(logs: Path, as_json: bool, seed: int) -> None:
-    """Say what the folder LOGS holds: paths, endings and causes, stages, actions, and what their weights rest on.
+    """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
     LOGS may be finished, or what a recorder has written so far, torn by a crash or at work. What breaks no rule and
     looks wrong all the same is told first.
@@ -89,13 +89,13 @@ def lines(report: dict[str, Any]) -> list[str]:
 def _facts(report: dict[str, Any]) -> list[str]:
     rows = [
         ("share cut", f"{report['cut_share']:.1%}"),
-        ("paths end", f"{report['shortest_s']:.4g} s to {report['longest_s']:.4g} s after they begin"),
+        ("trajectories end", f"{report['shortest_s']:.4g} s to {report['longest_s']:.4g} s after they begin"),
         ("stages", f"{report['num_stages']}, of which {report['num_completed']} completed"),
         ("robots", _robots(report["robots"])),
         ("covariates", _named(report["covariates"])),
         ("objects", str(report["num_objects"] or "none")),
         ("covariates of objects", _named(report["object_covariates"])),
-        ("known of paths", _named(report["path_columns"])),
+        ("known of trajectories", _named(report["trajectory_columns"])),
     ]
     told = [(name, text) for name, text in rows if text != "none" or name == "objects"]
     width = max(len(name) for name, _ in told) + 2

@@ -62,9 +62,9 @@ class _Or(click.ParamType):
 @click.option(
     "--censoring-by",
     type=options.CLOCKS,
-    default="path",
+    default="trajectory",
     show_default=True,
-    help="Clock of the cuts: that of the path (total time), of each stage, or of all stages alike (gap time).",
+    help="Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).",
 )
 @options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default all that the model takes.")
 @click.option("--augmented", is_flag=True, help="Doubly robust: right if the censoring model or the regression is.")
@@ -78,7 +78,7 @@ class _Or(click.ParamType):
 @click.option(
     "--horizon",
     type=click.IntRange(1, options.MOST_STAGES),
-    help="Stages after which a path ends by itself; by default those of the longest path, for a table at least 10. "
+    help="Stages after which a trajectory ends by itself; by default those of the longest, for a table at least 10. "
     "Of a team, decisions of each robot; by default what the log says.",
 )
 @click.option(
@@ -100,7 +100,7 @@ class _Or(click.ParamType):
     help="Of a table: a law, as of `halfseen cell calibrate`, shipped or assumed, about which those of LOGS are fitted "
     "(for logs of few attempts); by default none.",
 )
-@click.option("--reg", type=_Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over paths.")
+@click.option("--reg", type=_Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over trajectories.")
 @click.option(
     "--pessimism",
     type=_Or("auto"),
@@ -161,8 +161,8 @@ def learn(
     --workers share the work; those of a cluster must be able to read them, too.
 
     Logs with objects are of tables: the policy chooses among WASH, LIFT and FINISH. Else, or with --covariates, it
-    chooses among the actions that were seen at each stage. Stages of cut paths count, too. Where LOGS tell of several
-    robots at a table, one policy decides for whichever is free, and may let it WAIT.
+    chooses among the actions that were seen at each stage. Stages of cut trajectories count, too. Where LOGS tell of
+    several robots at a table, one policy decides for whichever is free, and may let it WAIT.
 
     It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
     exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. They are
@@ -225,7 +225,7 @@ def _judged(
     trust: tuple[str, ...],
     workers: "Workers",
 ) -> tuple["HeldOutVerdict", tuple[str, ...]]:
-    """Judge this way of learning by the log; beside the verdict stands a note if that is of a sample of its paths."""
+    """Judge this way of learning by the log; with a note if only a sample was judged."""
     # What judges takes longer to load than all that learns.
     from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
     from halfseen.learning.streaming import sample_of
@@ -234,9 +234,9 @@ def _judged(
     judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
     told = partial(bar.update, FOLDS / NUM_FOLDS)
     verdict = held_out_verdict(learner, judging, on_progress=told, trust=trust, workers=workers)
-    if judging.num_paths == log.num_paths:
+    if judging.num_trajectories == log.num_trajectories:
         return verdict, ()
-    told = f"{judging.num_paths:,} of the {log.num_paths:,} paths, drawn at random"
+    told = f"{judging.num_trajectories:,} of the {log.num_trajectories:,} trajectories, drawn at random"
     return verdict, (f"the verdict is of policies learned from {told}",)
 
 
@@ -285,5 +285,5 @@ def _targets(chosen: dict[str, Any]) -> "Targets | str":
     if model != "auto":
         return named_targets(model, **given)
     # What is said of weights asks for weights.
-    plain = {"by": "path", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
+    plain = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
     return "auto" if given == plain else named_targets(**given)

@@ -67,8 +67,8 @@ def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
         for region in tried["regions"]
     ]
     hint = (
-        f"Or try more often what says most: from as many paths the interval would be {tried['narrower']:.1f} times "
-        "narrower (for `halfseen serve --explore FILE`, which --exploration FILE writes)."
+        f"Or try more often what says most: from as many trajectories the interval would be {tried['narrower']:.1f} "
+        "times narrower (for `halfseen serve --explore FILE`, which --exploration FILE writes)."
     )
     return [*lines, hint, "", *aligned([("try", "where", "now", "then", "of the variance"), *rows], left=(0, 1))]
 

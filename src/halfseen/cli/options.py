@@ -34,7 +34,7 @@ class Choice(click.Choice):
 
 WEIGHTING = ("kaplan-meier", "cox", "kernel")
 """Censoring models that weight completed stages by 1/Ĝ."""
-CLOCKS = Choice(["path", "stage", "pooled"])
+CLOCKS = Choice(["trajectory", "stage", "pooled"])
 
 as_json = click.option("--json", "as_json", is_flag=True, help="Print one JSON object for programs.")
 unused_seed = click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
@@ -87,7 +87,7 @@ def trusted(chosen: dict[str, Any]) -> tuple[str, ...]:
 
 
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
-"""That a command plays, and that a path has; programs that need more call the library, part by part."""
+"""That a command plays, and that a trajectory has; programs that need more call the library, part by part."""
 MOST_WORKERS = 1024
 """Processes; each takes some hundred MB."""
 MOST_REPLICATES = 100_000

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 )
 @click.option(
     "--fsync",
-    type=options.Choice(["never", "path", "stage", "event"]),
+    type=options.Choice(["never", "trajectory", "stage", "event"]),
     default="never",
     show_default=True,
     help="How often to wait for the disk, so that a loss of power takes no more than that.",
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     type=click.IntRange(min=1, max=10**6),
     default=256,
     show_default=True,
-    help="Size from which on a path begins in another file of OUT [MB].",
+    help="Size from which on a trajectory begins in another file of OUT [MB].",
 )
 @click.option("--reward-unit", help="What rewards are counted in, such as parts.")
 @options.unused_seed
@@ -51,7 +51,7 @@ def record(
     """Record what JSON lines say, each answered by one; lines come from SOURCE, or from standard input.
 
     \b
-    {"call": "begin_path", "name": 1, "columns": {"cell": "left"}}
+    {"call": "begin_trajectory", "name": 1, "columns": {"cell": "left"}}
     {"call": "begin_stage", "covariates": {"x": 0.3}, "action": "PICK", "probability": 0.5}
     {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5}
     {"call": "finish"}
@@ -61,7 +61,8 @@ def record(
     More calls: still_running; drop_out with "robot" and "cause"; cut with "cause".
     Without "elapsed_s" [s] the clock of this machine is read.
 
-    Where lines end, a path in progress is cut with the cause input-ended. A line that is refused harms none after it.
+    Where lines end, a trajectory in progress is cut with the cause input-ended. A line that is refused harms none after
+    it.
     """  # noqa: D301
     from halfseen.errors import ArgumentError
     from halfseen.logs import LogRecorder

@@ -35,7 +35,7 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
     type=click.IntRange(2, options.MOST_REPLICATES),
     default=100,
     show_default=True,
-    help="Draws of paths behind the bands around Q.",
+    help="Draws of trajectories behind the bands around Q.",
 )
 @click.option("--unit", help="What rewards are counted in, such as parts; by default what the logs say.")
 @worker_options
@@ -57,8 +57,8 @@ def report(
     """Write one page about the folder LOGS and, if one is given, the policy in the folder POLICY.
 
     It opens with the answer: is the policy better than the one that made the logs, or than whatever --against names?
-    Below: what it is worth with 95 % intervals, of what is earned today and in an hour; what the logs hold, path by
-    path, what cut them and what looks wrong; what the weights rest on; what was learned and what it would do
+    Below: what it is worth with 95 % intervals, of what is earned today and in an hour; what the logs hold, trajectory
+    by trajectory, what cut them and what looks wrong; what the weights rest on; what was learned and what it would do
     differently; and what nobody can know from these logs. Without POLICY it tells of the logs alone. The page stands
     alone: mail it, print it.
     """

@@ -66,16 +66,16 @@ def serve(
     be asked. POST /reload, or the signal SIGHUP, reads the folder again.
 
     With --record, each decision begins a stage of a log, with its probability; POST /reward completes it, and POST /end
-    ends its path: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}. A cloud is then put where the path
-    stands, and {"reward": 5.0, "held": true} says whether its WASH or LIFT held.
+    ends its trajectory: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}. A cloud is then put where
+    the trajectory stands, and {"reward": 5.0, "held": true} says whether its WASH or LIFT held.
     """
     import numpy as np
 
     from halfseen.serving.answering import Answering
     from halfseen.serving.app import Served, app_of
-    from halfseen.serving.paths import RecordedPaths
     from halfseen.serving.server import bound_socket
     from halfseen.serving.server import serve as answer
+    from halfseen.serving.trajectories import RecordedTrajectories
 
     _check_token(host, token)
     # A folder of logs is begun only where there is something to record.
@@ -86,9 +86,9 @@ def serve(
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
-        nullcontext() if record is None else RecordedPaths(record, is_of_tables=is_table) as paths,
+        nullcontext() if record is None else RecordedTrajectories(record, is_of_tables=is_table) as trajectories,
     ):
-        served.answering = Answering(epsilon, table, np.random.default_rng(seed), paths)
+        served.answering = Answering(epsilon, table, np.random.default_rng(seed), trajectories)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
         answer(app_of(served, token), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))

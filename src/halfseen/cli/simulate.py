@@ -32,7 +32,7 @@ _START, _TABLE = 4, 2
     type=click.IntRange(1, options.MOST_EPISODES),
     default=1000,
     show_default=True,
-    help="Number of paths.",
+    help="Number of trajectories.",
 )
 @click.option(
     "--policy",
@@ -53,7 +53,7 @@ _START, _TABLE = 4, 2
     type=click.FloatRange(0.0, 1.0, max_open=True),
     default=0.33,
     show_default=True,
-    help="Proportion of the paths that is cut, in expectation.",
+    help="Proportion of the trajectories that is cut, in expectation.",
 )
 @click.option("--cut-kind", type=options.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
 @click.option(
@@ -61,7 +61,7 @@ _START, _TABLE = 4, 2
     type=click.IntRange(1, options.MOST_STAGES),
     default=_HORIZON,
     show_default=True,
-    help="Steps of a path; of a team, of each robot.",
+    help="Steps of a trajectory; of a team, of each robot.",
 )
 @team_option()
 @law_option(ASSUMED)
@@ -80,9 +80,9 @@ def simulate(
     """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
     Every policy starts from the tables as the camera sees them; what is dirty and how well it can be gripped is drawn
-    anew for each path. "greedy" washes what promises most now; "history" also learns from failed grasps; "-penalty"
-    counts what leaving dirty things behind will cost. Cuts come at any time alike (independent), sooner where much is
-    hidden (occlusion), or when an attempt drags on (attempt).
+    anew for each trajectory. "greedy" washes what promises most now; "history" also learns from failed grasps;
+    "-penalty" counts what leaving dirty things behind will cost. Cuts come at any time alike (independent), sooner
+    where much is hidden (occlusion), or when an attempt drags on (attempt).
 
     With --team, whichever robot is free decides, and a cut ends the table for all. The heuristics then leave alone what
     another robot is at, and count what a second costs the team.

@@ -58,12 +58,12 @@ def study(
     from halfseen.study.scenes import look_at
     from halfseen.writing import refuse_unwritable
 
-    experiments, paths = chosen(only), list(clouds) or table_paths()
+    experiments, trajectories = chosen(only), list(clouds) or table_paths()
     experiments = without_laws(experiments) if no_laws else experiments
     setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
     setting, known = under(setting, law_folder(law))
     refuse_unwritable(out)
-    scenes, pictures = look_at(paths, known, workers)
+    scenes, pictures = look_at(trajectories, known, workers)
     setting = replace(setting, scenes=scenes)
     results = run_study(setting, out, experiments, is_resumed=resume, workers=workers, pictures=pictures)
     if is_json:

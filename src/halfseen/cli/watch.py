@@ -38,15 +38,15 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 @click.command(epilog="Example: halfseen watch table.pcd --policy policy")
 @click.argument("source", type=options.PATH)
 @click.option("--policy", type=options.PATH, help="Of a cloud or of logs: the folder of a policy of tables.")
-@click.option("--history", type=options.PATH, help="Of a cloud: logs whose last path is the one so far.")
+@click.option("--history", type=options.PATH, help="Of a cloud: logs whose last trajectory is the one so far.")
 @options.labels
 @law_option(None, f"Of a cloud, where it is {SHIPPED} by default. ")
 @click.option("--clouds", type=options.PATH, help="Of logs: folder with the cloud of each stage.")
 @click.option(
-    "--path",
+    "--trajectory",
     "number",
     type=click.IntRange(1, options.MOST_EPISODES),
-    help="Of logs: which path, from 1; by default the first.",
+    help="Of logs: which trajectory, from 1; by default the first.",
 )
 @click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
 @click.option(
@@ -92,7 +92,7 @@ def watch(
         "--labels": (labels, ("cloud",)),
         "--law": (law, ("cloud",)),
         "--clouds": (clouds, ("logs",)),
-        "--path": (number, ("logs",)),
+        "--trajectory": (number, ("logs",)),
     }
     for option, (value, kinds) in given.items():
         if value is not None and kind not in kinds:
@@ -193,7 +193,7 @@ def _show_cloud(
     counts_views = stored.record["schema"].get("counts_views", False)
     known = law_of(law or SHIPPED) if counts_views else None
     now = read_observation(stored, file, history, None, labels, known)
-    assert isinstance(now, Present), "a policy of tables decides where a table's path stands"
+    assert isinstance(now, Present), "a policy of tables decides where a table's trajectory stands"
     show(watched_cloud(cloud, view, now, decider_of(stored, extrapolates=True).decide(now), stored.horizon))
 
 

@@ -1,7 +1,7 @@
-"""The value of a policy before it runs: off-policy evaluation on logs of which paths were right-censored.
+"""The value of a policy before it runs: off-policy evaluation on logs of which trajectories were right-censored.
 
 Read it down: `targets` (what the policy would do) → `propensity` (what the logging policy did) → `ratios` (what each
-path stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `opponents` (what it is compared with),
+trajectory stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `opponents` (what it is compared with),
 `logging_rule` (among them: the logging policy without its exploration) → `comparison` → `verdict`; `off_policy` puts
 them together, and `held_out` judges a way of learning by the log that was learned from.
 """

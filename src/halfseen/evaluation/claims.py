@@ -11,7 +11,8 @@ def claim_of(found: Evaluation) -> str:
     """The least that a policy earns more than each of its opponents."""
     if found.verdict != "better":
         return "nothing; no policy on the way from what the log does to the best guess is surely better"
-    return f"at least {found.difference.low:.3g}{_unit(found)} more a path than {deciding(found.comparisons).opponent}"
+    opponent = deciding(found.comparisons).opponent
+    return f"at least {found.difference.low:.3g}{_unit(found)} more a trajectory than {opponent}"
 
 
 def guess_of(found: Evaluation) -> str:
@@ -20,24 +21,24 @@ def guess_of(found: Evaluation) -> str:
     if main.difference is None or main.p is None:
         return f"unknown; {main.reason}"
     gain = main.difference.value
-    told = f"{abs(gain):.3g}{_unit(found)} {'more' if gain > 0 else 'less'} a path than {main.opponent}"
+    told = f"{abs(gain):.3g}{_unit(found)} {'more' if gain > 0 else 'less'} a trajectory than {main.opponent}"
     if found.verdict == "better":
         return told
-    return f"{told}, not yet provable; {more_paths(main.needed, found.num_paths)}"
+    return f"{told}, not yet provable; {more_trajectories(main.needed, found.num_trajectories)}"
 
 
-def more_paths(needed: Needed | None, num_paths: int) -> str:
-    """How many more paths would decide."""
+def more_trajectories(needed: Needed | None, num_trajectories: int) -> str:
+    """How many more trajectories would decide."""
     if needed is None or np.isinf(needed.times):
         return "no log of a size that can be recorded would show so small a difference"
 
     def more(times: float) -> str:
-        number = (times - 1.0) * num_paths
+        number = (times - 1.0) * num_trajectories
         size = 10.0 ** max(np.floor(np.log10(max(number, 1.0))) - 1.0, 0.0)
         return f"{np.ceil(number / size) * size:,.0f}"
 
     most = more(needed.high) if np.isfinite(needed.high) else "many"
-    return f"about {more(needed.times)} more paths like these would decide ({more(needed.low)} to {most})"
+    return f"about {more(needed.times)} more trajectories like these would decide ({more(needed.low)} to {most})"
 
 
 def _unit(found: Evaluation) -> str:

@@ -1,7 +1,7 @@
 """A policy beside each of its opponents, by paired differences, and one verdict over all of them.
 
-What a path adds to the value of the policy and what it adds to that of an opponent share its luck, so their difference
-path by path has a much narrower interval than the two values.
+What a trajectory adds to the value of the policy and what it adds to that of an opponent share its luck, so their
+difference trajectory by trajectory has a much narrower interval than the two values.
 
 *Better than all* is an intersection–union test [Berger1982]_: each of the paired differences has to be significant at
 the level itself, and no correction is due, for the claim is wrong only if one of them is, which errs at the level. So
@@ -35,7 +35,7 @@ class Contender(NamedTuple):
 
     name: str
     values: Float[np.ndarray, " n"] | None = None
-    """What each path adds to it; None where the log has no such action."""
+    """What each trajectory adds to it; None where the log has no such action."""
     without: Float[np.ndarray, " K"] | None = None
     """The same value without each fold."""
     errors: Float[np.ndarray, "n T"] | None = None
@@ -45,7 +45,7 @@ class Contender(NamedTuple):
     truncated: float = 0.0
     """The same for each one that Q is, where weights were cut off."""
     possible: Possible | None = None
-    """What a path can earn at all."""
+    """What a trajectory can earn at all."""
     by_model: float = np.nan
     """What Q alone says."""
     weights: Float[np.ndarray, "n T"] | None = None
@@ -71,7 +71,7 @@ class Contender(NamedTuple):
         return _error_of_alike(self.weights - other.weights, max(self.deviation, other.deviation))
 
     def less(self, other: "Contender", level: float) -> Estimate:
-        """How much more it earns than another, path by path."""
+        """How much more it earns than another, trajectory by trajectory."""
         assert self.values is not None
         assert other.values is not None
         size = min(self.effective_sample_size, other.effective_sample_size)
@@ -106,7 +106,7 @@ class Comparison:
     value
         What it earns, doubly robust; None where the log has no such action.
     difference
-        Value of the policy less that of the opponent, path by path; None where that of the opponent is.
+        Value of the policy less that of the opponent, trajectory by trajectory; None where that of the opponent is.
     p
         Of the difference being 0, two-sided; None where no interval is to be believed.
     adjusted_p
@@ -122,7 +122,7 @@ class Comparison:
         What the opponent earns as a multiple of what the logging policy does; None where that is not known to be
         above 0.
     needed
-        How many times as many paths would decide; None where that is not known.
+        How many times as many trajectories would decide; None where that is not known.
     """
 
     opponent: str

@@ -1,4 +1,4 @@
-"""The doubly robust value of a policy under censoring, path by path.
+"""The doubly robust value of a policy under censoring, trajectory by trajectory.
 
     φ_i = V̂_1(S_i1) + Σ_t w_it (Y_it − Q̂_t(S_it, A_it))
 
@@ -9,12 +9,12 @@ if the regressions m of X and of the duration are. So
 * if ρ and Ĝ are right, E[V̂_1] + Σ_t E[ρ_t (R_t + V̂_{t+1}(S_{t+1}) − Q̂_t(S_t, A_t))] telescopes to the value,
   whatever Q̂ is, for E[ρ_{t+1} Q̂_{t+1}(S_{t+1}, A_{t+1})] = E[ρ_t V̂_{t+1}(S_{t+1})];
 * if Q̂ and m are right, each term has mean 0 given (S_t, A_t), whatever ρ and Ĝ are, as long as what cuts a stage
-  depends on no more than the path until then.
+  depends on no more than the trajectory until then.
 
 *Simple*: w_it = ρ_it δ_it / Ĝ(U_it⁻) and Y is X = R_t + V̂_{t+1}(S_{t+1}), of completed stages alone. The first of the
 two holds; the second only where durations say nothing of X beyond (S_t, A_t), for slow stages are cut more often.
 
-The weights are self-normalised (`ratios`), and Ĝ, Q̂ and m are fitted without the path's own fold
+The weights are self-normalised (`ratios`), and Ĝ, Q̂ and m are fitted without the trajectory's own fold
 [Chernozhukov2018]_ (`cross_fitting`). On
 decisions without cuts this is the estimator of [JiangLi2016]_ and [ThomasBrunskill2016]_; the pseudo-outcomes are those
 of [Robins1992]_.
@@ -30,7 +30,7 @@ from halfseen.shapes import Float, Int
 
 
 def doubly_robust(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " n"]:
-    """φ of every path; the value is their mean.
+    """φ of every trajectory; the value is their mean.
 
     Parameters
     ----------
@@ -46,7 +46,7 @@ def doubly_robust(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " 
 def cross_fitted(
     judged: Judged, weights: Sequence[StageWeights], fold: Int[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
-    """φ of every path by what never saw it; and the value without each of K folds, by the others alone.
+    """φ of every trajectory by what never saw it; and the value without each of K folds, by the others alone.
 
     Parameters
     ----------
@@ -55,12 +55,12 @@ def cross_fitted(
     weights
         Without each fold.
     fold
-        Of each path.
+        Of each trajectory.
     """
-    path = np.arange(len(fold))
-    held_out = Judged(*(np.asarray(leaf)[fold, path] for leaf in judged))
+    trajectory = np.arange(len(fold))
+    held_out = Judged(*(np.asarray(leaf)[fold, trajectory] for leaf in judged))
     weight, standing = (
-        np.stack(each)[fold, path] for each in zip(*((w.weight, w.standing) for w in weights), strict=True)
+        np.stack(each)[fold, trajectory] for each in zip(*((w.weight, w.standing) for w in weights), strict=True)
     )
     without = []
     for k, one in enumerate(weights):

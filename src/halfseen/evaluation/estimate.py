@@ -1,4 +1,4 @@
-"""A number with its interval, from what each path adds to it."""
+"""A number with its interval, from what each trajectory adds to it."""
 
 from dataclasses import dataclass, replace
 
@@ -25,7 +25,7 @@ class Estimate:
     standard_error
         Of `value`.
     effective_sample_size
-        Paths of equal weight that would say as much.
+        Trajectories of equal weight that would say as much.
     degrees_of_freedom
         Of the t distribution behind the interval.
     bias
@@ -59,32 +59,35 @@ def estimate_of(
     bias: float = 0.0,
     least_error: float = 0.0,
 ) -> Estimate:
-    """Mean of what paths add, with a t interval of as many degrees of freedom as there are effective paths, less one.
+    """Mean of what trajectories add, with a t interval of as many degrees of freedom as effective ones, less one.
 
-    Heavy weights make few paths carry the mean, and the spread is then known no better than from those few. Where the
-    values without each group of paths are known, the interval is no narrower than theirs by the jackknife.
+    Heavy weights make few trajectories carry the mean, and the spread is then known no better than from those few.
+    Where the values without each group of trajectories are known, the interval is no narrower than theirs by the
+    jackknife.
 
     Parameters
     ----------
     influence
-        What each path adds; the estimate is the mean.
+        What each trajectory adds; the estimate is the mean.
     effective_sample_size
-        Paths of equal weight that would say as much.
+        Trajectories of equal weight that would say as much.
     level
         Of the interval.
     without
-        The value by all but each of K groups of paths.
+        The value by all but each of K groups of trajectories.
     bias
         To be allowed for, either way.
     least_error
         That the standard error is known to be no less than.
     """
     value, error = float(np.mean(influence)), float(np.std(influence, ddof=1) / np.sqrt(len(influence)))
-    by_paths = around(value, max(error, least_error), effective_sample_size, effective_sample_size - 1.0, level, bias)
+    by_trajectories = around(
+        value, max(error, least_error), effective_sample_size, effective_sample_size - 1.0, level, bias
+    )
     if without is None:
-        return by_paths
+        return by_trajectories
     by_groups = around(value, jackknife_error(without), effective_sample_size, len(without) - 1, level, bias)
-    return max(by_paths, by_groups, key=lambda one: one.high - one.low)
+    return max(by_trajectories, by_groups, key=lambda one: one.high - one.low)
 
 
 def jackknife_error(without: Float[np.ndarray, " K"]) -> float:

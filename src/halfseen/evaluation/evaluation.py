@@ -18,24 +18,24 @@ class Evaluation:
     Parameters
     ----------
     importance_sampling
-        From the weights alone: rewards of paths that did as the policy would.
+        From the weights alone: rewards of trajectories that did as the policy would.
     fitted_q
-        From the model alone: Q̂ of the policy where paths begin. Its interval does not know of a wrong model.
+        From the model alone: Q̂ of the policy where trajectories begin. Its interval does not know of a wrong model.
     doubly_robust
         From both, right if one of them is; this is the one to read.
     logging
         What the logging policy earns, had nothing been cut.
     difference
-        Doubly robust value less that of the opponent that the verdict rests on, path by path; less that of the logging
-        policy where the log has not what this opponent does.
+        Doubly robust value less that of the opponent that the verdict rests on, trajectory by trajectory; less that of
+        the logging policy where the log has not what this opponent does.
     verdict
         ``"better"``: than every opponent; ``"not better"``: than some; or ``"cannot be said"``.
     reason
         Why, in one sentence that names the opponent.
     support
         Of each stage, the share of the logged actions that the policy would take at all.
-    num_paths
-        Paths of the log.
+    num_trajectories
+        Trajectories of the log.
     level
         Of the intervals.
     comparisons
@@ -59,7 +59,7 @@ class Evaluation:
     verdict: Verdict
     reason: str
     support: tuple[float, ...]
-    num_paths: int
+    num_trajectories: int
     level: float
     comparisons: tuple[Comparison, ...] = ()
     notes: tuple[str, ...] = ()

@@ -42,7 +42,7 @@ class Exploration(NamedTuple):
     regions: tuple["Region", ...]
     """Those on which most hangs first."""
     narrower: float
-    """How many times narrower the interval would be, about, with as many paths."""
+    """How many times narrower the interval would be, about, with as many trajectories."""
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
@@ -78,12 +78,12 @@ def exploration_of(case: Case) -> Exploration:
     problem, task = case.problem, case.problem.model.task
     if not isinstance(task, NamedActions) or problem.log.policy is None:
         return NOWHERE
-    paths, each = problem.paths, _variance(case)
-    begun = paths.is_begun & paths.has_action
-    wanted, taken = problem.log.policy[begun].argmax(axis=1), paths.action[begun]
+    trajectories, each = problem.trajectories, _variance(case)
+    begun = trajectories.is_begun & trajectories.has_action
+    wanted, taken = problem.log.policy[begun].argmax(axis=1), trajectories.action[begun]
     hangs = np.where(taken == wanted, each[:, ::-1].cumsum(axis=1)[:, ::-1][begun], 0.0)
     names = _numeric(problem.logs, task)
-    columns = laid_out(problem.logs.stages[names].to_numpy(dtype=np.float64), problem.logs, paths)[begun]
+    columns = laid_out(problem.logs.stages[names].to_numpy(dtype=np.float64), problem.logs, trajectories)[begun]
     leaves = [
         _Leaf(names, limits, int(action), rows, taken[rows], hangs[rows])
         for action in np.unique(wanted)
@@ -115,8 +115,8 @@ def _numeric(logs: Logs, task: NamedActions) -> list[str]:
 def _variance(case: Case) -> Float[np.ndarray, "n T"]:
     """(w_t (Y_t − Q̂_t))² of each stage."""
     problem, judged = case.problem, case.judged
-    path = np.arange(problem.paths.num_paths)
-    target, taken = (np.asarray(leaf)[problem.fold, path] for leaf in (judged.target, judged.taken))
+    trajectory = np.arange(problem.trajectories.num_trajectories)
+    target, taken = (np.asarray(leaf)[problem.fold, trajectory] for leaf in (judged.target, judged.taken))
     weight = problem.stage_weights[-1].normalised
     return np.where(weight > 0, weight * (target - taken), 0.0) ** 2
 

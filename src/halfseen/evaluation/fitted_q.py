@@ -1,6 +1,6 @@
 """Fitted Q evaluation under censoring [Le2019]_: eq. 3 with the policy's own action in place of the best one.
 
-Q is fitted to all paths, and to all but each fold in turn. So no path is judged by a Q that it shaped
+Q is fitted to all trajectories, and to all but each fold in turn. So no trajectory is judged by a Q that it shaped
 (*cross-fitting*), and how much the value changes from fold to fold tells its standard error (the delete-a-group
 jackknife [Kott2001]_).
 """
@@ -29,7 +29,7 @@ def judged_by_folds(
     nuisances: Sequence[Nuisances],
     pool: Pool,
 ) -> Judged:
-    """What the Qs say that were fitted without each fold; and last that of all paths, if there are nuisances for it.
+    """What the Qs say that were fitted without each fold; and last that of all, if there are nuisances for it.
 
     Parameters
     ----------
@@ -40,9 +40,9 @@ def judged_by_folds(
     reward
         As logged.
     fold
-        Of each path.
+        Of each trajectory.
     nuisances
-        Fitted without each fold, and perhaps to all paths.
+        Fitted without each fold, and perhaps to all trajectories.
     pool
         Who fits.
     """
@@ -52,7 +52,7 @@ def judged_by_folds(
 
 @dataclass(frozen=True, eq=False)
 class _Judging:
-    """Fits Q without a fold, and lets it judge every path."""
+    """Fits Q without a fold, and lets it judge every trajectory."""
 
     model: QModel
     log: Transitions
@@ -74,9 +74,10 @@ def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> 
     Parameters
     ----------
     value
-        V̂_1(S_1) of every path: by the Qs that were fitted without each fold, and last by that of all paths.
+        V̂_1(S_1) of every trajectory: by the Qs that were fitted without each fold, and last by that of all
+        trajectories.
     fold
-        Of each path.
+        Of each trajectory.
     """
     without = np.array([each[fold != k].mean() for k, each in enumerate(value[:-1])])
     return float(value[-1].mean()), jackknife_error(without)

@@ -1,10 +1,11 @@
 """The verdict on what was learned, from the log that it was learned from: no policy is judged by what it has seen.
 
-Paths are dealt into folds. For each fold a policy is learned in the same way from the others, and is judged by the
-paths of its own fold; what those add, path by path, is pooled over the folds into one paired difference for each
-opponent, with one interval. That is a statement about the policies of the folds, each learned from a little less than
-the whole log (a data-adaptive parameter [Hubbard2016]_), and so about *this way of learning from such a log*: the
-policy that was learned from all of it differs a little from each of them, and is as a rule a little better.
+Trajectories are dealt into folds. For each fold a policy is learned in the same way from the others, and is judged by
+the trajectories of its own fold; what those add, trajectory by trajectory, is pooled over the folds into one paired
+difference for each opponent, with one interval. That is a statement about the policies of the folds, each learned from
+a little less than the whole log (a data-adaptive parameter [Hubbard2016]_), and so about *this way of learning from
+such a log*: the policy that was learned from all of it differs a little from each of them, and is as a rule a little
+better.
 
 A policy that holds margins is learned once and judged several times: as it is, the *best guess*, and with more caution.
 That for which most can be claimed is *vouched for* (`vouching`), and the verdict is on it.
@@ -42,7 +43,7 @@ CAUTIONS = (1.0, 2.0, 4.0, 8.0)
 """How many times its margin a policy may go by."""
 
 MOST_JUDGED = 10_000
-"""Paths by which what was learned from a log in passes is judged."""
+"""Trajectories by which what was learned from a log in passes is judged."""
 
 
 @dataclass(frozen=True)
@@ -135,10 +136,10 @@ def held_out_verdict(
 ) -> HeldOutVerdict:
     """Judge a way of learning by the log that was learned from, cross-fitted.
 
-    The verdict is of `num_folds` policies that were learned as `learner` was, each from the paths outside one fold, and
-    not of the learner's own policy, which saw every path. They go by as much more caution as lets most be claimed.
-    Where that cannot be done (too few paths, none of a fold that finished, probabilities that are missing), the verdict
-    is ``"cannot be said"``, and the reason says why.
+    The verdict is of `num_folds` policies that were learned as `learner` was, each from the trajectories outside one
+    fold, and not of the learner's own policy, which saw every trajectory. They go by as much more caution as lets most
+    be claimed. Where that cannot be done (too few trajectories, none of a fold that finished, probabilities that are
+    missing), the verdict is ``"cannot be said"``, and the reason says why.
 
     Parameters
     ----------
@@ -183,7 +184,7 @@ def learn_by_folds(
     on_progress: Callable[[], object] = lambda: None,
     pool: Pool = Pool(None),  # noqa: B008 - it has nothing that could change
 ) -> CrossFitted:
-    """Learn one policy for each fold, from the paths outside it.
+    """Learn one policy for each fold, from the trajectories outside it.
 
     Parameters
     ----------
@@ -201,14 +202,14 @@ def learn_by_folds(
     Raises
     ------
     ArgumentError
-        There are fewer paths than folds.
+        There are fewer trajectories than folds.
     """
-    if logs.num_paths < num_folds:
-        raise ArgumentError(f"the log has {logs.num_paths} path(s) for {num_folds} folds; record more")
+    if logs.num_trajectories < num_folds:
+        raise ArgumentError(f"the log has {logs.num_trajectories} trajectories for {num_folds} folds; record more")
     # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen anew in each fold.
     composed = learner.compose(logs)
     same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
-    fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_paths) % num_folds
+    fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
     policies = []
     for policy in pool.in_order(_Learning(same, logs, fold), range(num_folds)):
         policies.append(policy)
@@ -225,11 +226,11 @@ class _Learning:
     fold: Int[np.ndarray, " n"]
 
     def __call__(self, k: int) -> Any:
-        return self.learner.unfitted().fit(self.logs.select(self.logs.path_ids[_others(self.fold, k)])).policy_
+        return self.learner.unfitted().fit(self.logs.select(self.logs.trajectory_ids[_others(self.fold, k)])).policy_
 
 
 def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
-    """Paths outside a fold."""
+    """Trajectories outside a fold."""
     return np.flatnonzero(fold != k)
 
 

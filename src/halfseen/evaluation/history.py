@@ -1,19 +1,20 @@
 """Whether what went before a stage foretells its outcome beyond what its state and action do.
 
-Weights by states (`marginal`) stand on S_t carrying all that matters of the history. Residuals Y_t − Q̂_t of stages from
-the second on, by a Q̂ that never saw the path, and the history h_t = (A_{t−1}, φ(S_{t−1}), R_{t−1}) are both freed from
-what φ(S_t) and A_t say linearly, and then should have nothing to do with each other: with U_i = Σ_t h̃_it r̃_it,
+Weights by states (`marginal`) stand on S_t carrying all that matters of the history. Residuals Y_t − Q̂_t of stages
+from the second on, by a Q̂ that never saw the trajectory, and the history h_t = (A_{t−1}, φ(S_{t−1}), R_{t−1}) are both
+freed from what φ(S_t) and A_t say linearly, and then should have nothing to do with each other: with U_i = Σ_t h̃_it
+r̃_it,
 
     W = (Σ_i U_i)ᵀ (Σ_i U_i U_iᵀ)⁻¹ (Σ_i U_i)
 
-is χ² with as many degrees of freedom as h has columns, whatever stages of one path share [LiangZeger1986]_. It is told
-as the normal deviate that is as rare [WilsonHilferty1931]_. A log is large enough for this long before it is for the
-weights that the policy needs, for every stage counts alike.
+is χ² with as many degrees of freedom as h has columns, whatever stages of one trajectory share [LiangZeger1986]_. It is
+told as the normal deviate that is as rare [WilsonHilferty1931]_. A log is large enough for this long before it is for
+the weights that the policy needs, for every stage counts alike.
 """
 
 import numpy as np
 
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Bool, Float
 
 CLEARLY = 3.72
@@ -26,7 +27,7 @@ ROWS_PER_COLUMN = 5
 def history_deviate(
     residual: Float[np.ndarray, "n T"],
     has_target: Bool[np.ndarray, "n T"],
-    paths: PathArrays,
+    trajectories: TrajectoryArrays,
     beyond: Float[np.ndarray, "n T G"],
 ) -> float:
     """W as a normal deviate; −∞ where no stage has one before it.
@@ -37,24 +38,28 @@ def history_deviate(
         Y_t − Q̂_t, held out.
     has_target
         Stages that have one.
-    paths
+    trajectories
         The log.
     beyond
         Covariates of each stage that Q does not look at.
     """
-    path, before = np.nonzero(has_target[:, 1:])
-    if not len(path):
+    trajectory, before = np.nonzero(has_target[:, 1:])
+    if not len(trajectory):
         return -np.inf
-    now, taken = before + 1, np.eye(paths.is_possible.shape[-1])
-    states = np.concatenate([paths.features[:, :, 0], beyond], axis=2)
-    known = _known(states[path, now], taken[paths.action[path, now]])
+    now, taken = before + 1, np.eye(trajectories.is_possible.shape[-1])
+    states = np.concatenate([trajectories.features[:, :, 0], beyond], axis=2)
+    known = _known(states[trajectory, now], taken[trajectories.action[trajectory, now]])
     history = np.column_stack(
-        [taken[paths.action[path, before]][:, 1:], states[path, before], paths.reward[path, before]]
+        [
+            taken[trajectories.action[trajectory, before]][:, 1:],
+            states[trajectory, before],
+            trajectories.reward[trajectory, before],
+        ]
     )
-    freed = _freed(np.column_stack([history, residual[path, now]]), known)
+    freed = _freed(np.column_stack([history, residual[trajectory, now]]), known)
     history, left = _varied(freed[:, :-1], history), freed[:, -1]
-    score = np.zeros((paths.num_paths, history.shape[1]))
-    np.add.at(score, path, history * left[:, None])
+    score = np.zeros((trajectories.num_trajectories, history.shape[1]))
+    np.add.at(score, trajectory, history * left[:, None])
     return _deviate(*wald(score))
 
 

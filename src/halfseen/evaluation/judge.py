@@ -14,7 +14,7 @@ from halfseen.evaluation.per_hour import per_hour
 from halfseen.evaluation.problem import Problem, as_logged, following, logging_contribution
 from halfseen.evaluation.quotient import share_of
 from halfseen.evaluation.targets import target_probabilities
-from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_PATHS, why_unknown
+from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
 from halfseen.learning.judging import Judged
 from halfseen.logs import Logs
 
@@ -66,10 +66,10 @@ class Judge:
     def problem_of(self, policy: Any) -> Problem:
         """The same log with another policy."""
         given = self.problem
-        return following(given, target_probabilities(policy, given.logs, given.paths, given.model.task))
+        return following(given, target_probabilities(policy, given.logs, given.trajectories, given.model.task))
 
     def case(self, problem: Problem) -> Case:
-        """Fit Q of a policy, and work out what each path says of it."""
+        """Fit Q of a policy, and work out what each trajectory says of it."""
         judged = problem.judged(problem.nuisances)
         settled = problem.settled(judged)
         return Case(settled, judged, _contender("the policy", settled, judged))
@@ -89,19 +89,23 @@ class Judge:
         ours, own, level, problem = case.contender, self.own, of_each or self.level, case.problem
         unit, theirs = self.logs.reward_unit, self.opponents
         comparisons = _with_shares(compared(ours, theirs, level, problem.excess, unit), theirs, own, level)
-        main, num_paths, completed = deciding(comparisons), problem.paths.num_paths, problem.completed
-        by_ratio = estimate_of(completed.influence(problem.paths.reward), completed.effective_sample_size, level)
+        main, num_trajectories, completed = (
+            deciding(comparisons),
+            problem.trajectories.num_trajectories,
+            problem.completed,
+        )
+        by_ratio = estimate_of(completed.influence(problem.trajectories.reward), completed.effective_sample_size, level)
         by_model = jackknifed(case.judged.value[..., 0], problem.fold)
         found = Evaluation(
             importance_sampling=by_ratio,
-            fitted_q=around(*by_model, num_paths, int(problem.fold.max()), level),
+            fitted_q=around(*by_model, num_trajectories, int(problem.fold.max()), level),
             doubly_robust=ours.estimate(level),
             logging=own.estimate(level),
             difference=main.difference or ours.less(own, level),
             verdict=main.verdict,
             reason=joint_reason(comparisons),
             support=tuple(map(float, problem.support)),
-            num_paths=num_paths,
+            num_trajectories=num_trajectories,
             level=self.level,
             comparisons=comparisons,
             notes=(*self.notes, HISTORY_COUNTS) if problem.has_history else self.notes,
@@ -169,20 +173,20 @@ def _contenders(
     has_probability: bool,
     is_default: bool,
 ) -> tuple[list[Contender], tuple[str, ...]]:
-    """What each path adds to the value of each opponent, and what is to be known of how that was found."""
+    """What each trajectory adds to the value of each opponent, and what is to be known of how that was found."""
     contenders, notes = [], []
     for name, policy in ((each.name, each.policy) for each in opponents):
         if isinstance(policy, str) and policy == LOGGING:
             contenders.append(own._replace(name=name))
         elif isinstance(policy, str) and policy == LOGGING_RULE:
-            rule = logging_rule(problem.logs, problem.paths, problem.model.task, problem.fold, has_probability)
+            rule = logging_rule(problem.logs, problem.trajectories, problem.model.task, problem.fold, has_probability)
             notes.append(f"{name}: {rule if isinstance(rule, str) else rule.note}")
             if not isinstance(rule, str):
                 contenders.append(_opponent(name, following(problem, rule.probabilities, rule.is_taken)))
             elif not is_default:
                 contenders.append(Contender(name, why_unknown=rule))
         else:
-            probabilities = opponent_probabilities(policy, name, logs, problem.paths, problem.model.task)
+            probabilities = opponent_probabilities(policy, name, logs, problem.trajectories, problem.model.task)
             contenders.append(
                 Contender(name, why_unknown=why_unknown(name, problem.support, 0.0, probabilities))
                 if isinstance(probabilities, str)
@@ -198,9 +202,11 @@ def _opponent(name: str, problem: Problem) -> Contender:
 
 def _contender(name: str, problem: Problem, judged: Judged) -> Contender:
     added = problem.contribution(judged)
-    size, num_paths = problem.effective_sample_size, problem.paths.num_paths
-    fewest = FEWEST_PATHS if problem.marginal is None else FEWEST_BY_STATES
-    why = why_unknown(name, problem.support, size, problem.unseen, num_paths, problem.paths_for_one, fewest)
+    size, num_trajectories = problem.effective_sample_size, problem.trajectories.num_trajectories
+    fewest = FEWEST_TRAJECTORIES if problem.marginal is None else FEWEST_BY_STATES
+    why = why_unknown(
+        name, problem.support, size, problem.unseen, num_trajectories, problem.trajectories_for_one, fewest
+    )
     return Contender(name, effective_sample_size=size, why_unknown=why, **added._asdict())
 
 

@@ -87,7 +87,7 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
 
 def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool) -> str:
     verb = "earned" if is_own else "would earn"
-    told = f"{verb} {earned.value:.3g} a path here ({earned.low:.3g} to {earned.high:.3g})"
+    told = f"{verb} {earned.value:.3g} a trajectory here ({earned.low:.3g} to {earned.high:.3g})"
     if promised is None:
         return ""
     error = float(np.hypot(promised["standard_error"], earned.standard_error))
@@ -100,7 +100,7 @@ def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool
         else "more than promised"
     )
     range_ = f"{promised['low']:.3g} to {promised['high']:.3g}"
-    return f"Promised {promised['value']:.3g} a path ({range_}); it {told}: {words}."
+    return f"Promised {promised['value']:.3g} a trajectory ({range_}); it {told}: {words}."
 
 
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[str, ...]:

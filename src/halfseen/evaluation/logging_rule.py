@@ -10,7 +10,8 @@ a*(S) = argmax_a b(a | S).
 * What would it have been? That takes a model of the actions: it is fitted with weights b(A | S)⁴. Under them an action
   has on average b(a | S)⁵ of the votes of a state, which is largest for the same action, and has far less noise.
 
-Each path is judged by a model that was fitted without it; one that knew a path's own actions would follow it too often.
+Each trajectory is judged by a model that was fitted without it; one that knew a trajectory's own actions would follow
+it too often.
 """
 
 from collections.abc import Callable, Sequence
@@ -22,7 +23,7 @@ from halfseen.evaluation.rule_models import Shares, forest_shares, logit_shares
 from halfseen.evaluation.states import states_of
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
@@ -42,7 +43,7 @@ class LoggingRule(NamedTuple):
     """The rule, in the states of the log."""
 
     probabilities: Float[np.ndarray, "n T A"]
-    """1 for its action, by a model that was fitted without the path."""
+    """1 for its action, by a model that was fitted without the trajectory."""
     is_taken: Bool[np.ndarray, "n T"] | None
     """Whether the logged action is its own, where the logged probabilities reveal that; else None."""
     note: str
@@ -50,34 +51,34 @@ class LoggingRule(NamedTuple):
 
 
 def logging_rule(
-    logs: Logs, paths: PathArrays, task: Task, fold: Int[np.ndarray, " n"], has_probability: bool
+    logs: Logs, trajectories: TrajectoryArrays, task: Task, fold: Int[np.ndarray, " n"], has_probability: bool
 ) -> LoggingRule | str:
     """Find the rule behind the logged actions, or say why there is none.
 
     Parameters
     ----------
-    logs, paths
+    logs, trajectories
         The log, and the same laid out.
     task
         Names the actions.
     fold
-        Of each path.
+        Of each trajectory.
     has_probability
         Whether the logged probabilities are to be believed; else the actions alone tell of the rule.
     """
-    begun = paths.is_begun
-    likely = _logged_probability(paths, has_probability)
-    known, taken = likely > 0, paths.action[begun]
+    begun = trajectories.is_begun
+    likely = _logged_probability(trajectories, has_probability)
+    known, taken = likely > 0, trajectories.action[begun]
     row_fold = np.broadcast_to(fold[:, None] % NUM_FOLDS, begun.shape)[begun]
-    guess = _best_guess(_choices(logs, paths, task), taken, _vote_weights(likely), row_fold)
-    probabilities = np.zeros(paths.is_possible.shape)
-    probabilities[begun] = guess[:, None] == np.arange(paths.is_possible.shape[-1])
+    guess = _best_guess(_choices(logs, trajectories, task), taken, _vote_weights(likely), row_fold)
+    probabilities = np.zeros(trajectories.is_possible.shape)
+    probabilities[begun] = guess[:, None] == np.arange(trajectories.is_possible.shape[-1])
     is_right = guess == taken
     if has_probability and _is_revealed(likely[known]):
         is_taken = np.zeros(begun.shape, dtype=bool)
         is_taken[begun] = likely > 0.5
         return LoggingRule(probabilities, is_taken, _revealed_note(is_right[likely > 0.5]))
-    chance = float((1.0 / paths.is_possible[begun][known].sum(axis=1)).mean())
+    chance = float((1.0 / trajectories.is_possible[begun][known].sum(axis=1)).mean())
     if not _is_above(is_right[known], chance):
         return (
             f"the log shows no rule: what seems its most probable action was taken in {is_right[known].mean():.0%} of "
@@ -86,9 +87,9 @@ def logging_rule(
     return LoggingRule(probabilities, None, _estimated_note(is_right[known]))
 
 
-def _logged_probability(paths: PathArrays, has_probability: bool) -> Float[np.ndarray, " rows"]:
+def _logged_probability(trajectories: TrajectoryArrays, has_probability: bool) -> Float[np.ndarray, " rows"]:
     """b(A | S) of each begun stage, 0 where the action or its probability is not known; 1 if none is believed."""
-    known, logged = paths.has_action[paths.is_begun], paths.probability[paths.is_begun]
+    known, logged = trajectories.has_action[trajectories.is_begun], trajectories.probability[trajectories.is_begun]
     return np.where(known, np.nan_to_num(logged) if has_probability else 1.0, 0.0)
 
 
@@ -144,17 +145,17 @@ def _held_out(
     return guess
 
 
-def _choices(logs: Logs, paths: PathArrays, task: Task) -> list[Choice]:
+def _choices(logs: Logs, trajectories: TrajectoryArrays, task: Task) -> list[Choice]:
     """What may have been the shape of the rule: thresholds, or smooth borders; on a table, what Q looks at."""
-    begun = paths.is_begun
-    taken = paths.action[begun]
+    begun = trajectories.is_begun
+    taken = trajectories.action[begun]
     if not isinstance(task, NamedActions):
-        features, is_possible = paths.features[begun], paths.is_possible[begun]
+        features, is_possible = trajectories.features[begun], trajectories.is_possible[begun]
         blocks = task.block_of_action(is_possible.shape[1])
         return [lambda weight: conditional_logit(features, is_possible, taken, blocks, weight).argmax(axis=1)]
-    states, stage = states_of(logs, paths, task.categories, added=["stage"])[begun], np.nonzero(begun)[1]
-    was_taken = np.zeros(paths.is_possible.shape[1:], dtype=bool)
-    was_taken[stage[paths.has_action[begun]], taken[paths.has_action[begun]]] = True
+    states, stage = states_of(logs, trajectories, task.categories, added=["stage"])[begun], np.nonzero(begun)[1]
+    was_taken = np.zeros(trajectories.is_possible.shape[1:], dtype=bool)
+    was_taken[stage[trajectories.has_action[begun]], taken[trajectories.has_action[begun]]] = True
     possible = was_taken[stage]
     return [
         lambda weight, each=each: _likeliest(each, states, taken, weight, possible)

@@ -71,7 +71,7 @@ def evaluate(
     trust: Collection[str] = (),
     workers: Workers = ALONE,
 ) -> Evaluation:
-    """Estimate the value of a policy from a log of another one of which paths were right-censored.
+    """Estimate the value of a policy from a log of another one of which trajectories were right-censored.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def evaluate(
         does not show it.
     censoring
         What stands for what cuts took away, as for `CensoredQLearner`. With ``DoublyRobust(…)`` the value is doubly
-        robust towards cuts, too; that needs the action of the stage in which a path was cut. None for
+        robust towards cuts, too; that needs the action of the stage in which a trajectory was cut. None for
         ``DoublyRobust("cox", by="pooled", truncate_at=10)`` where the log has all actions, else ``"kaplan-meier"``.
     q
         How Q of the policy is fitted; None for one that all stages share, linear in the covariates, their squares and
@@ -97,7 +97,7 @@ def evaluate(
     level
         Of the intervals.
     random_state
-        Seed that deals paths into folds, and draws the landmarks of a kernel.
+        Seed that deals trajectories into folds, and draws the landmarks of a kernel.
     num_folds
         Folds of the cross-fitting, and of the jackknife behind the interval of fitted Q.
     is_hourly
@@ -153,9 +153,9 @@ def judging(
     check_propensity(propensity)
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
-    if logs.num_paths < 2 * num_folds:
+    if logs.num_trajectories < 2 * num_folds:
         raise ArgumentError(
-            f"the log has {logs.num_paths} path(s), and {num_folds} folds need {2 * num_folds}; record more"
+            f"the log has {logs.num_trajectories} trajectories, and {num_folds} folds need {2 * num_folds}; record more"
         )
     is_logged = propensity == "logged"
     opponents = opponents_of(DEFAULT if against is None else against, logs)
@@ -172,8 +172,9 @@ def judging(
 def default_targets(logs: Logs) -> Targets:
     """Doubly robust where the log has all actions, by Cox on the clock of stages, with weights truncated; else weights.
 
-    Cuts may depend on all that a path has shown so far, and on how long its stage drags on. Where a stage is hardly
-    ever seen to end, no weight is believed beyond `LARGEST_WEIGHT`; there the regression of cut stages has to serve.
+    Cuts may depend on all that a trajectory has shown so far, and on how long its stage drags on. Where a stage is
+    hardly ever seen to end, no weight is believed beyond `LARGEST_WEIGHT`; there the regression of cut stages has to
+    serve.
     """
     if logs.stages["action"].isna().to_numpy().any():
         return Weighted()

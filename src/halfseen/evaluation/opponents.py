@@ -12,7 +12,7 @@ from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.evaluation.targets import FixedSequence, horizon_of, target_probabilities
 from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
@@ -50,8 +50,8 @@ def opponents_of(against: Any, logs: Logs) -> tuple[Opponent, ...]:
     ----------
     against
         One, or a list of: ``"logging"``, ``"logging-rule"``; an `Opponent` with a name of its own; a policy; a function
-        of covariates and stage that names an action for each row; a text ``"sequence:A,B,A"``; or a path of a CSV or
-        TOML rule, or of a policy folder.
+        of covariates and stage that names an action for each row; a text ``"sequence:A,B,A"``; or a trajectory of a CSV
+        or TOML rule, or of a policy folder.
     logs
         The log that the comparison rests on.
 
@@ -143,7 +143,7 @@ class _KnownActions:
 
 
 def opponent_probabilities(
-    policy: Any, name: str, logs: Logs, paths: PathArrays, task: Task
+    policy: Any, name: str, logs: Logs, trajectories: TrajectoryArrays, task: Task
 ) -> Float[np.ndarray, "n T A"] | str:
     """π(a | S_t) of an opponent in every begun stage; or in words, the action that it takes and the log has not.
 
@@ -152,10 +152,12 @@ def opponent_probabilities(
     ArgumentError
         It is no policy of such a log, or has fewer stages than the log.
     """
-    horizon = paths.action.shape[1]
+    horizon = trajectories.action.shape[1]
     own = horizon_of(policy, horizon)
     if own < (logs.horizon if isinstance(task, NamedActions) else horizon):
-        raise ArgumentError(f"against: {name} is for {own} stage(s), and a path has up to {logs.horizon}; add some")
+        raise ArgumentError(
+            f"against: {name} is for {own} stage(s), and a trajectory has up to {logs.horizon}; add some"
+        )
     if isinstance(task, NamedActions):
         if not isinstance(policy, NamedActionPolicy):
             raise ArgumentError(f"against: {name} decides nothing about named actions, which the log is of")
@@ -166,7 +168,7 @@ def opponent_probabilities(
         policy = _KnownActions(policy, kept, own)
     elif isinstance(policy, NamedActionPolicy):
         raise ArgumentError(f"against: {name} decides nothing about tables of objects, which the log is of")
-    return target_probabilities(policy, logs, paths, task)
+    return target_probabilities(policy, logs, trajectories, task)
 
 
 def _unknown_action(policy: NamedActionPolicy, logs: Logs, task: NamedActions) -> str | None:

@@ -1,7 +1,7 @@
-"""What a policy earns in an hour of the clock: its mean reward by the mean duration of a path.
+"""What a policy earns in an hour of the clock: its mean reward by the mean duration of a trajectory.
 
 The mean duration is estimated just as the reward is, with the durations of completed stages for rewards. A cell that
-takes part after part earns this in the long run (renewal reward), as long as nothing passes between two paths.
+takes part after part earns this in the long run (renewal reward), as long as nothing passes between two trajectories.
 """
 
 from dataclasses import dataclass, replace
@@ -13,7 +13,7 @@ from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.problem import Problem, logging_contribution
 from halfseen.evaluation.quotient import rate_of
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 
 SECONDS = 3600.0
 STILL_S = 1e-6
@@ -23,12 +23,12 @@ SAME_TIME = 1e-9
 
 
 class Rate(NamedTuple):
-    """What a policy earns in an hour, and how long its paths take."""
+    """What a policy earns in an hour, and how long its trajectories take."""
 
     per_hour: Estimate
     """Mean reward by mean duration [reward/h]."""
     duration_s: Estimate
-    """Mean duration of a path, had nothing been cut [s]."""
+    """Mean duration of a trajectory, had nothing been cut [s]."""
 
 
 @dataclass(frozen=True)
@@ -56,11 +56,11 @@ def per_hour(problem: Problem, policy: Contender, logging: Contender, level: flo
     problem
         The log, with the policy.
     policy, logging
-        What paths add to the rewards of the two.
+        What trajectories add to the rewards of the two.
     level
         Of the intervals.
     """
-    why = why_no_rate(problem.paths)
+    why = why_no_rate(problem.trajectories)
     if why is not None:
         return PerHour(why_unknown=why)
     timed = with_durations(problem)
@@ -68,7 +68,7 @@ def per_hour(problem: Problem, policy: Contender, logging: Contender, level: flo
     own = logging._replace(**logging_contribution(timed)._asdict())
     rates = _rate(policy, ours, level), _rate(logging, own, level)
     is_known = None not in rates
-    return PerHour(*rates, None if is_known else "how long a path takes is known too little")
+    return PerHour(*rates, None if is_known else "how long a trajectory takes is known too little")
 
 
 def _rate(earned: Contender, took: Contender, level: float) -> Rate | None:
@@ -84,18 +84,21 @@ def _times(estimate: Estimate, factor: float) -> Estimate:
 
 def with_durations(problem: Problem) -> Problem:
     """The same log, with durations of completed stages for rewards."""
-    paths = problem.paths
-    took_s = np.where(paths.is_completed, paths.clocks.watched_s, 0.0)
+    trajectories = problem.trajectories
+    took_s = np.where(trajectories.is_completed, trajectories.clocks.watched_s, 0.0)
     # What is known of the noise of rewards says nothing of durations.
     variates = problem.log.control_variates
     still = None if variates is None else np.zeros_like(variates)
     log = problem.log._replace(reward=took_s, control_variates=still)
-    return problem._replace(paths=paths._replace(reward=took_s), log=log)
+    return problem._replace(trajectories=trajectories._replace(reward=took_s), log=log)
 
 
-def why_no_rate(paths: PathArrays) -> str | None:
+def why_no_rate(trajectories: TrajectoryArrays) -> str | None:
     """Say why the clock of a log tells no hours; None if it does."""
-    took_s, reward = paths.clocks.watched_s[paths.is_completed], paths.reward[paths.is_completed]
+    took_s, reward = (
+        trajectories.clocks.watched_s[trajectories.is_completed],
+        trajectories.reward[trajectories.is_completed],
+    )
     if not len(took_s) or np.median(took_s) <= STILL_S:
         return "stages take no time on the clock of these logs"
     if len(took_s) > 1 and np.ptp(took_s) <= SAME_TIME * took_s.max():

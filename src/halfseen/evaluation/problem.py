@@ -1,4 +1,4 @@
-"""A log, a policy that is to be judged by it, and all that is fitted before Q: what each path adds to a value."""
+"""A log, a policy that is to be judged by it, and all that is fitted before Q: what each trajectory adds to a value."""
 
 from collections.abc import Sequence
 from typing import Any, NamedTuple
@@ -27,17 +27,17 @@ from halfseen.evaluation.targets import is_alike, target_probabilities
 from halfseen.learning.judging import Judged
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
-from halfseen.learning.rows import PathArrays, Transitions
+from halfseen.learning.rows import TrajectoryArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.workers import Pool
 
 
 class Contribution(NamedTuple):
-    """What the paths of a log add to a value."""
+    """What the trajectories of a log add to a value."""
 
     values: Float[np.ndarray, " n"]
-    """What each path adds; their mean is the value."""
+    """What each trajectory adds; their mean is the value."""
     without: Float[np.ndarray, " K"]
     """The value without each fold."""
     errors: Float[np.ndarray, "n T"]
@@ -47,7 +47,7 @@ class Contribution(NamedTuple):
     truncated: float = 0.0
     """The same for each one that Q is, where weights were cut off."""
     possible: Possible | None = None
-    """What a path can earn at all."""
+    """What a trajectory can earn at all."""
     by_model: float = np.nan
     """What Q alone says that the value is."""
     weights: Float[np.ndarray, "n T"] | None = None
@@ -60,14 +60,14 @@ class Problem(NamedTuple):
     """A log, the probabilities of a policy in it, and all that is fitted before Q."""
 
     logs: Logs
-    paths: PathArrays
+    trajectories: TrajectoryArrays
     log: Transitions
     model: QModel
     fold: np.ndarray
     likely: Float[np.ndarray, "n T"]
     """b(A_t | S_t)."""
     nuisances: tuple[Nuisances, ...]
-    """Fitted without each fold, and last to all paths."""
+    """Fitted without each fold, and last to all trajectories."""
     ratio: Float[np.ndarray, "n T"]
     support: Float[np.ndarray, " L"]
     """Of the stages that the log holds."""
@@ -76,7 +76,7 @@ class Problem(NamedTuple):
     unseen: str | None
     """An action that the policy takes and that the log never saw completed, in words."""
     squared_ratio: float = 1.0
-    """E[ρ²] of whole paths."""
+    """E[ρ²] of whole trajectories."""
     is_revealed: bool = False
     """Whether the log itself says where the policy was followed."""
     marginal: Marginal | None = None
@@ -88,32 +88,36 @@ class Problem(NamedTuple):
 
     @property
     def effective_sample_size(self) -> float:
-        """Of the paths that follow the policy."""
+        """Of the trajectories that follow the policy."""
         return self.stage_weights[-1].effective_sample_size
 
     @property
     def stage_weights(self) -> tuple[StageWeights, ...]:
-        """Of the stages that have a target, without each fold, and last of all paths."""
+        """Of the stages that have a target, without each fold, and last of all trajectories."""
         return self.marginal.by_fold if self.marginal else tuple(self.weights(given) for given in self.nuisances)
 
     @property
-    def paths_for_one(self) -> float:
-        """How many paths like those of the log are worth one that follows the policy, about."""
+    def trajectories_for_one(self) -> float:
+        """How many trajectories like those of the log are worth one that follows the policy, about."""
         if self.marginal is not None:
             size = self.effective_sample_size
-            return self.paths.num_paths / size if size > 0 else np.inf
+            return self.trajectories.num_trajectories / size if size > 0 else np.inf
         in_spite_of_cuts = as_logged(self).effective_sample_size
-        return self.squared_ratio * self.paths.num_paths / in_spite_of_cuts if in_spite_of_cuts > 0 else np.inf
+        return (
+            self.squared_ratio * self.trajectories.num_trajectories / in_spite_of_cuts
+            if in_spite_of_cuts > 0
+            else np.inf
+        )
 
     @property
     def completed(self) -> StageWeights:
         """Weights of the completed stages."""
-        return completed_weights(self.ratio, self.nuisances[-1].uncut, self.paths)
+        return completed_weights(self.ratio, self.nuisances[-1].uncut, self.trajectories)
 
     def weights(self, given: Nuisances) -> StageWeights:
         """By ρ, of the stages that have a target: begun ones if targets are imputed, else completed ones."""
         stage_weights = completed_weights if given.imputation is None else begun_weights
-        return stage_weights(self.ratio, given.uncut, self.paths)
+        return stage_weights(self.ratio, given.uncut, self.trajectories)
 
     def settled(self, judged: Judged) -> "Problem":
         """The same with products of ratios where the history of a stage tells more of it than its state."""
@@ -128,26 +132,29 @@ class Problem(NamedTuple):
         )
         is_imputed = self.nuisances[-1].imputation is not None
         return history_deviate(
-            target - taken, self.paths.is_begun if is_imputed else self.paths.is_completed, self.paths, self.beyond
+            target - taken,
+            self.trajectories.is_begun if is_imputed else self.trajectories.is_completed,
+            self.trajectories,
+            self.beyond,
         )
 
     def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
         """What Qs of the policy say, each fitted with one of these."""
-        return judged_by_folds(self.model, self.log, self.paths.reward, self.fold, nuisances, self.pool)
+        return judged_by_folds(self.model, self.log, self.trajectories.reward, self.fold, nuisances, self.pool)
 
     def contribution(self, judged: Judged) -> Contribution:
-        """What each path adds to the doubly robust value."""
+        """What each trajectory adds to the doubly robust value."""
         own = judged.taken
         # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it
         # may stand for Q, and then the value is right even where a model of the policy says another action.
         judged = judged._replace(taken=judged.value) if self.is_revealed else judged
         values, without = cross_fitted(judged, self.stage_weights[:-1], self.fold)
-        path = np.arange(len(self.fold))
-        value, taken, own = (np.asarray(leaf)[self.fold, path] for leaf in (judged.value, judged.taken, own))
+        trajectory = np.arange(len(self.fold))
+        value, taken, own = (np.asarray(leaf)[self.fold, trajectory] for leaf in (judged.value, judged.taken, own))
         successor = np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
-        target = self.paths.reward + np.where(self.paths.is_last, 0.0, successor)
+        target = self.trajectories.reward + np.where(self.trajectories.is_last, 0.0, successor)
         residual = target - taken
-        deviation, within = self.deviation(target - own), possible(self.paths)
+        deviation, within = self.deviation(target - own), possible(self.trajectories)
         lost = self.marginal.lost if self.marginal else 0.0
         return Contribution(
             within.moved_within(values),
@@ -172,19 +179,19 @@ class Problem(NamedTuple):
 
     @property
     def uncorrected_weight(self) -> float:
-        """Stages of a path that the regression of cut ones speaks for alone.
+        """Stages of a trajectory that the regression of cut ones speaks for alone.
 
         They end so late that completed ones stand for them by no weight, or by a truncated one.
         """
         given = self.nuisances[-1]
         if given.imputation is None:
             return 0.0
-        missing = np.where(self.paths.is_begun, 1.0 - given.imputation.share, 0.0)
-        return max(0.0, float((self.stage_weights[-1].normalised * missing).sum() / self.paths.num_paths))
+        missing = np.where(self.trajectories.is_begun, 1.0 - given.imputation.share, 0.0)
+        return max(0.0, float((self.stage_weights[-1].normalised * missing).sum() / self.trajectories.num_trajectories))
 
     def deviation(self, residual: Float[np.ndarray, "n T"]) -> float:
         """Standard deviation of the targets of stages about Q."""
-        weight = self.nuisances[-1].uncut * self.paths.is_completed
+        weight = self.nuisances[-1].uncut * self.trajectories.is_completed
         return float(np.sqrt(np.sum(weight * residual**2) / weight.sum())) if weight.any() else 0.0
 
     @property
@@ -197,32 +204,32 @@ class Problem(NamedTuple):
 def problem_of(
     policy: Any, logs: Logs, model: QModel, propensity: str, rng: np.random.Generator, num_folds: int
 ) -> Problem:
-    """Fit all that comes before Q, to all paths and without each fold."""
-    model, paths = model.fitted(logs)
+    """Fit all that comes before Q, to all trajectories and without each fold."""
+    model, trajectories = model.fitted(logs)
     if model.cut_model is None and not logs.is_finished.all():
         raise ArgumentError(
-            f"censoring is {model.targets.name!r}, which gives no weights, but {int((~logs.is_finished).sum())} paths "
-            "were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
+            f"censoring is {model.targets.name!r}, which gives no weights, but {int((~logs.is_finished).sum())} "
+            "trajectories were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
         )
-    probabilities = target_probabilities(policy, logs, paths, model.task)
-    whole = nuisances_of(model, paths)
-    log = model.weighted(paths, whole.weight, whole.imputation, model.folds(paths.num_paths))
-    needed = (paths.is_begun if whole.imputation else paths.is_completed) & paths.has_action
+    probabilities = target_probabilities(policy, logs, trajectories, model.task)
+    whole = nuisances_of(model, trajectories)
+    log = model.weighted(trajectories, whole.weight, whole.imputation, model.folds(trajectories.num_trajectories))
+    needed = (trajectories.is_begun if whole.imputation else trajectories.is_completed) & trajectories.has_action
     if propensity == "logged":
-        likely = logged_propensity(paths, needed)
+        likely = logged_propensity(trajectories, needed)
     else:
         is_pooled = model.stages == "pooled" and is_alike(model.task)
-        likely = estimated_propensity(paths, needed, model.blocks(probabilities.shape[-1]), is_pooled)
-    fold = rng.permutation(paths.num_paths) % num_folds
-    nuisances = (*nuisances_by_folds(model, paths, whole, fold), whole)
+        likely = estimated_propensity(trajectories, needed, model.blocks(probabilities.shape[-1]), is_pooled)
+    fold = rng.permutation(trajectories.num_trajectories) % num_folds
+    nuisances = (*nuisances_by_folds(model, trajectories, whole, fold), whole)
     alike, support = np.ones_like(likely), np.ones(logs.horizon)
     task = model.task
     beyond = (
-        states_of(logs, paths, task.categories, left_out=task.covariates)
+        states_of(logs, trajectories, task.categories, left_out=task.covariates)
         if isinstance(task, NamedActions)
-        else np.zeros((*paths.is_begun.shape, 0))
+        else np.zeros((*trajectories.is_begun.shape, 0))
     )
-    given = Problem(logs, paths, log, model, fold, likely, nuisances, alike, support, beyond, None)
+    given = Problem(logs, trajectories, log, model, fold, likely, nuisances, alike, support, beyond, None)
     return following(given, probabilities)
 
 
@@ -232,21 +239,21 @@ def following(
     is_taken: Bool[np.ndarray, "n T"] | None = None,
 ) -> Problem:
     """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
-    paths = problem.paths
-    followed = probabilities if is_taken is None else _one_hot(paths) * is_taken[..., None]
+    trajectories = problem.trajectories
+    followed = probabilities if is_taken is None else _one_hot(trajectories) * is_taken[..., None]
     uncut = np.stack([given.uncut for given in problem.nuisances])
-    single = single_ratios(followed, problem.likely, paths)
+    single = single_ratios(followed, problem.likely, trajectories)
     is_imputed = problem.nuisances[-1].imputation is not None
     # A set of objects is no state of covariates that all actions share.
     has_states = problem.model.task.is_shared
     return problem._replace(
         log=problem.log._replace(policy=probabilities),
-        ratio=likelihood_ratios(followed, problem.likely, paths),
-        squared_ratio=mean_squared_ratio(followed, problem.likely, paths),
-        support=_support(followed, paths)[: problem.logs.horizon],
-        unseen=_unseen(probabilities, paths, problem.model),
+        ratio=likelihood_ratios(followed, problem.likely, trajectories),
+        squared_ratio=mean_squared_ratio(followed, problem.likely, trajectories),
+        support=_support(followed, trajectories)[: problem.logs.horizon],
+        unseen=_unseen(probabilities, trajectories, problem.model),
         is_revealed=is_taken is not None,
-        marginal=marginal_weights(single, uncut, paths, problem.beyond, problem.fold, is_imputed)
+        marginal=marginal_weights(single, uncut, trajectories, problem.beyond, problem.fold, is_imputed)
         if has_states
         else None,
         has_history=False,
@@ -255,45 +262,49 @@ def following(
 
 def as_logged(problem: Problem) -> Problem:
     """The same log, with the logged action for a policy: ρ is 1, and no propensity is needed."""
-    log = problem.log._replace(policy=_one_hot(problem.paths))
+    log = problem.log._replace(policy=_one_hot(problem.trajectories))
     return problem._replace(
         log=log, ratio=np.ones_like(problem.ratio), squared_ratio=1.0, is_revealed=False, marginal=None
     )
 
 
 def logging_contribution(problem: Problem) -> Contribution:
-    """What each path adds to the value of the logging policy; where targets are imputed, that is doubly robust, too."""
+    """What each trajectory adds to the logging policy's value; doubly robust, too, where targets are imputed."""
     own = as_logged(problem)
     if own.log.imputation is not None:
         return own.contribution(own.judged(own.nuisances[:-1]))
-    reward, without = own.paths.reward, []
+    reward, without = own.trajectories.reward, []
     for k, given in enumerate(own.nuisances[:-1]):
         kept = own.fold != k
         without.append(own.weights(given).take(kept).influence(reward[kept]).mean())
     values = own.weights(own.nuisances[-1]).influence(reward)
     return Contribution(
-        values, np.array(without), own.errors(reward), possible=possible(own.paths), by_model=float(values.mean())
+        values,
+        np.array(without),
+        own.errors(reward),
+        possible=possible(own.trajectories),
+        by_model=float(values.mean()),
     )
 
 
-def _one_hot(paths: PathArrays) -> Float[np.ndarray, "n T A"]:
+def _one_hot(trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T A"]:
     """1 for the action that was logged."""
-    is_action = paths.action[..., None] == np.arange(paths.is_possible.shape[-1])
-    return (is_action & paths.is_begun[..., None]).astype(np.float64)
+    is_action = trajectories.action[..., None] == np.arange(trajectories.is_possible.shape[-1])
+    return (is_action & trajectories.is_begun[..., None]).astype(np.float64)
 
 
-def _support(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> Float[np.ndarray, " T"]:
+def _support(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays) -> Float[np.ndarray, " T"]:
     """Share of the known actions of each stage that the policy would take; 1 where the log has no such stage."""
-    known = paths.is_begun & paths.has_action
-    taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0] > 0
+    known = trajectories.is_begun & trajectories.has_action
+    taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0] > 0
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
 
 
-def _unseen(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays, model: QModel) -> str | None:
+def _unseen(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays, model: QModel) -> str | None:
     """The first action that the policy would take in a stage that was begun, and that has no value."""
     assert model.support is not None
     blocks = model.kinds(probabilities.shape[-1])
-    is_taken = ((probabilities > 0) & paths.is_begun[..., None]).any(axis=0)
+    is_taken = ((probabilities > 0) & trajectories.is_begun[..., None]).any(axis=0)
     lacking = np.argwhere(is_taken & ~model.support.is_seen(model.stages)[:, blocks])
     if not len(lacking):
         return None

@@ -10,7 +10,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.behaviour import conditional_logit
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int
 
 Propensity = Literal["logged", "estimated"]
@@ -22,32 +22,32 @@ def check_propensity(propensity: str) -> None:
         raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")
 
 
-def logged_propensity(paths: PathArrays, is_needed: Bool[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
+def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
     """Take the column ``probability``; 1 where it is not needed.
 
     Raises
     ------
     LogError
-        It is null where it is needed; path and stage are named.
+        It is null where it is needed; trajectory and stage are named.
     """
-    missing = is_needed & np.isnan(paths.probability)
+    missing = is_needed & np.isnan(trajectories.probability)
     if missing.any():
-        path, stage = np.argwhere(missing)[0]
+        trajectory, stage = np.argwhere(missing)[0]
         raise LogError(
-            f"path {paths.path_ids[path]}, stage {stage + 1}: its probability was not logged, so how likely its "
-            "action was is not known; log it, or estimate it with propensity 'estimated'"
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: its probability was not logged, "
+            "so how likely its action was is not known; log it, or estimate it with propensity 'estimated'"
         )
-    return np.where(is_needed, paths.probability, 1.0)
+    return np.where(is_needed, trajectories.probability, 1.0)
 
 
 def estimated_propensity(
-    paths: PathArrays, is_needed: Bool[np.ndarray, "n T"], blocks: Int[np.ndarray, " A"], is_pooled: bool
+    trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"], blocks: Int[np.ndarray, " A"], is_pooled: bool
 ) -> Float[np.ndarray, "n T"]:
     """Estimate b(A_t | S_t) from the actions of all stages that are known; 1 where it is not needed.
 
     Parameters
     ----------
-    paths
+    trajectories
         The log.
     is_needed
         Stages that are asked about.
@@ -56,14 +56,14 @@ def estimated_propensity(
     is_pooled
         One model for all stages, instead of one for each.
     """
-    known = paths.is_begun & paths.has_action
+    known = trajectories.is_begun & trajectories.has_action
     likely = np.ones(known.shape)
     num_stages = known.shape[1]
     for stages in [slice(None)] if is_pooled else [slice(t, t + 1) for t in range(num_stages)]:
         rows = np.zeros_like(known)
         rows[:, stages] = known[:, stages]
         if rows.any():
-            taken = paths.action[rows]
-            each = conditional_logit(paths.features[rows], paths.is_possible[rows], taken, blocks)
+            taken = trajectories.action[rows]
+            each = conditional_logit(trajectories.features[rows], trajectories.is_possible[rows], taken, blocks)
             likely[rows] = each[np.arange(len(taken)), taken]
     return np.where(is_needed, likely, 1.0)

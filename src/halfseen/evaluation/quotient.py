@@ -1,7 +1,8 @@
-"""A mean as a multiple of another to which the same paths add, with its interval by the delta method.
+"""A mean as a multiple of another to which the same trajectories add, with its interval by the delta method.
 
-With φ_i and ψ_i what path i adds to the two, and r = φ̄/ψ̄, what it adds to the quotient is r + (φ_i − r ψ_i)/ψ̄: a paired
-difference, so that what moves both (the luck of a path) moves the quotient little. The jackknife divides, too.
+With φ_i and ψ_i what trajectory i adds to the two, and r = φ̄/ψ̄, what it adds to the quotient is r + (φ_i − r ψ_i)/ψ̄:
+a paired difference, so that what moves both (the luck of a trajectory) moves the quotient little. The jackknife
+divides, too.
 """
 
 from collections.abc import Callable

@@ -1,16 +1,16 @@
-"""What each path stands for, stage by stage, under the policy that is evaluated and had nothing been cut.
+"""What each trajectory stands for, stage by stage, under the policy that is evaluated and had nothing been cut.
 
 With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a stage that was completed weighs ρ_t δ_t / Ĝ(U_t⁻), and one that was
-begun ρ_t / Ĝ(U_{t−1}⁻). A path that has come to its own end stays in the sums with its last weight, for a cut would not
-have changed what comes after: nothing. So the weights of every stage have mean 1, and dividing by their mean takes out
-much of their noise (self-normalised, or weighted, importance sampling).
+begun ρ_t / Ĝ(U_{t−1}⁻). A trajectory that has come to its own end stays in the sums with its last weight, for a cut
+would not have changed what comes after: nothing. So the weights of every stage have mean 1, and dividing by their mean
+takes out much of their noise (self-normalised, or weighted, importance sampling).
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Bool, Float
 
 
@@ -23,7 +23,7 @@ class StageWeights:
     weight
         Of each stage that counts, 0 elsewhere.
     standing
-        The same, and of a path that has ended, its last weight.
+        The same, and of a trajectory that has ended, its last weight.
     """
 
     weight: Float[np.ndarray, "n T"]
@@ -31,7 +31,7 @@ class StageWeights:
 
     @property
     def normalised(self) -> Float[np.ndarray, "n T"]:
-        """Weights by their mean over paths; 0 in a stage that no path stands for."""
+        """Weights by their mean over trajectories; 0 in a stage that no trajectory stands for."""
         mean = self.standing.mean(axis=0)
         return np.where(mean > 0, self.weight / np.where(mean > 0, mean, 1.0), 0.0)
 
@@ -43,11 +43,11 @@ class StageWeights:
         return float(each.min())
 
     def take(self, rows: Bool[np.ndarray, " n"]) -> "StageWeights":
-        """Keep these paths."""
+        """Keep these trajectories."""
         return StageWeights(self.weight[rows], self.standing[rows])
 
     def influence(self, of_stage: Float[np.ndarray, "n T"]) -> Float[np.ndarray, " n"]:
-        """What each path adds to the sum over stages of the weighted means of `of_stage`; its mean is that sum.
+        """What each trajectory adds to the sum over stages of the weighted means of `of_stage`; its mean is that sum.
 
         The noise of the weights' means is part of it, so that its standard deviation over √n is the standard error.
         """
@@ -59,7 +59,7 @@ class StageWeights:
 
 
 def likelihood_ratios(
-    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
+    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> Float[np.ndarray, "n T"]:
     """ρ_t of each begun stage whose action is known; 0 elsewhere.
 
@@ -69,53 +69,63 @@ def likelihood_ratios(
         π(a | S_t).
     propensity
         b(A_t | S_t).
-    paths
+    trajectories
         The log.
     """
-    known = paths.is_begun & paths.has_action
-    return np.where(known, np.cumprod(single_ratios(probabilities, propensity, paths), axis=1), 0.0)
+    known = trajectories.is_begun & trajectories.has_action
+    return np.where(known, np.cumprod(single_ratios(probabilities, propensity, trajectories), axis=1), 0.0)
 
 
 def mean_squared_ratio(
-    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
+    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> float:
-    """E[ρ²], by what is logged of each stage: so many uncut paths of the logging policy are worth one of the policy.
+    """E[ρ²], by what is logged of each stage: so many uncut trajectories that were logged are worth one of the policy.
 
-    Of ρ² itself a log knows little where few paths do as the policy would to their end. So it is put together from the
-    stages, Π_t E[(π/b)²], as if they had nothing to do with one another, and averaged over the lengths of the paths.
+    Of ρ² itself a log knows little where few trajectories do as the policy would to their end. So it is put together
+    from the stages, Π_t E[(π/b)²], as if they had nothing to do with one another, and averaged over the lengths of the
+    trajectories.
 
     Parameters
     ----------
-    probabilities, propensity, paths
+    probabilities, propensity, trajectories
         As for `likelihood_ratios`.
     """
-    known, squares = paths.is_begun & paths.has_action, single_ratios(probabilities, propensity, paths) ** 2
+    known, squares = (
+        trajectories.is_begun & trajectories.has_action,
+        single_ratios(probabilities, propensity, trajectories) ** 2,
+    )
     mean = np.where(known, squares, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    whole = paths.clocks.is_finished if paths.clocks.is_finished.any() else np.ones(paths.num_paths, dtype=bool)
+    whole = (
+        trajectories.clocks.is_finished
+        if trajectories.clocks.is_finished.any()
+        else np.ones(trajectories.num_trajectories, dtype=bool)
+    )
     return float(np.prod(np.where(known[whole], mean, 1.0), axis=1).mean())
 
 
 def single_ratios(
-    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], paths: PathArrays
+    probabilities: Float[np.ndarray, "n T A"], propensity: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> Float[np.ndarray, "n T"]:
     """π/b of each begun stage whose action is known; 1 elsewhere."""
-    taken = np.take_along_axis(probabilities, paths.action[..., None], axis=2)[..., 0]
-    return np.where(paths.is_begun & paths.has_action, taken / propensity, 1.0)
+    taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0]
+    return np.where(trajectories.is_begun & trajectories.has_action, taken / propensity, 1.0)
 
 
 def completed_weights(
-    ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], paths: PathArrays
+    ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
 ) -> StageWeights:
     """ρ_t δ_t / Ĝ(U_t⁻), given the last factors in `uncut`."""
-    weight = np.where(paths.is_completed, ratio * uncut, 0.0)
-    return StageWeights(weight, _stand_on(weight, paths))
+    weight = np.where(trajectories.is_completed, ratio * uncut, 0.0)
+    return StageWeights(weight, _stand_on(weight, trajectories))
 
 
-def begun_weights(ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], paths: PathArrays) -> StageWeights:
-    """ρ_t / Ĝ(U_{t−1}⁻) of begun stages; once a path has ended, ρ_L / Ĝ(U_L⁻) stands for it."""
-    weight = np.where(paths.is_begun, ratio * uncut_before(uncut), 0.0)
-    ended = _stand_on(np.where(paths.is_completed, ratio * uncut, 0.0), paths)
-    return StageWeights(weight, np.where(paths.is_begun, weight, ended))
+def begun_weights(
+    ratio: Float[np.ndarray, "n T"], uncut: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
+) -> StageWeights:
+    """ρ_t / Ĝ(U_{t−1}⁻) of begun stages; once a trajectory has ended, ρ_L / Ĝ(U_L⁻) stands for it."""
+    weight = np.where(trajectories.is_begun, ratio * uncut_before(uncut), 0.0)
+    ended = _stand_on(np.where(trajectories.is_completed, ratio * uncut, 0.0), trajectories)
+    return StageWeights(weight, np.where(trajectories.is_begun, weight, ended))
 
 
 def uncut_before(uncut: Float[np.ndarray, "*B n T"]) -> Float[np.ndarray, "*B n T"]:
@@ -123,7 +133,7 @@ def uncut_before(uncut: Float[np.ndarray, "*B n T"]) -> Float[np.ndarray, "*B n 
     return np.concatenate([np.ones_like(uncut[..., :1]), uncut[..., :-1]], axis=-1)
 
 
-def _stand_on(weight: Float[np.ndarray, "n T"], paths: PathArrays) -> Float[np.ndarray, "n T"]:
-    last = paths.is_begun.sum(axis=1) - 1
-    has_ended = paths.clocks.is_finished[:, None] & (np.arange(weight.shape[1]) > last[:, None])
+def _stand_on(weight: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) -> Float[np.ndarray, "n T"]:
+    last = trajectories.is_begun.sum(axis=1) - 1
+    has_ended = trajectories.clocks.is_finished[:, None] & (np.arange(weight.shape[1]) > last[:, None])
     return np.where(has_ended, weight[np.arange(len(weight)), last][:, None], weight)

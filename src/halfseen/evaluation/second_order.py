@@ -13,19 +13,19 @@ from halfseen.learning.covariates import Covariates
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import Logs
 
-PATHS_PER_TERM = 10
-"""Second-order terms need as many paths each; where there are fewer, covariates stay as they are."""
+TRAJECTORIES_PER_TERM = 10
+"""Second-order terms need as many trajectories each; where there are fewer, covariates stay as they are."""
 
 
 def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Logs]:
     """Add the stage and second-order terms to what a task looks at, and columns of them to its log."""
     fitted = task.fitted(logs, logs.horizon)
     terms = _terms(fitted.looks_at, logs.stages)
-    if len(terms) * PATHS_PER_TERM > logs.num_paths:
+    if len(terms) * TRAJECTORIES_PER_TERM > logs.num_trajectories:
         terms = {}
     names = list(dict.fromkeys([*task.covariates, "stage", *terms]))
     wider = NamedActions(task.actions, names, fitted.categories)
-    return wider, Logs(logs.stages.assign(**terms), logs.paths, logs.objects, reward_unit=logs.reward_unit)
+    return wider, Logs(logs.stages.assign(**terms), logs.trajectories, logs.objects, reward_unit=logs.reward_unit)
 
 
 def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:

@@ -83,7 +83,7 @@ def in_words(gamma: float) -> str:
 
 
 def _shift(excess: Float[np.ndarray, " n"], error: Float[np.ndarray, " n"], gamma: float) -> float:
-    """The same of one stage, summed over paths."""
+    """The same of one stage, summed over trajectories."""
     order = np.argsort(error, kind="stable")
     excess, error = np.maximum(excess[order], 0.0), error[order]
     total = excess.sum()

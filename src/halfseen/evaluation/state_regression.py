@@ -5,7 +5,7 @@
 a mean over neighbours [Nadaraya1964]_ [Watson1964]_ of what a first guess f leaves. f is 0, or linear by ridge
 regression; neighbours are counted at the nearest of few places c, so that a long log costs what its rows do. Among the
 two guesses and some widths h, up to one that makes neighbours of all, the one is taken that foretells the weights of
-paths that were left out best. Weights are no less than 0, and their mean is kept: m is scaled to the sum of ω.
+trajectories that were left out best. Weights are no less than 0, and their mean is kept: m is scaled to the sum of ω.
 """
 
 from collections.abc import Iterator, Sequence

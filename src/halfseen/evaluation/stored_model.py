@@ -93,7 +93,7 @@ def specification(
     bound = learned.get("truncate_at") if truncate_at is None else truncate_at
     targets = named_targets(
         model,
-        by=censoring_by or learned.get("censoring_by") or "path",
+        by=censoring_by or learned.get("censoring_by") or "trajectory",
         covariates=_own_covariates(learned, model) if censoring_covariates is None else censoring_covariates,
         truncate_at=LARGEST_WEIGHT if bound is None and is_augmented else bound,
         is_doubly_robust=is_augmented,

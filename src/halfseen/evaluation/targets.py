@@ -12,7 +12,7 @@ from halfseen.learning.caution import more_cautious
 from halfseen.learning.covariates import fit_covariates
 from halfseen.learning.flat_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
@@ -59,14 +59,14 @@ class FixedSequence:
 
 @dataclass(frozen=True, eq=False)
 class CrossFitted:
-    """One policy for each fold of a log, which decides for the paths of its fold and was learned from the others.
+    """One policy for each fold of a log, which decides for its trajectories and was learned from the others.
 
     Parameters
     ----------
     policies
         Of each fold, what the task takes for a policy.
     fold
-        Of each path.
+        Of each trajectory.
     horizon
         Number T of stages.
     """
@@ -80,9 +80,9 @@ class CrossFitted:
         return replace(self, policies=tuple(more_cautious(policy, times) for policy in self.policies))
 
     def target_probabilities(self, logs: Logs, horizon: int, task: Task) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of each path, by the policy of its fold."""
+        """π(a | S_t) of each trajectory, by the policy of its fold."""
         each = np.stack([task.target_probabilities(policy, logs, horizon) for policy in self.policies])
-        return each[self.fold, np.arange(logs.num_paths)]
+        return each[self.fold, np.arange(logs.num_trajectories)]
 
 
 def task_of(policy: Any, logs: Logs) -> Task:
@@ -163,7 +163,9 @@ def horizon_of(policy: Any, default: int) -> int:
     return int(getattr(policy, "horizon", None) or by_coefficients or default)
 
 
-def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task) -> Float[np.ndarray, "n T A"]:
+def target_probabilities(
+    policy: Any, logs: Logs, trajectories: TrajectoryArrays, task: Task
+) -> Float[np.ndarray, "n T A"]:
     """π(a | S_t) of every stage that was begun; 0 elsewhere.
 
     Parameters
@@ -172,7 +174,7 @@ def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task)
         What the task takes for a policy, or one for each fold.
     logs
         The log.
-    paths
+    trajectories
         The same, laid out.
     task
         Names the actions.
@@ -183,14 +185,14 @@ def target_probabilities(policy: Any, logs: Logs, paths: PathArrays, task: Task)
         The policy is for other actions or another kind of log, takes an action that is not possible, or draws its
         actions and cannot say how.
     """
-    horizon = paths.action.shape[1]
+    horizon = trajectories.action.shape[1]
     if isinstance(policy, CrossFitted):
         probabilities = policy.target_probabilities(logs, horizon, task)
     else:
         probabilities = task.target_probabilities(policy, logs, horizon)
-    probabilities = np.where(paths.is_begun[..., None], probabilities, 0.0)
+    probabilities = np.where(trajectories.is_begun[..., None], probabilities, 0.0)
     _refuse_unknown(probabilities, policy)
-    _refuse_impossible(probabilities, paths)
+    _refuse_impossible(probabilities, trajectories)
     return probabilities
 
 
@@ -202,11 +204,11 @@ def _refuse_unknown(probabilities: Float[np.ndarray, "n T A"], policy: Any) -> N
         )
 
 
-def _refuse_impossible(probabilities: Float[np.ndarray, "n T A"], paths: PathArrays) -> None:
-    wrong = paths.is_begun[..., None] & (probabilities > 0) & ~paths.is_possible
+def _refuse_impossible(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays) -> None:
+    wrong = trajectories.is_begun[..., None] & (probabilities > 0) & ~trajectories.is_possible
     if wrong.any():
-        path, stage, action = np.argwhere(wrong)[0]
+        trajectory, stage, action = np.argwhere(wrong)[0]
         raise ArgumentError(
-            f"path {paths.path_ids[path]}, stage {stage + 1}: the policy takes action number {action + 1}, which is "
-            "not possible there; give a policy for the actions of this stage"
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: the policy takes action number "
+            f"{action + 1}, which is not possible there; give a policy for the actions of this stage"
         )

@@ -1,12 +1,12 @@
-"""Better than an opponent, not better, or cannot be said; why, in one plain sentence; and how many paths would decide.
+"""Better than an opponent, not better, or cannot be said; why, in one plain sentence; and how many would decide.
 
-The half-width of an interval shrinks as 1/√n: its standard error σ is the spread of what paths add, and the bias β that
-it allows for is of stages that more paths see end. With a difference of δ,
+The half-width of an interval shrinks as 1/√n: its standard error σ is the spread of what trajectories add, and the bias
+β that it allows for is of stages that more trajectories see end. With a difference of δ,
 
     n* = n·((β + (z₀.₉₇₅ + z₀.₈) σ) / |δ|)²
 
-paths show it in four logs of five. For δ stands what Q alone says, which errs less than the estimate that has to be
-shown, and not with it: a log that missed a difference has most often a low estimate of it. Its σ is most often too
+trajectories show it in four logs of five. For δ stands what Q alone says, which errs less than the estimate that has to
+be shown, and not with it: a log that missed a difference has most often a low estimate of it. Its σ is most often too
 large, for one heavy residual suffices; so σ is that of residuals that are all alike, where weights are known, and
 `REST` times as much for what else is fitted. δ is taken to be known to σ.
 """
@@ -21,16 +21,16 @@ from halfseen.shapes import Float
 
 Verdict = Literal["better", "not better", "cannot be said"]
 
-FEWEST_PATHS = 10.0
+FEWEST_TRAJECTORIES = 10.0
 """Below this effective sample size no interval is believed where products of ratios weigh."""
 
 FEWEST_BY_STATES = 2.0
-"""The same where states weigh, whose spread is known from more paths than the one that leads to them."""
+"""The same where states weigh, whose spread is known from more trajectories than the one that leads to them."""
 
 LEVEL = 0.95
 """Where nothing else is said."""
 
-MANY_PATHS = 1e6
+MANY_TRAJECTORIES = 1e6
 """More than anybody records."""
 
 
@@ -39,11 +39,11 @@ REST = 1.15
 POWER = 0.8
 """Share of the logs that are to decide."""
 MANY_TIMES = 100.0
-"""More than so many times as many paths nobody records."""
+"""More than so many times as many trajectories nobody records."""
 
 
 class Needed(NamedTuple):
-    """How many times as many paths decide, at least 1; ∞ where no log of a size that can be recorded does."""
+    """How many times as many trajectories decide, at least 1; ∞ where no log of a size that can be recorded does."""
 
     times: float
     low: float
@@ -81,9 +81,9 @@ def why_unknown(
     support: Float[np.ndarray, " T"],
     effective_sample_size: float,
     unseen: str | None = None,
-    num_paths: int = 0,
-    paths_for_one: float = np.inf,
-    fewest: float = FEWEST_PATHS,
+    num_trajectories: int = 0,
+    trajectories_for_one: float = np.inf,
+    fewest: float = FEWEST_TRAJECTORIES,
 ) -> str | None:
     """Say why a log tells nothing of what a policy earns; None if it does.
 
@@ -94,43 +94,43 @@ def why_unknown(
     support
         Of each stage that the log holds, the share of the logged actions that it would take at all.
     effective_sample_size
-        Of the paths that follow it.
+        Of the trajectories that follow it.
     unseen
         An action that it takes and that the log never saw completed.
-    num_paths
-        Paths of the log.
-    paths_for_one
-        How many paths like those of the log are worth one that follows it.
+    num_trajectories
+        Trajectories of the log.
+    trajectories_for_one
+        How many trajectories like those of the log are worth one that follows it.
     fewest
         The least effective sample size that is believed.
     """
     if unseen is not None:
         return (
-            f"{who} takes {unseen}, which no path of the log was seen to complete, so nothing is known of what it "
-            "brings; log some paths that take it, uniformly at random now and then"
+            f"{who} takes {unseen}, which no trajectory of the log was seen to complete, so nothing is known of what "
+            "it brings; log some trajectories that take it, uniformly at random now and then"
         )
     lacking = np.flatnonzero(support == 0)
     if len(lacking):
         return (
-            f"no logged action of stage {lacking[0] + 1} is one that {who} would take; log some paths that take "
+            f"no logged action of stage {lacking[0] + 1} is one that {who} would take; log some trajectories that take "
             "them, uniformly at random now and then"
         )
     if effective_sample_size < fewest:
         return (
-            f"the effective sample size is {effective_sample_size:.1f} paths that follow {who}, and fewer than "
-            f"{fewest:g} tell nothing; {_remedy(num_paths, fewest * paths_for_one)}"
+            f"the effective sample size is {effective_sample_size:.1f} trajectories that follow {who}, and fewer than "
+            f"{fewest:g} tell nothing; {_remedy(num_trajectories, fewest * trajectories_for_one)}"
         )
     return None
 
 
-def _remedy(num_paths: int, enough: float) -> str:
+def _remedy(num_trajectories: int, enough: float) -> str:
     closer = "of a logging policy that is closer to this one"
-    if not enough < MANY_PATHS:
-        return f"no log of a size that can be recorded would do: record some paths {closer}"
-    if enough <= num_paths:
-        return f"record more paths, or some {closer}"
+    if not enough < MANY_TRAJECTORIES:
+        return f"no log of a size that can be recorded would do: record some trajectories {closer}"
+    if enough <= num_trajectories:
+        return f"record more trajectories, or some {closer}"
     size = 10.0 ** np.floor(np.log10(enough))
-    return f"some {np.ceil(enough / size) * size:,.0f} paths like these would do, or fewer {closer}"
+    return f"some {np.ceil(enough / size) * size:,.0f} trajectories like these would do, or fewer {closer}"
 
 
 def verdict_of(
@@ -153,19 +153,21 @@ def verdict_of(
     unit
         What rewards are counted in; None if nobody has said.
     more
-        How many times as many paths would tell, if that is known.
+        How many times as many trajectories would tell, if that is known.
     """
     of = f" {unit}" if unit else ""
     within = _between(difference.low, difference.high, of)
     if difference.low > 0 and is_significant:
-        return "better", f"it earns {difference.value:.3g}{of} more a path than {opponent}, {within}"
+        return "better", f"it earns {difference.value:.3g}{of} more a trajectory than {opponent}, {within}"
     if difference.high <= 0 and (is_significant or difference.standard_error == 0):
-        less = f"{-difference.value:.3g}{of} less a path than" if difference.value < 0 else "as much a path as"
+        less = (
+            f"{-difference.value:.3g}{of} less a trajectory than" if difference.value < 0 else "as much a trajectory as"
+        )
         return "not better", f"it earns {less} {opponent}, {within}"
-    reason = f"it earns {within} a path than {opponent}"
+    reason = f"it earns {within} a trajectory than {opponent}"
     if difference.low > 0 or difference.high <= 0:
         return "cannot be said", f"{reason}, which is not enough among so many opponents; name fewer"
-    return "cannot be said", f"{reason}; {_more_paths(more or needed(difference, difference.value, LEVEL))}"
+    return "cannot be said", f"{reason}; {_more_trajectories(more or needed(difference, difference.value, LEVEL))}"
 
 
 def _between(low: float, high: float, of: str) -> str:
@@ -177,8 +179,9 @@ def _between(low: float, high: float, of: str) -> str:
     return f"between {low:.3g} and {high:.3g}{of} more"
 
 
-def _more_paths(more: Needed) -> str:
+def _more_trajectories(more: Needed) -> str:
     if np.isinf(more.times):
         return "there is no significant difference, nor would a log many times as large show one if that is all"
     gain = f"{abs(more.gain):.3g} {'less' if more.gain < 0 else 'more'}"
-    return f"if it is the {gain} that Q says, some {np.ceil(more.times * 10) / 10:.1f} times as many paths would tell"
+    times = np.ceil(more.times * 10) / 10
+    return f"if it is the {gain} that Q says, some {times:.1f} times as many trajectories would tell"

@@ -2,8 +2,8 @@
 
 The lower bound of what was chosen for its large lower bound is too large, unless the bounds of all hold at once. The
 estimates of policies that mostly do the same go up and down together, so that costs little: with R the correlation of
-what paths add to the gain of each, the bounds are those of a level at which the largest of as many normal variables
-stays below its quantile (max-t [WestfallYoung1993]_).
+what trajectories add to the gain of each, the bounds are those of a level at which the largest of as many normal
+variables stays below its quantile (max-t [WestfallYoung1993]_).
 
 *Choosing by some folds and claiming by the others* (as in [Thomas2015]_, over all folds in turn) does not keep the
 level: of eight policies that are worth the same, a claim above 0 was made in 11 % of logs instead of 2.5 %, for where
@@ -56,7 +56,7 @@ def level_of_each(gains: Float[np.ndarray, "c n"], level: float) -> float:
     Parameters
     ----------
     gains
-        What each path adds to each gain.
+        What each trajectory adds to each gain.
     level
         Of one, if there were no others.
     """

@@ -4,7 +4,7 @@ The first category of a column, in sorted order, has no indicator: it is what th
 indicators are never collinear with the offset, and eq. 3 without λ, or a proportional-hazards model of the cuts, can be
 fitted to them; every function class and every model looks at the same columns. True and false are the numbers 1 and 0.
 
-What can be looked at is numbers, and text of few categories that several paths share.
+What can be looked at is numbers, and text of few categories that several trajectories share.
 """
 
 import sys
@@ -34,7 +34,7 @@ _MOST_NAMED = 12
 _TEXT = ("string", "categorical", "boolean", "empty")
 
 _Seen = Counter[str] | str
-"""In how many paths each category occurs, or why a column has none."""
+"""In how many trajectories each category occurs, or why a column has none."""
 
 
 @dataclass(frozen=True)
@@ -170,10 +170,10 @@ def is_numeric(frame: Frame, column: str) -> bool:
 
 
 def _place(frame: Frame, row: int) -> str:
-    """Path and stage of a row, where the frame has them."""
+    """Trajectory and stage of a row, where the frame has them."""
     from halfseen.logs.refusal import place
 
-    named = tuple(name for name in ("path", "stage") if name in frame.columns)
+    named = tuple(name for name in ("trajectory", "stage") if name in frame.columns)
     return place(frame, row, named) if named else f"row {row}"
 
 
@@ -188,7 +188,7 @@ def learned_categories(parts: "Iterable[Logs]", wanted: Sequence[str], known: Ca
     Parameters
     ----------
     parts
-        A log, in parts of whole paths.
+        A log, in parts of whole trajectories.
     wanted
         Columns that must be among them, if they hold text.
     known
@@ -197,7 +197,7 @@ def learned_categories(parts: "Iterable[Logs]", wanted: Sequence[str], known: Ca
     Raises
     ------
     LogError
-        A wanted column cannot be looked at: it has nulls, one value, too many, or one of its own for every path.
+        A wanted column cannot be looked at: it has nulls, one value, too many, or one of its own for every trajectory.
     """
     found = _surveyed(parts, known)
     for name in wanted:
@@ -246,7 +246,7 @@ def _look(logs: "Logs", column: str) -> _Seen:
     if is_null.any():
         where = _place(logs.stages, int(np.argmax(is_null)))
         return f"is null at {where}; fill it in, with a word such as 'unknown' where nothing is known, or leave it out"
-    pairs: Any = logs.stages[["path", column]].astype({column: object}).drop_duplicates()
+    pairs: Any = logs.stages[["trajectory", column]].astype({column: object}).drop_duplicates()
     return Counter(pairs[column].map(str))
 
 
@@ -266,5 +266,5 @@ def _trouble(seen: _Seen) -> str | None:
     if len(seen) == 1:
         return f"is {next(iter(seen))!r} in every stage, so it tells nothing apart; leave it out"
     if max(seen.values()) == 1:
-        return "has no category that two paths share, so it names the path; leave it out"
+        return "has no category that two trajectories share, so it names the trajectory; leave it out"
     return None

@@ -30,7 +30,7 @@ import numpy as np
 from halfseen.censoring import Cox, CutModel
 from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
-from halfseen.learning.rows import Imputation, PathArrays
+from halfseen.learning.rows import Imputation, TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int
 
 NUM_AGES = 24
@@ -139,7 +139,7 @@ class DurationModel:
 
 
 def fit_duration_model(
-    paths: PathArrays,
+    trajectories: TrajectoryArrays,
     is_used: Float[np.ndarray, " F"],
     block_of_action: Int[np.ndarray, " A"],
     is_fitted: Bool[np.ndarray, " n"] | None = None,
@@ -148,20 +148,20 @@ def fit_duration_model(
 
     Parameters
     ----------
-    paths
+    trajectories
         The log.
     is_used
         1 for each feature of the taken action that D may depend on, 0 for the others.
     block_of_action
         Block of each action.
     is_fitted
-        Paths that D is fitted to, which bends and steps do not depend on; None for all.
+        Trajectories that D is fitted to, which bends and steps do not depend on; None for all.
     """
-    watched_s, is_completed = paths.clocks.watched_s, paths.is_completed
+    watched_s, is_completed = trajectories.clocks.watched_s, trajectories.is_completed
     knots = np.quantile(watched_s[is_completed], KNOTS)
-    ages = np.unique(np.quantile(watched_s[paths.is_begun], np.linspace(0.0, 1.0, NUM_AGES + 1)))
-    features, blocks = duration_features(paths, is_used), block_of_action[paths.action]
-    fitted = paths.is_begun if is_fitted is None else paths.is_begun & is_fitted[:, None]
+    ages = np.unique(np.quantile(watched_s[trajectories.is_begun], np.linspace(0.0, 1.0, NUM_AGES + 1)))
+    features, blocks = duration_features(trajectories, is_used), block_of_action[trajectories.action]
+    fitted = trajectories.is_begun if is_fitted is None else trajectories.is_begun & is_fitted[:, None]
 
     def fit(rows: Bool[np.ndarray, "n T"]) -> Durations:
         return fit_durations(watched_s[rows], is_completed[rows], features[rows])
@@ -188,10 +188,10 @@ def duration_terms(duration_s: Float[np.ndarray, "*S"], knots: Float[np.ndarray,
     return beyond / np.where(length > 0, length, np.inf)
 
 
-def duration_features(paths: PathArrays, is_used: Float[np.ndarray, " F"]) -> Float[np.ndarray, "n T P"]:
+def duration_features(trajectories: TrajectoryArrays, is_used: Float[np.ndarray, " F"]) -> Float[np.ndarray, "n T P"]:
     """Features of the action that was taken, and the stage."""
-    stage = np.broadcast_to(np.arange(paths.action.shape[1], dtype=np.float64), paths.action.shape)
-    return np.concatenate([paths.encoded.taken * is_used, stage[..., None]], axis=-1)
+    stage = np.broadcast_to(np.arange(trajectories.action.shape[1], dtype=np.float64), trajectories.action.shape)
+    return np.concatenate([trajectories.encoded.taken * is_used, stage[..., None]], axis=-1)
 
 
 LARGEST_OUTCOME_WEIGHT = 3.0
@@ -201,7 +201,7 @@ SMALLEST_PROBABILITY = 1e-12
 
 
 def imputation(
-    paths: PathArrays,
+    trajectories: TrajectoryArrays,
     cut_model: CutModel | None,
     is_used: Float[np.ndarray, " F"],
     block_of_action: Int[np.ndarray, " A"],
@@ -211,7 +211,7 @@ def imputation(
 
     Parameters
     ----------
-    paths
+    trajectories
         The log, or a part of it.
     cut_model
         Ĝ, for doubly robust targets; None for those of Buckley and James.
@@ -225,16 +225,20 @@ def imputation(
     Raises
     ------
     ArgumentError
-        The action of a stage in which a path was cut was not logged.
+        The action of a stage in which a trajectory was cut was not logged.
     """
-    _refuse_unknown_actions(paths, cut_model)
-    features, knots, blocks = duration_features(paths, is_used), durations.knots, block_of_action[paths.action]
-    watched_s, is_completed = paths.clocks.watched_s, paths.is_completed
-    expected, share = np.zeros((*paths.action.shape, len(knots))), is_completed.astype(np.float64)
+    _refuse_unknown_actions(trajectories, cut_model)
+    features, knots, blocks = (
+        duration_features(trajectories, is_used),
+        durations.knots,
+        block_of_action[trajectories.action],
+    )
+    watched_s, is_completed = trajectories.clocks.watched_s, trajectories.is_completed
+    expected, share = np.zeros((*trajectories.action.shape, len(knots))), is_completed.astype(np.float64)
     # Where a stage was cut m counts in full; without K̂ nowhere else.
-    rows, steps, ages = paths.is_begun & ~is_completed, np.ones((*share.shape, 1)), watched_s[..., None]
+    rows, steps, ages = trajectories.is_begun & ~is_completed, np.ones((*share.shape, 1)), watched_s[..., None]
     if cut_model is not None:
-        rows, (share, steps, ages) = paths.is_begun, _augmentation(paths, cut_model, durations.ages_s)
+        rows, (share, steps, ages) = trajectories.is_begun, _augmentation(trajectories, cut_model, durations.ages_s)
     ages = np.broadcast_to(ages, steps.shape)
     for block, of_block in enumerate(durations.by_block):
         own = rows & (blocks == block)
@@ -251,15 +255,15 @@ def imputation(
 
 
 def _augmentation(
-    paths: PathArrays, cut_model: CutModel, ages: Float[np.ndarray, " L"]
+    trajectories: TrajectoryArrays, cut_model: CutModel, ages: Float[np.ndarray, " L"]
 ) -> tuple[Float[np.ndarray, "n T"], Float[np.ndarray, "n T L"], Float[np.ndarray, " L"]]:
     """What depends on K̂ alone: the share δ/K̂(D⁻) of X, and what m is multiplied by amid each step of the age."""
-    clocks, rows = paths.clocks, paths.is_begun
-    ended_s, is_completed = clocks.watched_s, paths.is_completed
+    clocks, rows = trajectories.clocks, trajectories.is_begun
+    ended_s, is_completed = clocks.watched_s, trajectories.is_completed
     ages = np.concatenate([[0.0], ages[:-1], [np.inf]])
     middle = np.append((ages[:-2] + ages[1:-1]) / 2.0, ages[-2])
-    # A stage that was cut at c was at risk until just after c. Where K̂ falls to 0 with the last cut itself, the nearest
-    # that can be divided by is just before; ages are rounded.
+    # A stage that was cut at c was at risk until just after c. Where K̂ falls to 0 with the last cut itself, the
+    # nearest that can be divided by is just before; ages are rounded.
     at_risk_s = np.where(is_completed, ended_s, ended_s + 2.0 * SMALLEST_AGE_S)
     before_cut_s = np.maximum(ended_s - SMALLEST_AGE_S, 0.0)
     asked_s = np.concatenate([np.minimum(ages, at_risk_s[..., None]), before_cut_s[..., None]], axis=-1)
@@ -280,12 +284,13 @@ def _augmentation(
     return share, np.where(rows[..., None], steps, 0.0), middle
 
 
-def _refuse_unknown_actions(paths: PathArrays, cut_model: CutModel | None) -> None:
-    unknown = paths.is_begun & ~paths.has_action
+def _refuse_unknown_actions(trajectories: TrajectoryArrays, cut_model: CutModel | None) -> None:
+    unknown = trajectories.is_begun & ~trajectories.has_action
     if unknown.any():
-        path, stage = np.argwhere(unknown)[0]
+        trajectory, stage = np.argwhere(unknown)[0]
         kind = "buckley-james" if cut_model is None else "doubly robust"
         raise ArgumentError(
-            f"path {paths.path_ids[path]}, stage {stage + 1}: its action is null, and {kind} learning needs the "
-            "action of the stage in which a path was cut; log it when the stage begins, or use weights alone"
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: its action is null, and {kind} "
+            "learning needs the action of the stage in which a trajectory was cut; log it when the stage begins, or "
+            "use weights alone"
         )

@@ -14,7 +14,7 @@ import numpy as np
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import StageMode
 from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
-from halfseen.learning.rows import PathArrays, Transitions, q_values
+from halfseen.learning.rows import TrajectoryArrays, Transitions, q_values
 from halfseen.learning.sums import Regression
 from halfseen.learning.values import or_nothing
 from halfseen.shapes import Float, Int
@@ -71,7 +71,7 @@ def _values(q: Float[np.ndarray, "n T A"], log: Transitions) -> Float[np.ndarray
 
 
 def _targets(log: Transitions, value: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """X_t = R_t + V̂(S_{t+1}); after a path's own end, and after the last stage, V̂ is 0."""
+    """X_t = R_t + V̂(S_{t+1}); after a trajectory's own end, and after the last stage, V̂ is 0."""
     successor = np.pad(value[:, 1:], ((0, 0), (0, 1)))
     return log.reward + np.where(log.is_last, 0.0, successor)
 
@@ -96,27 +96,27 @@ def _imputed(
 
 NUM_FOLDS = 2
 
-FEWEST_PATHS = 20
+FEWEST_TRAJECTORIES = 20
 
 CLEARLY = 2.0
 """Standard errors by which separate stages must predict better."""
 
 
-def with_stages(model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ...]]:
+def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
     """Choose between pooled and separate stages; and say all that was chosen by itself, and why.
 
-    There is a choice where there are several stages, none of them ended by an action, and paths to hold out.
+    There is a choice where there are several stages, none of them ended by an action, and trajectories to hold out.
 
     Parameters
     ----------
     model
         How Q is fitted, with what comes before Q fitted to the log.
-    paths
+    trajectories
         The log, or the sample of it that decides.
     """
-    if model.horizon == 1 or model.task.end_action is not None or paths.num_paths < FEWEST_PATHS:
+    if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_TRAJECTORIES:
         return model, model.chosen
-    gains = _held_out_gains(replace(model, stages="pooled", pessimism=0.0), paths)
+    gains = _held_out_gains(replace(model, stages="pooled", pessimism=0.0), trajectories)
     gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
     found = f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
     if gain > CLEARLY * error:
@@ -126,11 +126,11 @@ def with_stages(model: QModel, paths: PathArrays) -> tuple[QModel, tuple[str, ..
     return replace(model, stages="pooled"), (*model.chosen, told)
 
 
-def _held_out_gains(pooled: QModel, paths: PathArrays) -> Float[np.ndarray, " n"]:
+def _held_out_gains(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
     """Squared error of pooled less that of separate stages, of each trajectory, fitted without its fold."""
-    log = pooled.transitions(paths)
-    regression = pooled.regression(paths.num_paths, log.is_possible.shape[-1])
-    fold = np.random.default_rng([pooled.random_state, 2]).permutation(paths.num_paths) % NUM_FOLDS
+    log = pooled.transitions(trajectories)
+    regression = pooled.regression(trajectories.num_trajectories, log.is_possible.shape[-1])
+    fold = np.random.default_rng([pooled.random_state, 2]).permutation(trajectories.num_trajectories) % NUM_FOLDS
     with one_thread():
         each = [_gains(log, regression, (fold != k).astype(np.float64)) for k in range(NUM_FOLDS)]
     return np.choose(fold, each)

@@ -19,13 +19,13 @@ from uuid import uuid4
 import numpy as np
 
 from halfseen.censoring import StageClocks
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.sums import Columns, Rows, StateChoices
 from halfseen.learning.task import Encoded
 from halfseen.learning.values import Norms
 
 KINDS: dict[str, Any] = {
-    kind.__name__: kind for kind in (PathArrays, StageClocks, Encoded, Rows, Columns, StateChoices, Norms, tuple)
+    kind.__name__: kind for kind in (TrajectoryArrays, StageClocks, Encoded, Rows, Columns, StateChoices, Norms, tuple)
 }
 """Records that a part is made of."""
 ALIGNED = 64

@@ -79,7 +79,7 @@ class NamedActions:
         return self.fitted_to_parts([logs])
 
     def fitted_to_parts(self, parts: Iterable[Logs]) -> "NamedActions":
-        """Do so from a log in parts of whole paths."""
+        """Do so from a log in parts of whole trajectories."""
         return replace(self, categories=learned_categories(parts, self.covariates, self.categories))
 
     @property
@@ -101,7 +101,7 @@ class NamedActions:
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of named actions."""
-        shape = (logs.num_paths, horizon, len(self.names))
+        shape = (logs.num_trajectories, horizon, len(self.names))
         at = stage_places(logs)
         values = self.looks_at.encode(logs.stages)
         features = np.zeros((*shape, values.shape[1]))
@@ -125,7 +125,7 @@ class NamedActions:
             raise ArgumentError(f"outcome_covariates names {unknown[0]!r}, which is none of the covariates {known}")
         return np.isin(np.array(self.looks_at.sources), list(names)).astype(np.float64)
 
-    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
         """Columns of the stages as numbers, and indicators of all actions but the last; NaN where it is not known.
 
         Raises
@@ -135,7 +135,7 @@ class NamedActions:
         ArgumentError
             A column holds neither numbers nor text that can be looked at.
         """
-        columns = [*self.covariates, *([] if is_by_path else [ACTION])] if names is None else names
+        columns = [*self.covariates, *([] if is_by_trajectory else [ACTION])] if names is None else names
         missing = [name for name in columns if name not in logs.stages.columns]
         if missing:
             there = ", ".join(logs.stages.columns) + did_you_mean(missing[0], logs.stages.columns)
@@ -184,12 +184,12 @@ class NamedActions:
             listed = ", ".join(map(repr, self.names)) + did_you_mean(unknown[0], self.names)
             raise ArgumentError(f"the policy takes {unknown[0]!r}, which is none of the actions of the task: {listed}")
         column = [self.names.index(name) for name in policy.actions]
-        path, _ = stage_places(logs)
-        probabilities = np.zeros((logs.num_paths, horizon, len(self.names)))
+        trajectory, _ = stage_places(logs)
+        probabilities = np.zeros((logs.num_trajectories, horizon, len(self.names)))
         for stage in range(1, logs.horizon + 1):
             rows = (logs.stages["stage"] == stage).to_numpy()
             frame: Any = logs.stages[rows]
-            probabilities[path[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
+            probabilities[trajectory[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
         return probabilities
 
     def _possible_by_stage(self, horizon: int) -> Bool[np.ndarray, "T A"]:
@@ -212,8 +212,8 @@ class NamedActions:
         if (is_given & ~is_allowed).any():
             row = stages.iloc[int(np.argmax(is_given & ~is_allowed))]
             raise LogError(
-                f"path {row['path']}, stage {row['stage']}: action {row['action']!r} was not possible there; the "
-                f"learner was given {', '.join(map(repr, self.names))}"
+                f"trajectory {row['trajectory']}, stage {row['stage']}: action {row['action']!r} was not possible "
+                f"there; the learner was given {', '.join(map(repr, self.names))}"
             )
         return np.where(is_given, codes, 0)
 

@@ -41,12 +41,12 @@ from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread
 
 PESSIMISM = 2.0
-"""Standard errors by which the value of a whole path is lowered, were the errors of its stages independent."""
+"""Standard errors by which the value of a whole trajectory is lowered, were the errors of its stages independent."""
 
 
 @dataclass(eq=False, repr=False)
 class CensoredQLearner(Estimator):
-    """Learns a policy from paths of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
+    """Learns a policy from trajectories of which some were right-censored (paper, eq. 3) [GoldbergKosorok2012]_.
 
     Backwards from Q̂_{T+1} ≡ 0, each Q̂_t regresses R_t + max_a' Q̂_{t+1}(S_{t+1}, a') on (S_t, A_t) over the completed
     stages, weighted by δ_t / Ĝ(U_t⁻).
@@ -54,7 +54,7 @@ class CensoredQLearner(Estimator):
     Parameters
     ----------
     horizon
-        T, stages that a path may have.
+        T, stages that a trajectory may have.
     actions
         Names of the actions, or for each stage (from 1) the names of those possible there; or a `Task`, such as that of
         tables (see `for_table`).
@@ -76,13 +76,13 @@ class CensoredQLearner(Estimator):
         ``"auto"``: pooled, unless separate ones clearly predict better (`judging`).
     reg
         λ; ``"cv"`` or ``CrossValidation(…)`` to choose it for each regression and block by weighted cross-validation
-        over paths.
+        over trajectories.
     pessimism
         Standard errors by which Q is lowered wherever the largest is sought, in eq. 3 and by the policy, so that what
         few stages speak for is not taken on their word (`regression`); by the policy less, the more the log takes an
         action anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
     random_state
-        Seed that deals paths into folds and draws the landmarks of a kernel.
+        Seed that deals trajectories into folds and draws the landmarks of a kernel.
 
     Attributes
     ----------
@@ -104,13 +104,17 @@ class CensoredQLearner(Estimator):
     >>> from halfseen.logs import Logs
     >>> logs = Logs(
     ...     stages={
-    ...         "path": [0, 1, 2, 3],
+    ...         "trajectory": [0, 1, 2, 3],
     ...         "stage": [1, 1, 1, 1],
     ...         "elapsed_s": [1.0, 1.0, 2.0, None],
     ...         "action": ["A", "B", "B", "A"],
     ...         "reward": [0.0, 1.0, 2.0, None],
     ...     },
-    ...     paths={"path": [0, 1, 2, 3], "end_s": [1.0, 1.0, 2.0, 1.5], "ending": ["finished"] * 3 + ["cut"]},
+    ...     trajectories={
+    ...         "trajectory": [0, 1, 2, 3],
+    ...         "end_s": [1.0, 1.0, 2.0, 1.5],
+    ...         "ending": ["finished"] * 3 + ["cut"],
+    ...     },
     ... )
     >>> learner = CensoredQLearner.of_paper(horizon=1, actions=["A", "B"], reg=0.0).fit(logs)
     >>> learner.decide(pd.DataFrame(index=[0]), stage=1)
@@ -239,7 +243,7 @@ class CensoredQLearner(Estimator):
         LogError
             The log lacks a column, is longer than the horizon, or holds an action that was not possible.
         PositivityError
-            All paths were cut, or a weight is not identified.
+            All trajectories were cut, or a weight is not identified.
         """
         found = learned_from(logs, self.compose(logs), _is_auto(self.stages), workers)
         self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
@@ -250,7 +254,7 @@ class CensoredQLearner(Estimator):
     def compose(self, logs: Logs | LogStream | None = None) -> QModel:
         """Check the parameters and compose what they say; nothing is fitted.
 
-        Targets are imputed by themselves, but weighted where the action of a stage in which a path was cut is not
+        Targets are imputed by themselves, but weighted where the action of a stage in which a trajectory was cut is not
         known; 𝒬 is smooth in plain covariates, and linear in the features that a task makes for each action; pessimism
         is 2/√T for each of T stages, whose margins add up, and 0, eq. 3 as it is, where targets are fixed.
 

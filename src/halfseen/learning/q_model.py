@@ -2,9 +2,9 @@
 
 The learner, the bootstrap, the study and off-policy evaluation all start from a `QModel`.
 
-*Sample.* Eq. 3 itself runs on sums, to which every path adds. But landmarks of a kernel, durations of stages, the
+*Sample.* Eq. 3 itself runs on sums, to which every trajectory adds. But landmarks of a kernel, durations of stages, the
 behaviour policy, the grasp model of a table and the choice of stages are fitted by methods that hold what they look at.
-Of a log of many paths, so many of them tell these as well as all would, in memory and in passes alike.
+Of a log of many trajectories, so many of them tell these as well as all would, in memory and in passes alike.
 """
 
 from collections.abc import Iterable
@@ -21,7 +21,7 @@ from halfseen.learning.imputation import DurationModel, fit_duration_model, impu
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_space import CrossValidation, KernelMap, LinearQ, QSpace, Reg, StageMode
 from halfseen.learning.recursion import QFunctions, fit_q
-from halfseen.learning.rows import Imputation, PathArrays, Transitions, path_arrays
+from halfseen.learning.rows import Imputation, TrajectoryArrays, Transitions, trajectory_arrays
 from halfseen.learning.sums import Regression
 from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few, support_of
 from halfseen.learning.targets import Targets, Weighted
@@ -30,31 +30,31 @@ from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
 from halfseen.workers.threads import one_thread
 
-MOST_PATHS = 2_000
-"""Paths of the sample; of a log that has no more, it is the log."""
+MOST_TRAJECTORIES = 2_000
+"""Trajectories of the sample; of a log that has no more, it is the log."""
 
 
-def sampled(num_paths: int, seed: int, most: int | None = None) -> Int[np.ndarray, " k"]:
-    """Draw rows of paths, increasing and without replacement.
+def sampled(num_trajectories: int, seed: int, most: int | None = None) -> Int[np.ndarray, " k"]:
+    """Draw rows of trajectories, increasing and without replacement.
 
     Parameters
     ----------
-    num_paths
+    num_trajectories
         n.
     seed
         Of the draw.
     most
-        Paths to draw, if there are as many; None for `MOST_PATHS`.
+        Trajectories to draw, if there are as many; None for `MOST_TRAJECTORIES`.
 
     Examples
     --------
     >>> sampled(3, seed=0)
     array([0, 1, 2])
     """
-    size = MOST_PATHS if most is None else most
-    if num_paths <= size:
-        return np.arange(num_paths)
-    return np.sort(np.random.default_rng([seed, 4]).choice(num_paths, size, replace=False))
+    size = MOST_TRAJECTORIES if most is None else most
+    if num_trajectories <= size:
+        return np.arange(num_trajectories)
+    return np.sort(np.random.default_rng([seed, 4]).choice(num_trajectories, size, replace=False))
 
 
 def is_count(value: object) -> bool:
@@ -81,7 +81,7 @@ class QModel:
     stages
         ``"separate"`` or ``"pooled"``.
     random_state
-        Seed that deals paths into folds and draws landmarks.
+        Seed that deals trajectories into folds and draws landmarks.
     cut_model
         Ĝ, once it is fitted.
     kernel_map
@@ -117,29 +117,31 @@ class QModel:
 
     def __post_init__(self) -> None:
         if not is_count(self.horizon):
-            raise ArgumentError(f"horizon is {self.horizon!r}; a path has a whole number of stages, at least 1")
+            raise ArgumentError(f"horizon is {self.horizon!r}; a trajectory has a whole number of stages, at least 1")
 
-    def fitted(self, logs: Logs) -> tuple["QModel", PathArrays]:
+    def fitted(self, logs: Logs) -> tuple["QModel", TrajectoryArrays]:
         """Fit to a log what comes before Q: what the task learns, Ĝ, and the features of the kernel.
 
         Raises
         ------
         ArgumentError
-            A path is longer than the horizon, or a part cannot be fitted.
+            A trajectory is longer than the horizon, or a part cannot be fitted.
         PositivityError
-            All paths were cut.
+            All trajectories were cut.
         """
         self.check_horizon(logs)
-        rows = sampled(logs.num_paths, self.random_state)
-        model = self.with_task([logs], logs if len(rows) == logs.num_paths else logs.select(logs.path_ids[rows]))
-        paths = model.lay_out(logs)
-        refuse_all_cut(paths.clocks.is_finished)
-        return model.with_cuts(paths).with_sample(model.sample_of(paths)), paths
+        rows = sampled(logs.num_trajectories, self.random_state)
+        model = self.with_task(
+            [logs], logs if len(rows) == logs.num_trajectories else logs.select(logs.trajectory_ids[rows])
+        )
+        trajectories = model.lay_out(logs)
+        refuse_all_cut(trajectories.clocks.is_finished)
+        return model.with_cuts(trajectories).with_sample(model.sample_of(trajectories)), trajectories
 
     def check_horizon(self, logs: Logs) -> None:
-        """Refuse a log with longer paths."""
+        """Refuse a log with longer trajectories."""
         if logs.horizon > self.horizon:
-            raise ArgumentError(f"horizon is {self.horizon}, but a path has {logs.horizon} stages; raise horizon")
+            raise ArgumentError(f"horizon is {self.horizon}, but a trajectory has {logs.horizon} stages; raise horizon")
 
     def with_task(self, parts: Iterable[Logs], sample: Logs) -> "QModel":
         """Fit what the task learns to a sample; but what categories there are only all parts can tell."""
@@ -147,36 +149,38 @@ class QModel:
         fitted = task.fitted_to_parts(parts) if isinstance(task, NamedActions) else task.fitted(sample, self.horizon)
         return replace(self, task=fitted)
 
-    def sample_of(self, paths: PathArrays) -> PathArrays:
-        """Paths that decide on what is no sum (see above)."""
-        rows = sampled(paths.num_paths, self.random_state)
-        return paths if len(rows) == paths.num_paths else paths.take(rows)
+    def sample_of(self, trajectories: TrajectoryArrays) -> TrajectoryArrays:
+        """Trajectories that decide on what is no sum (see above)."""
+        rows = sampled(trajectories.num_trajectories, self.random_state)
+        return trajectories if len(rows) == trajectories.num_trajectories else trajectories.take(rows)
 
-    def with_cuts(self, paths: PathArrays) -> "QModel":
+    def with_cuts(self, trajectories: TrajectoryArrays) -> "QModel":
         """Fit Ĝ, and look at what was seen completed."""
-        return self.with_clocks(paths.clocks, self.support_in(paths))
+        return self.with_clocks(trajectories.clocks, self.support_in(trajectories))
 
     def with_clocks(self, clocks: StageClocks, support: Support) -> "QModel":
         """Fit Ĝ to the clocks of a log that has seen this completed."""
         return replace(self, cut_model=self.targets.fit_cuts(clocks), support=support)
 
-    def with_sample(self, paths: PathArrays) -> "QModel":
+    def with_sample(self, trajectories: TrajectoryArrays) -> "QModel":
         """Choose the features of a kernel, and fit the behaviour policy, if there is a margin that it may waive."""
-        kernel_map = self.space.features(paths.encoded.taken[paths.is_completed], self.random_state)
+        kernel_map = self.space.features(trajectories.encoded.taken[trajectories.is_completed], self.random_state)
         model = replace(self, kernel_map=kernel_map)
         if self.pessimism == 0:
             return model
-        known, blocks = paths.is_begun & paths.has_action, self.blocks(paths.is_possible.shape[-1])
-        found = fit_choice(paths.features[known], paths.is_possible[known], paths.action[known], blocks)
+        known, blocks = trajectories.is_begun & trajectories.has_action, self.blocks(trajectories.is_possible.shape[-1])
+        found = fit_choice(
+            trajectories.features[known], trajectories.is_possible[known], trajectories.action[known], blocks
+        )
         return replace(model, behaviour=found)
 
-    def with_durations(self, paths: PathArrays) -> "QModel":
+    def with_durations(self, trajectories: TrajectoryArrays) -> "QModel":
         """Fit how long stages last, if targets are imputed."""
-        return replace(self, durations=self._durations_of(paths)) if self.targets.is_imputed else self
+        return replace(self, durations=self._durations_of(trajectories)) if self.targets.is_imputed else self
 
-    def support_in(self, paths: PathArrays) -> Support:
+    def support_in(self, trajectories: TrajectoryArrays) -> Support:
         """Count what a log has seen completed."""
-        return support_of(paths, self.kinds(paths.is_possible.shape[-1]), len(self.task.block_names))
+        return support_of(trajectories, self.kinds(trajectories.is_possible.shape[-1]), len(self.task.block_names))
 
     @property
     def is_joint(self) -> bool:
@@ -192,62 +196,67 @@ class QModel:
         """Kind of each action, among `Task.block_names`: what the log has to have seen completed."""
         return np.asarray(self.task.block_of_action(num_actions))
 
-    def lay_out(self, logs: Logs) -> PathArrays:
+    def lay_out(self, logs: Logs) -> TrajectoryArrays:
         """Lay out a log as the arrays that this model looks at."""
         covariates, spec = None, self.targets
         if isinstance(spec, CensoringSpec) and spec.uses_covariates:
-            covariates = self.task.censoring_covariates(logs, spec.covariates, spec.by == "path")
-        return path_arrays(logs, self.task.encode(logs, self.horizon), covariates)
+            covariates = self.task.censoring_covariates(logs, spec.covariates, spec.by == "trajectory")
+        return trajectory_arrays(logs, self.task.encode(logs, self.horizon), covariates)
 
-    def transitions(self, paths: PathArrays) -> Transitions:
+    def transitions(self, trajectories: TrajectoryArrays) -> Transitions:
         """Make the transitions of eq. 3 of a log."""
-        return self.weighted(paths, *self.weights_and_imputation(paths), self.folds(paths.num_paths))
+        return self.weighted(
+            trajectories, *self.weights_and_imputation(trajectories), self.folds(trajectories.num_trajectories)
+        )
 
     def weights_and_imputation(
-        self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
+        self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
     ) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
-        """Weight of each stage in eq. 3; and what its target is imputed from, if it is, fitted to some paths or all."""
-        imputed = self._imputation(paths, is_fitted) if self.targets.is_imputed else None
-        return self.targets.weights(paths, self.cut_model), imputed
+        """Weight of each stage in eq. 3; and what its target is imputed from, if it is, fitted to some or all."""
+        imputed = self._imputation(trajectories, is_fitted) if self.targets.is_imputed else None
+        return self.targets.weights(trajectories, self.cut_model), imputed
 
     def weighted(
         self,
-        paths: PathArrays,
+        trajectories: TrajectoryArrays,
         weight: Float[np.ndarray, "n T"],
         imputed: Imputation | None,
         fold: Int[np.ndarray, " n"],
     ) -> Transitions:
         """Make the transitions of eq. 3 with weights and folds that are given."""
-        reward, variates = self.task.reduce_variance(self.rewarded(paths, weight))
-        features, is_possible = paths.features[:, :, :1] if self.task.is_shared else paths.features, paths.is_possible
+        reward, variates = self.task.reduce_variance(self.rewarded(trajectories, weight))
+        features, is_possible = (
+            trajectories.features[:, :, :1] if self.task.is_shared else trajectories.features,
+            trajectories.is_possible,
+        )
         if self.support is not None:
             seen = self.support.is_seen(self.stages)[:, self.kinds(is_possible.shape[-1])]
             is_possible = np.asarray(seen_among(is_possible, seen))
         return Transitions(
             features=features if self.kernel_map is None else np.asarray(self.kernel_map(features)),
             is_possible=is_possible,
-            action=paths.action,
+            action=trajectories.action,
             reward=reward,
             weight=weight,
-            is_last=paths.is_last,
+            is_last=trajectories.is_last,
             fold=fold,
             control_variates=variates,
-            policy=paths.encoded.policy,
+            policy=trajectories.encoded.policy,
             imputation=imputed,
         )
 
-    def rewarded(self, paths: PathArrays, weight: Float[np.ndarray, "n T"]) -> RewardedStages:
+    def rewarded(self, trajectories: TrajectoryArrays, weight: Float[np.ndarray, "n T"]) -> RewardedStages:
         """What stages paid; those that were cut count for nothing."""
-        observed = np.where(paths.is_completed, weight, 0.0)
-        return RewardedStages(paths.encoded, paths.reward, observed, paths.is_last)
+        observed = np.where(trajectories.is_completed, weight, 0.0)
+        return RewardedStages(trajectories.encoded, trajectories.reward, observed, trajectories.is_last)
 
     def fit(self, log: Transitions) -> QFunctions:
         """Run eq. 3 on a log."""
-        num_paths, _, num_actions = log.is_possible.shape
+        num_trajectories, _, num_actions = log.is_possible.shape
         if isinstance(self.reg, CrossValidation):
-            refuse_too_few(int((log.weight > 0).any(axis=-1).sum()), num_paths)
+            refuse_too_few(int((log.weight > 0).any(axis=-1).sum()), num_trajectories)
         with one_thread():
-            return fit_q(log, self.regression(num_paths, num_actions))
+            return fit_q(log, self.regression(num_trajectories, num_actions))
 
     def policy(self, q_functions: QFunctions) -> Any:
         """Turn Q-functions, or a batch of them, into the policy that follows them."""
@@ -264,43 +273,50 @@ class QModel:
         """What the task chose by itself, and why."""
         return tuple(getattr(self.task, "chosen", ()))
 
-    def regression(self, num_paths: int, num_actions: int) -> Regression:
-        """Say how each step of eq. 3 is fitted, on so many paths."""
+    def regression(self, num_trajectories: int, num_actions: int) -> Regression:
+        """Say how each step of eq. 3 is fitted, on so many trajectories."""
         return Regression(
             block_of_action=self.blocks(num_actions),
             num_blocks=1 if self.is_joint else len(self.task.block_names),
             regs=self.space.regs if isinstance(self.reg, CrossValidation) else np.array([self.reg]),
-            num_folds=self._num_folds(num_paths),
+            num_folds=self._num_folds(num_trajectories),
             stages=self.stages,
             end_action=self.task.end_action if self.stages == "pooled" else None,
             is_scaled=self.space.is_scaled,
             pessimism=self.pessimism,
         )
 
-    def folds(self, num_paths: int) -> Int[np.ndarray, " n"]:
-        """Deal paths into folds, uniformly at random; without cross-validation nothing is held out."""
-        return np.random.default_rng(self.random_state).permutation(num_paths) % self._num_folds(num_paths)
+    def folds(self, num_trajectories: int) -> Int[np.ndarray, " n"]:
+        """Deal trajectories into folds, uniformly at random; without cross-validation nothing is held out."""
+        return np.random.default_rng(self.random_state).permutation(num_trajectories) % self._num_folds(
+            num_trajectories
+        )
 
-    def _num_folds(self, num_paths: int) -> int:
-        return min(self.reg.num_folds, num_paths) if isinstance(self.reg, CrossValidation) else 1
+    def _num_folds(self, num_trajectories: int) -> int:
+        return min(self.reg.num_folds, num_trajectories) if isinstance(self.reg, CrossValidation) else 1
 
-    def _imputation(self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None) -> Imputation:
-        blocks = self.blocks(paths.is_possible.shape[-1])
-        durations = self.durations or self._durations_of(paths, is_fitted)
-        imputed = imputation(paths, self.cut_model, self._outcome_features(paths), blocks, durations)
+    def _imputation(self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None) -> Imputation:
+        blocks = self.blocks(trajectories.is_possible.shape[-1])
+        durations = self.durations or self._durations_of(trajectories, is_fitted)
+        imputed = imputation(trajectories, self.cut_model, self._outcome_features(trajectories), blocks, durations)
         if self.kernel_map is None:
             return imputed
         return imputed._replace(is_used=np.ones(self.kernel_map.num_features))
 
-    def _durations_of(self, paths: PathArrays, is_fitted: Bool[np.ndarray, " n"] | None = None) -> DurationModel:
-        blocks, rows = self.blocks(paths.is_possible.shape[-1]), sampled(paths.num_paths, self.random_state)
+    def _durations_of(
+        self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
+    ) -> DurationModel:
+        blocks, rows = (
+            self.blocks(trajectories.is_possible.shape[-1]),
+            sampled(trajectories.num_trajectories, self.random_state),
+        )
         among = None if is_fitted is None else is_fitted[rows]
-        return fit_duration_model(self.sample_of(paths), self._outcome_features(paths), blocks, among)
+        return fit_duration_model(self.sample_of(trajectories), self._outcome_features(trajectories), blocks, among)
 
-    def _outcome_features(self, paths: PathArrays) -> Float[np.ndarray, " F"]:
+    def _outcome_features(self, trajectories: TrajectoryArrays) -> Float[np.ndarray, " F"]:
         names = self.targets.outcome_covariates
         if names is None:
-            return np.ones(paths.features.shape[-1])
+            return np.ones(trajectories.features.shape[-1])
         if not isinstance(self.space, LinearQ):
             raise ArgumentError("outcome_covariates is given; it chooses among the covariates of a linear Q only")
         return self.task.outcome_features(names)

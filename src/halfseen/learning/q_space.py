@@ -221,7 +221,7 @@ Q_SPACES: dict[str, QSpace] = {
 
 @dataclass(frozen=True)
 class CrossValidation:
-    """λ is chosen for each regression and block by weighted cross-validation over paths.
+    """λ is chosen for each regression and block by weighted cross-validation over trajectories.
 
     Parameters
     ----------

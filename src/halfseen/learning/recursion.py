@@ -17,7 +17,7 @@ Each regression runs on them too, and Q leaves them out: what they explain of th
 Where a policy is *given*, the maximum gives way to Σ_a π(a | S_{t+1}) Q̂_{t+1}(S_{t+1}, a): Q̂ is then that of the
 policy (fitted Q evaluation), and nothing is chosen.
 
-Where targets are *imputed*, the stage in which a path was right-censored has one, too; see `imputation`.
+Where targets are *imputed*, the stage in which a trajectory was right-censored has one, too; see `imputation`.
 
 *Pessimism*: V̂ is the largest lower confidence bound. Imputed targets of cut stages count as nothing seen.
 """
@@ -109,7 +109,7 @@ def fit_q(log: Transitions, regression: Regression) -> QFunctions:
     Raises
     ------
     ArgumentError
-        A path is in a fold that does not exist, and would count for nothing.
+        A trajectory is in a fold that does not exist, and would count for nothing.
     """
     return backward(_in_memory(log, regression), log.action.shape, regression)
 
@@ -125,7 +125,8 @@ def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], Ste
     largest = int(np.asarray(log.fold).max())
     if largest >= regression.num_folds:
         raise ArgumentError(
-            f"fold {largest} of {regression.num_folds}: folds are 0 to {regression.num_folds - 1}; deal the paths anew"
+            f"fold {largest} of {regression.num_folds}: folds are 0 to {regression.num_folds - 1}; deal the "
+            "trajectories anew"
         )
     rows, norms = packed(log, regression), None
 
@@ -150,8 +151,8 @@ def backward(ask: Callable[[Step], StepSums], shape: tuple[int, int], regression
     regression
         How each step is fitted.
     """
-    num_paths, horizon = shape
-    steps = _Steps(ask, num_paths, regression)
+    num_trajectories, horizon = shape
+    steps = _Steps(ask, num_trajectories, regression)
     return stack_q(_separate(steps, horizon) if regression.stages == "separate" else _pooled(steps, horizon))
 
 
@@ -166,7 +167,7 @@ def _separate(steps: "_Steps", horizon: int) -> list[QFunctions]:
 
 
 def _pooled(steps: "_Steps", horizon: int) -> list[QFunctions]:
-    """All stages' rows at each number of steps to go: none, if the horizon forces an action upon a path, then one."""
+    """All stages' rows at each number of steps to go: none, if the horizon forces an action, then one."""
     every, end_action = (GOING_ON, ENDED), steps.regression.end_action
     step = Step(every)
     if end_action is not None:
@@ -196,8 +197,8 @@ class _Equations(NamedTuple):
 class _Steps:
     """One backward step after the other."""
 
-    def __init__(self, ask: Callable[[Step], StepSums], num_paths: int, regression: Regression) -> None:
-        self.regression, self._ask, self._num_paths = regression, ask, num_paths
+    def __init__(self, ask: Callable[[Step], StepSums], num_trajectories: int, regression: Regression) -> None:
+        self.regression, self._ask, self._num_trajectories = regression, ask, num_trajectories
         self._moments: dict[int, Moments] = {}
         self._equations: dict[tuple[int, ...], _Equations] = {}
 
@@ -215,17 +216,17 @@ class _Steps:
         return self._solved(self._equations[step.slices], sums, step.centre)
 
     def _factorised(self, moments: Moments, columns: Columns) -> _Equations:
-        regs, num_paths, is_scaled = self.regression.regs, self._num_paths, self.regression.is_scaled
+        regs, num_trajectories, is_scaled = self.regression.regs, self._num_trajectories, self.regression.is_scaled
         num_features, num_design, outcome, seen = columns.num_features, columns.num_design, None, None
         main = moments.of_matrix[WHOLE, :, :, :num_design, :num_design]
         if columns.is_used is not None:
             kept, used = _of_outcome(columns)
             gram = moments.of_matrix[OUTCOME][:, :, kept[:, None], kept] * used[:, None] * used
-            outcome = ridge_of(with_prior(gram, columns.num_terms), regs, num_paths, is_scaled)
+            outcome = ridge_of(with_prior(gram, columns.num_terms), regs, num_trajectories, is_scaled)
         if self.regression.pessimism > 0:
             gram = moments.of_matrix[SEEN, :, :, :num_features, :num_features]
-            seen = ridge_of(gram.sum(axis=0, keepdims=True), regs, num_paths, is_scaled)
-        return _Equations(moments, ridge_of(main, regs, num_paths, is_scaled), outcome, seen)
+            seen = ridge_of(gram.sum(axis=0, keepdims=True), regs, num_trajectories, is_scaled)
+        return _Equations(moments, ridge_of(main, regs, num_trajectories, is_scaled), outcome, seen)
 
     def _solved(
         self, equations: _Equations, sums: StepSums, centre: Float[np.ndarray, "K F"] | None
@@ -248,7 +249,7 @@ class _Steps:
         # Σ w (X − βᵀx)² of the completed stages.
         explained = 2.0 * crosses[SEEN - 1][..., design].sum(axis=0) - np.einsum("kfg,kg->kf", gram, coefficients)
         squares = np.maximum(sums.crosses.squares - np.sum(coefficients * explained, axis=-1), 0.0)
-        errors = standard_errors(equations.seen, reg * self._num_paths, squares, equations.moments.counts)
+        errors = standard_errors(equations.seen, reg * self._num_trajectories, squares, equations.moments.counts)
         root = errors.root * errors.deviation[:, None, None]
         lowered = errors._replace(deviation=self.regression.pessimism * errors.deviation)
         return q._replace(root=root), coefficients, lowered

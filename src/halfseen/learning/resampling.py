@@ -1,7 +1,7 @@
-"""How much what was learned hangs on which paths happened to be logged: the bootstrap over paths [Efron1979]_.
+"""How much what was learned hangs on which trajectories happened to be logged: the bootstrap [Efron1979]_.
 
-Paths are drawn anew from the log with replacement. Ĝ, the weights and, where targets are imputed, the durations are
-estimated again from each such draw, and Q is fitted to it as it was to the log; features and λ's grid stay.
+Trajectories are drawn anew from the log with replacement. Ĝ, the weights and, where targets are imputed, the durations
+are estimated again from each such draw, and Q is fitted to it as it was to the log; features and λ's grid stay.
 """
 
 from contextlib import nullcontext
@@ -17,7 +17,7 @@ from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import QFunctions, fit_q, stack_q
-from halfseen.learning.rows import PathArrays, Transitions
+from halfseen.learning.rows import TrajectoryArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, telling
 from halfseen.shapes import Float, Int
@@ -30,7 +30,7 @@ BATCH_SIZE = 10
 
 @dataclass(frozen=True, eq=False)
 class QBootstrap:
-    """What was learned, and what would have been learned from paths drawn anew.
+    """What was learned, and what would have been learned from trajectories drawn anew.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def bootstrap(
     is_quiet: bool = True,
     workers: Workers = ALONE,
 ) -> QBootstrap:
-    """Learn again from paths drawn anew with replacement.
+    """Learn again from trajectories drawn anew with replacement.
 
     Parameters
     ----------
@@ -97,7 +97,7 @@ def bootstrap(
     logs
         The log that it was fitted to.
     num_replicates
-        B, draws of as many paths as the log has.
+        B, draws of as many trajectories as the log has.
     random_state
         Seed of the draws.
     is_quiet
@@ -114,15 +114,15 @@ def bootstrap(
         raise ArgumentError(f"num_replicates is {num_replicates}; at least 2 are needed")
     if not hasattr(learner, "policy_"):
         raise ArgumentError("the learner has no policy_; fit it to this log first")
-    if learner.weights_.shape[0] != logs.num_paths:
+    if learner.weights_.shape[0] != logs.num_trajectories:
         raise ArgumentError(
-            f"the log has {logs.num_paths} paths, but the learner was fitted to {learner.weights_.shape[0]}; give it "
-            "the log that it was fitted to"
+            f"the log has {logs.num_trajectories} trajectories, but the learner was fitted to "
+            f"{learner.weights_.shape[0]}; give it the log that it was fitted to"
         )
     model = learner.model_
-    paths = model.lay_out(logs)
-    share = np.full(paths.num_paths, 1.0 / paths.num_paths)
-    counts = np.random.default_rng(random_state).multinomial(paths.num_paths, share, size=num_replicates)
+    trajectories = model.lay_out(logs)
+    share = np.full(trajectories.num_trajectories, 1.0 / trajectories.num_trajectories)
+    counts = np.random.default_rng(random_state).multinomial(trajectories.num_trajectories, share, size=num_replicates)
     batches = [counts[start : start + BATCH_SIZE] for start in range(0, num_replicates, BATCH_SIZE)]
     fits: list[QFunctions] = []
     with (
@@ -130,33 +130,37 @@ def bootstrap(
         Progress(num_replicates, "bootstrap", "draws") as bar,
         workers.ready_if_worth() as pool,
     ):
-        for each in pool.in_order(partial(_learned_again, model, paths, model.transitions(paths)), batches):
+        for each in pool.in_order(
+            partial(_learned_again, model, trajectories, model.transitions(trajectories)), batches
+        ):
             fits += each
             bar.update(len(each))
     return QBootstrap(learner.policy_, model.policy(stack_q(fits)))
 
 
 def _learned_again(
-    model: QModel, paths: PathArrays, log: Transitions, counts: Int[np.ndarray, "B n"]
+    model: QModel, trajectories: TrajectoryArrays, log: Transitions, counts: Int[np.ndarray, "B n"]
 ) -> list[QFunctions]:
-    """Learn from some draws, in which each path counts so often."""
+    """Learn from some draws, in which each trajectory counts so often."""
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
-    return [fit_q(_redrawn(model, paths, log, each), regression) for each in counts]
+    return [fit_q(_redrawn(model, trajectories, log, each), regression) for each in counts]
 
 
-def _redrawn(model: QModel, paths: PathArrays, log: Transitions, counts: Int[np.ndarray, " n"]) -> Transitions:
-    """Weigh and impute a draw by what is estimated from it; a path that was not drawn counts for nothing."""
-    drawn = paths.take(np.repeat(np.arange(paths.num_paths), counts))
+def _redrawn(
+    model: QModel, trajectories: TrajectoryArrays, log: Transitions, counts: Int[np.ndarray, " n"]
+) -> Transitions:
+    """Weigh and impute a draw by what is estimated from it; a trajectory that was not drawn counts for nothing."""
+    drawn = trajectories.take(np.repeat(np.arange(trajectories.num_trajectories), counts))
     again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
     weight, imputed = again.weights_and_imputation(drawn)
     first, was_drawn = np.cumsum(counts) - counts, counts > 0
 
     def back(leaf: np.ndarray) -> np.ndarray:
-        spread = np.zeros((paths.num_paths, *leaf.shape[1:]))
+        spread = np.zeros((trajectories.num_trajectories, *leaf.shape[1:]))
         spread[was_drawn] = leaf[first[was_drawn]]
         return spread
 
     if imputed is not None:
-        of_paths = {name: back(leaf) for name, leaf in imputed._asdict().items() if name != "is_used"}
-        imputed = imputed._replace(**of_paths)
+        of_trajectories = {name: back(leaf) for name, leaf in imputed._asdict().items() if name != "is_used"}
+        imputed = imputed._replace(**of_trajectories)
     return log._replace(weight=back(weight), imputation=imputed).counted(counts.astype(np.float64))

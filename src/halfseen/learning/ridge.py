@@ -4,8 +4,8 @@ For each block (a verb, or an action)
 
     minimise over α, β:  λ ‖β‖² + (1/n) Σ_rows w · (y − α − xᵀβ)²,
 
-with n the number of *paths*, x scaled to unit weighted variance in its block, and the offset α left free. In an RKHS,
-where x are features of the kernel, x keeps its scale, and ‖β‖² is the norm of the function.
+with n the number of *trajectories*, x scaled to unit weighted variance in its block, and the offset α left free. In an
+RKHS, where x are features of the kernel, x keeps its scale, and ‖β‖² is the norm of the function.
 
 With the centred and scaled Gram matrix U diag(e) Uᵀ, N the weight and S = diag(1/scale) U, the *basis*
 
@@ -52,7 +52,7 @@ class Ridge(NamedTuple):
 
 
 def ridge_of(
-    gram: Float[np.ndarray, "V K F F"], regs: Float[np.ndarray, " L"], num_paths: int, is_scaled: bool = True
+    gram: Float[np.ndarray, "V K F F"], regs: Float[np.ndarray, " L"], num_trajectories: int, is_scaled: bool = True
 ) -> Ridge:
     """Factorise the normal equations.
 
@@ -62,16 +62,16 @@ def ridge_of(
         Σ w x xᵀ by fold and block; the first of x is 1.
     regs
         The λ to choose from, increasing.
-    num_paths
+    num_trajectories
         n.
     is_scaled
         Whether λ weighs features as if each had unit variance.
     """
     basis, values = _diagonalised(gram, is_scaled)
     num_held_out = len(basis) - 1
-    paths = num_paths * np.append(np.full(num_held_out, (len(gram) - 1) / len(gram)), 1.0)
-    penalty = np.zeros((len(regs), len(paths), 1, values.shape[-1]))
-    penalty[..., 1:] = (regs[:, None] * paths)[:, :, None, None]
+    trajectories = num_trajectories * np.append(np.full(num_held_out, (len(gram) - 1) / len(gram)), 1.0)
+    penalty = np.zeros((len(regs), len(trajectories), 1, values.shape[-1]))
+    penalty[..., 1:] = (regs[:, None] * trajectories)[:, :, None, None]
     is_seen = values > RANK_TOLERANCE * values[..., 1:].max(axis=-1, keepdims=True, initial=0.0)
     is_seen[..., 0] = values[..., 0] > 0
     shrink = np.where(is_seen, 1.0 / np.where(is_seen, values + penalty, 1.0), 0.0)

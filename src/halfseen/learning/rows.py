@@ -1,6 +1,7 @@
-"""From a log to the transitions of eq. 3: dense arrays, one row a path, padded to T stages.
+"""From a log to the transitions of eq. 3: dense arrays, one row a trajectory, padded to T stages.
 
-`PathArrays` hold a log as it is. `Transitions` add what each stage weighs and what its target is; `sums` packs them.
+`TrajectoryArrays` hold a log as it is. `Transitions` add what each stage weighs and what its target is; `sums` packs
+them.
 """
 
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -19,28 +20,28 @@ else:
     Logs = Any  # What a policy needs of this module loads no log.
 
 
-class PathArrays(NamedTuple):
-    """Paths and their stages; what a path has no stage for holds 0, False or NaN."""
+class TrajectoryArrays(NamedTuple):
+    """Trajectories and their stages; what a trajectory has no stage for holds 0, False or NaN."""
 
     clocks: StageClocks
     """When each stage began and ended, who was cut, and what cuts may depend on."""
     encoded: Encoded
     has_action: Bool[np.ndarray, "n T"]
-    """Stages whose action is known; that of the stage in which a path was cut need not be."""
+    """Stages whose action is known; that of the stage in which a trajectory was cut need not be."""
     probability: Float[np.ndarray, "n T"]
     """Of the logged action under the logging policy; NaN where it was not logged."""
     reward: Float[np.ndarray, "n T"]
     """0 where not completed."""
 
     @property
-    def num_paths(self) -> int:
-        """Number n of paths."""
-        return self.clocks.num_paths
+    def num_trajectories(self) -> int:
+        """Number n of trajectories."""
+        return self.clocks.num_trajectories
 
     @property
-    def path_ids(self) -> np.ndarray:
-        """Names of the paths."""
-        return self.clocks.path_ids
+    def trajectory_ids(self) -> np.ndarray:
+        """Names of the trajectories."""
+        return self.clocks.trajectory_ids
 
     @property
     def features(self) -> Float[np.ndarray, "n T A F"]:
@@ -69,16 +70,16 @@ class PathArrays(NamedTuple):
 
     @property
     def is_last(self) -> Bool[np.ndarray, "n T"]:
-        """Completed stages after which a path had come to its own end."""
+        """Completed stages after which a trajectory had come to its own end."""
         return self.clocks.is_last
 
-    def take(self, rows: Int[np.ndarray, " k"] | slice) -> "PathArrays":
-        """Keep these paths, which may repeat, in this order; a slice of them copies nothing."""
+    def take(self, rows: Int[np.ndarray, " k"] | slice) -> "TrajectoryArrays":
+        """Keep these trajectories, which may repeat, in this order; a slice of them copies nothing."""
         rest: Any = mapped(lambda leaf: leaf[rows], tuple(self[1:]))
-        return PathArrays(self.clocks.take(rows), *rest)
+        return TrajectoryArrays(self.clocks.take(rows), *rest)
 
 
-def path_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> PathArrays:
+def trajectory_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> TrajectoryArrays:
     """Lay out a log.
 
     Parameters
@@ -94,7 +95,7 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> PathA
     at = stage_places(logs)
 
     def spread(values: np.ndarray, empty: float | bool) -> np.ndarray:
-        filled = np.full((logs.num_paths, horizon, *values.shape[1:]), empty, dtype=values.dtype)
+        filled = np.full((logs.num_trajectories, horizon, *values.shape[1:]), empty, dtype=values.dtype)
         filled[at] = values
         return filled
 
@@ -105,7 +106,7 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> PathA
 
     known = np.zeros((logs.num_stages, 0)) if covariates is None else covariates.to_numpy(dtype=np.float64)
     clocks = StageClocks(
-        path_ids=logs.path_ids,
+        trajectory_ids=logs.trajectory_ids,
         elapsed_s=spread(numbers("elapsed_s"), np.nan),
         end_s=logs.end_s,
         is_finished=logs.is_finished,
@@ -113,7 +114,7 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> PathA
         covariates=spread(known, 0.0),
         covariate_names=() if covariates is None else tuple(map(str, covariates.columns)),
     )
-    return PathArrays(
+    return TrajectoryArrays(
         clocks=clocks,
         encoded=encoded,
         has_action=spread(logs.stages["action"].notna().to_numpy(), False),
@@ -123,10 +124,10 @@ def path_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> PathA
 
 
 def stage_places(logs: Logs) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, " rows"]]:
-    """Row of each stage's path in dense arrays, and its column."""
+    """Row of each stage's trajectory in dense arrays, and its column."""
     import pandas as pd
 
-    return pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages["stage"].to_numpy() - 1
+    return pd.Index(logs.trajectory_ids).get_indexer(logs.stages["trajectory"]), logs.stages["stage"].to_numpy() - 1
 
 
 class Imputation(NamedTuple):
@@ -162,17 +163,17 @@ class Transitions(NamedTuple):
     weight: Float[np.ndarray, "n T"]
     """δ_t / Ĝ(U_t⁻): 0 where the stage was not completed. Where targets are imputed, that of a begun stage."""
     is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which the path had come to its own end."""
+    """Completed stages after which the trajectory had come to its own end."""
     fold: Int[np.ndarray, " n"]
-    """Fold of each path for cross-validation, from 0, below the number of folds."""
+    """Fold of each trajectory for cross-validation, from 0, below the number of folds."""
     control_variates: Float[np.ndarray, "n T Z"] | None = None
-    """Of mean 0 given (S_t, A_t), if any are known; what they hold at a path's end does not count."""
+    """Of mean 0 given (S_t, A_t), if any are known; what they hold at a trajectory's end does not count."""
     policy: Float[np.ndarray, "n T A"] | None = None
     """π(a | S_t), where Q of a given policy is wanted and not that of the best one."""
     imputation: Imputation | None = None
 
     def counted(self, counts: Float[np.ndarray, " n"]) -> "Transitions":
-        """Let each path count so often."""
+        """Let each trajectory count so often."""
         imputed = self.imputation
         if imputed is not None:
             imputed = imputed._replace(outcome_weight=imputed.outcome_weight * counts[:, None])

@@ -2,9 +2,9 @@
 
 Each backward step asks every shard of the log for sums, and adds them in the order of the shards; so what is learned is
 what the whole log in memory would give, but for the rounding of the sums, and the same bytes whoever sums. What is no
-sum is fitted to the same sample of paths as in memory (`q_model`). The log itself is read and checked once; after that
-its arrays are read from disk, where they were kept (`kept_parts`). Whoever has not got a part lays it out anew, to the
-same bytes; so it does not matter which worker sums a shard, nor how often one is lost.
+sum is fitted to the same sample of trajectories as in memory (`q_model`). The log itself is read and checked once;
+after that its arrays are read from disk, where they were kept (`kept_parts`). Whoever has not got a part lays it out
+anew, to the same bytes; so it does not matter which worker sums a shard, nor how often one is lost.
 """
 
 import ctypes
@@ -27,7 +27,7 @@ from halfseen.learning.kept_parts import KeptParts, kept_parts
 from halfseen.learning.q_model import QModel, sampled
 from halfseen.learning.q_space import CrossValidation
 from halfseen.learning.recursion import QFunctions, Step, StepSums, backward, sums_of_step
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.sums import Rows, packed
 from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few
 from halfseen.learning.task import RewardedStages
@@ -71,50 +71,50 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
     ArgumentError
         A part of the model cannot be fitted.
     PositivityError
-        All paths were cut, or a weight is not identified.
+        All trajectories were cut, or a weight is not identified.
     WorkerError
         Workers were lost again and again.
     """
     if isinstance(logs, LogStream):
         return _in_passes(logs, model, has_choice, workers or ALONE)
-    model, paths = model.fitted(logs)
-    model, chosen = with_stages(model, model.sample_of(paths)) if has_choice else (model, model.chosen)
-    log = model.transitions(paths)
+    model, trajectories = model.fitted(logs)
+    model, chosen = with_stages(model, model.sample_of(trajectories)) if has_choice else (model, model.chosen)
+    log = model.transitions(trajectories)
     diagnostics = weight_diagnostics(log.weight, model.cut_model and model.cut_model.truncate_at)
     return Learned(model, model.fit(log), chosen, log.weight, diagnostics)
 
 
 def _in_passes(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Learned:
-    """The first pass gathers what Ĝ needs, and a sample of the paths; each backward step is a pass."""
+    """The first pass gathers what Ĝ needs, and a sample of the trajectories; each backward step is a pass."""
     refuse_all_cut(stream.is_finished)
-    shards, num_paths = stream.shards(), stream.num_paths
+    shards, num_trajectories = stream.shards(), stream.num_trajectories
     with (
         (workers if len(shards) > 1 else ALONE).ready() as pool,
         kept_parts(shards[-1].parts[-1].number + 1, pool.is_here) as kept,
     ):
-        work = partial(_Work, stream.as_folder, num_paths, kept)
-        sample = _read(stream, shards, sampled(num_paths, model.random_state), pool)
+        work = partial(_Work, stream.as_folder, num_trajectories, kept)
+        sample = _read(stream, shards, sampled(num_trajectories, model.random_state), pool)
         model = model.with_task(stream, sample)
         support, clocks = _joined(pool.in_order(partial(_look_at, work(model)), shards))
         clocks = clocks or [StageClocks.of_ends(stream.end_s, stream.is_finished)]
         model = model.with_clocks(clocks[0], support)
-        paths = model.lay_out(sample)
+        trajectories = model.lay_out(sample)
         give_back()
-        model = model.with_sample(paths).with_durations(paths)
-        model, chosen = with_stages(model, paths) if has_choice else (model, model.chosen)
+        model = model.with_sample(trajectories).with_durations(trajectories)
+        model, chosen = with_stages(model, trajectories) if has_choice else (model, model.chosen)
         give_back()
         rewarded = chain.from_iterable(work(model).rewarded(shard) for shard in shards)
         model = replace(model, task=model.task.fitted_to_rewards(rewarded))
-        return _backward_in_passes(work(model), shards, pool, paths.is_possible.shape[-1], chosen)
+        return _backward_in_passes(work(model), shards, pool, trajectories.is_possible.shape[-1], chosen)
 
 
 def _backward_in_passes(
     work: "_Work", shards: list[Shard], pool: Pool, num_actions: int, chosen: tuple[str, ...]
 ) -> Learned:
-    model, num_paths = work.model, work.num_paths
-    regression = model.regression(num_paths, num_actions)
-    fold = model.folds(num_paths).astype(np.min_scalar_type(-regression.num_folds))
-    dealt = [(shard, fold[shard.paths]) for shard in shards]
+    model, num_trajectories = work.model, work.num_trajectories
+    regression = model.regression(num_trajectories, num_actions)
+    fold = model.folds(num_trajectories).astype(np.min_scalar_type(-regression.num_folds))
+    dealt = [(shard, fold[shard.trajectories]) for shard in shards]
     tally = WeightTally(model.cut_model and model.cut_model.truncate_at)
     num_passes, is_first = model.horizon + (regression.end_action is not None), True
     # The file has no name; it is gone with the last array that shows it.
@@ -133,30 +133,30 @@ def _backward_in_passes(
             bar.update()
             return total
 
-        q = backward(ask, (num_paths, model.horizon), regression)
+        q = backward(ask, (num_trajectories, model.horizon), regression)
         if isinstance(model.reg, CrossValidation):
-            refuse_too_few(tally.num_rows_seen, num_paths)
+            refuse_too_few(tally.num_rows_seen, num_trajectories)
         file.flush()
-        weights = np.memmap(file, dtype=np.float64, mode="r", shape=(num_paths, model.horizon))
+        weights = np.memmap(file, dtype=np.float64, mode="r", shape=(num_trajectories, model.horizon))
     return Learned(model, q, chosen, weights, tally.told())
 
 
 def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:
-    """Read some of the paths; by default those that `QModel.sample_of` takes of a log in memory."""
-    return _read(stream, stream.shards(), sampled(stream.num_paths, seed, most), Pool(None))
+    """Read some of the trajectories; by default those that `QModel.sample_of` takes of a log in memory."""
+    return _read(stream, stream.shards(), sampled(stream.num_trajectories, seed, most), Pool(None))
 
 
 def _read(stream: LogStream, shards: Sequence[Shard], rows: Int[np.ndarray, " k"], pool: Pool) -> Logs:
-    wanted = [(shard, rows[(rows >= shard.paths.start) & (rows < shard.paths.stop)]) for shard in shards]
+    wanted = [(shard, rows[(rows >= shard.trajectories.start) & (rows < shard.trajectories.stop)]) for shard in shards]
     found = pool.in_order(partial(_tables_of, stream.as_folder), wanted)
     return logs_of(stream.as_folder, list(chain.from_iterable(found)))
 
 
 def _tables_of(folder: Folder, wanted: tuple[Shard, Int[np.ndarray, " k"]]) -> list[Tables]:
-    """Read some paths of a shard, by their rows, and check nothing."""
+    """Read some trajectories of a shard, by their rows, and check nothing."""
     reader, (shard, rows), found = ShardReader(folder), wanted, []
     for part in shard.parts:
-        here = rows[(rows >= part.paths[0]) & (rows < part.paths[1])] - part.paths[0]
+        here = rows[(rows >= part.trajectories[0]) & (rows < part.trajectories[1])] - part.trajectories[0]
         if len(here):
             found.append(reader.tables(part, here))
     return found
@@ -179,38 +179,40 @@ class _Work:
     """What all workers are told once a pass: the log, the model as far as it is fitted, and where parts are kept."""
 
     folder: Folder
-    num_paths: int
+    num_trajectories: int
     kept: KeptParts
     model: QModel
 
-    def paths_of(self, shard: Shard) -> Iterator[PathArrays]:
+    def trajectories_of(self, shard: Shard) -> Iterator[TrajectoryArrays]:
         """Lay out the parts of a shard as arrays."""
         reader = self._reader()
         for part in shard.parts:
-            paths = self.kept.read("paths", part.number)
-            if paths is None:
-                paths = self._laid_out(reader, part)
-                self.kept.keep("paths", part.number, paths)
-            yield paths
+            trajectories = self.kept.read("trajectories", part.number)
+            if trajectories is None:
+                trajectories = self._laid_out(reader, part)
+                self.kept.keep("trajectories", part.number, trajectories)
+            yield trajectories
 
     def rewarded(self, shard: Shard) -> Iterator[RewardedStages]:
         """What the stages of a shard paid; nothing is read unless it is asked for."""
-        for paths in self.paths_of(shard):
-            yield self.model.rewarded(paths, self.model.targets.weights(paths, self.model.cut_model))
+        for trajectories in self.trajectories_of(shard):
+            yield self.model.rewarded(trajectories, self.model.targets.weights(trajectories, self.model.cut_model))
 
     def rows_of(
         self, shard: Shard, fold: Int[np.ndarray, " n"], is_first: bool
     ) -> Iterator[tuple[Part, Rows, Float[np.ndarray, "n T"] | None]]:
         """Pack the parts of a shard; for the first time with the weight of every stage."""
-        reader, begin = self._reader(), shard.paths.start
+        reader, begin = self._reader(), shard.trajectories.start
         for part in shard.parts:
             rows, weight = None if is_first else self.kept.read("rows", part.number), None
             if rows is None:
-                paths = self.kept.read("paths", part.number) or self._laid_out(reader, part)
-                weight, imputed = self.model.weights_and_imputation(paths)
-                log = self.model.weighted(paths, weight, imputed, fold[part.paths[0] - begin : part.paths[1] - begin])
-                rows = packed(log, self.model.regression(self.num_paths, log.is_possible.shape[-1]))
-                self.kept.forget("paths", part.number)
+                trajectories = self.kept.read("trajectories", part.number) or self._laid_out(reader, part)
+                weight, imputed = self.model.weights_and_imputation(trajectories)
+                log = self.model.weighted(
+                    trajectories, weight, imputed, fold[part.trajectories[0] - begin : part.trajectories[1] - begin]
+                )
+                rows = packed(log, self.model.regression(self.num_trajectories, log.is_possible.shape[-1]))
+                self.kept.forget("trajectories", part.number)
                 self.kept.keep("rows", part.number, rows)
             yield part, rows, weight
 
@@ -218,22 +220,22 @@ class _Work:
         """The log, opened where a part of it is to be read."""
         return cache(partial(ShardReader, self.folder))
 
-    def _laid_out(self, reader: Callable[[], ShardReader], part: Part) -> PathArrays:
+    def _laid_out(self, reader: Callable[[], ShardReader], part: Part) -> TrajectoryArrays:
         logs = reader().read(part)
         self.model.check_horizon(logs)
         return self.model.lay_out(logs)
 
 
 _Look = tuple[Support, list[StageClocks]]
-"""What was seen completed; and what Ĝ is fitted to, beyond the ends of the paths, if it is."""
+"""What was seen completed; and what Ĝ is fitted to, beyond the ends of the trajectories, if it is."""
 
 
 def _look_at(work: _Work, shard: Shard) -> _Look:
     """Read, check and lay out a shard for the first time."""
     model, looks = work.model, []
-    for paths in work.paths_of(shard):
-        clocks = model.targets.looks_at(paths.clocks)
-        looks.append((model.support_in(paths), [] if clocks is None else [clocks]))
+    for trajectories in work.trajectories_of(shard):
+        clocks = model.targets.looks_at(trajectories.clocks)
+        looks.append((model.support_in(trajectories), [] if clocks is None else [clocks]))
     # This process may wait for long now, for others that read.
     give_back()
     return _joined(looks)
@@ -248,11 +250,11 @@ def _joined(looks: Iterable[_Look]) -> _Look:
 def _sums_of(
     work: _Work, step: Step, is_first: bool, dealt: tuple[Shard, Int[np.ndarray, " n"]]
 ) -> tuple[StepSums, Float[np.ndarray, "n T"] | None]:
-    """Sum a shard up for one backward step, given the folds of its paths; in the first pass with all weights."""
+    """Sum a shard up for one backward step, given the folds of its trajectories; in the first pass with all weights."""
     total, weights, keeps_norms = None, [], work.model.stages == "pooled"
     for part, rows, weight in work.rows_of(*dealt, is_first):
         known = work.kept.read("norms", part.number) if keeps_norms else None
-        regression = work.model.regression(work.num_paths, len(rows.block_of_action))
+        regression = work.model.regression(work.num_trajectories, len(rows.block_of_action))
         sums = sums_of_step(rows, step, regression, known)
         if keeps_norms and sums.norms is not known:
             work.kept.keep("norms", part.number, sums.norms)

@@ -35,8 +35,9 @@ class Regression(NamedTuple):
     """V, folds of the cross-validation."""
     stages: StageMode
     end_action: int | None = None
-    """For pooled stages: the action that the horizon forces upon a path, so that Q_0(S) = Q(S, end_action); every Q
-    is shrunk towards it. It must end a path wherever it is taken, and a feature must mean the same in all blocks
+    """For pooled stages: the action that the horizon forces upon a trajectory, so that Q_0(S) = Q(S, end_action); every
+    Q is shrunk towards it. It must end a trajectory wherever it is taken, and a feature must mean the same in all
+    blocks
     or be 0 for it. None if reaching the horizon costs nothing, Q_0 ≡ 0."""
     is_scaled: bool = True
     """Whether λ weighs features as if each had unit variance; False for features of a kernel."""
@@ -75,7 +76,7 @@ class StateChoices(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """Rows of whole paths of a log."""
+    """Rows of whole trajectories of a log."""
 
     matrix: Float[np.ndarray, "R M"]
     columns: Columns
@@ -114,15 +115,17 @@ def packed(log: Transitions, regression: Regression) -> Rows:
         goes_on &= given.share != 0
     is_state = np.zeros_like(goes_on)
     is_state[:, 1:] = goes_on[:, :-1]
-    path, stage = np.nonzero((weight > 0) | is_state)
-    action, slices = log.action[path, stage], stage
+    trajectory, stage = np.nonzero((weight > 0) | is_state)
+    action, slices = log.action[trajectory, stage], stage
     if regression.stages == "pooled":
         is_ended = (stage == num_stages - 1) & (end_action is None or action != end_action)
         slices = np.where(is_ended, ENDED, GOING_ON)
-    is_cut = np.zeros(len(path), dtype=np.int64) if given is None else given.outcome_weight[path, stage] == 0
-    keys = np.stack([slices, log.fold[path], blocks[action], is_cut])
+    is_cut = (
+        np.zeros(len(trajectory), dtype=np.int64) if given is None else given.outcome_weight[trajectory, stage] == 0
+    )
+    keys = np.stack([slices, log.fold[trajectory], blocks[action], is_cut])
     order = np.lexsort(keys[::-1])
-    at = path[order], stage[order]
+    at = trajectory[order], stage[order]
     row_of = np.full(weight.shape, len(order))
     row_of[at] = np.arange(len(order))
     after = np.full(weight.shape, len(order))
@@ -161,7 +164,7 @@ def _matrix(log: Transitions, at: tuple[np.ndarray, np.ndarray]) -> tuple[Float[
     given, num_rows = log.imputation, len(at[0])
     variates = terms = expected = np.zeros((num_rows, 0))
     if log.control_variates is not None:
-        # What is not known of a path's end does not count; imputed targets hold a share of each.
+        # What is not known of a trajectory's end does not count; imputed targets hold a share of each.
         variates = np.where(log.is_last[at][:, None], 0.0, log.control_variates[at])
         variates = variates if given is None else variates * given.share[at][:, None]
     if given is not None:

@@ -10,7 +10,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.learning.q_space import StageMode
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Bool, Int
 
 
@@ -33,14 +33,14 @@ class Support(NamedTuple):
         return np.broadcast_to(seen.any(axis=0), seen.shape) if stages == "pooled" else seen
 
 
-def support_of(paths: PathArrays, kinds: Int[np.ndarray, " A"], num_kinds: int) -> Support:
+def support_of(trajectories: TrajectoryArrays, kinds: Int[np.ndarray, " A"], num_kinds: int) -> Support:
     """Count what a log has seen; `kinds` are those of its actions."""
-    known, each = paths.is_begun & paths.has_action, np.arange(num_kinds)
-    is_kind = (kinds[paths.action][..., None] == each) & known[..., None]
+    known, each = trajectories.is_begun & trajectories.has_action, np.arange(num_kinds)
+    is_kind = (kinds[trajectories.action][..., None] == each) & known[..., None]
     return Support(
         num_begun=is_kind.sum(axis=0),
-        num_completed=(is_kind & paths.is_completed[..., None]).sum(axis=0),
-        is_allowed=(paths.is_possible & paths.is_begun[..., None]).any(axis=0) @ (kinds[:, None] == each),
+        num_completed=(is_kind & trajectories.is_completed[..., None]).sum(axis=0),
+        is_allowed=(trajectories.is_possible & trajectories.is_begun[..., None]).any(axis=0) @ (kinds[:, None] == each),
     )
 
 
@@ -62,7 +62,7 @@ def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode)
 
 
 def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
-    """Refuse a log in which no path came to its own end.
+    """Refuse a log in which no trajectory came to its own end.
 
     Raises
     ------
@@ -71,13 +71,13 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
     """
     if not is_finished.any():
         raise PositivityError(
-            f"all {len(is_finished)} paths were cut, so how a path ends was never seen; record until some finish, or "
-            "shorten the horizon so that reaching it counts as finished"
+            f"all {len(is_finished)} trajectories were cut, so how a trajectory ends was never seen; record until some "
+            "finish, or shorten the horizon so that reaching it counts as finished"
         )
 
 
-def refuse_too_few(num_seen: int, num_paths: int) -> None:
-    """Refuse to hold out paths where fewer than two completed a stage.
+def refuse_too_few(num_seen: int, num_trajectories: int) -> None:
+    """Refuse to hold out trajectories where fewer than two completed a stage.
 
     Raises
     ------
@@ -86,6 +86,6 @@ def refuse_too_few(num_seen: int, num_paths: int) -> None:
     """
     if num_seen < 2:
         raise ArgumentError(
-            f"reg is 'cv', which holds out paths, but {num_seen} of {num_paths} completed a stage; give a "
-            "number for reg, or record more paths"
+            f"reg is 'cv', which holds out trajectories, but {num_seen} of {num_trajectories} completed a stage; give "
+            "a number for reg, or record more trajectories"
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from halfseen.censoring import CENSORING_NAMES, CensoringModel, CensoringSpec, CutModel, StageClocks
 from halfseen.errors import ArgumentError
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Float
 
 
@@ -23,10 +23,10 @@ class Weighted(CensoringSpec):
     is_imputed = False
     outcome_covariates = None
 
-    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+    def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """Weight of each stage in eq. 3."""
         assert cut_model is not None
-        return cut_model.weights(paths.clocks)
+        return cut_model.weights(trajectories.clocks)
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class DoublyRobust(CensoringSpec):
 
     is_imputed = True
 
-    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+    def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 / Ĝ(U_{t−1}⁻) of each begun stage."""
         assert cut_model is not None
-        return cut_model.begun_weights(paths.clocks)
+        return cut_model.begun_weights(trajectories.clocks)
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,9 @@ class BuckleyJames:
     def fit_cuts(self, clocks: StageClocks) -> None:
         """No model of the cuts is needed."""
 
-    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+    def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 for each begun stage."""
-        return paths.is_begun.astype(np.float64)
+        return trajectories.is_begun.astype(np.float64)
 
 
 @dataclass(frozen=True)
@@ -91,9 +91,9 @@ class Unweighted:
     def fit_cuts(self, clocks: StageClocks) -> None:
         """No model of the cuts is asked for."""
 
-    def weights(self, paths: PathArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
+    def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 for each completed stage."""
-        return paths.is_completed.astype(np.float64)
+        return trajectories.is_completed.astype(np.float64)
 
 
 Targets = Weighted | DoublyRobust | BuckleyJames | Unweighted
@@ -127,7 +127,7 @@ def targets_of(censoring: Targets | CensoringModel | str) -> Targets:
 def named_targets(
     censoring: CensoringModel | str = "kaplan-meier",
     *,
-    by: str = "path",
+    by: str = "trajectory",
     covariates: Sequence[str] | None = None,
     truncate_at: float | int | None = None,
     is_doubly_robust: bool = False,
@@ -153,7 +153,7 @@ def named_targets(
         there are none.
     """
     if isinstance(censoring, str) and censoring in BY_NAME:
-        of_weights = {"by": None if by == "path" else by, "covariates": covariates, "truncate_at": truncate_at}
+        of_weights = {"by": None if by == "trajectory" else by, "covariates": covariates, "truncate_at": truncate_at}
         for name, value in of_weights.items():
             if value is not None:
                 told = f"{name} is {value!r}, but censoring {censoring!r} makes no weights"

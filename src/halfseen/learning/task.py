@@ -30,7 +30,7 @@ TASKS = {"table": "halfseen.tables.task:TableTask", "team": "halfseen.tables.tas
 
 
 class Encoded(NamedTuple):
-    """What the Q-functions look at, and what was done; stages that a path does not have hold zeros."""
+    """What the Q-functions look at, and what was done; stages that a trajectory does not have hold zeros."""
 
     features: Float[np.ndarray, "n T A F"]
     is_possible: Bool[np.ndarray, "n T A"]
@@ -55,7 +55,7 @@ class RewardedStages(NamedTuple):
     weight: Float[np.ndarray, "n T"]
     """Of completed stages in eq. 3; 0 elsewhere."""
     is_last: Bool[np.ndarray, "n T"]
-    """Completed stages after which a path had come to its own end."""
+    """Completed stages after which a trajectory had come to its own end."""
 
 
 class LearnedQ(NamedTuple):
@@ -90,7 +90,7 @@ class Task(Protocol):
 
     @property
     def end_action(self) -> int | None:
-        """Action that ends a path wherever it is taken, if there is one."""
+        """Action that ends a trajectory wherever it is taken, if there is one."""
         ...
 
     @property
@@ -99,7 +99,7 @@ class Task(Protocol):
         ...
 
     def fitted(self, logs: Logs, horizon: int) -> "Task":
-        """Learn from a log, or a sample of its paths, what the features need; the task itself if nothing."""
+        """Learn from a log, or a sample of its trajectories, what the features need; the task itself if nothing."""
         ...
 
     def encode(self, logs: Logs, horizon: int) -> Encoded:
@@ -120,7 +120,7 @@ class Task(Protocol):
         """1 for each feature that belongs to these covariates, 0 for the others."""
         ...
 
-    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> Frame:
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> Frame:
         """What cuts may depend on, a row for each stage of the log; None for all."""
         ...
 

@@ -26,7 +26,7 @@ class Successor(NamedTuple):
     errors: Errors | None
     """With pessimism, how far Q is lowered."""
     forced: int | None = None
-    """The action that is taken, whatever Q says: the one that the horizon forces upon a path."""
+    """The action that is taken, whatever Q says: the one that the horizon forces upon a trajectory."""
 
 
 class Norms(NamedTuple):

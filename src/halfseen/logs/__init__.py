@@ -1,6 +1,6 @@
 """What was recorded: trajectories, their stages, endings and causes; checked once, kept on disk.
 
-A *path* is a trajectory: one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
+A *trajectory* is a trajectory: one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
 Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
 types) → `reward_unit` → `checks` (the invariants) → `summary` → `parquet` (what a file takes) → `journal` (what a
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from halfseen.logs.compaction import Compacted, compact
     from halfseen.logs.logs import Logs
     from halfseen.logs.reading import read_logs
-    from halfseen.logs.recording.path_recorder import CAUSES, PathRecorder
     from halfseen.logs.recording.recorder import LogRecorder
+    from halfseen.logs.recording.trajectory_recorder import CAUSES, TrajectoryRecorder
     from halfseen.logs.stream import LogStream, write_stream
     from halfseen.logs.summary import LogsSummary
 
@@ -29,7 +29,7 @@ __all__ = [
     "LogStream",
     "Logs",
     "LogsSummary",
-    "PathRecorder",
+    "TrajectoryRecorder",
     "compact",
     "read_logs",
     "write_stream",
@@ -38,13 +38,13 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "CAUSES": "recording.path_recorder",
+        "CAUSES": "recording.trajectory_recorder",
         "Compacted": "compaction",
         "LogRecorder": "recording.recorder",
         "LogStream": "stream",
         "Logs": "logs",
         "LogsSummary": "summary",
-        "PathRecorder": "recording.path_recorder",
+        "TrajectoryRecorder": "recording.trajectory_recorder",
         "compact": "compaction",
         "read_logs": "reading",
         "write_stream": "stream",

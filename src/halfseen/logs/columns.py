@@ -14,19 +14,19 @@ from halfseen.logs.refusal import place, shown, value_at
 from halfseen.shapes import Bool, Float
 from halfseen.suggestions import closest
 
-STAGE_COLUMNS = ("path", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot")
-PATH_COLUMNS = ("path", "end_s", "ending", "cause")
-OBJECT_COLUMNS = ("path", "stage", "object")
+STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot")
+TRAJECTORY_COLUMNS = ("trajectory", "end_s", "ending", "cause")
+OBJECT_COLUMNS = ("trajectory", "stage", "object")
 _OF_ONE_ROBOT = re.compile(r"\d+_reward")
 
 NEEDED = {
-    "stages": ("path", "stage", "elapsed_s", "action", "reward"),
-    "paths": ("path", "end_s", "ending"),
+    "stages": ("trajectory", "stage", "elapsed_s", "action", "reward"),
+    "trajectories": ("trajectory", "end_s", "ending"),
     "objects": OBJECT_COLUMNS,
 }
 """Columns that each table has, whatever else is known."""
 
-_OWN = {"stages": STAGE_COLUMNS, "paths": PATH_COLUMNS, "objects": OBJECT_COLUMNS}
+_OWN = {"stages": STAGE_COLUMNS, "trajectories": TRAJECTORY_COLUMNS, "objects": OBJECT_COLUMNS}
 
 FINISHED, CUT = "finished", "cut"
 UNKNOWN_CAUSE = "unknown"
@@ -85,8 +85,8 @@ def as_counts(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(
-            f"{name}, row {row}, {place(frame, row, ('path',))}: {column} {numbers[row]} is no whole number; number "
-            "the stages of a path 1, 2, 3, …"
+            f"{name}, row {row}, {place(frame, row, ('trajectory',))}: {column} {numbers[row]} is no whole number; "
+            "number the stages of a trajectory 1, 2, 3, …"
         )
     return pd.Series(numbers.astype(np.int64), index=frame.index)
 
@@ -119,7 +119,7 @@ def _is_whole(numbers: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 def check_covariates(name: str, frame: pd.DataFrame, known: tuple[str, ...]) -> None:
     """Refuse null, NaN and infinity among numeric covariates, those in lists included."""
-    columns = ("path", "stage", "object") if name == "objects" else ("path", "stage")
+    columns = ("trajectory", "stage", "object") if name == "objects" else ("trajectory", "stage")
     for column in frame.columns:
         missing = _missing_numbers(frame[column]) if column not in known else np.zeros(0, dtype=bool)
         if missing.any():

@@ -1,7 +1,7 @@
 """Many folders of logs as one: what a fleet has recorded, run by run, in one folder of Parquet files.
 
 The folders are read twice, one after the other: for the types of their columns, which must agree, and to be written. No
-more than some thousand paths are in memory.
+more than some thousand trajectories are in memory.
 """
 
 import os
@@ -18,22 +18,22 @@ from halfseen.logs.logs import Logs
 from halfseen.logs.place import Place, place_of
 from halfseen.logs.reading import read_logs
 from halfseen.logs.reward_unit import common_unit
-from halfseen.logs.stream import PATHS_AT_ONCE, write_stream
+from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, write_stream
 from halfseen.writing import refuse_taken
 
 STILL_RUNNING = "still-running"
-RUN, RUN_PATH = "run", "run_path"
-"""Columns of the paths that tell where each comes from: its folder, and its name there."""
+RUN, RUN_TRAJECTORY = "run", "run_trajectory"
+"""Columns of the trajectories that tell where each comes from: its folder, and its name there."""
 
 
 class Compacted(NamedTuple):
     """What became of many folders."""
 
     num_folders: int
-    num_paths: int
+    num_trajectories: int
     num_stages: int
     num_running: int
-    """Paths that are still being recorded, and were left out."""
+    """Trajectories that are still being recorded, and were left out."""
 
 
 def compact(
@@ -45,8 +45,8 @@ def compact(
 ) -> Compacted:
     """Write the logs of many folders into one, all or nothing.
 
-    Paths are numbered anew, in the order of the folders; the columns ``run`` and ``run_path`` of `Logs.paths` say what
-    they were called in which folder. Those that are still being recorded are left out.
+    Trajectories are numbered anew, in the order of the folders; the columns ``run`` and ``run_trajectory`` of
+    `Logs.trajectories` say what they were called in which folder. Those that are still being recorded are left out.
 
     Parameters
     ----------
@@ -77,13 +77,14 @@ def compact(
         counts = counts._replace(num_running=counts.num_running + num_running)
         if found is not None:
             units.append(found.reward_unit)
-            schemas = _agreed(schemas, run, runs[0], _named(found, run, counts.num_paths))
+            schemas = _agreed(schemas, run, runs[0], _named(found, run, counts.num_trajectories))
             counts = counts._replace(
-                num_paths=counts.num_paths + found.num_paths, num_stages=counts.num_stages + found.num_stages
+                num_trajectories=counts.num_trajectories + found.num_trajectories,
+                num_stages=counts.num_stages + found.num_stages,
             )
         on_progress()
-    if not counts.num_paths:
-        raise LogError(f"none of the {len(runs)} folders has a path that ended; record some")
+    if not counts.num_trajectories:
+        raise LogError(f"none of the {len(runs)} folders has a trajectory that ended; record some")
     common_unit(units)
     write_stream(_parts(runs, on_progress), out, overwrite=overwrite, schemas=schemas)
     return counts
@@ -94,7 +95,7 @@ def _refuse_repeated(runs: Sequence[Place]) -> None:
         raise ArgumentError("no folder is given; give at least one")
     seen: dict[object, Place] = {}
     for run in runs:
-        # A path's own `resolve` raises where links go in a circle.
+        # A trajectory's own `resolve` raises where links go in a circle.
         place = os.path.realpath(run) if isinstance(run, Path) else run.resolve()
         if place in seen:
             raise ArgumentError(f"{run} and {seen[place]} are the same folder; give it once")
@@ -102,24 +103,24 @@ def _refuse_repeated(runs: Sequence[Place]) -> None:
 
 
 def _ended(logs: Logs) -> tuple[Logs | None, int]:
-    """Leave out paths that are still being recorded, and count them."""
-    is_running = (logs.paths["cause"] == STILL_RUNNING).to_numpy(dtype=bool)
+    """Leave out trajectories that are still being recorded, and count them."""
+    is_running = (logs.trajectories["cause"] == STILL_RUNNING).to_numpy(dtype=bool)
     if is_running.all():
         return None, len(is_running)
-    ended = logs.select(logs.path_ids[~is_running]) if is_running.any() else logs
+    ended = logs.select(logs.trajectory_ids[~is_running]) if is_running.any() else logs
     return ended, int(is_running.sum())
 
 
 def _parts(runs: Sequence[Place], on_progress: Callable[[], object]) -> Iterator[Logs]:
-    """Logs of some thousand paths, numbered anew."""
+    """Logs of some thousand trajectories, numbered anew."""
     held, num_held, first = [], 0, 0
     for run in runs:
         found, _ = _ended(read_logs(run))
         if found is not None:
             tables: dict[str, Any] = _named(found, run, first)
             held.append(Logs(**tables, reward_unit=found.reward_unit))
-            first, num_held = first + found.num_paths, num_held + found.num_paths
-        if num_held >= PATHS_AT_ONCE:
+            first, num_held = first + found.num_trajectories, num_held + found.num_trajectories
+        if num_held >= TRAJECTORIES_AT_ONCE:
             yield joined(held)
             held, num_held = [], 0
         on_progress()
@@ -128,12 +129,14 @@ def _parts(runs: Sequence[Place], on_progress: Callable[[], object]) -> Iterator
 
 
 def _named(logs: Logs, run: Place, first: int) -> dict[str, pd.DataFrame]:
-    """Tables of a log whose paths are numbered from `first`, and say where they come from unless they do so already."""
-    number = pd.Series(range(first, first + logs.num_paths), index=pd.Index(logs.path_ids))
-    tables = {name: table.assign(path=number.loc[table["path"]].to_numpy()) for name, table in logs.tables.items()}
-    if RUN not in logs.paths.columns:
-        names = {RUN: str(run), RUN_PATH: [str(name) for name in logs.path_ids]}
-        tables["paths"] = tables["paths"].assign(**names)
+    """Tables of a log whose trajectories are numbered from `first`, and which say where they come from."""
+    number = pd.Series(range(first, first + logs.num_trajectories), index=pd.Index(logs.trajectory_ids))
+    tables = {
+        name: table.assign(trajectory=number.loc[table["trajectory"]].to_numpy()) for name, table in logs.tables.items()
+    }
+    if RUN not in logs.trajectories.columns:
+        names = {RUN: str(run), RUN_TRAJECTORY: [str(name) for name in logs.trajectory_ids]}
+        tables["trajectories"] = tables["trajectories"].assign(**names)
     return tables
 
 
@@ -153,7 +156,7 @@ def _agreed(
 
 
 _MAY_LACK = {"stages": {"object"}, "objects": set()}
-"""Columns that may be null; whatever else stages and objects have was seen of each, or of none. Of paths all may."""
+"""Columns that may be null; what else stages and objects have was seen of each, or of none. Of trajectories all may."""
 
 
 def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: Place) -> pa.Schema:

@@ -5,7 +5,7 @@
     FOLDER/
       logs.json          format, version, the number of rows of each table and, if somebody said, the unit of rewards
       stages.parquet
-      paths.parquet
+      trajectories.parquet
       objects.parquet    where the stages have objects
 """
 
@@ -22,14 +22,14 @@ from halfseen.errors import HalfseenError, LogError, within
 from halfseen.logs.journal.parts import is_journal
 from halfseen.logs.journal.tables import journal_log
 from halfseen.logs.parquet.size import check_unpacked_table
-from halfseen.logs.place import Place, asking
+from halfseen.logs.place import Place, asking, converting
 from halfseen.logs.reward_unit import checked_unit
 from halfseen.reading import TABLE, check_file, json_of, read_text, reason_of
 from halfseen.writing import placed
 
 MANIFEST = "logs.json"
-FORMAT, VERSION = "halfseen-logs", 1
-TABLES = ("stages", "paths", "objects")
+FORMAT, VERSION = "halfseen-logs", 2
+TABLES = ("stages", "trajectories", "objects")
 ROWS_IN_GROUP = 65_536
 """Rows that are read at once by whoever wants one of them."""
 
@@ -123,8 +123,8 @@ def read_manifest(folder: Place) -> Manifest:
         raise LogError(f"{file}: it does not describe logs; give a folder that Logs.write wrote")
     if manifest.get("version") != VERSION:
         raise LogError(
-            f"{file}: version {repr(manifest.get('version'))[:40]} is not the {VERSION} that this halfseen reads; read "
-            "it with the halfseen that wrote it, or write the logs again"
+            f"{file}: version {repr(manifest.get('version'))[:40]} is not the {VERSION} that this halfseen reads; "
+            + (converting(folder) if manifest.get("version") == 1 else "read it with the halfseen that wrote it")
         )
     with within(file):
         unit = checked_unit(manifest.get("reward_unit"))
@@ -132,10 +132,10 @@ def read_manifest(folder: Place) -> Manifest:
 
 
 def _checked_rows(file: Place, rows: Any) -> dict[str, int]:
-    is_right = isinstance(rows, dict) and {"stages", "paths"} <= set(rows) <= set(TABLES)
+    is_right = isinstance(rows, dict) and {"stages", "trajectories"} <= set(rows) <= set(TABLES)
     is_right = is_right and all(isinstance(num, int) and num >= 0 for num in rows.values())
     if not is_right:
-        raise LogError(f"{file}: rows {repr(rows)[:80]} does not count stages and paths; write the logs again")
+        raise LogError(f"{file}: rows {repr(rows)[:80]} does not count stages and trajectories; write the logs again")
     return rows
 
 

@@ -12,17 +12,17 @@ from halfseen.logs.reward_unit import common_unit
 
 
 def joined(parts: Sequence[Logs]) -> Logs:
-    """Put logs of different paths together.
+    """Put logs of different trajectories together.
 
     Parameters
     ----------
     parts
-        At least one; no path is in two of them, and all have objects or none has.
+        At least one; no trajectory is in two of them, and all have objects or none has.
 
     Raises
     ------
     LogError
-        There is none, only some have objects, a path is in two, or rewards are in two units.
+        There is none, only some have objects, a trajectory is in two, or rewards are in two units.
     """
     if not parts:
         raise LogError("there is no log to join; give at least one")

@@ -1,4 +1,4 @@
-"""The record of what happened: paths (trajectories), their stages, and the objects that stood there."""
+"""The record of what happened: trajectories (trajectories), their stages, and the objects that stood there."""
 
 from copy import copy
 from pathlib import Path
@@ -10,13 +10,13 @@ import pandas as pd
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
 from halfseen.logs.checks.objects import checked_objects
-from halfseen.logs.checks.paths import checked_paths
 from halfseen.logs.checks.stages import checked_stages
+from halfseen.logs.checks.trajectories import checked_trajectories
 from halfseen.logs.columns import (
     FINISHED,
     OBJECT_COLUMNS,
-    PATH_COLUMNS,
     STAGE_COLUMNS,
+    TRAJECTORY_COLUMNS,
     is_stage_covariate,
     require_columns,
 )
@@ -29,46 +29,51 @@ from halfseen.shapes import Float
 
 
 class Logs:
-    """Trajectories of a robot (*paths*, one an episode), each finished or cut, checked once when the log is made.
+    """Trajectories of a robot, one an episode, each finished or cut, checked once when the log is made.
 
-    The tables are copied and sorted; do not change them in place. What they must satisfy is in `path_checks`,
+    The tables are copied and sorted; do not change them in place. What they must satisfy is in `trajectory_checks`,
     `stage_checks` and `object_checks`.
 
     Parameters
     ----------
     stages
-        One row a stage: path, stage (from 1), elapsed_s (clock at the end of the stage [s], null if not completed),
-        action, object (null where the action has none; may be left out), reward (null if not completed), probability
-        (of the logged action; may be left out), and covariates. Of several robots also robot (which decided) and,
-        for each robot r from 0, r_reward (what it alone brought, null if not completed; may be left out).
-    paths
-        One row a path: path, end_s [s], ending ("finished" | "cut"), cause (null unless cut; may be left out), and
-        whatever else is known of the path. Where a robot r may drop out alone, r_out_s and r_out_cause (null where it
-        did not).
+        One row a stage: trajectory, stage (from 1), elapsed_s (clock at the end of the stage [s], null if not
+        completed), action, object (null where the action has none; may be left out), reward (null if not completed),
+        probability (of the logged action; may be left out), and covariates. Of several robots also robot (which
+        decided) and, for each robot r from 0, r_reward (what it alone brought, null if not completed; may be left out).
+    trajectories
+        One row a trajectory: trajectory, end_s [s], ending ("finished" | "cut"), cause (null unless cut; may be left
+        out), and whatever else is known of the trajectory. Where a robot r may drop out alone, r_out_s and r_out_cause
+        (null where it did not).
     objects
-        One row an object of a stage: path, stage, object, and covariates of the object, lists included; None where
-        the stages have no objects.
+        One row an object of a stage: trajectory, stage, object, and covariates of the object, lists included; None
+        where the stages have no objects.
     reward_unit
         What rewards are counted in, such as "parts": a short text, for people; None if nobody has said.
 
     Raises
     ------
     LogError
-        The tables break an invariant; the path, the stage, the value and the remedy are named. Or the unit is no short
-        text.
+        The tables break an invariant; the trajectory, the stage, the value and the remedy are named. Or the unit is no
+        short text.
 
     Examples
     --------
     >>> logs = Logs(
     ...     stages={
-    ...         "path": [0, 0, 1],
+    ...         "trajectory": [0, 0, 1],
     ...         "stage": [1, 2, 1],
     ...         "elapsed_s": [1.5, 4.0, None],
     ...         "action": ["A", "B", "A"],
     ...         "reward": [0.0, 1.0, None],
     ...         "x": [0.1, 0.2, 0.3],
     ...     },
-    ...     paths={"path": [0, 1], "end_s": [4.0, 2.5], "ending": ["finished", "cut"], "cause": [None, "battery"]},
+    ...     trajectories={
+    ...         "trajectory": [0, 1],
+    ...         "end_s": [4.0, 2.5],
+    ...         "ending": ["finished", "cut"],
+    ...         "cause": [None, "battery"],
+    ...     },
     ... )
     >>> logs.elapsed_s()
     array([[1.5, 4. ],
@@ -78,21 +83,21 @@ class Logs:
     def __init__(
         self,
         stages: FrameLike,
-        paths: FrameLike,
+        trajectories: FrameLike,
         objects: FrameLike | None = None,
         *,
         reward_unit: str | None = None,
     ) -> None:
         self._reward_unit = checked_unit(reward_unit)
-        paths_frame = checked_paths(as_frame("paths", paths, PATH_COLUMNS))
-        stages_frame, layout = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), paths_frame)
+        trajectories_frame = checked_trajectories(as_frame("trajectories", trajectories, TRAJECTORY_COLUMNS))
+        stages_frame, layout = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), trajectories_frame)
         self._layout = layout
-        self._paths = through_arrow("paths", paths_frame)
+        self._trajectories = through_arrow("trajectories", trajectories_frame)
         self._stages = through_arrow("stages", stages_frame)
         self._objects = None
         if objects is not None:
             objects_frame = checked_objects(
-                as_frame("objects", objects, OBJECT_COLUMNS), stages_frame, paths_frame, layout
+                as_frame("objects", objects, OBJECT_COLUMNS), stages_frame, trajectories_frame, layout
             )
             self._objects = through_arrow("objects", objects_frame)
 
@@ -100,18 +105,18 @@ class Logs:
         return f"<Logs: {self.summary()}>"
 
     @property
-    def paths(self) -> pd.DataFrame:
-        """One row a path, sorted by path: path, end_s [s], ending, cause, and what else was given."""
-        return self._paths
+    def trajectories(self) -> pd.DataFrame:
+        """One row a trajectory, sorted by trajectory: trajectory, end_s [s], ending, cause, and what else was given."""
+        return self._trajectories
 
     @property
     def stages(self) -> pd.DataFrame:
-        """One row a stage, sorted by path and stage."""
+        """One row a stage, sorted by trajectory and stage."""
         return self._stages
 
     @property
     def objects(self) -> pd.DataFrame | None:
-        """One row an object of a stage, sorted by path, stage and object; None where there are none."""
+        """One row an object of a stage, sorted by trajectory, stage and object; None where there are none."""
         return self._objects
 
     @property
@@ -133,43 +138,43 @@ class Logs:
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """The tables that there are, by name: stages, paths and, where there are any, objects."""
-        tables = {"stages": self._stages, "paths": self._paths, "objects": self._objects}
+        """The tables that there are, by name: stages, trajectories and, where there are any, objects."""
+        tables = {"stages": self._stages, "trajectories": self._trajectories, "objects": self._objects}
         return {name: table for name, table in tables.items() if table is not None}
 
     @property
-    def num_paths(self) -> int:
-        """Number of paths n."""
-        return len(self._paths)
+    def num_trajectories(self) -> int:
+        """Number of trajectories n."""
+        return len(self._trajectories)
 
     @property
     def num_stages(self) -> int:
-        """Number of stages of all paths together, those in which a cut fell included."""
+        """Number of stages of all trajectories together, those in which a cut fell included."""
         return len(self._stages)
 
     @property
     def horizon(self) -> int:
-        """Number of stages T of the longest path."""
+        """Number of stages T of the longest trajectory."""
         return int(self._layout.num_stages.max())
 
     @property
-    def path_ids(self) -> np.ndarray:
-        """Names of the paths, shape (n,): the order of every array below."""
-        return self._paths["path"].to_numpy()
+    def trajectory_ids(self) -> np.ndarray:
+        """Names of the trajectories, shape (n,): the order of every array below."""
+        return self._trajectories["trajectory"].to_numpy()
 
     @property
     def end_s(self) -> Rows:
-        """Observed end of each path [s]."""
-        return self._paths["end_s"].to_numpy()
+        """Observed end of each trajectory [s]."""
+        return self._trajectories["end_s"].to_numpy()
 
     @property
     def is_finished(self) -> RowMask:
-        """True where the path reached its own end, False where it was cut."""
-        return (self._paths["ending"] == FINISHED).to_numpy(dtype=bool)
+        """True where the trajectory reached its own end, False where it was cut."""
+        return (self._trajectories["ending"] == FINISHED).to_numpy(dtype=bool)
 
     @property
     def cut_share(self) -> float:
-        """Proportion of the paths that were cut, in [0, 1]."""
+        """Proportion of the trajectories that were cut, in [0, 1]."""
         return float(np.mean(~self.is_finished))
 
     @property
@@ -178,16 +183,16 @@ class Logs:
         return [column for column in self._stages.columns if is_stage_covariate(column)]
 
     @property
-    def path_columns(self) -> list[str]:
-        """Names of what else is known of the paths, such as the scene."""
-        return [column for column in self._paths.columns if column not in PATH_COLUMNS]
+    def trajectory_columns(self) -> list[str]:
+        """Names of what else is known of the trajectories, such as the scene."""
+        return [column for column in self._trajectories.columns if column not in TRAJECTORY_COLUMNS]
 
     def elapsed_s(self) -> Float[np.ndarray, "n T"]:
-        """Clock at the end of each stage [s], NaN where the stage was not completed or the path has no such stage."""
+        """Clock at the end of each stage [s], NaN where it was not completed or there is none."""
         return self.stage_values("elapsed_s")
 
     def stage_values(self, column: str) -> Float[np.ndarray, "n T"]:
-        """Spread a numeric column of `stages` over paths and stages; NaN where a path has no such stage.
+        """Spread a numeric column of `stages` over trajectories and stages; NaN where a trajectory has no such stage.
 
         Raises
         ------
@@ -197,8 +202,8 @@ class Logs:
         require_columns("stages", self._stages, (column,))
         if not pd.api.types.is_numeric_dtype(self._stages[column].dtype):
             raise LogError(f"stages: column {column!r} holds no numbers; ask for a numeric column")
-        values = np.full((self.num_paths, self.horizon), np.nan)
-        rows = self._layout.path_row, self._stages["stage"].to_numpy() - 1
+        values = np.full((self.num_trajectories, self.horizon), np.nan)
+        rows = self._layout.trajectory_row, self._stages["stage"].to_numpy() - 1
         values[rows] = self._stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
         return values
 
@@ -209,34 +214,34 @@ class Logs:
 
     @property
     def has_all_actions(self) -> bool:
-        """Whether the action of every stage is known, also where a path was cut."""
+        """Whether the action of every stage is known, also where a trajectory was cut."""
         return bool(self.stages["action"].notna().to_numpy().all())
 
-    def select(self, paths: Any) -> "Logs":
-        """Keep some of the paths, for folds and bootstraps without repetition.
+    def select(self, trajectories: Any) -> "Logs":
+        """Keep some of the trajectories, for folds and bootstraps without repetition.
 
         Parameters
         ----------
-        paths
-            Names of the paths to keep, as in `path_ids`.
+        trajectories
+            Names of the trajectories to keep, as in `trajectory_ids`.
 
         Raises
         ------
         LogError
             A name is unknown, or none is given.
         """
-        wanted = pd.Index(paths)
-        unknown = wanted[~wanted.isin(self.path_ids)]
+        wanted = pd.Index(trajectories)
+        unknown = wanted[~wanted.isin(self.trajectory_ids)]
         if len(unknown):
-            raise LogError(f"path {shown(unknown[0])}: there is no such path; choose among path_ids")
+            raise LogError(f"trajectory {shown(unknown[0])}: there is no such trajectory; choose among trajectory_ids")
 
-        kept: Any = {name: table[pd.Index(table["path"]).isin(wanted)] for name, table in self.tables.items()}
+        kept: Any = {name: table[pd.Index(table["trajectory"]).isin(wanted)] for name, table in self.tables.items()}
         return Logs(**kept, reward_unit=self._reward_unit)
 
     def summary(self) -> LogsSummary:
-        """Count what is there: paths, endings and causes, stages, clock, actions."""
+        """Count what is there: trajectories, endings and causes, stages, clock, actions."""
         tally = SummaryTally()
-        tally.add(self._paths, self._stages, self._objects)
+        tally.add(self._trajectories, self._stages, self._objects)
         return tally.told()
 
     def write(self, folder: str | Path, *, overwrite: bool = False) -> None:

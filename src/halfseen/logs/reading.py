@@ -11,7 +11,7 @@ from halfseen.logs.place import Place, place_of
 def read_logs(folder: str | Place) -> Logs:
     """Read a folder that `Logs.write` or a `LogRecorder` wrote, or one of CSV files, and check it again.
 
-    A recorder's folder can be read at any time. A path that a crash tore has the cause "crash"; one that is being
+    A recorder's folder can be read at any time. A trajectory that a crash tore has the cause "crash"; one that is being
     recorded has the cause "still-running".
 
     Parameters

@@ -25,8 +25,8 @@ def value_at(frame: pd.DataFrame, column: str, row: int) -> Any:
     return frame[column].iloc[row]
 
 
-def place(frame: pd.DataFrame, row: int, columns: tuple[str, ...] = ("path", "stage")) -> str:
-    """Name a row: path 17, stage 4."""
+def place(frame: pd.DataFrame, row: int, columns: tuple[str, ...] = ("trajectory", "stage")) -> str:
+    """Name a row: trajectory 17, stage 4."""
     return ", ".join(f"{column} {shown(value_at(frame, column, row))}" for column in columns)
 
 
@@ -34,7 +34,7 @@ def refuse(
     frame: pd.DataFrame,
     wrong: np.ndarray,
     trouble: str | Callable[[int], str],
-    columns: tuple[str, ...] = ("path", "stage"),
+    columns: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
     """Raise for the first row that is wrong, if one is; `trouble` may be told from that row."""
     if wrong.any():

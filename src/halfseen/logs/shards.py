@@ -1,4 +1,4 @@
-"""Shards of a folder of logs: whole paths that stand one after another, which can be read alone, by anyone."""
+"""Shards of a folder of logs: whole trajectories that stand one after another, which can be read alone, by anyone."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, NamedTuple
@@ -24,11 +24,11 @@ Tables = dict[str, pa.Table]
 
 
 class Part(NamedTuple):
-    """Paths that are held in memory at once."""
+    """Trajectories that are held in memory at once."""
 
     number: int
-    paths: tuple[int, int]
-    """Rows of the table of paths: the first, and the one after the last."""
+    trajectories: tuple[int, int]
+    """Rows of the table of trajectories: the first, and the one after the last."""
     rows: dict[str, tuple[int, int]]
     """Of the other tables."""
 
@@ -40,9 +40,9 @@ class Shard(NamedTuple):
     parts: tuple[Part, ...]
 
     @property
-    def paths(self) -> slice:
-        """Rows of the table of paths."""
-        return slice(self.parts[0].paths[0], self.parts[-1].paths[1])
+    def trajectories(self) -> slice:
+        """Rows of the table of trajectories."""
+        return slice(self.parts[0].trajectories[0], self.parts[-1].trajectories[1])
 
 
 class Folder(NamedTuple):
@@ -72,25 +72,28 @@ class ShardReader:
         Raises
         ------
         LogError
-            A file is broken, or the part is; the path is named.
+            A file is broken, or the part is; the trajectory is named.
         """
         return logs_of(self._folder, [self.tables(part)])
 
     def tables(self, part: Part, kept: np.ndarray | None = None) -> Tables:
-        """Read a part, or some of its paths, and check nothing.
+        """Read a part, or some of its trajectories, and check nothing.
 
         Parameters
         ----------
         part
             Which.
         kept
-            Numbers of the paths to keep, counted from the beginning of the part; None for all.
+            Numbers of the trajectories to keep, counted from the beginning of the part; None for all.
         """
-        tables = {name: self._tables[name].rows(*ends) for name, ends in {**part.rows, "paths": part.paths}.items()}
+        tables = {
+            name: self._tables[name].rows(*ends)
+            for name, ends in {**part.rows, "trajectories": part.trajectories}.items()
+        }
         if kept is None:
             return tables
-        names = tables["paths"]["path"].take(kept)
-        return {name: table.filter(compute.is_in(table["path"], names)) for name, table in tables.items()}
+        names = tables["trajectories"]["trajectory"].take(kept)
+        return {name: table.filter(compute.is_in(table["trajectory"], names)) for name, table in tables.items()}
 
 
 def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
@@ -99,7 +102,7 @@ def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
     Raises
     ------
     LogError
-        It is broken; the path is named.
+        It is broken; the trajectory is named.
     """
     tables: dict[str, Any] = {name: pa.concat_tables([part[name] for part in parts]) for name in folder.num_rows}
     with within(folder.place):
@@ -129,54 +132,56 @@ class _Table:
         return self._held[1]
 
 
-def shards_of(folder: Folder, paths_at_once: int) -> list[Shard]:
+def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
     """Deal the parts of a folder into shards, by its size alone.
 
     Parameters
     ----------
     folder
-        The folder, whose tables are sorted by path.
-    paths_at_once
-        Paths of a part.
+        The folder, whose tables are sorted by trajectory.
+    trajectories_at_once
+        Trajectories of a part.
 
     Raises
     ------
     LogError
-        A table has not as many paths, one after another, as that of the paths.
+        A table has not as many trajectories, one after another, as that of the trajectories.
     """
-    num_paths = folder.num_rows["paths"]
-    of_paths = np.minimum(np.arange(0, num_paths + paths_at_once, paths_at_once), num_paths)
-    begins = {name: _begins(folder, name, paths_at_once) for name in folder.num_rows if name != "paths"}
+    num_trajectories = folder.num_rows["trajectories"]
+    of_trajectories = np.minimum(
+        np.arange(0, num_trajectories + trajectories_at_once, trajectories_at_once), num_trajectories
+    )
+    begins = {name: _begins(folder, name, trajectories_at_once) for name in folder.num_rows if name != "trajectories"}
     parts = [
         Part(
             number,
-            (int(of_paths[number]), int(of_paths[number + 1])),
+            (int(of_trajectories[number]), int(of_trajectories[number + 1])),
             {name: (int(begin[number]), int(begin[number + 1])) for name, begin in begins.items()},
         )
-        for number in range(-(-num_paths // paths_at_once))
+        for number in range(-(-num_trajectories // trajectories_at_once))
     ]
     size = min(max(len(parts) // NUM_SHARDS, 1), MOST_PARTS)
     groups = [parts[first : first + size] for first in range(0, len(parts), size)]
     return [Shard(number, tuple(group)) for number, group in enumerate(groups)]
 
 
-def _begins(folder: Folder, name: str, paths_at_once: int) -> np.ndarray:
+def _begins(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
     """Rows of a table in which parts begin, and the number of its rows."""
-    found, num_paths, num_rows, last = [], 0, 0, None
-    for column in columns_of(folder, name, ["path"]):
+    found, num_trajectories, num_rows, last = [], 0, 0, None
+    for column in columns_of(folder, name, ["trajectory"]):
         is_new = np.ones(len(column), dtype=bool)
-        values = column["path"]
+        values = column["trajectory"]
         differs = compute.fill_null(compute.not_equal(values.slice(1), values.slice(0, len(values) - 1)), True)
         is_new[1:] = differs.to_numpy(zero_copy_only=False)
         is_new[0] = last is None or values[0].as_py() != last
         at = np.flatnonzero(is_new)
-        numbers = num_paths + np.arange(len(at))
-        found.append(num_rows + at[numbers % paths_at_once == 0])
-        num_paths, num_rows, last = num_paths + len(at), num_rows + len(column), values[-1].as_py()
-    if num_paths != folder.num_rows["paths"]:
+        numbers = num_trajectories + np.arange(len(at))
+        found.append(num_rows + at[numbers % trajectories_at_once == 0])
+        num_trajectories, num_rows, last = num_trajectories + len(at), num_rows + len(column), values[-1].as_py()
+    if num_trajectories != folder.num_rows["trajectories"]:
         raise LogError(
-            f"{folder.place / name}.parquet: the rows of its paths do not stand together, or a path has none; write "
-            "the logs by Logs.write or write_stream, which sort them"
+            f"{folder.place / name}.parquet: the rows of its trajectories do not stand together, or a trajectory has "
+            "none; write the logs by Logs.write or write_stream, which sort them"
         )
     return np.concatenate([*found, [num_rows]])
 

@@ -1,4 +1,4 @@
-"""A log that need not fit in memory: read and written a few thousand whole paths at a time."""
+"""A log that need not fit in memory: read and written a few thousand whole trajectories at a time."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack
@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
-from halfseen.logs.checks.paths import checked_paths
+from halfseen.logs.checks.trajectories import checked_trajectories
 from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns
 from halfseen.logs.folder import (
     MANIFEST,
@@ -32,24 +32,25 @@ from halfseen.logs.reward_unit import common_unit
 from halfseen.logs.shards import Folder, Shard, columns_of, shards_of, tables_of_size
 from halfseen.writing import placed
 
-PATHS_AT_ONCE = 2_000
-"""Paths that are held in memory at once."""
+TRAJECTORIES_AT_ONCE = 2_000
+"""Trajectories that are held in memory at once."""
 
 MOST_STAGES_IN_MEMORY = 500_000
 """A log of more is read in passes where nothing else is said (`opened`)."""
 
 
 class LogStream:
-    """A folder of logs, read in parts of whole paths; every part is checked as `Logs` are.
+    """A folder of logs, read in parts of whole trajectories; every part is checked as `Logs` are.
 
-    Of the paths only ends are held. All tables must be sorted by path, as `Logs.write` and `write_stream` leave them.
+    Of the trajectories only ends are held. All tables must be sorted by trajectory, as `Logs.write` and `write_stream`
+    leave them.
 
     Parameters
     ----------
     folder
         A folder of Parquet files, or its address in an object store.
-    paths_at_once
-        Paths of each part.
+    trajectories_at_once
+        Trajectories of each part.
 
     Attributes
     ----------
@@ -59,50 +60,53 @@ class LogStream:
     Raises
     ------
     LogError
-        The folder or one of its files is missing or broken, or the paths are.
+        The folder or one of its files is missing or broken, or the trajectories are.
     ArgumentError
-        `paths_at_once` is below 1.
+        `trajectories_at_once` is below 1.
     """
 
-    def __init__(self, folder: str | Place, paths_at_once: int = PATHS_AT_ONCE) -> None:
-        if paths_at_once < 1:
-            raise ArgumentError(f"paths_at_once is {paths_at_once}; read at least 1")
+    def __init__(self, folder: str | Place, trajectories_at_once: int = TRAJECTORIES_AT_ONCE) -> None:
+        if trajectories_at_once < 1:
+            raise ArgumentError(f"trajectories_at_once is {trajectories_at_once}; read at least 1")
         self.folder = place_of(folder)
-        self.paths_at_once = paths_at_once
+        self.trajectories_at_once = trajectories_at_once
         self._rows, self.reward_unit = read_manifest(self.folder)
         for name in self._rows:
             with within(self.folder):
                 columns = as_frame(name, self._opened(name).schema_arrow.empty_table())
                 require_columns(name, columns, NEEDED[name])
-        # A table of millions of paths is larger than all that is held beside it.
-        ends = [(part["end_s"].to_numpy(), (part["ending"] == FINISHED).to_numpy(bool)) for part in self._path_tables()]
+        # A table of millions of trajectories is larger than all that is held beside it.
+        ends = [
+            (part["end_s"].to_numpy(), (part["ending"] == FINISHED).to_numpy(bool))
+            for part in self._trajectory_tables()
+        ]
         if not ends:
-            checked_paths(as_frame("paths", opened_table(self.folder, "paths", 0).read()))
+            checked_trajectories(as_frame("trajectories", opened_table(self.folder, "trajectories", 0).read()))
         self._end_s, self._is_finished = (np.concatenate(each) for each in zip(*ends, strict=True))
 
     @property
-    def paths(self) -> pd.DataFrame:
-        """One row a path, sorted by path; it is read when it is asked for."""
-        return pd.concat(self._path_tables(), ignore_index=True)
+    def trajectories(self) -> pd.DataFrame:
+        """One row a trajectory, sorted by trajectory; it is read when it is asked for."""
+        return pd.concat(self._trajectory_tables(), ignore_index=True)
 
     @property
-    def num_paths(self) -> int:
-        """Number n of paths."""
+    def num_trajectories(self) -> int:
+        """Number n of trajectories."""
         return len(self._end_s)
 
     @property
-    def path_ids(self) -> np.ndarray:
-        """Names of the paths, shape (n,); they are read when they are asked for."""
-        return self.paths["path"].to_numpy()
+    def trajectory_ids(self) -> np.ndarray:
+        """Names of the trajectories, shape (n,); they are read when they are asked for."""
+        return self.trajectories["trajectory"].to_numpy()
 
     @property
     def end_s(self) -> Rows:
-        """Observed end of each path [s]."""
+        """Observed end of each trajectory [s]."""
         return self._end_s
 
     @property
     def is_finished(self) -> RowMask:
-        """True where the path reached its own end, False where it was cut."""
+        """True where the trajectory reached its own end, False where it was cut."""
         return self._is_finished
 
     @property
@@ -116,21 +120,23 @@ class LogStream:
         Raises
         ------
         LogError
-            Stages or objects are not sorted by path.
+            Stages or objects are not sorted by trajectory.
         """
         try:
-            return shards_of(self.as_folder, self.paths_at_once)
+            return shards_of(self.as_folder, self.trajectories_at_once)
         except LogError:
-            # Whoever reads them one after the other can tell which path is out of place.
+            # Whoever reads them one after the other can tell which trajectory is out of place.
             for _ in self:
                 pass
             raise
 
     @property
     def horizon(self) -> int:
-        """Number of stages T of the longest path."""
+        """Number of stages T of the longest trajectory."""
         with within(self.folder):
-            return max(int(as_counts("stages", frame, "stage").max()) for frame in self.stage_columns("path", "stage"))
+            return max(
+                int(as_counts("stages", frame, "stage").max()) for frame in self.stage_columns("trajectory", "stage")
+            )
 
     @property
     def stage_covariates(self) -> list[str]:
@@ -139,7 +145,7 @@ class LogStream:
 
     @property
     def num_stages(self) -> int:
-        """Number of stages of all paths together."""
+        """Number of stages of all trajectories together."""
         return self._rows["stages"]
 
     @property
@@ -149,7 +155,7 @@ class LogStream:
 
     @property
     def has_all_actions(self) -> bool:
-        """Whether the action of every stage is known, also where a path was cut."""
+        """Whether the action of every stage is known, also where a trajectory was cut."""
         return all(bool(frame["action"].notna().all()) for frame in self.stage_columns("action"))
 
     def stage_columns(self, *names: str) -> Iterator[pd.DataFrame]:
@@ -160,31 +166,31 @@ class LogStream:
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
         others = ["stages", *(["objects"] if self.has_objects else [])]
-        readers = {name: _PathReader(self.folder, name, self._rows[name]) for name in others}
-        for part in self._path_tables(self.paths_at_once):
-            names: Any = part["path"]
+        readers = {name: _TrajectoryReader(self.folder, name, self._rows[name]) for name in others}
+        for part in self._trajectory_tables(self.trajectories_at_once):
+            names: Any = part["trajectory"]
             tables: dict[str, Any] = {name: reader.upto(names) for name, reader in readers.items()}
             with within(self.folder):
-                logs = Logs(paths=part, **tables, reward_unit=self.reward_unit)
+                logs = Logs(trajectories=part, **tables, reward_unit=self.reward_unit)
             yield logs
         for reader in readers.values():
             reader.refuse_leftover()
 
-    def _path_tables(self, size: int = ROWS_IN_GROUP) -> Iterator[pd.DataFrame]:
-        """Read the table of paths in parts of a size, each checked, and sorted after the one before."""
+    def _trajectory_tables(self, size: int = ROWS_IN_GROUP) -> Iterator[pd.DataFrame]:
+        """Read the table of trajectories in parts of a size, each checked, and sorted after the one before."""
         last: Any = None
-        for table in tables_of_size(columns_of(self.as_folder, "paths"), size):
+        for table in tables_of_size(columns_of(self.as_folder, "trajectories"), size):
             with within(self.folder):
-                frame = as_frame("paths", table)
-                paths = checked_paths(frame)
-                names = paths["path"].to_numpy()
-                if not (names == frame["path"].to_numpy()).all() or (last is not None and not names[0] > last):
+                frame = as_frame("trajectories", table)
+                trajectories = checked_trajectories(frame)
+                names = trajectories["trajectory"].to_numpy()
+                if not (names == frame["trajectory"].to_numpy()).all() or (last is not None and not names[0] > last):
                     raise LogError(
-                        "paths.parquet is not sorted by path, or has one twice; write the logs by Logs.write or "
-                        "write_stream, which sort them"
+                        "trajectories.parquet is not sorted by trajectory, or has one twice; write the logs by "
+                        "Logs.write or write_stream, which sort them"
                     )
             last = names[-1]
-            yield paths
+            yield trajectories
 
     def _opened(self, name: str) -> pq.ParquetFile:
         return opened_table(self.folder, name, self._rows[name])
@@ -223,22 +229,22 @@ def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
     return [log] if isinstance(log, Logs) else log
 
 
-class _PathReader:
-    """Hands out the rows of a table path by path; the rows of a path stand together, in the order of paths."""
+class _TrajectoryReader:
+    """Hands out a table's rows by trajectory; those of one stand together, in the order of trajectories."""
 
     def __init__(self, folder: Place, name: str, num_rows: int) -> None:
         self._file = folder / f"{name}.parquet"
         self._batches = opened_table(folder, name, num_rows).iter_batches(batch_size=ROWS_IN_GROUP)
         self._held: list[pa.Table] = []
 
-    def upto(self, paths: pd.Series) -> pa.Table:
-        """Take the rows of these paths, which are the next ones."""
+    def upto(self, trajectories: pd.Series) -> pa.Table:
+        """Take the rows of these trajectories, which are the next ones."""
         taken = []
         while True:
             if not self._held and not self._read():
                 break
             table = self._held.pop()
-            others = np.flatnonzero(~table["path"].to_pandas().isin(paths).to_numpy())
+            others = np.flatnonzero(~table["trajectory"].to_pandas().isin(trajectories).to_numpy())
             end = int(others[0]) if len(others) else len(table)
             if end:
                 taken.append(table.slice(0, end))
@@ -247,18 +253,18 @@ class _PathReader:
                 break
         if not taken:
             raise LogError(
-                f"{self._file}: no row of path {shown(paths.iloc[0])} comes next, as paths.parquet has it; write the "
-                "logs by Logs.write or write_stream, which sort them"
+                f"{self._file}: no row of trajectory {shown(trajectories.iloc[0])} comes next, as trajectories.parquet "
+                "has it; write the logs by Logs.write or write_stream, which sort them"
             )
         return pa.concat_tables(taken)
 
     def refuse_leftover(self) -> None:
-        """Refuse rows that belong to no path, or stand out of order."""
+        """Refuse rows that belong to no trajectory, or stand out of order."""
         if self._held or self._read():
-            path = self._held[0]["path"][0].as_py()
+            trajectory = self._held[0]["trajectory"][0].as_py()
             raise LogError(
-                f"{self._file}: rows of path {shown(path)} stand where paths.parquet has none; write the logs by "
-                "Logs.write or write_stream, which sort them"
+                f"{self._file}: rows of trajectory {shown(trajectory)} stand where trajectories.parquet has none; "
+                "write the logs by Logs.write or write_stream, which sort them"
             )
 
     def _read(self) -> bool:
@@ -284,7 +290,7 @@ def write_stream(
     Parameters
     ----------
     parts
-        Logs of different paths; the names increase from part to part, as they do within one.
+        Logs of different trajectories; the names increase from part to part, as they do within one.
     folder
         Where to.
     overwrite
@@ -297,8 +303,8 @@ def write_stream(
     ArgumentError
         The folder exists or cannot be written, or there is no part.
     LogError
-        A path comes before one of an earlier part, a part has objects or columns that earlier ones lack, or rewards are
-        in two units.
+        A trajectory comes before one of an earlier part, a part has objects or columns that earlier ones lack, or
+        rewards are in two units.
     """
     with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
         writers: dict[str, pq.ParquetWriter] = {}
@@ -306,11 +312,14 @@ def write_stream(
         unit: str | None = None
         last: Any = None
         for part in parts:
-            if last is not None and not part.path_ids[0] > last:
-                raise LogError(f"path {shown(part.path_ids[0])}: it comes after path {shown(last)}; sort the parts")
+            if last is not None and not part.trajectory_ids[0] > last:
+                raise LogError(
+                    f"trajectory {shown(part.trajectory_ids[0])}: it comes after trajectory {shown(last)}; sort the "
+                    "parts"
+                )
             if writers and part.tables.keys() != writers.keys():
                 raise LogError("only some of the parts have objects; write those with and those without apart")
-            last, unit = part.path_ids[-1], common_unit([unit, part.reward_unit])
+            last, unit = part.trajectory_ids[-1], common_unit([unit, part.reward_unit])
             for name, table in part.tables.items():
                 if name not in writers:
                     schema = pa.Schema.from_pandas(table, preserve_index=False) if schemas is None else schemas[name]
@@ -321,8 +330,8 @@ def write_stream(
                 schema = writers[name].schema
                 if more := [column for column in table if column not in schema.names]:
                     raise LogError(
-                        f"{name}: column {shown(more[0])} comes with path {shown(part.path_ids[0])}, and parts before "
-                        "it have none; give every part the same columns"
+                        f"{name}: column {shown(more[0])} comes with trajectory {shown(part.trajectory_ids[0])}, and "
+                        "parts before it have none; give every part the same columns"
                     )
                 full = table.reindex(columns=schema.names)
                 writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))

@@ -16,25 +16,25 @@ class LogsSummary:
 
     Parameters
     ----------
-    num_paths, num_finished, num_cut
-        Paths, and how they ended.
+    num_trajectories, num_finished, num_cut
+        Trajectories, and how they ended.
     cut_share
-        Proportion of the paths that were cut, in [0, 1].
+        Proportion of the trajectories that were cut, in [0, 1].
     causes
-        Number of paths for each cause of a cut, the most frequent first.
+        Number of trajectories for each cause of a cut, the most frequent first.
     num_stages, num_completed
-        Stages of all paths, and those that were completed.
+        Stages of all trajectories, and those that were completed.
     horizon
-        Stages of the longest path.
+        Stages of the longest trajectory.
     shortest_s, longest_s
-        The earliest and the latest observed end of a path [s].
+        The earliest and the latest observed end of a trajectory [s].
     actions
         Number of completed stages for each action, the most frequent first.
     num_objects
         Number of different objects' names; 0 where the stages have none.
     """
 
-    num_paths: int
+    num_trajectories: int
     num_finished: int
     num_cut: int
     cut_share: float
@@ -48,10 +48,10 @@ class LogsSummary:
     num_objects: int
 
     def __str__(self) -> str:
-        paths = "path" if self.num_paths == 1 else "paths"
+        trajectories = "trajectory" if self.num_trajectories == 1 else "trajectories"
         stages = "1 stage" if self.horizon == 1 else f"{self.horizon} stages"
         return (
-            f"{self.num_paths} {paths} of up to {stages} and {self.longest_s:.4g} s: {self.num_finished} "
+            f"{self.num_trajectories} {trajectories} of up to {stages} and {self.longest_s:.4g} s: {self.num_finished} "
             f"finished, {self.num_cut} cut ({self.cut_share:.0%})."
         )
 
@@ -60,23 +60,23 @@ class SummaryTally:
     """Counts a log that comes in parts."""
 
     def __init__(self) -> None:
-        self._num_paths = self._num_finished = self._num_stages = self._num_completed = self._horizon = 0
+        self._num_trajectories = self._num_finished = self._num_stages = self._num_completed = self._horizon = 0
         self._ends_s = math.inf, -math.inf
         self._causes: Counter[str] = Counter()
         self._actions: Counter[str] = Counter()
         self._objects: set[Any] = set()
 
-    def add(self, paths: pd.DataFrame, stages: pd.DataFrame, objects: pd.DataFrame | None) -> None:
+    def add(self, trajectories: pd.DataFrame, stages: pd.DataFrame, objects: pd.DataFrame | None) -> None:
         """Count the checked tables of a part."""
         completed = stages[stages["elapsed_s"].notna()]
-        self._num_paths += len(paths)
-        self._num_finished += int((paths["ending"] == FINISHED).sum())
+        self._num_trajectories += len(trajectories)
+        self._num_finished += int((trajectories["ending"] == FINISHED).sum())
         self._num_stages += len(stages)
         self._num_completed += len(completed)
         self._horizon = max(self._horizon, int(stages["stage"].max()))
-        end_s, (shortest_s, longest_s) = paths["end_s"], self._ends_s
+        end_s, (shortest_s, longest_s) = trajectories["end_s"], self._ends_s
         self._ends_s = min(shortest_s, float(end_s.min())), max(longest_s, float(end_s.max()))
-        self._causes += _counts(paths["cause"])
+        self._causes += _counts(trajectories["cause"])
         self._actions += _counts(completed["action"])
         if objects is not None:
             self._objects.update(objects["object"].unique())
@@ -84,10 +84,10 @@ class SummaryTally:
     def told(self) -> LogsSummary:
         """Tell what was counted."""
         return LogsSummary(
-            num_paths=self._num_paths,
+            num_trajectories=self._num_trajectories,
             num_finished=self._num_finished,
-            num_cut=self._num_paths - self._num_finished,
-            cut_share=1.0 - self._num_finished / self._num_paths,
+            num_cut=self._num_trajectories - self._num_finished,
+            cut_share=1.0 - self._num_finished / self._num_trajectories,
             causes=_ranked(self._causes),
             num_stages=self._num_stages,
             num_completed=self._num_completed,

@@ -57,7 +57,7 @@ def draw_decision(
     view
         What the camera saw, for tables; None for named actions.
     stage, horizon
-        The stage that was decided, from 1, and how many a path may have.
+        The stage that was decided, from 1, and how many a trajectory may have.
 
     Raises
     ------

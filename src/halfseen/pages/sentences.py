@@ -25,10 +25,15 @@ def counted(count: int, one: str, many: str = "") -> str:
 
     Examples
     --------
-    >>> counted(1, "path"), counted(2000, "path")
-    ('1 path', '2,000 paths')
+    >>> counted(1, "trajectory"), counted(2000, "trajectory")
+    ('1 trajectory', '2,000 trajectories')
     """
-    return f"{count:,} {one if count == 1 else many or one + 's'}"
+    return f"{count:,} {one if count == 1 else many or plural(one)}"
+
+
+def plural(noun: str) -> str:
+    """Write the plural of a regular noun: labels, trajectories."""
+    return noun[:-1] + "ies" if noun.endswith("y") else noun + "s"
 
 
 def as_sentence(words: str) -> str:

@@ -123,16 +123,16 @@ def fitted(misses: Misses, starts: Sequence[Free], bounds: Bounds) -> list[Place
     starts, bounds
         Where the parameters begin, and what they are held to.
     """
-    paths = [_path(start, bounds) for start in starts]
-    asked, found = {k: next(path) for k, path in enumerate(paths)}, {}
+    trajectories = [_trajectory(start, bounds) for start in starts]
+    asked, found = {k: next(trajectory) for k, trajectory in enumerate(trajectories)}, {}
     while asked:
         for k, place in zip(list(asked), _places(misses, np.stack(list(asked.values()))), strict=True):
             try:
-                asked[k] = paths[k].send(place)
+                asked[k] = trajectories[k].send(place)
             except StopIteration as end:
                 found[k] = end.value
                 del asked[k]
-    return [found[k] for k in range(len(paths))]
+    return [found[k] for k in range(len(trajectories))]
 
 
 def _places(misses: Misses, p: Frees) -> list[Place]:
@@ -146,7 +146,7 @@ def _places(misses: Misses, p: Frees) -> list[Place]:
     return list(map(Place, p, residuals, cost, residuals * (weight / scale), slopes))
 
 
-def _path(start: Free, bounds: Bounds) -> Generator[Free, Place, Place]:
+def _trajectory(start: Free, bounds: Bounds) -> Generator[Free, Place, Place]:
     """Ask for the place of parameters until they have settled."""
     here, num_asked = (yield start), 1
     model = _Model(here, bounds)

@@ -1,9 +1,9 @@
 """The exact optimum of a small table before K robots, and the exact value of any policy on it.
 
-Backwards over what may happen, with n for all that must be counted of a path and d for a cell of the grid of labels,
-(dynamic programming [Bellman1957]_ over sufficient statistics [SmallwoodSondik1973]_):
+Backwards over what may happen, with n for all that must be counted of a trajectory and d for a cell of the grid of
+labels, (dynamic programming [Bellman1957]_ over sufficient statistics [SmallwoodSondik1973]_):
 
-    V(n, d) = max_a  R(n, d, a) + Σ_x P(x | n, a) E_labels V(n', d'),    price of what is left where the path is over,
+    V(n, d) = max_a  R(n, d, a) + Σ_x P(x | n, a) E_labels V(n', d'),    price of what is left where it is over,
 
 where x says which robot is done first, when, and whether its object is held. That is enough as all robots know the
 same. It is the best of all that can be done by whoever remembers everything that was seen, and at which time; a policy
@@ -68,9 +68,9 @@ class TeamOptimum:
         """Exact expected reward of a policy, before the first look.
 
         The policy is asked once in every state that it can reach, with a key of its own: a policy that draws its
-        actions at random, or samples futures, is valued for the draws of `key`. Paths that differ only in the order of
-        what happened, or in what is known of an object that has left, are one state; the policy is shown one of them.
-        Heuristics, planners and learned policies cannot tell them apart.
+        actions at random, or samples futures, is valued for the draws of `key`. Trajectories that differ only in the
+        order of what happened, or in what is known of an object that has left, are one state; the policy is shown one
+        of them. Heuristics, planners and learned policies cannot tell them apart.
 
         Parameters
         ----------
@@ -166,7 +166,7 @@ class TableOptimum(TeamOptimum):
 
 
 class _Flow:
-    """Where the paths of P policies go, and what they earn."""
+    """Where the trajectories of P policies go, and what they earn."""
 
     def __init__(self, graph: Graph, num_policies: int) -> None:
         self.graph, self.earned = graph, np.zeros(num_policies)
@@ -213,7 +213,7 @@ class _Flow:
 
     def _arrive(self, arrival: Arrival, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
         node = arrival.node
-        assert node is not None, "the path goes on"
+        assert node is not None, "the trajectory goes on"
         gone = tuple(1 + cup for cup, told in enumerate(node.tally) if told is None)
         mass = spread_over_labels(mass.sum(axis=gone, keepdims=True), arrival.looks, node.shape)
         if node.place is None:
@@ -243,7 +243,7 @@ def solve_table(
     config
         The world; one robot alone pays no price of time.
     horizon
-        Steps that a path may have, by default the world's.
+        Steps that a trajectory may have, by default the world's.
     num_grip_nodes
         Grip offsets lie on this many Gauss–Hermite nodes; by default on those of the planners' beliefs.
     max_states

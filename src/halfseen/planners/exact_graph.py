@@ -27,7 +27,7 @@ class Arrival:
     looks: tuple[Look | None, ...]
     """What the look does to each axis of the grid."""
     node: "Node | None"
-    """None where the path is over."""
+    """None where the trajectory is over."""
     left: tuple[Looks | None, ...] = ()
     """What was kept then of the looks at each object that is left."""
 

@@ -1,9 +1,10 @@
 """The table world with grip offsets on a grid, in float64, and what must be counted of a path to know all of it.
 
-Given what is seen, objects are independent, and an object's labels say nothing of its grip. So all that a path tells of
-an object that still stands on the table is counted (`Told`): what its labels take of the looks (`exact_labels`),
-and how often it was grasped and missed at each occlusion. N objects can be occluded in no more than 2^(N−1) ways each,
-so there are few occlusions to count at. What left the table is forgotten. Under one `Tally` the labels form a grid.
+Given what is seen, objects are independent, and an object's labels say nothing of its grip. So all that a trajectory
+tells of an object that still stands on the table is counted (`Told`): what its labels take of the looks
+(`exact_labels`), and how often it was grasped and missed at each occlusion. N objects can be occluded in no more than
+2^(N−1) ways each, so there are few occlusions to count at. What left the table is forgotten. Under one `Tally` the
+labels form a grid.
 """
 
 from collections.abc import Callable
@@ -32,7 +33,7 @@ Counts: TypeAlias = tuple[int, ...]
 
 @dataclass(frozen=True, eq=False, slots=True)
 class Told:
-    """All that a path tells of one object on the table; `GridWorld.told` makes each only once, so that it is a key."""
+    """All that a trajectory tells of one object; `GridWorld.told` makes each only once, so that it is a key."""
 
     cup: int
     looks: Looks
@@ -138,7 +139,7 @@ class GridWorld:
 
     @cached_property
     def told(self) -> Callable[[int, Looks, Counts, Counts], Told]:
-        """What a path tells of an object."""
+        """What a trajectory tells of an object."""
         return cache(Told)
 
     @property
@@ -216,7 +217,7 @@ class GridWorld:
         return dirty * if_dirty + (1.0 - dirty) * if_clean
 
     def price_of_left(self, looks: tuple[Looks | None, ...]) -> Grid:
-        """Expected price of what is dirty on the table when the path ends, by the looks at what is left."""
+        """Expected price of what is dirty on the table when the trajectory ends, by the looks at what is left."""
         prices = [self._price(cup, each) for cup, each in enumerate(looks) if each is not None]
         return sum(prices[1:], prices[0]) if prices else np.zeros((1,) * self.num_objects)
 

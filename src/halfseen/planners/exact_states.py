@@ -32,7 +32,7 @@ class Reached(NamedTuple):
     cell: Int[np.ndarray, " n"]
     """In the node's grid."""
     mass: Float[np.ndarray, "P n"]
-    """Probability that a path of each policy comes here."""
+    """Probability that a trajectory of each policy comes here."""
 
     def of(self, rows: Int[np.ndarray, " m"] | slice) -> "Reached":
         """Keep some of them."""
@@ -193,7 +193,7 @@ def place_of(graph: Graph, state: TableState) -> tuple[Node, tuple[int, ...]]:
 
 
 def _tally_of(world: GridWorld, state: TableState, num_attempts: int) -> Tally:
-    """Looks and attempts along the path; an object that left was washed by the last attempt that grasped it."""
+    """Looks and attempts along the trajectory; an object that left was washed by the last attempt that grasped it."""
     targets, held = (
         np.asarray(each)[:num_attempts].tolist() for each in (state.attempt_object, state.attempt_succeeded)
     )

@@ -127,7 +127,7 @@ def explain(
     Raises
     ------
     ArgumentError
-        `num_rollouts` is below 2, `level` is out of range, or the path is over.
+        `num_rollouts` is below 2, `level` is out of range, or the trajectory is over.
 
     Examples
     --------

@@ -101,7 +101,7 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
     own_s = xp.take_along_axis(seconds, robot[None, None], axis=0)[0] / speed[state.decider]
     gains = limited(tries_after(tries_then(config, look, with_me.effort)), with_me.num_decisions)
     values = attempts_worth(config, look, gains[None], own_s, with_me.reward_per_s)
-    # Whoever is last to leave ends the path, and nothing is looked at any more.
+    # Whoever is last to leave ends the trajectory, and nothing is looked at any more.
     finish = _value_now(config, look, without_me) * xp.any(others.goes_on, axis=-1)
     wait = _value_now(config, look, with_me) + with_me.reward_per_s * _wait_s(config, robots, others, seconds)
     q = xp.concatenate([laid_out(finish, values), wait[..., None]], axis=-1)

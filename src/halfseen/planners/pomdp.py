@@ -2,7 +2,7 @@
 
 Q_1 is the myopic look-ahead of `one_step`. Further ahead, Q_h(b, a) is the worth of action a and then of h − 1 actions
 by that look-ahead, the last of them worth Q_1, which stands for all that comes after; by rollouts (`rollout`). With h
-as long as the path, the number of rollouts is all that bounds it.
+as long as the trajectory, the number of rollouts is all that bounds it.
 
 `POMDPPolicy` has a number of rollouts to spend on each table; `plan`, which decides at one table, that or seconds.
 Seconds are spent on the same rounds of sequential halving, each of which ends by the clock. No more is begun than is
@@ -142,12 +142,12 @@ def plan(
         Wall-clock time, above 0 [s].
     planning_horizon
         Actions of a rollout, ≥ 1, the last of which is valued by the myopic look-ahead; 1 draws nothing. By default,
-        to the end of the path.
+        to the end of the trajectory.
 
     Raises
     ------
     ArgumentError
-        Neither or both budgets are given, a number is out of range, or the path is over.
+        Neither or both budgets are given, a number is out of range, or the trajectory is over.
 
     Examples
     --------

@@ -65,7 +65,7 @@ def information_relaxation_bound(
     config
         The world.
     horizon
-        Steps that a path may have, by default the world's.
+        Steps that a trajectory may have, by default the world's.
     num_samples
         Number of draws of what is told.
     seed

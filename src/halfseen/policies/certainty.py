@@ -6,8 +6,8 @@ the covariance of each block's coefficients. So with x = (1, φ(S, a)) and k the
     Q_a = Q̂_a + (Rₖᵀ x_a)ᵀ z_k,    z_k ~ N(0, I),
 
 where blocks share no rows and so no z: actions of one block err together, those of different blocks independently.
-That is the error of one regression. Q̂ also rests on those of the m − 1 stages that are still to come, on average, whose
-errors are taken to be as large:
+That is the error of one regression. Q̂ also rests on those of the m − 1 stages that are still to come, on average,
+whose errors are taken to be as large:
 
 - *An interval* is Q̂ ± 1.96 √(m²‖Rₖᵀ x_a‖² + ℓ²). Regressions that share rows may all err the same way, and then their
   errors add up; larger than that sum a standard error cannot be. ℓ is an error of Q that no larger log mends: Q may not
@@ -54,8 +54,8 @@ class QError:
     pessimism
         c, the standard errors that the margin is; above 0.
     stages_left
-        By stage, how many there are from it to the end of a path, on average; for stages that are not there, all that
-        the horizon leaves.
+        By stage, how many there are from it to the end of a trajectory, on average; for stages that are not there, all
+        that the horizon leaves.
     lasting
         Error of Q that no log takes away, as a standard deviation [reward].
     """
@@ -65,7 +65,7 @@ class QError:
     lasting: float = 0.0
 
     def stages_from(self, stage: int, horizon: int) -> float:
-        """Stages from one to the end of a path, on average."""
+        """Stages from one to the end of a trajectory, on average."""
         known = self.stages_left
         return float(known[stage - 1]) if stage <= len(known) else float(horizon - stage + 1)
 
@@ -108,7 +108,7 @@ def certainty(
     is_possible
         Which actions there are to choose from; at least one.
     stages_left
-        m, stages from this one to the end of a path, on average; 1 where this is the last.
+        m, stages from this one to the end of a trajectory, on average; 1 where this is the last.
     lasting
         ℓ, the error of Q that no log takes away, as a standard deviation [reward].
 

@@ -36,7 +36,7 @@ class Decision:
 
 @runtime_checkable
 class Decider(Protocol):
-    """Decides from what is observed: a `NamedObservation`, or where a table's path stands (`Present`)."""
+    """Decides from what is observed: a `NamedObservation`, or where a table's trajectory stands (`Present`)."""
 
     def decide(self, observation: Any) -> Decision:
         """Decide once.

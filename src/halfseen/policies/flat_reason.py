@@ -31,7 +31,7 @@ def flat_reason(
     stage
         The stage, from 1.
     ranges
-        What the log showed of each covariate; None if no path came so far.
+        What the log showed of each covariate; None if no trajectory came so far.
     chance_best
         Probability that no action is better, by name; nothing where nobody knows it.
     """

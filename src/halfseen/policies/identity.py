@@ -68,7 +68,7 @@ def by_place(
         raise PolicyError(
             f"none of the {len(now_m)} objects that the cloud shows is within {FARTHEST_M:.2f} m of where one of the "
             f"{len(kept)} objects on the table was: the history is of another table, or its camera stood elsewhere; "
-            "give the log of this table, or begin a new path"
+            "give the log of this table, or begin a new trajectory"
         )
     was = np.full(len(now_m), -1)
     for rank, now in number_of.items():

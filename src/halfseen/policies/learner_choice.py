@@ -13,7 +13,7 @@ from halfseen.logs.stream import parts_of
 from halfseen.suggestions import did_you_mean
 
 TABLE_HORIZON = 10
-"""Stages that a path on a table may have, unless the log has longer ones."""
+"""Stages that a trajectory on a table may have, unless the log has longer ones."""
 
 
 @dataclass(frozen=True)
@@ -45,8 +45,8 @@ def learner_for(
         Columns of the stages to look at, which makes the actions named ones; None for a table where the log has
         objects, else for all that hold numbers, or text of few categories.
     horizon
-        Stages after which a path ends by itself; None for those of the longest path, on a table at least 10. Of a team,
-        decisions of each robot; None for what the log says.
+        Stages after which a trajectory ends by itself; None for those of the longest trajectory, on a table at least
+        10. Of a team, decisions of each robot; None for what the log says.
     grasp
         What tells the probability of a grasp on a table: ``"auto"``, by the log (as None does); ``"laplace"``, the
         rule of succession; ``"beta"``, a Beta regression.
@@ -64,7 +64,8 @@ def learner_for(
     """
     longest = logs.horizon
     if logs.has_objects and covariates is None:
-        # Named actions need nothing of the world, which takes longer to load than to learn from some hundred paths.
+        # Named actions need nothing of the world, which takes longer to load than to learn from some hundred
+        # trajectories.
         from halfseen.world.log_checks import robots_in
 
         num_robots = robots_in(logs)
@@ -154,6 +155,6 @@ def _horizon_notes(longest: int, given: int | None, horizon: int) -> tuple[str, 
     if given is not None or longest == horizon:
         return ()
     return (
-        f"no path has more than {longest} stages, and horizon is {horizon}; if paths end by themselves after "
-        f"fewer, pass --horizon",
+        f"no trajectory has more than {longest} stages, and horizon is {horizon}; if trajectories end by themselves "
+        f"after fewer, pass --horizon",
     )

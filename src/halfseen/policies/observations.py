@@ -30,7 +30,7 @@ def read_observation(
     file
         For tables a point cloud; for named actions covariates as .json or .csv, one state.
     history
-        For tables, a folder of logs whose last path is the one so far.
+        For tables, a folder of logs whose last trajectory is the one so far.
     stage
         The stage to decide, from 1; None for what the file or the history says, or 1.
     labels

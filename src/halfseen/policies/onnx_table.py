@@ -39,7 +39,7 @@ def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tu
     policy
         The policy.
     horizon
-        Number T of stages that a path may have.
+        Number T of stages that a trajectory may have.
     num_objects
         Most objects that a table has.
 

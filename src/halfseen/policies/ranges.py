@@ -12,7 +12,7 @@ Ranges = Mapping[str, Range]
 """What the logs showed of each thing that a policy looks at."""
 
 RangesOfStage = Callable[[int], Ranges | None]
-"""Ranges that the logs showed where Q of a stage was learned; None if no path came so far."""
+"""Ranges that the logs showed where Q of a stage was learned; None if no trajectory came so far."""
 
 Values = Mapping[str, Mapping[str, Any]]
 """For each name of a range, whose value, and which."""
@@ -44,7 +44,7 @@ def beyond(ranges: Ranges | None, values: Values) -> tuple[str, ...]:
         For each name of a range, whose value, and which.
     """
     if ranges is None:
-        return ("no path of the logs came to this stage; Q is extrapolated",)
+        return ("no trajectory of the logs came to this stage; Q is extrapolated",)
     warnings = []
     for name, seen in ranges.items():
         outside = [(whose, value) for whose, value in values[name].items() if not _is_within(seen, value)]

@@ -98,7 +98,7 @@ class Condition:
             )
         if given.isna().any():
             row: Any = frame[given.isna()].iloc[0]
-            where = ", ".join(f"{name} {row[name]}" for name in ("path", STAGE) if name in frame.columns)
+            where = ", ".join(f"{name} {row[name]}" for name in ("trajectory", STAGE) if name in frame.columns)
             raise LogError(f"{where or 'a row'}: {self.column!r} is null, and the rule asks for it; fill it in")
         return given if is_number else given.astype(str)
 

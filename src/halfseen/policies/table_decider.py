@@ -55,7 +55,7 @@ class TableDecider:
     least_rewards: Mapping[str, float] = field(default_factory=dict)
 
     def decide(self, observation: Present) -> Decision:
-        """Decide where the path stands now.
+        """Decide where the trajectory stands now.
 
         Raises
         ------

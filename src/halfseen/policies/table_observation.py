@@ -41,7 +41,7 @@ class SeenLaw(Protocol):
 
 
 class Past(NamedTuple):
-    """The path so far of a table that is seen again."""
+    """The trajectory so far of a table that is seen again."""
 
     logs: Logs
     """It is the last one of these."""
@@ -55,7 +55,7 @@ class TableSeen(NamedTuple):
     """A table in front of the camera."""
 
     present: Present
-    """Where its path stands; where not all are cups, the first note says so."""
+    """Where its trajectory stands; where not all are cups, the first note says so."""
     view: View
     """What the camera sees."""
     other_things: str
@@ -70,7 +70,7 @@ def read_table(
     labels: Path | None = None,
     law: SeenLaw | None = None,
 ) -> TableSeen:
-    """See the table, and put it where the path stands by a folder of logs.
+    """See the table, and put it where the trajectory stands by a folder of logs.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ def see_table(
     labels: Path | None = None,
     law: SeenLaw | None = None,
 ) -> TableSeen:
-    """See the table, and put it where the path stands.
+    """See the table, and put it where the trajectory stands.
 
     Parameters
     ----------
@@ -109,7 +109,7 @@ def see_table(
     file, stage, labels, law
         As `read_observation` takes them.
     past
-        The path so far; None where it begins.
+        The trajectory so far; None where it begins.
 
     Raises
     ------
@@ -121,7 +121,7 @@ def see_table(
     cloud = read_cloud(file)
     view = perceive(cloud)
     if not view.objects:
-        cleared = "" if past is None else "; where it is cleared, the path is over"
+        cleared = "" if past is None else "; where it is cleared, the trajectory is over"
         raise CloudError(
             f"{file}: no objects on the table; put the table with its objects whole into the view{cleared}"
         )
@@ -150,7 +150,7 @@ def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, 
         )
     if stage not in (None, now.stage):
         raise ArgumentError(
-            f"--stage is {stage}, but by {past.folder} the path has come to stage {now.stage}; leave it out"
+            f"--stage is {stage}, but by {past.folder} the trajectory has come to stage {now.stage}; leave it out"
         )
     return now
 

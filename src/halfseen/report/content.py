@@ -47,7 +47,7 @@ def content_of(findings: Findings, command: str) -> dict[str, Any]:
         "most_rows": MOST_ROWS,
         "positivity_verdict": verdict,
         "positivity_words": rest,
-        "is_sampled": findings.timeline.num_rows < findings.timeline.num_paths,
+        "is_sampled": findings.timeline.num_rows < findings.timeline.num_trajectories,
         **(_of_log(findings) if policy is None else _of_policy(policy, findings, colours)),
     }
 
@@ -112,7 +112,7 @@ def _of_policy(policy: PolicyFindings, findings: Findings, colours: dict[str, st
         "why_no_hours": sentences.why_no_hours(evaluation),
         "durations": sentences.duration_words(policy),
         "values": _value_rows(policy),
-        "gains": [(name, gain, "path by path") for name, (gain, _) in gains_of(evaluation).items()],
+        "gains": [(name, gain, "trajectory by trajectory") for name, (gain, _) in gains_of(evaluation).items()],
         "value_head": labelled("value", findings.unit),
         "cut_model": sentences.cut_model(policy),
         "drawn_actions": len(drawn_actions(policy.choices)),
@@ -123,7 +123,7 @@ def _of_policy(policy: PolicyFindings, findings: Findings, colours: dict[str, st
 
 
 def _value_rows(policy: PolicyFindings) -> list[dict[str, Any]]:
-    """What each policy earns: a path, of today's, and in an hour."""
+    """What each policy earns: a trajectory, of today's, and in an hour."""
     evaluation = policy.evaluation
     shares, hourly = shares_of(evaluation), evaluation.per_hour
     own = None if hourly is None or hourly.logging is None else hourly.logging.per_hour
@@ -139,7 +139,7 @@ def _value_rows(policy: PolicyFindings) -> list[dict[str, Any]]:
         *rows,
         _value_row("learned, doubly robust", evaluation.doubly_robust, best, share, ours),
         _value_row(
-            "learned, importance sampling", evaluation.importance_sampling, "paths that did as the policy would"
+            "learned, importance sampling", evaluation.importance_sampling, "trajectories that did as the policy would"
         ),
         _value_row("learned, fitted Q", evaluation.fitted_q, "the model alone"),
     ]
@@ -189,11 +189,11 @@ def _policy_words(policy: PolicyFindings) -> list[tuple[str, str]]:
     return [
         ("looks at", looks_at),
         ("chooses among", listed([str(name) for name in schema["actions"]])),
-        ("stages of a path at most", str(schema["horizon"])),
+        ("stages of a trajectory at most", str(schema["horizon"])),
         ("Q", f"{learner['q_function']}, {learner['stages']} stages"),
         (
             "ridge penalty λ",
-            f"{reg}, {'chosen by cross-validation over paths' if learner['reg'] == 'cv' else 'as given'}",
+            f"{reg}, {'chosen by cross-validation over trajectories' if learner['reg'] == 'cv' else 'as given'}",
         ),
         ("cuts, when it was learned", sentences.CENSORING_WORDS.get(censoring, censoring)),
         ("learned from", record["log"]["sentence"].rstrip(".")),

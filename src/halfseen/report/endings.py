@@ -1,4 +1,4 @@
-"""How paths ended: finished, or cut by a cause; rare causes are one kind."""
+"""How trajectories ended: finished, or cut by a cause; rare causes are one kind."""
 
 import numpy as np
 
@@ -11,10 +11,10 @@ FINISHED_ROW = "finished"
 
 
 def endings(logs: Logs) -> dict[str, RowMask]:
-    """Which paths ended in each way: finished if any did, then by causes, the most frequent first."""
+    """Which trajectories ended in each way: finished if any did, then by causes, the most frequent first."""
     causes = [row["cause"] for row in by_cause(logs)]
     told = causes if len(causes) <= MOST_CAUSES else causes[: MOST_CAUSES - 1]
-    cause = logs.paths["cause"].astype(str).to_numpy()
+    cause = logs.trajectories["cause"].astype(str).to_numpy()
     ways = {FINISHED_ROW: logs.is_finished} if logs.is_finished.any() else {}
     for name in told:
         ways[f"cut: {name}"] = ~logs.is_finished & (cause == name)

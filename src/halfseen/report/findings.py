@@ -80,11 +80,11 @@ class Findings:
 
     @property
     def timeline_actions(self) -> list[str]:
-        """Names of what was done or begun in the paths that are drawn."""
+        """Names of what was done or begun in the trajectories that are drawn."""
         return [name for name in dict.fromkeys(self.timeline.action) if name != UNKNOWN_ACTION]
 
     def as_dict(self) -> dict[str, Any]:
-        """All numbers but those of single paths, ready for JSON: null for what is no number."""
+        """All numbers but those of single trajectories, ready for JSON: null for what is no number."""
         told, policy = {}, self.policy
         if policy is not None:
             value = policy.evaluation
@@ -116,7 +116,7 @@ def find(
     """Find out all that the page tells of a log and of the policy that is judged by it, if there is one.
 
     `against` is what the policy has to beat (see `evaluate`). `chosen` are parameters of the evaluation that are not to
-    be the policy's own (`specification_of`); bootstrap bands around Q come from `num_replicates` draws of paths.
+    be the policy's own (`specification_of`); bootstrap bands around Q come from `num_replicates` draws of trajectories.
     Where it takes long, `workers` judge and learn again.
     """
     digest = log_digest(logs)

@@ -18,31 +18,33 @@ NUM_RISK_TIMES = 7
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """How long paths were watched, as Kaplan–Meier tells it with the cuts for events."""
+    """How long trajectories were watched, as Kaplan–Meier tells it with the cuts for events."""
 
     time_s: Float[np.ndarray, " k"]
     """Where Ĝ steps, from 0 to the last observed end [s]."""
     survival: Float[np.ndarray, " k"]
     """Ĝ from each of these times on."""
     ends_s: dict[str, Float[np.ndarray, " e"]]
-    """Ends [s] of the paths that finished, and of those that each cause cut, the most frequent first."""
+    """Ends [s] of the trajectories that finished, and of those that each cause cut, the most frequent first."""
     risk_time_s: Float[np.ndarray, " r"]
     num_watched: Int[np.ndarray, " r"]
-    """Paths that were still watched just before these times [s]."""
+    """Trajectories that were still watched just before these times [s]."""
 
 
 def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
     """Collect what there is to say of a log; times in seconds."""
     summary = logs.summary()
-    weights = stage_weights(logs.elapsed_s(), logs.end_s, logs.is_finished, path_ids=logs.path_ids)
+    weights = stage_weights(logs.elapsed_s(), logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
     stages = [weight_diagnostics(column) for column in weights.T]
     return {
         "sentence": str(summary),
         **asdict(summary),
         "reward_unit": logs.reward_unit,
         "covariates": logs.stage_covariates,
-        "object_covariates": [] if logs.objects is None else [*logs.objects.columns.drop(["path", "stage", "object"])],
-        "path_columns": logs.path_columns,
+        "object_covariates": []
+        if logs.objects is None
+        else [*logs.objects.columns.drop(["trajectory", "stage", "object"])],
+        "trajectory_columns": logs.trajectory_columns,
         "suspicions": [asdict(suspicion) for suspicion in suspicions(logs)],
         "finishes": _finishes(logs),
         "cuts": by_cause(logs),
@@ -57,7 +59,7 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
             "mean_weight": positivity.mean_weight,
             "identified_until_s": positivity.identified_until_s,
             "heaviest": [
-                {"path": str(heavy.path), "time_s": heavy.time_s, "weight": heavy.weight}
+                {"trajectory": str(heavy.trajectory), "time_s": heavy.time_s, "weight": heavy.weight}
                 for heavy in positivity.heaviest
             ],
         },
@@ -74,12 +76,12 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
 
 
 def positivity_of(logs: Logs) -> PositivityReport:
-    """Report what the weights of the paths of a log rest on, by Kaplan–Meier."""
-    return positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
+    """Report what the weights of the trajectories of a log rest on, by Kaplan–Meier."""
+    return positivity_report(logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
 
 
 def watched(logs: Logs) -> Watched:
-    """Say how long the paths of a log were watched."""
+    """Say how long the trajectories of a log were watched."""
     curve = KaplanMeier().fit(logs.end_s, logs.is_finished)
     risk_time_s = _round_times(curve.last_time_)
     return Watched(
@@ -92,9 +94,9 @@ def watched(logs: Logs) -> Watched:
 
 
 def _finishes(logs: Logs) -> dict[str, Any]:
-    """When and in which stages paths finished; None where none did."""
+    """When and in which stages trajectories finished; None where none did."""
     ends_s = logs.end_s[logs.is_finished]
-    last: Any = logs.stages.groupby("path")["stage"].max().reindex(logs.path_ids)[logs.is_finished]
+    last: Any = logs.stages.groupby("trajectory")["stage"].max().reindex(logs.trajectory_ids)[logs.is_finished]
     names = ("earliest_s", "median_s", "latest_s", "first_stage", "last_stage")
     if not len(ends_s):
         return dict.fromkeys(names)

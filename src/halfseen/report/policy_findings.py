@@ -30,7 +30,7 @@ MIDDLE = (0.05, 0.95)
 SAME_COEFFICIENTS = 1e-6
 BAND_LEVEL = 0.95
 Band = Literal["bootstrap", "regression"]
-"""What bands around Q are: what is learned from resampled paths, or by standard errors in the policy's folder."""
+"""What bands around Q are: what is learned from resampled trajectories, or by standard errors in its folder."""
 
 
 def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]]:
@@ -66,8 +66,8 @@ class QCurve:
     """Q of the actions of one stage along one covariate of numbers; others at their medians or commonest categories.
 
     `q` is Q of each possible action at the values of a covariate; `low` and `high` are 95 % bands around it, where
-    there are any: the central 95 % of what it is when paths are resampled (bootstrap), or those of the errors of the
-    regression, as `halfseen.policies.certainty` has them.
+    there are any: the central 95 % of what it is when trajectories are resampled (bootstrap), or those of the errors of
+    the regression, as `halfseen.policies.certainty` has them.
     """
 
     stage: int
@@ -181,7 +181,7 @@ def _sway(curve: QCurve) -> float:
 
 
 def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int, workers: Workers) -> Any:
-    """Learn again from paths resampled (bootstrap); None where learning from this log does not give this policy."""
+    """Learn again from trajectories resampled (bootstrap); None where this log does not give this policy."""
     learned, policy = stored.record["learner"], stored.policy
     if learned.get("censoring") not in CENSORING_CHOICES:
         return None

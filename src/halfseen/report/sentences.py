@@ -9,7 +9,7 @@ import numpy as np
 from halfseen.evaluation import Evaluation
 from halfseen.evaluation.comparison import deciding
 from halfseen.evaluation.per_hour import Rate
-from halfseen.evaluation.verdict import FEWEST_PATHS
+from halfseen.evaluation.verdict import FEWEST_TRAJECTORIES
 from halfseen.pages.numbers import amount, percent, significant, with_interval
 from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.report.findings import Findings, PolicyFindings
@@ -33,7 +33,7 @@ CENSORING_WORDS = {
     "none": "no model",
 }
 CLOCK_WORDS = {
-    "path": "on the clock of the path",
+    "trajectory": "on the clock of the trajectory",
     "stage": "on the clock of each stage",
     "pooled": "one for all stages",
 }
@@ -71,20 +71,20 @@ def values_title(evaluation: Evaluation) -> str:
     if evaluation.verdict == "cannot be said":
         _, within = with_interval(ours, evaluation.doubly_robust.low, evaluation.doubly_robust.high)
         return (
-            f"A path earns {with_unit(within, unit)} with the learned policy, as far as these logs tell, and "
+            f"A trajectory earns {with_unit(within, unit)} with the learned policy, as far as these logs tell, and "
             f"{significant(own)} with the logging policy"
         )
     agree = all(one.low <= ours <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
     others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
     known = with_unit(significant(ours), unit)
     earned = f"{known} with the learned policy and {significant(own)} with the logging policy"
-    return f"A path earns {earned}; {others}"
+    return f"A trajectory earns {earned}; {others}"
 
 
 def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
-    """What the figure of how long paths were watched shows."""
+    """What the figure of how long trajectories were watched shows."""
     if not log["num_cut"]:
-        return "No path was cut: each was watched to its own end"
+        return "No trajectory was cut: each was watched to its own end"
     told = np.flatnonzero(watched.num_watched >= FEWEST_WATCHED)[-1:]
     at_s, last_s = float(watched.risk_time_s[told].sum()), float(watched.time_s[-1])
     left = float(watched.survival[np.searchsorted(watched.time_s, at_s, side="right") - 1])
@@ -93,7 +93,7 @@ def watched_title(watched: Watched, log: Mapping[str, Any]) -> str:
     who = f"the cause of all cuts is {cause}" if main == 1 else f"the cause of most cuts, {percent(main)}, is {cause}"
     who = who if main > 0.5 else f"the most frequent cause of cuts is {cause}, {percent(main)} of them"
     return (
-        f"A path that goes on is still uncut {told_at}after {last_s:.3g}\u00a0s, where the last one ended, with "
+        f"A trajectory that goes on is still uncut {told_at}after {last_s:.3g}\u00a0s, where the last one ended, with "
         f"{'' if told_at else 'probability '}{float(watched.survival[-1]):.2f}; {who}"
     )
 
@@ -154,14 +154,14 @@ def table_map_title(told: TableMap) -> str:
 
 
 def timeline_title(told: Timeline, log: Mapping[str, Any]) -> str:
-    """How long paths took that finished, and how long those had run that were cut."""
-    if told.num_paths == 1:
-        return f"The one path, {told.endings[0].name} after {significant(float(told.end_s[0]))}\u00a0s"
+    """How long trajectories took that finished, and how long those had run that were cut."""
+    if told.num_trajectories == 1:
+        return f"The one trajectory, {told.endings[0].name} after {significant(float(told.end_s[0]))}\u00a0s"
     median_s = log["finishes"]["median_s"]
     done = (
-        "No path finished"
+        "No trajectory finished"
         if median_s is None
-        else f"Half of the paths that finished took {significant(median_s)}\u00a0s or less"
+        else f"Half of the trajectories that finished took {significant(median_s)}\u00a0s or less"
     )
     if not log["cuts"]:
         return done
@@ -188,12 +188,12 @@ def standing(evaluation: Evaluation) -> str:
     if not parts:
         return ""
     earned = with_unit(significant(evaluation.doubly_robust.value), unit)
-    return f"The best estimate is {earned} a path: {listed(parts)}."
+    return f"The best estimate is {earned} a trajectory: {listed(parts)}."
 
 
 def is_believed(evaluation: Evaluation) -> bool:
-    """Whether enough paths follow the policy for its value to be told in other units, too."""
-    return evaluation.doubly_robust.effective_sample_size >= FEWEST_PATHS
+    """Whether enough trajectories follow the policy for its value to be told in other units, too."""
+    return evaluation.doubly_robust.effective_sample_size >= FEWEST_TRAJECTORIES
 
 
 def _alike(value: float, other: str) -> str:
@@ -215,14 +215,14 @@ def why_no_hours(evaluation: Evaluation) -> str:
 
 
 def duration_words(policy: PolicyFindings) -> str:
-    """How long a path takes, by the two policies."""
+    """How long a trajectory takes, by the two policies."""
     hourly = policy.evaluation.per_hour
     if hourly is None or hourly.policy is None or hourly.logging is None:
         return ""
     ours = f"{_seconds(hourly.policy)} with the learned policy and " if is_believed(policy.evaluation) else ""
     return (
-        f"A path takes {ours}{_seconds(hourly.logging)} with the logging policy, in the mean and had nothing been cut; "
-        "what passes between two paths is not counted."
+        f"A trajectory takes {ours}{_seconds(hourly.logging)} with the logging policy, in the mean and had nothing "
+        "been cut; what passes between two trajectories is not counted."
     )
 
 
@@ -243,8 +243,8 @@ def log_answer(findings: Findings) -> tuple[str, str, str]:
 
 
 def _held(log: Mapping[str, Any]) -> str:
-    """How many paths there are, and how many of them what cut."""
-    held, is_one = counted(log["num_paths"], "path"), log["num_paths"] == 1
+    """How many trajectories there are, and how many of them what cut."""
+    held, is_one = counted(log["num_trajectories"], "trajectory"), log["num_trajectories"] == 1
     if not log["num_cut"]:
         return f"{held}, which was not cut" if is_one else f"{held}, none of them cut"
     main = log["cuts"][0]
@@ -258,7 +258,7 @@ def _weights_words(findings: Findings) -> str:
     """Whether what was seen can stand for the rest."""
     is_sound = findings.positivity.is_sound
     if not findings.log["num_cut"]:
-        return "every path counts once" if is_sound else "every path counts once, and they are few"
+        return "every trajectory counts once" if is_sound else "every trajectory counts once, and they are few"
     return f"what was seen {'can stand' if is_sound else 'stands badly'} for what the cuts took away"
 
 
@@ -285,7 +285,7 @@ def notes(findings: Findings) -> list[str]:
 
 
 def cut_model(policy: PolicyFindings) -> str:
-    """Which model says how likely a path was to be cut."""
+    """Which model says how likely a trajectory was to be cut."""
     model = policy.model
     name = model["censoring"]
     return f"{CENSORING_WORDS.get(str(name), str(name))}, {CLOCK_WORDS[model['censoring_by']]}"

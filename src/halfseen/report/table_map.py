@@ -66,10 +66,10 @@ def _with_verbs(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
     taken = task.target_probabilities(policy, logs, horizon_of(policy))[stage_places(logs)]
     space = ActionSpace.of_size(taken.shape[1])
     action = taken.argmax(axis=1)
-    decided = logs.stages[["path", "stage"]].assign(of_verb=space.verb(action), target=space.target(action))
-    objects = logs.objects[["path", "stage", *sorted(NEEDED)]].copy()
-    objects["place"] = objects.groupby(["path", "stage"]).cumcount()
-    joined: Any = objects.merge(decided, on=["path", "stage"], how="left")
+    decided = logs.stages[["trajectory", "stage"]].assign(of_verb=space.verb(action), target=space.target(action))
+    objects = logs.objects[["trajectory", "stage", *sorted(NEEDED)]].copy()
+    objects["place"] = objects.groupby(["trajectory", "stage"]).cumcount()
+    joined: Any = objects.merge(decided, on=["trajectory", "stage"], how="left")
     told: Any = pd.DataFrame(
         {
             "verb": np.where(joined["place"] == joined["target"], joined["of_verb"], 0).astype(np.int64),

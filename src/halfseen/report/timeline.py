@@ -1,4 +1,4 @@
-"""Paths along time: what was done when, and how each path ended; of many paths, rows that stand for all."""
+"""Trajectories along time: what was done when, and how each ended; of many, rows that stand for all."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -11,35 +11,35 @@ from halfseen.report.endings import endings
 from halfseen.shapes import Bool, Float, Int
 
 MOST_ROWS = 160
-"""Paths that are drawn at most."""
+"""Trajectories that are drawn at most."""
 UNKNOWN_ACTION = "not recorded"
 
 
 @dataclass(frozen=True)
 class TimelineEnding:
-    """The paths that ended in one way.
+    """The trajectories that ended in one way.
 
     Parameters
     ----------
     name
         Of the way.
-    num_paths, num_rows
-        So many paths did, and so many of these are drawn.
+    num_trajectories, num_rows
+        So many trajectories did, and so many of these are drawn.
     """
 
     name: str
-    num_paths: int
+    num_trajectories: int
     num_rows: int
 
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Rows of paths by how they ended, and then by length; each row a path, and the k-th row at height k."""
+    """Rows of trajectories by how they ended, and then by length; the k-th row at height k."""
 
-    num_paths: int
+    num_trajectories: int
     endings: tuple[TimelineEnding, ...]
     end_s: Float[np.ndarray, " r"]
-    """Of the path of each row [s]."""
+    """Of the trajectory of each row [s]."""
     row: Int[np.ndarray, " m"]
     """Of each stage that is drawn."""
     begin_s: Float[np.ndarray, " m"]
@@ -51,23 +51,23 @@ class Timeline:
 
     @property
     def num_rows(self) -> int:
-        """Paths that are drawn."""
+        """Trajectories that are drawn."""
         return len(self.end_s)
 
 
 def timeline(logs: Logs) -> Timeline:
-    """Lay out the paths of a log; where they are many, evenly spaced ones of each way to end."""
+    """Lay out the trajectories of a log; where they are many, evenly spaced ones of each way to end."""
     groups, picked = [], []
     for name, is_own in endings(logs).items():
-        paths = np.flatnonzero(is_own)
-        paths = paths[np.argsort(logs.end_s[paths], kind="stable")]
-        kept = _evenly(paths, _num_rows(len(paths), logs.num_paths))
-        groups.append(TimelineEnding(name, len(paths), len(kept)))
+        trajectories = np.flatnonzero(is_own)
+        trajectories = trajectories[np.argsort(logs.end_s[trajectories], kind="stable")]
+        kept = _evenly(trajectories, _num_rows(len(trajectories), logs.num_trajectories))
+        groups.append(TimelineEnding(name, len(trajectories), len(kept)))
         picked.append(kept)
     rows = np.concatenate(picked)
     stages = _stages_of(logs, rows)
     return Timeline(
-        num_paths=logs.num_paths,
+        num_trajectories=logs.num_trajectories,
         endings=tuple(groups),
         end_s=logs.end_s[rows],
         row=stages["row"].to_numpy(dtype=np.int64),
@@ -79,24 +79,24 @@ def timeline(logs: Logs) -> Timeline:
 
 
 def _num_rows(num_own: int, num_all: int) -> int:
-    """Rows in proportion to the paths, at least one."""
+    """Rows in proportion to the trajectories, at least one."""
     return num_own if num_all <= MOST_ROWS else max(1, round(MOST_ROWS * num_own / num_all))
 
 
-def _evenly(paths: Int[np.ndarray, " k"], num: int) -> Int[np.ndarray, " r"]:
+def _evenly(trajectories: Int[np.ndarray, " k"], num: int) -> Int[np.ndarray, " r"]:
     """So many of them, from the first to the last; of one, the middle."""
-    at = np.linspace(0, len(paths) - 1, num) if num > 1 else np.array([(len(paths) - 1) / 2])
-    return paths[np.round(at).astype(np.int64)]
+    at = np.linspace(0, len(trajectories) - 1, num) if num > 1 else np.array([(len(trajectories) - 1) / 2])
+    return trajectories[np.round(at).astype(np.int64)]
 
 
-def _stages_of(logs: Logs, paths: Int[np.ndarray, " r"]) -> Any:
-    """Stages of these paths, with the row of each, and when it began and ended [s]."""
-    row = pd.Series(np.arange(len(paths)), index=logs.path_ids[paths])
-    is_drawn = logs.stages["path"].isin(list(row.index))
+def _stages_of(logs: Logs, trajectories: Int[np.ndarray, " r"]) -> Any:
+    """Stages of these trajectories, with the row of each, and when it began and ended [s]."""
+    row = pd.Series(np.arange(len(trajectories)), index=logs.trajectory_ids[trajectories])
+    is_drawn = logs.stages["trajectory"].isin(list(row.index))
     stages: Any = logs.stages[is_drawn]
-    own = stages["path"].map(row).to_numpy()
-    end_s, is_completed = logs.end_s[paths][own], stages["elapsed_s"].notna().to_numpy()
-    before_s = stages.groupby("path")["elapsed_s"].shift(fill_value=0.0).to_numpy(dtype=np.float64)
+    own = stages["trajectory"].map(row).to_numpy()
+    end_s, is_completed = logs.end_s[trajectories][own], stages["elapsed_s"].notna().to_numpy()
+    before_s = stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0).to_numpy(dtype=np.float64)
     until_s = np.where(is_completed, stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan), end_s)
     action = stages["action"].map(str, na_action="ignore").fillna(UNKNOWN_ACTION)
     columns = {"row": own, "begin_s": before_s, "until_s": until_s, "action": action, "is_completed": is_completed}

@@ -1,4 +1,4 @@
-"""Paths along time: a line of stages each, coloured by what was done, with a marker for how it ended."""
+"""Trajectories along time: a line of stages each, coloured by what was done, with a marker for how it ended."""
 
 from typing import Any
 
@@ -44,7 +44,7 @@ def draw_timeline(told: Timeline, colours: dict[str, str]) -> Figure:
     axes.spines["left"].set_visible(False)
     axes.set_ylim(place[-1] + 1.0, -0.5)
     axes.set_xlim(0.0, 1.02 * float(told.end_s.max()))
-    axes.set_xlabel("time since the path began [s]")
+    axes.set_xlabel("time since the trajectory began [s]")
     figure.legend(
         handles=_keys(told, names, colours, is_unknown), loc="upper left", ncols=LEGEND_COLUMNS, frameon=False
     )
@@ -84,7 +84,7 @@ def _draw_ends(axes: Axes, told: Timeline, place: np.ndarray, size: float) -> No
 
 
 def _markers(groups: tuple[TimelineEnding, ...]) -> list[tuple[str, dict[str, Any]]]:
-    """A stroke where a path finished, and a shape of its own for each cause of a cut."""
+    """A stroke where a trajectory finished, and a shape of its own for each cause of a cut."""
     shapes = iter(CAUSE_MARKERS)
     stroke: dict[str, Any] = {"color": INK, "mew": 1.3}
     cut: dict[str, Any] = {"color": INK, "mew": 0.5, "mec": "white"}
@@ -92,8 +92,8 @@ def _markers(groups: tuple[TimelineEnding, ...]) -> list[tuple[str, dict[str, An
 
 
 def _name(group: TimelineEnding) -> str:
-    paths = "path" if group.num_paths == 1 else "paths"
-    return f"{group.name}\n{group.num_paths:,} {paths}"
+    trajectories = "trajectory" if group.num_trajectories == 1 else "trajectories"
+    return f"{group.name}\n{group.num_trajectories:,} {trajectories}"
 
 
 def _keys(told: Timeline, names: list[str], colours: dict[str, str], is_unknown: bool) -> list[Any]:

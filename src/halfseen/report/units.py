@@ -17,7 +17,7 @@ def labelled(quantity: str, unit: str | None) -> str:
 
     Examples
     --------
-    >>> labelled("mean reward of a path", "parts"), labelled("mean reward of a path", None)
-    ('mean reward of a path [parts]', 'mean reward of a path')
+    >>> labelled("mean reward of a trajectory", "parts"), labelled("mean reward of a trajectory", None)
+    ('mean reward of a trajectory [parts]', 'mean reward of a trajectory')
     """
     return f"{quantity} [{unit}]" if unit else quantity

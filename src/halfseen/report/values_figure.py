@@ -34,7 +34,7 @@ def draw_values(evaluation: Evaluation) -> Figure:
     core = [*theirs.values(), evaluation.doubly_robust, evaluation.fitted_q]
     _forest(values, rows, _limits(core, [evaluation.importance_sampling]))
     values.axvline(evaluation.logging.value, color=FAINT, lw=1.0, zorder=0)
-    values.set_xlabel(labelled("mean reward of a path", evaluation.reward_unit))
+    values.set_xlabel(labelled("mean reward of a trajectory", evaluation.reward_unit))
     told = {
         fill(name, 20): (gain, VERDICT_COLOURS[verdict], gain is evaluation.difference)
         for name, (gain, verdict) in gains.items()

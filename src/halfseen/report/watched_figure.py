@@ -1,4 +1,4 @@
-"""How long paths were watched: Ĝ, when they ended, and how many were still watched."""
+"""How long trajectories were watched: Ĝ, when they ended, and how many were still watched."""
 
 from typing import Any
 
@@ -13,7 +13,7 @@ from halfseen.report.log_findings import Watched
 
 
 def draw_watched(watched: Watched) -> Figure:
-    """Draw Ĝ, below it the ends of paths, and below these the numbers still watched."""
+    """Draw Ĝ, below it the ends of trajectories, and below these the numbers still watched."""
     num_rows = len(watched.ends_s)
     heights = [2.5, 0.24 * num_rows + 0.1]
     figure = Figure(figsize=(NARROW_INCHES, sum(heights) + 0.9))
@@ -21,7 +21,7 @@ def draw_watched(watched: Watched) -> Figure:
     figure.subplots_adjust(left=0.235, right=0.97, top=0.97, bottom=0.73 / (sum(heights) + 0.9), hspace=0.08)
     curve.step(watched.time_s, watched.survival, where="post", color=OURS)
     curve.set_ylim(0.0, 1.04)
-    curve.set_ylabel("Ĝ: probability that a path\nhas not been cut so far")
+    curve.set_ylabel("Ĝ: probability that a trajectory\nhas not been cut so far")
     draw_grid(curve)
     curve.tick_params(axis="x", length=0, labelbottom=False)
     for place, (name, ends_s) in enumerate(watched.ends_s.items()):
@@ -33,7 +33,7 @@ def draw_watched(watched: Watched) -> Figure:
     ends.set_ylim(num_rows - 0.4, -0.6)
     ends.set_xlim(0.0, 1.01 * watched.time_s[-1])
     ends.set_xticks(watched.risk_time_s.tolist())
-    ends.set_xlabel("time since the path began [s]", labelpad=20)
+    ends.set_xlabel("time since the trajectory began [s]", labelpad=20)
     _write_numbers(ends, watched)
     return figure
 

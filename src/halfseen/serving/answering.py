@@ -8,8 +8,8 @@ import numpy as np
 from halfseen.policies.exploration_table import ExplorationTable
 from halfseen.serving.exploring import taken, uniform_shares
 from halfseen.serving.in_service import InService
-from halfseen.serving.paths import RecordedPaths
 from halfseen.serving.seen import Seen
+from halfseen.serving.trajectories import RecordedTrajectories
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,14 +24,14 @@ class Answering:
         Which actions are drawn instead, and where; None where all are.
     rng
         What they are drawn with.
-    paths
+    trajectories
         Where they are recorded; None if they are not.
     """
 
     epsilon: float = 0.0
     table: ExplorationTable | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
-    paths: RecordedPaths | None = None
+    trajectories: RecordedTrajectories | None = None
 
     def answer(self, service: InService, seen: Seen) -> dict[str, Any]:
         """Decide, and say so.
@@ -74,4 +74,4 @@ class Answering:
         Refusal
             It cannot be recorded; then nothing was decided.
         """
-        return told if self.paths is None else told | {"path": self.paths.decided(seen.begun, told)}
+        return told if self.trajectories is None else told | {"trajectory": self.trajectories.decided(seen.begun, told)}

@@ -26,9 +26,9 @@ from halfseen.serving.hang_up import reloading_at_hang_up
 from halfseen.serving.in_service import InService, taken_into_service
 from halfseen.serving.openapi import described
 from halfseen.serving.page import page_of
-from halfseen.serving.paths import RecordedPaths
 from halfseen.serving.refusal import Refusal
 from halfseen.serving.seen import Seen, seen_in_cloud, seen_in_state
+from halfseen.serving.trajectories import RecordedTrajectories
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw
@@ -79,7 +79,7 @@ class Served:
         return fresh
 
     @property
-    def paths(self) -> RecordedPaths:
+    def trajectories(self) -> RecordedTrajectories:
         """What records.
 
         Raises
@@ -87,9 +87,9 @@ class Served:
         Refusal
             Nothing is recorded.
         """
-        if self.answering.paths is None:
+        if self.answering.trajectories is None:
             raise Refusal(409, "this server records nothing; start it with --record LOGS")
-        return self.answering.paths
+        return self.answering.trajectories
 
     async def answer(self, request: Request, look: Callable[[InService], Seen]) -> dict[str, Any]:
         """Look, decide and record, one at a time; tables decide beside the loop, so that others are answered.
@@ -139,7 +139,9 @@ def app_of(served: Served, token: str | None = None, *, largest_bytes: int | Non
         "/health": ("GET", _health),
         "/openapi.json": ("GET", _openapi),
     }
-    routes = [Route(path, _told(partial(answer, served)), methods=[how]) for path, (how, answer) in asked.items()]
+    routes = [
+        Route(trajectory, _told(partial(answer, served)), methods=[how]) for trajectory, (how, answer) in asked.items()
+    ]
     page = Route("/", _page(served), methods=["GET"])
     refused: Any = {HTTPException: _no_address}
     app = Starlette(
@@ -171,24 +173,24 @@ async def _decide(served: Served, request: Request) -> dict[str, Any]:
     kind = _content_type(request)
     if kind == "multipart/form-data":
         return await _decide_cloud(served, request)
-    state, paths = await _object(request), served.answering.paths
+    state, trajectories = await _object(request), served.answering.trajectories
 
     def look(service: InService) -> Seen:
-        return seen_in_state(service, state, None if paths is None else paths.next_stage())
+        return seen_in_state(service, state, None if trajectories is None else trajectories.next_stage())
 
     return await served.answer(request, look)
 
 
 async def _decide_cloud(served: Served, request: Request) -> dict[str, Any]:
     async with cloud_in(request) as given:
-        paths = served.answering.paths
-        return await served.answer(request, lambda service: seen_in_cloud(service, *given, served.law, paths))
+        trajectories = served.answering.trajectories
+        return await served.answer(request, lambda service: seen_in_cloud(service, *given, served.law, trajectories))
 
 
 async def _reward(served: Served, request: Request) -> dict[str, Any]:
     told = await _object(request, required=("reward",), others=("elapsed_s", "held"))
     async with served.lock:
-        return served.paths.rewarded(told["reward"], told.get("elapsed_s"), told.get("held"))
+        return served.trajectories.rewarded(told["reward"], told.get("elapsed_s"), told.get("held"))
 
 
 async def _end(served: Served, request: Request) -> dict[str, Any]:
@@ -197,7 +199,7 @@ async def _end(served: Served, request: Request) -> dict[str, Any]:
     if ending not in ("finished", "cut") or (ending == "cut") != isinstance(cause, str):
         raise Refusal(422, 'give {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}, or what cut it')
     async with served.lock:
-        return served.paths.ended(cause, told.get("elapsed_s"))
+        return served.trajectories.ended(cause, told.get("elapsed_s"))
 
 
 async def _reload(served: Served, request: Request) -> dict[str, Any]:
@@ -205,18 +207,18 @@ async def _reload(served: Served, request: Request) -> dict[str, Any]:
 
 
 async def _health(served: Served, request: Request) -> dict[str, Any]:
-    service, paths = served.service, served.answering.paths
+    service, trajectories = served.service, served.answering.trajectories
     told = {"status": "ok", "policy": service.digest, "kind": service.stored.record["kind"]}
-    return told if paths is None else {**told, "recording": paths.facts}
+    return told if trajectories is None else {**told, "recording": trajectories.facts}
 
 
 async def _openapi(served: Served, request: Request) -> dict[str, Any]:
-    return described(served.service, is_recording=served.answering.paths is not None)
+    return described(served.service, is_recording=served.answering.trajectories is not None)
 
 
 def _page(served: Served) -> Callable[[Request], Awaitable[Response]]:
     async def page(request: Request) -> Response:
-        is_recording = served.answering.paths is not None
+        is_recording = served.answering.trajectories is not None
         policy = "default-src 'none'; style-src 'unsafe-inline'"
         page = page_of(described(served.service, is_recording=is_recording))
         return HTMLResponse(page, headers={"Content-Security-Policy": policy})

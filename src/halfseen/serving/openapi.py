@@ -15,7 +15,10 @@ _HELD = {
     "description": "Of clouds: whether the WASH or LIFT held. Without it, a WASH did if its object is gone, and a LIFT "
     "is not counted.",
 }
-_ELAPSED = {**_NUMBER, "description": "Seconds since the path began; always or never. Without it, the server's clock."}
+_ELAPSED = {
+    **_NUMBER,
+    "description": "Seconds since the trajectory began; always or never. Without it, the server's clock.",
+}
 
 
 def described(service: InService, *, is_recording: bool) -> Schema:
@@ -30,11 +33,11 @@ def described(service: InService, *, is_recording: bool) -> Schema:
     """
     decide, reload = _post("Decide what to do now, and say why.", _asked(service), _decision(service)), _reloaded()
     recorded = {"/reward": _rewarded(service), "/end": _ended()} if is_recording else {}
-    paths = {"/decide": decide, **recorded, "/reload": reload, "/health": _health()}
+    addresses = {"/decide": decide, **recorded, "/reload": reload, "/health": _health()}
     return {
         "openapi": "3.1.0",
         "info": {"title": f"halfseen policy {service.digest}", "version": halfseen.__version__},
-        "paths": paths,
+        "paths": addresses,
     }
 
 
@@ -103,10 +106,10 @@ def _rewarded(service: InService) -> Schema:
 
 def _ended() -> Schema:
     cause = {**_TEXT, "description": "What cut it, such as operator; with cut alone."}
-    ending = {"enum": ["finished", "cut"], "description": "Whether the path came to its own end."}
+    ending = {"enum": ["finished", "cut"], "description": "Whether the trajectory came to its own end."}
     properties = {"ending": ending, "cause": cause, "elapsed_s": _ELAPSED}
     body = {"application/json": {"schema": _object(properties, ["ending"])}}
-    return _post("End the path in progress; what was cut has a cause.", body, {"type": "object"})
+    return _post("End the trajectory in progress; what was cut has a cause.", body, {"type": "object"})
 
 
 def _reloaded() -> Schema:

@@ -10,8 +10,8 @@ from halfseen.policies.decision import Decision
 from halfseen.policies.named_decider import NamedDecider
 from halfseen.policies.named_observation import checked_stage, known_covariates
 from halfseen.serving.in_service import InService
-from halfseen.serving.paths import Begun, RecordedPaths
 from halfseen.serving.refusal import Refusal
+from halfseen.serving.trajectories import Begun, RecordedTrajectories
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw
@@ -78,7 +78,7 @@ def seen_in_state(service: InService, state: Mapping[str, Any], next_stage: int 
 
 def _check_next(stage: int | None, next_stage: int | None) -> None:
     if next_stage is not None and stage not in (None, next_stage):
-        raise Refusal(409, f"stage is {stage}, but the path in progress has come to {next_stage}; leave it out")
+        raise Refusal(409, f"stage is {stage}, but the trajectory in progress has come to {next_stage}; leave it out")
 
 
 def _table(service: InService, state: Mapping[str, Any], covariates: Mapping[str, Any], stage: int) -> Seen:
@@ -97,9 +97,9 @@ def seen_in_cloud(
     labels: Path | None,
     stage: int | None,
     law: "SeenLaw | None",
-    paths: RecordedPaths | None = None,
+    trajectories: RecordedTrajectories | None = None,
 ) -> Seen:
-    """Take a cloud of a table that nothing is known of but this look, and what is recorded of its path.
+    """Take a cloud of a table that nothing is known of but this look, and what is recorded of its trajectory.
 
     Parameters
     ----------
@@ -107,8 +107,8 @@ def seen_in_cloud(
         What decides.
     cloud, labels, stage, law
         As `halfseen.policies.table_observation.see_table` takes them.
-    paths
-        What records; None if nothing is recorded, and then the cloud begins a path.
+    trajectories
+        What records; None if nothing is recorded, and then the cloud begins a trajectory.
 
     Raises
     ------
@@ -122,9 +122,9 @@ def seen_in_cloud(
         raise Refusal(415, f"the policy looks at {looks_at}, not at clouds; give a JSON object of these")
     from halfseen.policies.table_observation import Past, see_table
 
-    if paths is not None:
-        _check_next(stage, paths.next_stage(is_of_cloud=True))
-    so_far = None if paths is None else paths.so_far
+    if trajectories is not None:
+        _check_next(stage, trajectories.next_stage(is_of_cloud=True))
+    so_far = None if trajectories is None else trajectories.so_far
     past = None if so_far is None else Past(so_far.logs, so_far.held)
     try:
         table = see_table(service.stored, cloud, past, stage, labels, law)
@@ -132,7 +132,7 @@ def seen_in_cloud(
         raise type(error)(str(error).replace(f"{cloud.parent}/", "")) from error
     present, told = table.present, table.present.seen.replace(f"{cloud.parent}/", "")
     seen = Seen(lambda: service.decider.decide(present), present.stage, told=told)
-    if paths is None:
+    if trajectories is None:
         return seen
     from halfseen.serving.table_state import rows_of
 

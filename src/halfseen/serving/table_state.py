@@ -1,4 +1,4 @@
-"""Between where a path stands and the objects of a table, as a stage of a log has them: there, and back."""
+"""Between where a trajectory stands and the objects of a table, as a stage of a log has them: there, and back."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -36,7 +36,7 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
     Returns
     -------
     present : Present
-        Where its path stands.
+        Where its trajectory stands.
     names : list
         Of the objects, by the numbers that actions have.
 
@@ -46,7 +46,7 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
         They break a rule of tables.
     """
     _, told = Schema().with_stage({}, list(objects), _NOTHING_DONE, "the request")
-    begun = {"event": "stage", "path": 1, "stage": 1, "at_s": 0.0, "columns": {}, **told}
+    begun = {"event": "stage", "trajectory": 1, "stage": 1, "at_s": 0.0, "columns": {}, **told}
     states = states_of(log_so_far([begun]), stored.horizon)
     state = mapped(lambda leaf: leaf[0, 0], states)
     state = replace(state, steps_to_go=np.int32(stored.horizon - stage + 1))
@@ -57,14 +57,14 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
 def rows_of(
     present: Present, places_m: Points, before: Sequence[Row] = (), *, counts_views: bool = False
 ) -> tuple[list[Row], list[int]]:
-    """Put down the objects of a stage: all that ever came into view on its path.
+    """Put down the objects of a stage: all that ever came into view on its trajectory.
 
     They are named by numbers, counted in the order in which they came into view, so that a name stays with its object.
 
     Parameters
     ----------
     present
-        Where the path stands, its labels counted, before the action.
+        Where the trajectory stands, its labels counted, before the action.
     places_m
         Where the objects are that are seen, the first of `present` [m].
     before
@@ -111,6 +111,6 @@ def _washed(row: Row) -> Row:
 def _rows_on_table(state: TableState, counts_views: bool) -> list[Row]:
     """Rows of the objects of one state, as `halfseen.world.logs` writes them, in every stage the same columns."""
     stage = mapped(lambda leaf: leaf[None, None], state)
-    table = objects_of(stage, np.zeros((1, 2), dtype=np.int64)).drop_columns(["path", "stage"])
+    table = objects_of(stage, np.zeros((1, 2), dtype=np.int64)).drop_columns(["trajectory", "stage"])
     zeros = dict.fromkeys(OPTIONAL_COLUMNS, 0.0) if counts_views else {}
     return [zeros | row for row in table.to_pylist()]

@@ -1,4 +1,4 @@
-"""What figures of several experiments draw alike: policies as lines across, and curves by proportion of cut paths."""
+"""What figures of several experiments draw alike: policies as lines across, and curves by share of cut trajectories."""
 
 from collections.abc import Callable, Sequence
 
@@ -11,7 +11,7 @@ from halfseen.pages.numbers import amount, share
 from halfseen.pages.palette import MARKERS, learned_shades
 from halfseen.study.frames import where
 from halfseen.study.policies import LEARNED, Contender, Kind
-from halfseen.study.wording import PATHS_AXIS
+from halfseen.study.wording import TRAJECTORIES_AXIS
 
 MEAN = ["mean_reward", "low", "high"]
 """Columns of a mean and its interval."""
@@ -33,14 +33,14 @@ def draw_by_cut_share(
     draw: Callable[..., None],
     dodge: float,
 ) -> list[EndLabel]:
-    """Draw what was learned by size of the log, a curve for each proportion of cut paths."""
+    """Draw what was learned by size of the log, a curve for each proportion of cut trajectories."""
     labels, num = [], len(cut_shares)
     for k, (cut_share, colour) in enumerate(zip(cut_shares, learned_shades(num), strict=True)):
         rows = where(table, policy=LEARNED.name, cut_share=cut_share)
-        across = dodged(rows["num_paths"], k, num, dodge)
+        across = dodged(rows["num_trajectories"], k, num, dodge)
         draw(axes, across, rows[columns], color=colour, marker=MARKERS[k % len(MARKERS)])
         end = float(rows[columns[0]].iloc[-1])
-        cut = "no path cut" if cut_share == 0 else f"{share(cut_share)} of the paths cut"
+        cut = "no trajectory cut" if cut_share == 0 else f"{share(cut_share)} of the trajectories cut"
         labels.append(EndLabel(end, f"learned, {cut}  {amount(end)}", colour))
     return labels
 
@@ -55,7 +55,7 @@ def draw_by_size(
     labels = draw(axes)
     mark_sizes(axes, sizes)
     axes.set_xlim(min(sizes) / margins[0], max(sizes) * margins[1])
-    axes.set_xlabel(PATHS_AXIS)
+    axes.set_xlabel(TRAJECTORIES_AXIS)
     axes.set_title(name, **PANEL_TITLE)
     write_end_labels(axes, labels)
     return figure

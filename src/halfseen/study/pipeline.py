@@ -11,7 +11,7 @@ product is told nothing, and alike for all treatments of the log: so they differ
 policy's decisions fall short of V°, plus what V° is worth in the mean of many tables that are not played. Policies
 differ by the former alone.
 
-A cut path is treated in one of five ways, as what the learner sees of it:
+A cut trajectory is treated in one of five ways, as what the learner sees of it:
 
 ``imputed``
     Every begun stage, with an imputed target where it was cut, and Q at its lower confidence bound: what the product
@@ -21,11 +21,11 @@ A cut path is treated in one of five ways, as what the learner sees of it:
 ``unweighted``
     Every completed stage alike.
 ``dropped``
-    Only paths that finished, all their stages alike.
+    Only trajectories that finished, all their stages alike.
 ``failures``
-    Every completed stage alike, and the stage in which the cut fell counts as a failed attempt that ended the path:
-    WASH costs what a failure costs, LIFT the time until the cut, and the dirty objects left are paid for as at every
-    end.
+    Every completed stage alike, and the stage in which the cut fell counts as a failed attempt that ended the
+    trajectory: WASH costs what a failure costs, LIFT the time until the cut, and the dirty objects left are paid for as
+    at every end.
 """
 
 from collections.abc import Sequence
@@ -41,7 +41,7 @@ from halfseen.censoring import StageClocks, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_model import QModel
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import AUTO, Encoded
 from halfseen.planners.control import controlled_each, start_values
 from halfseen.shapes import Float
@@ -65,7 +65,7 @@ from halfseen.world.policy import GraspModel, Policy
 from halfseen.world.random import Key
 from halfseen.world.rollout import Episodes, Totals, evaluate_each, evaluate_some, play
 from halfseen.world.state import Layout
-from halfseen.world.table_world import NUM_PILOT_PATHS
+from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
 
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
@@ -100,7 +100,7 @@ class Played(NamedTuple):
 
 @dataclass(frozen=True)
 class Source:
-    """Where the paths of repetition `index` come from: a world, its tables, and the seed of the study."""
+    """Where the trajectories of repetition `index` come from: a world, its tables, and the seed of the study."""
 
     world: WorldConfig
     layouts: Layout
@@ -112,22 +112,22 @@ class Source:
         """The tables and the world of all experiments."""
         return cls(setting.world, setting.layouts, setting.seed, index)
 
-    def play(self, num_paths: int, purpose: int = LOGS) -> Episodes:
-        """Paths of the logging policy that nothing cut."""
+    def play(self, num_trajectories: int, purpose: int = LOGS) -> Episodes:
+        """Trajectories of the logging policy that nothing cut."""
         key = random_key(self.seed, purpose, self.index)
-        return play(self.world, self.layouts, logging_policy(self.world), key, num_paths)
+        return play(self.world, self.layouts, logging_policy(self.world), key, num_trajectories)
 
     def cut(self, episodes: Episodes, rate: float, kind: CutKind) -> CutEpisodes:
-        """Cut them, with the same draws for every rate and kind: a larger rate cuts the same paths earlier."""
+        """Cut them, with the same draws for every rate and kind: a larger rate cuts the same trajectories earlier."""
         return cut(episodes, rate, kind, np.random.default_rng([self.seed, self.index, 1]))
 
     def cut_rate(self, share: float, kind: CutKind) -> float:
-        """Rate that cuts this proportion of the paths in expectation, from a pilot."""
-        return cut_rate(self.play(NUM_PILOT_PATHS, PILOT), share, kind)
+        """Rate that cuts this proportion of the trajectories in expectation, from a pilot."""
+        return cut_rate(self.play(NUM_PILOT_TRAJECTORIES, PILOT), share, kind)
 
-    def logged(self, episodes: Episodes, grasp: Grasp = AUTO, *, laws: bool = True) -> "LoggedPaths":
-        """Take episodes to learn from, as `LoggedPaths` has it."""
-        return LoggedPaths(self, episodes, grasp, laws)
+    def logged(self, episodes: Episodes, grasp: Grasp = AUTO, *, laws: bool = True) -> "LoggedTrajectories":
+        """Take episodes to learn from, as `LoggedTrajectories` has it."""
+        return LoggedTrajectories(self, episodes, grasp, laws)
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
@@ -175,8 +175,8 @@ class Learned(NamedTuple):
 
 
 @dataclass(frozen=True)
-class LoggedPaths:
-    """Paths of a source that are learned from, however they are cut and treated."""
+class LoggedTrajectories:
+    """Trajectories of a source that are learned from, however they are cut and treated."""
 
     source: Source
     episodes: Episodes
@@ -187,18 +187,18 @@ class LoggedPaths:
 
     @cached_property
     def encoded(self) -> Encoded:
-        """All paths as the learner sees them where no log has its own model of grasps."""
+        """All trajectories as the learner sees them where no log has its own model of grasps."""
         action, is_taken = (np.asarray(leaf) for leaf in (self.episodes.action, self.episodes.is_taken))
         return encoded_states(
             self.episodes.states, action, is_taken, None if isinstance(self.grasp, str) else self.grasp
         )
 
-    def lay_out(self, cuts: CutEpisodes, treatment: str) -> PathArrays:
+    def lay_out(self, cuts: CutEpisodes, treatment: str) -> TrajectoryArrays:
         """A log as the learner sees it under a treatment."""
-        return treated(_path_arrays(cuts, self.encoded), cuts, treatment, self.source.world)
+        return treated(_trajectory_arrays(cuts, self.encoded), cuts, treatment, self.source.world)
 
     def learn(self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]) -> list[Learned]:
-        """Learn from the first paths of logs, each under its treatment; at each size from all."""
+        """Learn from the first trajectories of logs, each under its treatment; at each size from all."""
         treatments: dict[int, list[int]] = {}
         for number, (cuts, treatment) in enumerate(logs):
             if self.laws and treatment != "weighted":
@@ -211,10 +211,10 @@ class LoggedPaths:
             evidence = told_by(cuts, self.source.world) if self.laws else None
             laid_out = {number: self.lay_out(cuts, logs[number][1]) for number in numbers}
             for size in sizes:
-                first_tried = None if tried is None else tried.iloc[: int(tried["path"].searchsorted(size))]
+                first_tried = None if tried is None else tried.iloc[: int(tried["trajectory"].searchsorted(size))]
                 grasp, encoded = self._seen_by(cuts, first_tried, size)
-                for number, paths in laid_out.items():
-                    first = paths.take(slice(size))._replace(encoded=encoded)
+                for number, trajectories in laid_out.items():
+                    first = trajectories.take(slice(size))._replace(encoded=encoded)
                     fit, weights = self._learn_from(first, logs[number][1], grasp)
                     one = Learned(fit.policy, weights, fit.policy)
                     if evidence is not None and first_tried is not None:
@@ -223,14 +223,14 @@ class LoggedPaths:
         return [learned[size, number] for size in sizes for number in range(len(logs))]
 
     def _helped(self, one: Learned, fit: LinearFit, evidence: Evidence, tried: pd.DataFrame) -> Learned:
-        states = mapped(lambda leaf: np.asarray(leaf)[: fit.paths.num_paths], self.episodes.states)
+        states = mapped(lambda leaf: np.asarray(leaf)[: fit.trajectories.num_trajectories], self.episodes.states)
         with one_thread():
             found = helped(evidence, states, self.source.world, fit, tried)
         return one._replace(policy=found.policy, assisted=found)
 
-    def learn_one(self, cuts: CutEpisodes, num_paths: int) -> Policy:
-        """Learn from the first paths of a log, weighted."""
-        return self.learn([(cuts, "weighted")], [num_paths])[0].policy
+    def learn_one(self, cuts: CutEpisodes, num_trajectories: int) -> Policy:
+        """Learn from the first trajectories of a log, weighted."""
+        return self.learn([(cuts, "weighted")], [num_trajectories])[0].policy
 
     def learn_and_play(
         self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int], num_episodes: int
@@ -241,29 +241,29 @@ class LoggedPaths:
         return [(one.weights, each) for one, each in zip(learned, played, strict=True)]
 
     def _learn_from(
-        self, paths: PathArrays, treatment: str, grasp: GraspModel | None
+        self, trajectories: TrajectoryArrays, treatment: str, grasp: GraspModel | None
     ) -> tuple[LinearFit, dict[str, float]]:
-        model = self.model(treatment, grasp).with_cuts(paths)
-        rows = model.transitions(paths)
-        return LinearFit(model.policy(model.fit(rows)), model, paths), _weights(np.asarray(rows.weight))
+        model = self.model(treatment, grasp).with_cuts(trajectories)
+        rows = model.transitions(trajectories)
+        return LinearFit(model.policy(model.fit(rows)), model, trajectories), _weights(np.asarray(rows.weight))
 
     def _seen_by(
-        self, cuts: CutEpisodes, tried: pd.DataFrame | None, num_paths: int
+        self, cuts: CutEpisodes, tried: pd.DataFrame | None, num_trajectories: int
     ) -> tuple[GraspModel | None, Encoded]:
-        """What tells the probability of a grasp, by what a log's first paths tried, and what the learner sees by it.
+        """What tells the probability of a grasp, by what the first of a log tried, and what the learner sees by it.
 
         It is seen until the next one is asked for: the features of all lie in the same memory.
         """
-        common = mapped(lambda leaf: leaf[:num_paths], self.encoded)
+        common = mapped(lambda leaf: leaf[:num_trajectories], self.encoded)
         if not isinstance(self.grasp, str):
             return self.grasp, common
         assert tried is not None
         grasp = choose_by(tried, self.source.world.horizon).grasp
         if grasp is None:
             return None, common
-        at = np.nonzero(cuts.is_begun[:num_paths])
+        at = np.nonzero(cuts.is_begun[:num_trajectories])
         there = mapped(lambda leaf: np.asarray(leaf)[at], self.episodes.states)
-        features = self._room[:num_paths]
+        features = self._room[:num_trajectories]
         features[at] = table_features(there, grasp)
         return grasp, common._replace(features=features)
 
@@ -283,21 +283,23 @@ class LoggedPaths:
         ).compose()
 
 
-def treated(paths: PathArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> PathArrays:
+def treated(trajectories: TrajectoryArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> TrajectoryArrays:
     """What a learner sees of a log under one of `TREATMENTS`."""
     if treatment not in TREATMENTS:
         raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
-    clocks = paths.clocks
+    clocks = trajectories.clocks
     if treatment == "dropped":
         kept = cuts.is_finished[:, None]
         elapsed = np.where(kept, clocks.elapsed_s, np.nan)
-        return paths._replace(clocks=clocks._replace(is_begun=clocks.is_begun & kept, elapsed_s=elapsed))
+        return trajectories._replace(clocks=clocks._replace(is_begun=clocks.is_begun & kept, elapsed_s=elapsed))
     if treatment == "failures":
         is_cut_stage = cuts.is_begun & ~cuts.is_completed
         elapsed = np.where(is_cut_stage, cuts.end_s[:, None], clocks.elapsed_s)
         ended = clocks._replace(elapsed_s=elapsed, is_finished=np.ones_like(clocks.is_finished))
-        return paths._replace(reward=np.where(is_cut_stage, _failure_reward(cuts, world), paths.reward), clocks=ended)
-    return paths
+        return trajectories._replace(
+            reward=np.where(is_cut_stage, _failure_reward(cuts, world), trajectories.reward), clocks=ended
+        )
+    return trajectories
 
 
 def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, "n T"]:
@@ -310,10 +312,10 @@ def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, 
     return attempt + world.reward_dirty_left * dirty_left
 
 
-def _path_arrays(cuts: CutEpisodes, encoded: Encoded) -> PathArrays:
+def _trajectory_arrays(cuts: CutEpisodes, encoded: Encoded) -> TrajectoryArrays:
     """A log as arrays: what reading back its `Logs` gives, without writing them."""
     clocks = StageClocks(
-        path_ids=np.arange(len(cuts.end_s)),
+        trajectory_ids=np.arange(len(cuts.end_s)),
         elapsed_s=elapsed_s(cuts),
         end_s=cuts.end_s,
         is_finished=cuts.is_finished,
@@ -321,7 +323,7 @@ def _path_arrays(cuts: CutEpisodes, encoded: Encoded) -> PathArrays:
         covariates=np.zeros((*cuts.is_begun.shape, 0)),
         covariate_names=(),
     )
-    return PathArrays(
+    return TrajectoryArrays(
         clocks=clocks,
         encoded=encoded,
         has_action=cuts.is_begun,

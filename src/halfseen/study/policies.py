@@ -93,7 +93,7 @@ STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]
 
 
 def planner(num_simulations: int) -> Contender:
-    """A planner that looks to the end of a path with so many simulations a decision."""
+    """A planner that looks to the end of a trajectory with so many simulations a decision."""
 
     def make(world: WorldConfig) -> POMDPPolicy:
         return POMDPPolicy(world, planning_horizon=world.horizon, num_simulations=num_simulations)

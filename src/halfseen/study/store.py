@@ -48,11 +48,11 @@ class Store:
 
     def has(self, name: str) -> bool:
         """Whether a piece is there."""
-        return self._path(name).exists()
+        return self._trajectory(name).exists()
 
     def keep(self, name: str, piece: Any) -> None:
         """Keep a piece."""
-        write_file(self._path(name), as_json({"piece": piece, "sha256": self._digest(piece)}))
+        write_file(self._trajectory(name), as_json({"piece": piece, "sha256": self._digest(piece)}))
 
     def read(self, name: str) -> Any:
         """Read a piece.
@@ -62,7 +62,7 @@ class Store:
         ArgumentError
             It cannot be read, was changed, or is of another study.
         """
-        path = self._path(name)
+        path = self._trajectory(name)
         try:
             kept = json_of(read_text(path, NUMBERS))
             if not (isinstance(kept, dict) and kept.get("sha256") == self._digest(kept.get("piece"))):
@@ -83,7 +83,7 @@ class Store:
     def _digest(self, piece: Any) -> str:
         return hashlib.sha256((self._claim + as_json(piece)).encode()).hexdigest()
 
-    def _path(self, name: str) -> Path:
+    def _trajectory(self, name: str) -> Path:
         return self.folder / f"{name}.json"
 
 

@@ -29,7 +29,7 @@ FEWEST_TIMED = 3
 
 
 def states_along_the_way(source: Source, num_states: int) -> list[TableState]:
-    """One state from each of many paths of the logging policy, early and late ones in turn."""
+    """One state from each of many trajectories of the logging policy, early and late ones in turn."""
     episodes = source.play(num_states)
     num_stages = np.asarray(episodes.is_taken).sum(axis=1)
     return [mapped(lambda leaf, k=k: leaf[k, k % num_stages[k]], episodes.states) for k in range(num_states)]

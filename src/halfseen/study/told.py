@@ -1,7 +1,7 @@
 """What the laws fitted to a log of the study are, and what is learned with their help: from its arrays, at every size.
 
-A log is written and read once, for what it tells of laws; what its first n paths tell is a part of that. All else that
-`halfseen.tables.assisted.learner` reads off `Logs` is at hand.
+A log is written and read once, for what it tells of laws; what its first n trajectories tell is a part of that. All
+else that `halfseen.tables.assisted.learner` reads off `Logs` is at hand.
 """
 
 from contextlib import suppress
@@ -13,7 +13,7 @@ import pandas as pd
 
 from halfseen.errors import HalfseenError
 from halfseen.learning.q_model import QModel
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, rule_or_linear
 from halfseen.tables.assisted.policy import RulePolicy
 from halfseen.tables.assisted.weighted_log import layouts_of, weighed
@@ -42,7 +42,7 @@ class LinearFit(NamedTuple):
     policy: LinearTablePolicy
     model: QModel
     """Fitted to the log but for Q."""
-    paths: PathArrays
+    trajectories: TrajectoryArrays
     """The log as the model sees it."""
 
 
@@ -70,5 +70,5 @@ def helped(
             rule = replace(rule, grasp=grasp_model_by(BetaGrasp(), tried, world.horizon))
         return rule_or_linear(rule, *linear, states)
 
-    log = weighed(linear.paths, states)
+    log = weighed(linear.trajectories, states)
     return assisted_by(evidence, log, layouts_of(states), world, linear.model.random_state, without)

@@ -14,7 +14,7 @@ def tried_in(cuts: CutEpisodes) -> pd.DataFrame:
     Parameters
     ----------
     cuts
-        The episodes; path k is number k.
+        The episodes; trajectory k is number k.
 
     Returns
     -------
@@ -26,22 +26,22 @@ def tried_in(cuts: CutEpisodes) -> pd.DataFrame:
     begun_s = np.pad(np.nan_to_num(elapsed), ((0, 0), (1, 0)))[:, :-1]
     time_s = np.where(cuts.is_completed, elapsed, cuts.end_s[:, None]) - begun_s
     is_last = np.arange(action.shape[1]) == action.shape[1] - 1
-    path, stage = np.nonzero(cuts.is_begun & (action != FINISH) & ~is_last & (time_s > 0.0))
-    target = ActionSpace(states.num_objects).target(action[path, stage])
+    trajectory, stage = np.nonzero(cuts.is_begun & (action != FINISH) & ~is_last & (time_s > 0.0))
+    target = ActionSpace(states.num_objects).target(action[trajectory, stage])
     occluded, successes, failures = (np.asarray(leaf, dtype=np.float64) for leaf in history_of(states))
-    at, after = (path, stage, target), (path, stage + 1, target)
-    is_finished = cuts.is_completed[path, stage]
+    at, after = (trajectory, stage, target), (trajectory, stage + 1, target)
+    is_finished = cuts.is_completed[trajectory, stage]
     return pd.DataFrame(
         {
-            "path": path,
+            "trajectory": trajectory,
             "stage": stage + 1,
-            "object": pd.factorize(path * states.num_objects + target)[0],
+            "object": pd.factorize(trajectory * states.num_objects + target)[0],
             "occlusion": occluded[at],
             "grip": np.asarray(states.grip, dtype=np.float64)[at],
             "successes": successes[at],
             "failures": failures[at],
             "succeeded": pd.Series(successes[after] > successes[at], dtype="boolean").mask(~is_finished),
-            "time_s": time_s[path, stage],
+            "time_s": time_s[trajectory, stage],
             "is_finished": is_finished,
         }
     )

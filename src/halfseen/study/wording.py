@@ -9,8 +9,8 @@ from halfseen.pages.numbers import MISSING, estimated, p_value, share_in_words
 from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED
 from halfseen.study.experiment import Row
 
-PATHS_AXIS = "logged paths that the policy was learned from (log scale)"
-REWARD_AXIS = "mean reward of a path, on fresh episodes"
+TRAJECTORIES_AXIS = "logged trajectories that the policy was learned from (log scale)"
+REWARD_AXIS = "mean reward of a trajectory, on fresh episodes"
 CUT_KIND_NAMES = {
     "independent": "independent cuts",
     "occlusion": "cuts where much is hidden",
@@ -27,10 +27,10 @@ EFFECT = ("effect", "effect_low", "effect_high")
 """Columns of a paired difference, ours − other, in tables of tests."""
 
 
-def learned_from(num_paths: int, cut_share: float) -> str:
+def learned_from(num_trajectories: int, cut_share: float) -> str:
     """Say what was learned from."""
     cut = "none of them cut" if cut_share == 0 else f"of which about {share_in_words(cut_share)} were cut"
-    return f"learned from {num_paths} logged paths, {cut},"
+    return f"learned from {num_trajectories} logged trajectories, {cut},"
 
 
 def estimated_in(row: Row, columns: Sequence[str], decimals: int = 2) -> str:

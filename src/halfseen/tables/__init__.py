@@ -3,8 +3,8 @@
 Read down: `features` and `team_features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from
 attempts) → `encoding` (logs → features, and what cuts may depend on) → `prior` → `rewards` (less noise in the targets)
 → `policy` (what was learned, and what policies would have done) → `task` (all of it behind one seam, for any number of
-robots) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the path so far
-→ the state to decide in). Of several robots: `agent_logs`, `independent` (each for itself).
+robots) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the trajectory
+so far → the state to decide in). Of several robots: `agent_logs`, `independent` (each for itself).
 
 Beside them, `laws`: a world whose laws were fitted to the same log, for planners that know no law; and `assisted`, the
 learner that starts from what these laws imply: `features` and `synthetic` (the look one step ahead, and what it

@@ -6,7 +6,7 @@ time between (`halfseen.world.logs`). Its table holds what it has reached so far
 others take from there is in the dishwasher, what it no longer reaches is lost to it as long as that lasts, and what
 hides something from outside its reach is not in its table.
 
-Its path ends
+Its trajectory ends
 
 - *cut*, with the cause, where it dropped out, or where the table was cut before it came to its own end;
 - *cut*, with the cause `SPENT`, where waiting had cost it decisions and the others were spent: alone it would have gone
@@ -14,7 +14,7 @@ Its path ends
 - *finished*, where it parked, what it reaches was clear, the table was over, or its decisions were spent on other than
   waiting. One that waits to its end finishes: the wait is a FINISH that takes as long.
 
-A path in which it began nothing that was seen is not in its log.
+A trajectory in which it began nothing that was seen is not in its log.
 """
 
 from typing import Any
@@ -41,7 +41,7 @@ _WAIT, _FINISH = VERB_NAMES[-1], Verb.FINISH.name
 _ATTEMPTS = tuple(VERB_NAMES[verb] for verb in TARGETED)
 _LEAST_S = 1e-6
 """What a wait to the end takes at least, so that the clock of one robot rises [s]."""
-_STAGE = ["path", "stage"]
+_STAGE = ["trajectory", "stage"]
 
 
 def agent_view(logs: Logs, robot: int) -> Logs:
@@ -59,35 +59,39 @@ def agent_view(logs: Logs, robot: int) -> Logs:
     ArgumentError
         The log tells of no such robot.
     LogError
-        The log breaks a rule of tables or of teams, a column is missing, or it began nothing in any path.
+        The log breaks a rule of tables or of teams, a column is missing, or it began nothing in any trajectory.
     """
     if robot not in set(logs.stages["robot"] if "robot" in logs.stages.columns else ()):
         raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
     require_columns("stages", logs.stages, (f"{robot}_reward",))
     log = checked_tables(logs, is_team=True)
     mine = _in_reach(log, _with_own_history(log, robot), log.is_reached[:, robot])
-    stages, paths = _own_stages(logs, robot, _is_clear(logs, mine))
+    stages, trajectories = _own_stages(logs, robot, _is_clear(logs, mine))
     if not len(stages):
-        raise LogError(f"robot {robot} began nothing in any path; there is nothing to learn from it alone")
+        raise LogError(f"robot {robot} began nothing in any trajectory; there is nothing to learn from it alone")
     at = stages[[*_STAGE, "of_team"]].rename(columns={"of_team": "stage", "stage": "own"})
     own_objects = mine.merge(at, on=_STAGE).drop(columns="stage").rename(columns={"own": "stage"})
-    of_one = [name for name in logs.paths.columns if is_of_one_robot(name)]
-    known = logs.paths.drop(columns=["end_s", "ending", "cause", *of_one])
-    tables: Any = (stages.drop(columns="of_team"), paths.merge(known, on="path"), _through_arrow(own_objects))
+    of_one = [name for name in logs.trajectories.columns if is_of_one_robot(name)]
+    known = logs.trajectories.drop(columns=["end_s", "ending", "cause", *of_one])
+    tables: Any = (
+        stages.drop(columns="of_team"),
+        trajectories.merge(known, on="trajectory"),
+        _through_arrow(own_objects),
+    )
     return Logs(*tables, reward_unit=logs.reward_unit)
 
 
 def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """Stages, and ends of paths, on the robot's own clock, which stands while it waits for what it does next."""
+    """Stages, and ends of trajectories, on the robot's own clock, which stands while it waits for what it does next."""
     rows: Any = _own_rows(logs, robot, is_clear)
     # A stage lasts from a decision to the next; waits one after another are one.
     decided = rows[rows["is_mine"]]
-    goes_on = decided["is_wait"] & decided.groupby("path")["is_wait"].shift(fill_value=False)
+    goes_on = decided["is_wait"] & decided.groupby("trajectory")["is_wait"].shift(fill_value=False)
     begins = rows["is_mine"] & ~goes_on.reindex(rows.index, fill_value=False)
     first, last = (rows[at].reset_index(drop=True) for at in (begins, begins.shift(-1, fill_value=True)))
     paid = np.add.reduceat(rows["reward"].to_numpy(), np.flatnonzero(begins)) if len(rows) else np.zeros(0)
-    ends: Any = _ends(logs, robot).iloc[first["path"]].reset_index(drop=True)
-    is_last, is_wait = ~first["path"].duplicated(keep="last"), first["is_wait"]
+    ends: Any = _ends(logs, robot).iloc[first["trajectory"]].reset_index(drop=True)
+    is_last, is_wait = ~first["trajectory"].duplicated(keep="last"), first["is_wait"]
     is_out = ends["out_s"].notna() & ~first["is_cleared"]
     is_seen = ~is_out & last["end_s"].notna()
     is_spent = is_last & is_seen & _is_short(logs, first, last)
@@ -95,49 +99,51 @@ def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> 
     until_s = last["end_s"].where(is_whole, np.where(is_out, ends["out_s"], ends["end_s"]))
     takes_s: Any = np.maximum(until_s - first["begin_s"], np.where(is_wait, _LEAST_S, 0.0))
     # Cut while it waited: its clock had stood.
-    elapsed_s = takes_s.where(~is_wait | (is_last & is_whole), 0.0).groupby(first["path"]).cumsum()
+    elapsed_s = takes_s.where(~is_wait | (is_last & is_whole), 0.0).groupby(first["trajectory"]).cumsum()
     is_told = is_whole & ~is_spent
     at: Any = logs.stages.iloc[first["at"]].reset_index(drop=True)
-    own = at[[name for name in ("path", "action", "object", "probability") if name in at.columns]].assign(
+    own = at[[name for name in ("trajectory", "action", "object", "probability") if name in at.columns]].assign(
         of_team=at["stage"],
         stage=0,
         elapsed_s=elapsed_s.where(is_told),
         reward=np.where(is_told, paid, np.nan),
         action=at["action"].mask(is_wait & is_told, _FINISH).mask(is_wait & ~is_told, None),
     )
-    has_begun = elapsed_s.groupby(first["path"]).transform("last") > 0.0
+    has_begun = elapsed_s.groupby(first["trajectory"]).transform("last") > 0.0
     own = own[has_begun & (is_last | ~is_wait)].reset_index(drop=True)
-    own["stage"] = own.groupby("path").cumcount() + 1
+    own["stage"] = own.groupby("trajectory").cumcount() + 1
     is_finished = is_seen & ~is_spent
     cause = ends["cause"].astype(object).mask(is_out, ends["out_cause"]).mask(is_spent, SPENT).mask(is_finished, None)
     ending = np.where(is_finished, FINISHED, CUT)
-    paths: Any = pd.DataFrame({"path": ends["path"], "end_s": elapsed_s, "ending": ending, "cause": cause})
-    return own, paths[has_begun & is_last].reset_index(drop=True)
+    trajectories: Any = pd.DataFrame(
+        {"trajectory": ends["trajectory"], "end_s": elapsed_s, "ending": ending, "cause": cause}
+    )
+    return own, trajectories[has_begun & is_last].reset_index(drop=True)
 
 
 def _own_rows(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
     """The team's stages from the robot's first decision to its end: until it is out of work, or its reach is clear."""
-    stages, (path, _) = logs.stages, stage_places(logs)
+    stages, (trajectory, _) = logs.stages, stage_places(logs)
     does, to_go = stages[f"{robot}_does"], stages[f"{robot}_decisions_to_go"]
     is_mine = stages["robot"] == robot
 
     def so_far(is_it: pd.Series) -> pd.Series:
-        return is_it.groupby(path).cumsum() > 0
+        return is_it.groupby(trajectory).cumsum() > 0
 
-    decides_yet = is_mine[::-1].groupby(path[::-1]).cumsum()[::-1] > 0
+    decides_yet = is_mine[::-1].groupby(trajectory[::-1]).cumsum()[::-1] > 0
     is_over = does.isin([PARKED, OUT]) | ((does == FREE) & (to_go == 0))
     found = is_mine & is_clear
     rows: Any = pd.DataFrame(
         {
             "at": np.arange(len(stages)),
-            "path": path,
-            "begin_s": stages["elapsed_s"].groupby(path).shift(fill_value=0.0),
+            "trajectory": trajectory,
+            "begin_s": stages["elapsed_s"].groupby(trajectory).shift(fill_value=0.0),
             "end_s": stages["elapsed_s"],
             "reward": stages[f"{robot}_reward"].astype(np.float64),
             "action": stages["action"],
             "is_wait": stages["action"] == _WAIT,
             "is_mine": is_mine,
-            "is_cleared": found.groupby(path).transform("any"),
+            "is_cleared": found.groupby(trajectory).transform("any"),
             "to_go": to_go,
         }
     )
@@ -145,25 +151,26 @@ def _own_rows(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> pd
 
 
 def _ends(logs: Logs, robot: int) -> pd.DataFrame:
-    """How each path of the team ended, and whether, when and why the robot dropped out."""
-    named = logs.paths.rename(columns={f"{robot}_out_s": "out_s", f"{robot}_out_cause": "out_cause"})
-    return named.reindex(columns=["path", "end_s", "cause", "out_s", "out_cause"])
+    """How each trajectory of the team ended, and whether, when and why the robot dropped out."""
+    named = logs.trajectories.rename(columns={f"{robot}_out_s": "out_s", f"{robot}_out_cause": "out_cause"})
+    return named.reindex(columns=["trajectory", "end_s", "cause", "out_s", "out_cause"])
 
 
 def _is_short(logs: Logs, first: pd.DataFrame, last: pd.DataFrame) -> pd.Series:
     """Whether an attempt was the last for want of decisions, of which waiting had cost some.
 
-    It was not where it ended a path in which somebody that does not go home still had decisions: the table was clear.
+    It was not where it ended a trajectory in which somebody that does not go home still had decisions: the table was
+    clear.
     """
-    stages, path = logs.stages, first["path"].to_numpy()
+    stages, trajectory = logs.stages, first["trajectory"].to_numpy()
     end = stages.groupby(stage_places(logs)[0]).tail(1)
-    goes_on = np.zeros(logs.num_paths, dtype=bool)
+    goes_on = np.zeros(logs.num_trajectories, dtype=bool)
     for robot in range(robots_in(logs)):
         decides = end["robot"] == robot
         does = end[f"{robot}_does"].mask(decides, end["action"])
         goes_on |= ((end[f"{robot}_decisions_to_go"] > decides) & ~does.isin([PARKED, OUT, _FINISH])).to_numpy()
-    was_cleared = (logs.is_finished & goes_on)[path] & (last["at"] == end.index.to_numpy()[path])
-    has_waited = first.groupby("path")["is_wait"].transform("any")
+    was_cleared = (logs.is_finished & goes_on)[trajectory] & (last["at"] == end.index.to_numpy()[trajectory])
+    has_waited = first.groupby("trajectory")["is_wait"].transform("any")
     return first["action"].isin(_ATTEMPTS) & (first["to_go"] == 1) & has_waited & ~was_cleared
 
 
@@ -176,7 +183,9 @@ def _is_clear(logs: Logs, mine: pd.DataFrame) -> Bool[np.ndarray, " rows"]:
 def _in_reach(log: TableLog, objects: pd.DataFrame, is_reached: Bool[np.ndarray, " rows"]) -> pd.DataFrame:
     """What the robot has reached so far, lost where it does not now; what hides it, too, as far as that was reached."""
     begin = np.arange(len(objects)) - objects.groupby(_STAGE, sort=False).cumcount().to_numpy()
-    was_reached = pd.Series(is_reached, index=objects.index).groupby([objects["path"], objects["object"]]).cummax()
+    was_reached = (
+        pd.Series(is_reached, index=objects.index).groupby([objects["trajectory"], objects["object"]]).cummax()
+    )
     is_kept = was_reached.to_numpy(dtype=bool)
     is_lost = (objects["location"] == TABLE) & ~is_reached
     hidden_by = log.lists("hidden_by")
@@ -194,7 +203,7 @@ def _with_own_history(log: TableLog, robot: int) -> pd.DataFrame:
     successes, tried = (np.bincount(held.row, is_it, num_rows) for is_it in (is_mine & (held.values > 0), is_mine))
     is_latest = np.append(held.row[1:] != held.row[:-1], True)[: len(held.row)]
     is_own_lift = np.bincount(held.row, is_latest & ~is_mine, num_rows) == 0
-    of_object = [objects["path"], objects["object"]]
+    of_object = [objects["trajectory"], objects["object"]]
     gained = objects["lifts"].groupby(of_object).diff().fillna(objects["lifts"])
     return objects.assign(
         attempt_occlusions=_lists(occluded.values, occluded.row, is_mine, num_rows),
@@ -223,13 +232,15 @@ def _through_arrow(objects: pd.DataFrame) -> pa.Table:
 
 
 def _robots_of_attempts(log: TableLog, robot: int) -> Int[np.ndarray, " attempts"]:
-    """Who made each past attempt, by attempt_by; without it, who began it, or the robot itself before the path."""
+    """Who made each past attempt, by attempt_by; without it, who began it, or the robot itself before."""
     objects = log.objects
     if ATTEMPT_BY in objects.columns:
         return log.lists(ATTEMPT_BY).values.astype(np.int64)
-    key, tried = ["path", "object"], log.lists("attempt_occlusions")
+    key, tried = ["trajectory", "object"], log.lists("attempt_occlusions")
     at_first = pd.Series(np.where(objects["stage"] == 1, tried.lengths, 0))
-    before = at_first.groupby([objects["path"].to_numpy(), objects["object"].to_numpy()]).transform("max").to_numpy()
+    before = (
+        at_first.groupby([objects["trajectory"].to_numpy(), objects["object"].to_numpy()]).transform("max").to_numpy()
+    )
     begun = _begun_attempts(log.logs)
     each = pd.DataFrame(objects[key]).iloc[tried.row].assign(number=tried.place - before[tried.row])
     by = each.merge(begun.assign(number=begun.groupby(key).cumcount()), on=[*key, "number"], how="left")["robot"]
@@ -242,11 +253,11 @@ def _robots_of_attempts(log: TableLog, robot: int) -> Int[np.ndarray, " attempts
 
 
 def _begun_attempts(logs: Logs) -> pd.DataFrame:
-    """Who tried which object of which path, in order; what was abandoned is no attempt."""
-    stages, (path, _) = logs.stages, stage_places(logs)
-    is_last, is_out = ~stages.duplicated(["path", "robot"], keep="last"), np.zeros(len(stages), dtype=bool)
-    for robot in robots_that_may_drop_out(logs.paths):
-        is_out |= logs.paths[f"{robot}_out_s"].notna().to_numpy()[path] & (stages["robot"] == robot).to_numpy(
-            dtype=bool
-        )
-    return stages.loc[stages["action"].isin(_ATTEMPTS) & ~(is_out & is_last), ["path", "object", "robot"]]
+    """Who tried which object of which trajectory, in order; what was abandoned is no attempt."""
+    stages, (trajectory, _) = logs.stages, stage_places(logs)
+    is_last, is_out = ~stages.duplicated(["trajectory", "robot"], keep="last"), np.zeros(len(stages), dtype=bool)
+    for robot in robots_that_may_drop_out(logs.trajectories):
+        is_out |= logs.trajectories[f"{robot}_out_s"].notna().to_numpy()[trajectory] & (
+            stages["robot"] == robot
+        ).to_numpy(dtype=bool)
+    return stages.loc[stages["action"].isin(_ATTEMPTS) & ~(is_out & is_last), ["trajectory", "object", "robot"]]

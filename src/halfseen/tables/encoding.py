@@ -26,7 +26,7 @@ from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
-"""All of them; the first two are known as a path begins."""
+"""All of them; the first two are known as a trajectory begins."""
 
 NUM_AT_BEGIN = 2
 
@@ -44,7 +44,7 @@ def encoded_states(
     Parameters
     ----------
     states
-        Tables, axes (n, T); of more paths than n, the first are encoded.
+        Tables, axes (n, T); of more trajectories than n, the first are encoded.
     action
         What was done.
     is_state
@@ -52,8 +52,8 @@ def encoded_states(
     grasp
         What tells the probability of a grasp in the features; None for the rule of succession.
     """
-    num_paths, at = len(is_state), np.nonzero(is_state)
-    return encoded_at(at, mapped(lambda leaf: leaf[:num_paths][at], states), action, grasp)
+    num_trajectories, at = len(is_state), np.nonzero(is_state)
+    return encoded_at(at, mapped(lambda leaf: leaf[:num_trajectories][at], states), action, grasp)
 
 
 def encoded_at(
@@ -63,7 +63,7 @@ def encoded_at(
     grasp: GraspModel | None = None,
     choices: Callable[[TableState], np.ndarray] = worthwhile_actions,
 ) -> Encoded:
-    """Encode the tables of some stages, (path, stage) from 0, of one robot or several.
+    """Encode the tables of some stages, (trajectory, stage) from 0, of one robot or several.
 
     Parameters
     ----------
@@ -178,7 +178,7 @@ def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool 
         return f"action {said} of object {target} is none that {who}; give {_in_words(is_team)}"
 
     refuse(stages, wrong, unknown)
-    action = np.full((logs.num_paths, horizon), FINISH, dtype=np.int64)
+    action = np.full((logs.num_trajectories, horizon), FINISH, dtype=np.int64)
     codes = ActionSpace(num_objects).encode(verb, np.maximum(begun_objects(logs), 0))
     action[stage_places(logs)] = np.select([has_target, verb == WAIT], [codes, wait_of(num_objects)], FINISH)
     return action
@@ -210,7 +210,7 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
         known = ", ".join(TABLE_COVARIATES) + did_you_mean(unknown[0], TABLE_COVARIATES)
         raise ArgumentError(f"censoring covariate {unknown[0]!r} is none of a table's: {known}")
     assert logs.objects is not None
-    keys = ["path", "stage"]
+    keys = ["trajectory", "stage"]
     there = logs.objects[logs.objects["location"] == TABLE]
     each = there.groupby(keys)["occlusion"]
     of_table = pd.DataFrame({"num_objects": each.size().astype(float), "mean_occlusion": each.mean()}).reset_index()

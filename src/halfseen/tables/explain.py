@@ -4,11 +4,12 @@
 is wrong. Where no look has told anything of an object yet, P(DIRTY) is the prior, which is no evidence: that is said
 instead.
 
-*How sure.* What Q is when paths are drawn anew with replacement (`bootstrap`) are draws of what Q may be. They know the
-sampling error of the log, though too little of it: λ shrinks all of them alike. They do not know that Q may not be
-linear in its features, which more paths do not mend. So their deviations from the mean are stretched: by a factor, and
-as far as an error of Q asks for that no log ever takes away. Both numbers were chosen on tables of three cups over six
-steps and two over eight, in the world's default numbers, and checked on others: ``benchmarks/calibration.py``.
+*How sure.* What Q is when trajectories are drawn anew with replacement (`bootstrap`) are draws of what Q may be. They
+know the sampling error of the log, though too little of it: λ shrinks all of them alike. They do not know that Q may
+not be linear in its features, which more trajectories do not mend. So their deviations from the mean are stretched: by
+a factor, and as far as an error of Q asks for that no log ever takes away. Both numbers were chosen on tables of three
+cups over six steps and two over eight, in the world's default numbers, and checked on others:
+``benchmarks/calibration.py``.
 """
 
 from collections.abc import Sequence
@@ -235,7 +236,7 @@ class LearnedExplainer:
     policy
         What was learned.
     replicates
-        The same, learned from paths drawn anew; its coefficients have a leading axis.
+        The same, learned from trajectories drawn anew; its coefficients have a leading axis.
     lasting_error
         Standard deviation of the error of Q that no log takes away [reward].
     """
@@ -248,7 +249,7 @@ class LearnedExplainer:
     def of(
         cls, learner: CensoredQLearner, logs: Logs, num_replicates: int = 100, random_state: int = 0
     ) -> "LearnedExplainer":
-        """Draw paths anew and fit each draw.
+        """Draw trajectories anew and fit each draw.
 
         Parameters
         ----------
@@ -295,7 +296,7 @@ class LearnedExplainer:
         Raises
         ------
         ArgumentError
-            `level` is out of range, or the path is over.
+            `level` is out of range, or the trajectory is over.
         """
         check_goes_on(state)
         drawn = replace(self.policy, coefficients=self.replicates.coefficients).estimates(state)

@@ -142,8 +142,8 @@ class LinearTablePolicy(_LinearPolicy):
 class LinearTeamPolicy(_LinearPolicy):
     """Decides for the robot of several that is free; one block of coefficients for all verbs.
 
-    Where Q̂ is that of a base policy, the base decides unless the maximum of Q̂ is worth more than the base's own action
-    by more than `caution`: one step of policy iteration, one robot at a time, that Q̂'s errors are not to undo.
+    Where Q̂ is that of a base policy, the base decides unless the maximum of Q̂ is worth more than the base's own
+    action by more than `caution`: one step of policy iteration, one robot at a time, that Q̂'s errors are not to undo.
 
     Parameters
     ----------

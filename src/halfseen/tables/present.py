@@ -15,7 +15,7 @@ from halfseen.world.state import NO_ATTEMPT, TableState, occlusion
 
 @dataclass(frozen=True)
 class Present:
-    """Where a path stands.
+    """Where a trajectory stands.
 
     Parameters
     ----------
@@ -140,7 +140,7 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
     if not 1 <= stage <= horizon or len(tried) > horizon:
         raise PolicyError(
             f"stage {stage} with {len(tried)} past attempts lies beyond the policy's horizon of {horizon} stages; the "
-            "path is over, or learn with a longer horizon"
+            "trajectory is over, or learn with a longer horizon"
         )
     empty = [Tried(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
     target, occluded, succeeded = (np.array(column) for column in zip(*tried, *empty, strict=True))
@@ -167,7 +167,7 @@ def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSee
     Parameters
     ----------
     present
-        Where the path stands; where its log-odds hold this look, only what is new to the history is labelled.
+        Where the trajectory stands; where its log-odds hold this look, only what is new to the history is labelled.
     is_dirty
         What each object of the cloud looks like; None where nothing can be said.
     seeing

@@ -20,7 +20,7 @@ class PriorFacts(NamedTuple):
     """What a log, or a part of it, tells of P(DIRTY)."""
 
     stated: tuple[float, float] | None
-    """Least and largest of what its paths say; None where one does not."""
+    """Least and largest of what its trajectories say; None where one does not."""
     total: float
     """Sum of P(DIRTY) over the objects of all first stages."""
     count: int
@@ -29,13 +29,13 @@ class PriorFacts(NamedTuple):
 def logged_dirty_share(logs: Logs) -> float:
     """Read the prior that the log-odds of a log started from.
 
-    Where the paths have a column ``dirty_share``, it is that. Else it is the mean of P(DIRTY) over the objects of all
-    first stages: given right labels, E[P(DIRTY | label)] is the prior.
+    Where the trajectories have a column ``dirty_share``, it is that. Else it is the mean of P(DIRTY) over the objects
+    of all first stages: given right labels, E[P(DIRTY | label)] is the prior.
 
     Raises
     ------
     LogError
-        The log has no objects, or its paths had different priors.
+        The log has no objects, or its trajectories had different priors.
     """
     return dirty_share([prior_facts(logs)])
 
@@ -51,8 +51,8 @@ def prior_facts(logs: Logs) -> PriorFacts:
     from halfseen.logs.columns import as_floats, require_columns
 
     stated = None
-    if COLUMN in logs.paths.columns and not logs.paths[COLUMN].isna().to_numpy().any():
-        values = logs.paths[COLUMN].to_numpy(dtype=np.float64)
+    if COLUMN in logs.trajectories.columns and not logs.trajectories[COLUMN].isna().to_numpy().any():
+        values = logs.trajectories[COLUMN].to_numpy(dtype=np.float64)
         stated = float(values.min()), float(values.max())
     if logs.objects is None:
         if stated is not None:
@@ -70,7 +70,7 @@ def dirty_share(parts: Sequence[PriorFacts]) -> float:
     Raises
     ------
     LogError
-        Paths had different priors.
+        Trajectories had different priors.
     """
     stated = [part.stated for part in parts if part.stated is not None]
     if len(stated) < len(parts):
@@ -78,7 +78,7 @@ def dirty_share(parts: Sequence[PriorFacts]) -> float:
     least, largest = min(low for low, _ in stated), max(high for _, high in stated)
     if largest > least or not 0.0 < least < 1.0:
         raise LogError(
-            f"paths: {COLUMN} goes from {least:g} to {largest:g}; one policy has one prior between 0 "
-            "and 1: select the paths that share it"
+            f"trajectories: {COLUMN} goes from {least:g} to {largest:g}; one policy has one prior between 0 "
+            "and 1: select the trajectories that share it"
         )
     return least

@@ -9,8 +9,8 @@ these, the reward is replaced by its regression
     R̂_t = b_0 + b_1·left + b_2·left·p,    p = P(DIRTY) in S_t,
 
 weighted as all else. As E[R_t + V(S_{t+1}) | S_t, A_t] = E[E(R_t | S_t, A_t, S_{t+1}) + V(S_{t+1}) | S_t, A_t], the
-target keeps its mean where the regression holds. A stage that ended its path keeps its own reward, for no state after
-it was seen.
+target keeps its mean where the regression holds. A stage that ended its trajectory keeps its own reward, for no state
+after it was seen.
 
 *What labels say.* The next labels move each p up or down, and its mean stays. So Σ_j (p'_j − p_j)·m_j has mean 0 given
 (S_t, A_t), whatever multiplier m_j is taken from S_t. These are control variates of the recursion.
@@ -20,14 +20,14 @@ themselves, Q is learned without a bias from them by ``reduces_variance=False``.
 
 **Of a team.**
 
-*What is left.* What is left dirty is paid when a path ends, however long before it was given up: that a robot parks
-costs nothing then. So rewards are shaped [NgHaradaRussell1999]_,
+*What is left.* What is left dirty is paid when a trajectory ends, however long before it was given up: that a robot
+parks costs nothing then. So rewards are shaped [NgHaradaRussell1999]_,
 
     R_t + β·(Σ p' − Σ p),    p = P(DIRTY) in S_t, p' in S_{t+1}, over what stands on the table, β the price of one left,
 
-with Σ p' = 0 after a path's own end, where what was left has been paid for. Every Q is then lower by β·Σ p, whatever
-the action: what is chosen stays, and 0 is to leave the table as it is. That is what the horizon forces upon a path,
-too, so Q̂_0 ≡ 0.
+with Σ p' = 0 after a trajectory's own end, where what was left has been paid for. Every Q is then lower by β·Σ p,
+whatever the action: what is chosen stays, and 0 is to leave the table as it is. That is what the horizon forces upon a
+trajectory, too, so Q̂_0 ≡ 0.
 
 *Less noise.* Which of the objects that left the table were dirty is a coin that no state shows
 (above). Where none left, the reward is certain, and its regression on
@@ -35,8 +35,9 @@ too, so Q̂_0 ≡ 0.
     1 for each WASH that failed, the seconds of each LIFT, those of the stage
 
 tells the prices of these. What is paid beside them where objects left is replaced by its regression on their number
-and their Σ p; and where a FINISH ended a path, by its regression on the Σ p that it left, whose coefficient is β (0
-where none did). A path that the horizon or a clear table ended keeps its last reward, for no state after it was seen.
+and their Σ p; and where a FINISH ended a trajectory, by its regression on the Σ p that it left, whose coefficient is β
+(0 where none did). A trajectory that the horizon or a clear table ended keeps its last reward, for no state after it
+was seen.
 """
 
 from collections.abc import Iterable, Sequence
@@ -89,7 +90,7 @@ def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
 
 
 def expected_rewards(stages: RewardedStages, pays: Sequence[float]) -> Float[np.ndarray, "n T"]:
-    """Replace the reward of each WASH by what is expected of it; where its path came to its own end it stays.
+    """Replace the reward of each WASH by what is expected of it; where its trajectory came to its own end it stays.
 
     Parameters
     ----------

@@ -120,9 +120,9 @@ class TableTask:
         """Features of tables have no names to choose by."""
         raise ArgumentError(f"outcome_covariates is {list(names)}; on a table the outcome regression uses all features")
 
-    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_path: bool) -> pd.DataFrame:
-        """What cuts may depend on, a row for each stage; None for all, or those that are known as a path begins."""
-        known = TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_path else None]
+    def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
+        """What cuts may depend on, a row for each stage; None for all, or those known at the beginning."""
+        known = TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_trajectory else None]
         return table_covariates(logs, known if names is None else names)
 
     def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> Any:

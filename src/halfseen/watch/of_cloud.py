@@ -21,7 +21,7 @@ def watched_cloud(cloud: Cloud, view: View, now: Present | None, decision: Decis
     cloud, view
         What the camera returned, and what was perceived in it.
     now
-        Where the path stands, its first objects those of the view; None without a policy.
+        Where the trajectory stands, its first objects those of the view; None without a policy.
     decision
         What was decided; None without a policy.
     horizon

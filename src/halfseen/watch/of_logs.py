@@ -1,4 +1,4 @@
-"""A path of a log with the cloud of each stage, as `halfseen convert --clouds` keeps them beside a bag."""
+"""A trajectory of a log with the cloud of each stage, as `halfseen convert --clouds` keeps them beside a bag."""
 
 import os
 from dataclasses import replace
@@ -28,7 +28,7 @@ _UNKNOWN = 0.5
 
 
 def watched_logs(logs: Logs, clouds: Path, number: int, stored: StoredPolicy | None = None) -> Watched:
-    """Show a path of a log.
+    """Show a trajectory of a log.
 
     Parameters
     ----------
@@ -37,46 +37,52 @@ def watched_logs(logs: Logs, clouds: Path, number: int, stored: StoredPolicy | N
     clouds
         Folder with these files.
     number
-        Which path, from 1.
+        Which trajectory, from 1.
     stored
         A policy of tables, to be asked at each stage; None for what the log says alone.
 
     Raises
     ------
     HalfseenError
-        There is no such path, no cloud of a stage, or the policy is of other things.
+        There is no such trajectory, no cloud of a stage, or the policy is of other things.
     """
-    if not 1 <= number <= logs.num_paths:
-        raise ArgumentError(f"--path is {number}, and the log has {logs.num_paths} paths; count from 1")
+    if not 1 <= number <= logs.num_trajectories:
+        raise ArgumentError(
+            f"--trajectory is {number}, and the log has {logs.num_trajectories} trajectories; count from 1"
+        )
     if CLOUD not in logs.stages.columns:
         raise ArgumentError(
             f"stages: no column {CLOUD!r} says which file holds the cloud of each stage; write it with "
             "`halfseen convert BAG --clouds FOLDER`"
         )
-    name = logs.path_ids[number - 1]
-    path = logs.select(logs.path_ids[number - 1 : number])
-    decisions = _decisions(path, stored)
+    name = logs.trajectory_ids[number - 1]
+    trajectory = logs.select(logs.trajectory_ids[number - 1 : number])
+    decisions = _decisions(trajectory, stored)
     stages, events = [], []
-    for t, row in enumerate(path.stages.to_dict("records")):
-        stage = _stage(path, row, clouds, f"path {name}, stage {t + 1} of {path.horizon}", decisions[t], events)
+    for t, row in enumerate(trajectory.stages.to_dict("records")):
+        stage = _stage(
+            trajectory, row, clouds, f"trajectory {name}, stage {t + 1} of {trajectory.horizon}", decisions[t], events
+        )
         stages.append(stage)
         events.append(_done(row))
-    ending = "came to its own end" if path.is_finished[0] else f"was cut: {path.paths['cause'].iloc[0]}"
-    stages[-1] = replace(stages[-1], events=(*stages[-1].events, events[-1], f"the path {ending}"))
-    return Watched(f"path {name}", tuple(stages))
+    ending = (
+        "came to its own end" if trajectory.is_finished[0] else f"was cut: {trajectory.trajectories['cause'].iloc[0]}"
+    )
+    stages[-1] = replace(stages[-1], events=(*stages[-1].events, events[-1], f"the trajectory {ending}"))
+    return Watched(f"trajectory {name}", tuple(stages))
 
 
 def _stage(
-    path: Logs, row: dict[str, Any], clouds: Path, title: str, decision: Decision | None, events: list[str]
+    trajectory: Logs, row: dict[str, Any], clouds: Path, title: str, decision: Decision | None, events: list[str]
 ) -> StageView:
     file = row[CLOUD]
     if not isinstance(file, str):
-        raise ArgumentError(f"{title}: no cloud was kept of it; choose another path")
+        raise ArgumentError(f"{title}: no cloud was kept of it; choose another trajectory")
     if "\0" in file or not Path(os.path.realpath(clouds / file)).is_relative_to(os.path.realpath(clouds)):
         raise ArgumentError(f"{title}: its cloud {file!r} is not in {clouds}; give the folder that holds it")
     cloud = read_cloud(clouds / file)
     view = perceive(cloud)
-    stage = seen_stage(cloud, view, title, _chances(path, row["stage"], view), decision, events)
+    stage = seen_stage(cloud, view, title, _chances(trajectory, row["stage"], view), decision, events)
     action = _action(row)
     if decision is None or stage.action == action:
         said = stage.reason or (f"{action}: what the log says was done" if action else "")
@@ -98,12 +104,12 @@ def _done(row: dict[str, Any]) -> str:
     return f"tried: {_action(row)}, reward {row['reward']:+.2f}, at {row['elapsed_s']:.1f} s"
 
 
-def _chances(path: Logs, stage: Any, view: View) -> list[float]:
+def _chances(trajectory: Logs, stage: Any, view: View) -> list[float]:
     """P(DIRTY) of each object of a view, as the log has it; one half where it says nothing."""
     chances = [_UNKNOWN] * len(view.objects)
-    if path.objects is None or "log_odds" not in path.objects.columns:
+    if trajectory.objects is None or "log_odds" not in trajectory.objects.columns:
         return chances
-    rows = pd.DataFrame(path.objects[path.objects["stage"] == stage])
+    rows = pd.DataFrame(trajectory.objects[trajectory.objects["stage"] == stage])
     told = 1.0 / (1.0 + np.exp(-as_floats("objects", rows, "log_odds").to_numpy()))
     if set(PLACE_COLUMNS) <= set(rows.columns):
         places_m = np.stack([as_floats("objects", rows, column).to_numpy() for column in PLACE_COLUMNS], axis=1)
@@ -116,14 +122,16 @@ def _chances(path: Logs, stage: Any, view: View) -> list[float]:
     return chances
 
 
-def _decisions(path: Logs, stored: StoredPolicy | None) -> list[Decision | None]:
+def _decisions(trajectory: Logs, stored: StoredPolicy | None) -> list[Decision | None]:
     """What a policy would do at each stage."""
     if stored is None:
-        return [None] * path.horizon
+        return [None] * trajectory.horizon
     refuse_team(stored, "and a log is shown with what one robot would do; leave the policy out")
     if not stored.is_table:
         raise PolicyError("the policy is of named actions, and shows nothing at a table; give one of tables")
-    refuse_log_of_team(stored, path)
-    states = states_of(path, stored.horizon)
+    refuse_log_of_team(stored, trajectory)
+    states = states_of(trajectory, stored.horizon)
     decider = decider_of(stored, extrapolates=True)
-    return [decider.decide(Present(mapped(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in range(path.horizon)]
+    return [
+        decider.decide(Present(mapped(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in range(trajectory.horizon)
+    ]

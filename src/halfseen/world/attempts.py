@@ -51,7 +51,7 @@ def action_reward(
     is_dirty: Bool[Array, "*B"],
     duration_s: Float[Array, "*B"],
 ) -> Float[Array, "*B"]:
-    """What an action pays by itself, without what is left when the path ends."""
+    """What an action pays by itself, without what is left when the trajectory ends."""
     xp = library_of(verb)
     washed = xp.where(is_dirty, config.reward_wash_dirty, config.reward_wash_clean)
     wash = xp.where(is_grasped, washed, config.reward_wash_failed)
@@ -62,7 +62,7 @@ def action_reward(
 def price_of_left(
     config: WorldConfig, state: TableState, hidden: HiddenState, ends: Bool[Array, "*B"]
 ) -> Float[Array, "*B"]:
-    """What is paid for what is left dirty where the path ends."""
+    """What is paid for what is left dirty where the trajectory ends."""
     xp = library_of(ends)
     dirty_left = xp.sum(state.is_on_table & hidden.is_dirty, axis=-1).astype(np.float32)
     return xp.where(ends, config.reward_dirty_left * dirty_left, np.float32(0.0))

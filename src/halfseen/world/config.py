@@ -35,9 +35,9 @@ class WorldConfig:
     reward_lift_per_s
         Reward of LIFT for each second of the attempt, transport included [1/s].
     reward_dirty_left
-        Reward for each dirty object on the table when the path ends.
+        Reward for each dirty object on the table when the trajectory ends.
     horizon
-        Actions of each robot after which a path ends by itself.
+        Actions of each robot after which a trajectory ends by itself.
     speed
         How fast each of the K robots works: what takes the world so many seconds takes it that, divided by its speed.
     reward_per_s
@@ -92,7 +92,7 @@ class WorldConfig:
 
     @property
     def num_stages(self) -> int:
-        """Decisions that a path may have, of all robots together."""
+        """Decisions that a trajectory may have, of all robots together."""
         return self.num_robots * self.horizon
 
     @property

@@ -9,7 +9,7 @@ The hazard of a cut is ``rate · intensity``. Three intensities are known, all i
 ``attempt``
     the age of the action in progress [s]: the operator's hand comes when an attempt drags on.
 
-The rate is calibrated so that the wanted share of the paths that a policy makes is cut, in expectation.
+The rate is calibrated so that the wanted share of the trajectories that a policy makes is cut, in expectation.
 
 A robot of a team that drops out alone cuts nothing: the log tells of it, and may be read as if it had.
 """
@@ -40,18 +40,18 @@ _LOWEST_LOG_RATE = -40.0
 class CutEpisodes:
     """Episodes of which some were cut: what a recorder would have kept.
 
-    A cut path keeps the stages that it completed and S_t of the stage in which it was cut.
+    A cut trajectory keeps the stages that it completed and S_t of the stage in which it was cut.
     """
 
     episodes: Episodes
     end_s: Float[np.ndarray, " n"]
-    """Observed end of each path on its clock [s]."""
+    """Observed end of each trajectory on its clock [s]."""
     is_finished: Bool[np.ndarray, " n"]
-    """True where the path came to its own end, False where it was cut."""
+    """True where the trajectory came to its own end, False where it was cut."""
     is_completed: Bool[np.ndarray, "n T"]
     """Stages whose reward was seen."""
     is_begun: Bool[np.ndarray, "n T"]
-    """Stages whose S_t was seen: those completed and, on a cut path, the one in which it was cut."""
+    """Stages whose S_t was seen: those completed and, on a cut trajectory, the one in which it was cut."""
 
 
 def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "n T"]:
@@ -72,13 +72,13 @@ def unit_hazards(episodes: Episodes, kind: CutKind | str) -> Float[np.ndarray, "
 
 
 def check_share(cut_share: float | int) -> None:
-    """Refuse a share of cut paths outside [0, 1)."""
+    """Refuse a share of cut trajectories outside [0, 1)."""
     if not 0.0 <= cut_share < 1.0:
-        raise ArgumentError(f"cut share is {cut_share}; give the wanted share of cut paths, in [0, 1)")
+        raise ArgumentError(f"cut share is {cut_share}; give the wanted share of cut trajectories, in [0, 1)")
 
 
 def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> float:
-    """Rate at which the wanted share of paths like those of `pilot` is cut, in expectation.
+    """Rate at which the wanted share of trajectories like those of `pilot` is cut, in expectation.
 
     Raises
     ------
@@ -93,7 +93,7 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
     def excess(log_rate: float) -> float:
         return float(np.mean(-np.expm1(-np.exp(log_rate) * total))) - cut_share
 
-    if excess(_LOWEST_LOG_RATE) > 0:  # so rare that no path is cut twice: the share is the rate times the hazard
+    if excess(_LOWEST_LOG_RATE) > 0:  # so rare that no trajectory is cut twice: the share is the rate times the hazard
         return float(cut_share / np.mean(total))
     low, high = _LOWEST_LOG_RATE, -_LOWEST_LOG_RATE
     while low < (middle := (low + high) / 2.0) < high:  # down to the last bit: the share grows with the rate
@@ -104,8 +104,8 @@ def cut_rate(pilot: Episodes, cut_share: float | int, kind: CutKind | str) -> fl
 def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Generator) -> CutEpisodes:
     """Cut episodes at hazard `rate` times the intensity of `kind`.
 
-    A path is cut where the accumulated hazard passes an Exp(1) draw; a stage that ends at that very moment counts as
-    completed (completions come before cuts).
+    A trajectory is cut where the accumulated hazard passes an Exp(1) draw; a stage that ends at that very moment counts
+    as completed (completions come before cuts).
     """
     is_taken = np.asarray(episodes.is_taken)
     duration_s = np.asarray(episodes.duration_s, dtype=np.float64)
@@ -125,7 +125,7 @@ def cut(episodes: Episodes, rate: float, kind: CutKind | str, rng: np.random.Gen
 
 
 def drop_out_columns(cuts: CutEpisodes, cause: str) -> dict[str, Any]:
-    """When each robot dropped out, and why; null where it did not before the path's end, nothing where nobody can."""
+    """When each robot dropped out, and why; null where it did not before the end, nothing where nobody can."""
     if cuts.episodes.out_s is None:
         return {}
     duration_s = np.where(cuts.is_completed, np.asarray(cuts.episodes.duration_s, dtype=np.float64), 0.0)
@@ -140,7 +140,7 @@ def drop_out_columns(cuts: CutEpisodes, cause: str) -> dict[str, Any]:
 
 
 def cut_at_drop_outs(logs: Logs) -> Logs:
-    """Cut each path where its first robot dropped out, with the cause of that: for the value as if nobody dropped out.
+    """Cut each trajectory where its first robot dropped out, with its cause: for the value as if nobody dropped out.
 
     The stage in which it fell is not completed, also where it ended there since robots that waited were free: without
     the drop-out it would have gone on.
@@ -150,25 +150,32 @@ def cut_at_drop_outs(logs: Logs) -> Logs:
     logs
         The log of a team.
     """
-    robots = robots_that_may_drop_out(logs.paths)
+    robots = robots_that_may_drop_out(logs.trajectories)
     if not robots:
         return logs
-    out_s = logs.paths[[f"{r}_out_s" for r in robots]].to_numpy(dtype=np.float64)
-    named = logs.paths.reindex(columns=[f"{r}_out_cause" for r in robots]).to_numpy(dtype=object)
+    out_s = logs.trajectories[[f"{r}_out_s" for r in robots]].to_numpy(dtype=np.float64)
+    named = logs.trajectories.reindex(columns=[f"{r}_out_cause" for r in robots]).to_numpy(dtype=object)
     rows, first = np.arange(len(out_s)), np.argmin(np.where(np.isnan(out_s), np.inf, out_s), axis=1)
     first_s, cause = out_s[rows, first], named[rows, first]
     is_out = ~np.isnan(first_s)
-    paths = logs.paths.drop(columns=[f"{r}_{what}" for r in robots for what in ("out_s", "out_cause")], errors="ignore")
-    paths = paths.assign(
-        end_s=np.where(is_out, first_s, paths["end_s"]),
-        ending=np.where(is_out, CUT, paths["ending"]),
-        cause=np.where(is_out, cause, paths["cause"].astype(object)),
+    trajectories = logs.trajectories.drop(
+        columns=[f"{r}_{what}" for r in robots for what in ("out_s", "out_cause")], errors="ignore"
     )
-    path_row, stages = pd.Index(logs.path_ids).get_indexer(logs.stages["path"]), logs.stages
-    begin_s, at_s = stages["elapsed_s"].groupby(path_row).shift(fill_value=0.0).to_numpy(), first_s[path_row]
+    trajectories = trajectories.assign(
+        end_s=np.where(is_out, first_s, trajectories["end_s"]),
+        ending=np.where(is_out, CUT, trajectories["ending"]),
+        cause=np.where(is_out, cause, trajectories["cause"].astype(object)),
+    )
+    trajectory_row, stages = pd.Index(logs.trajectory_ids).get_indexer(logs.stages["trajectory"]), logs.stages
+    begin_s, at_s = (
+        stages["elapsed_s"].groupby(trajectory_row).shift(fill_value=0.0).to_numpy(),
+        first_s[trajectory_row],
+    )
     is_after = begin_s >= at_s
     is_in = ~is_after & ~(stages["elapsed_s"].to_numpy() < at_s) & ~np.isnan(at_s)
     outcomes = ["elapsed_s", "reward", *filter(is_own_reward, stages.columns)]
     kept: Any = stages.assign(**{name: stages[name].mask(pd.Series(is_in)) for name in outcomes})[~is_after]
-    objects = None if logs.objects is None else logs.objects.merge(kept[["path", "stage"]], on=["path", "stage"])
-    return Logs(kept, paths, objects, reward_unit=logs.reward_unit)
+    objects = (
+        None if logs.objects is None else logs.objects.merge(kept[["trajectory", "stage"]], on=["trajectory", "stage"])
+    )
+    return Logs(kept, trajectories, objects, reward_unit=logs.reward_unit)

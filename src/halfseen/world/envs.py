@@ -40,7 +40,8 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
     config
         The numbers of the world.
     cut_rate
-        Rate of cuts [1/s]; `halfseen.world.cuts.cut_rate` finds the one that cuts a wanted share of a policy's paths.
+        Rate of cuts [1/s]; `halfseen.world.cuts.cut_rate` finds the one that cuts a wanted share of a policy's
+        trajectories.
     render_mode
         None, or ``"ansi"`` for a text.
 
@@ -96,7 +97,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         Raises
         ------
         ArgumentError
-            The path is over or not begun, or there is no such action.
+            The trajectory is over or not begun, or there is no such action.
         """
         table, reward = self.table, self.table.step(action)
         info = {**self._info(), "cause": CAUSES["independent"]} if table.is_cut else self._info()

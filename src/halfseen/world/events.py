@@ -24,11 +24,11 @@ class Outcome(NamedTuple):
     """What one stage brought."""
 
     reward: Float[Array, "*B"]
-    """Price of its seconds included and, where the path ends, that of what is left dirty."""
+    """Price of its seconds included and, where the trajectory ends, that of what is left dirty."""
     duration_s: Float[Array, "*B"]
     """Positive, but where several robots are free at once [s]."""
     is_over: Bool[Array, "*B"]
-    """Whether the path has come to its own end."""
+    """Whether the trajectory has come to its own end."""
     paid_alone: Float[Array, "*B K"] | None = None
     """What the stage would have paid each of several robots had it been alone: its own attempts that ended, the price
     of its seconds until its own end, and there that of what is left dirty in its reach; None where one is."""
@@ -172,7 +172,7 @@ def _next_event(
     xp, zero, never, out_s = library_of(robots.is_busy), np.float32(0.0), np.float32(np.inf), None
     left_s = xp.where(robots.is_busy, _pending(hidden).left_s, never)
     robot, first_s = xp.argmin(left_s, axis=-1), xp.min(left_s, axis=-1)
-    # Nothing is to end where a path is over: what comes of that is thrown away, and is to be finite.
+    # Nothing is to end where a trajectory is over: what comes of that is thrown away, and is to be finite.
     passed_s = xp.where(xp.isfinite(first_s), first_s, zero)
     after, of_hidden, paid = _at_end(config, state, hidden, robot, passed_s, key)
     if until_out is not None:

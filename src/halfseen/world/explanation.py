@@ -24,7 +24,7 @@ _NUM_SHOWN = 8
 
 @dataclass(frozen=True, eq=False)
 class Explanation:
-    """What is known of the actions of one table; all worths are expected rewards to the end of the path.
+    """What is known of the actions of one table; all worths are expected rewards to the end of the trajectory.
 
     Attributes
     ----------

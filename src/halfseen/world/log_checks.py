@@ -70,7 +70,7 @@ def robots_in(logs: Logs | LogStream) -> int:
 
 
 def most_decisions(logs: Logs | LogStream, num_robots: int) -> int:
-    """Most decisions that a robot of a log has to go, which is where a path begins.
+    """Most decisions that a robot of a log has to go, which is where a trajectory begins.
 
     Raises
     ------
@@ -114,13 +114,13 @@ def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | No
     Raises
     ------
     LogError
-        A rule is broken; the path, the stage, the object or the robot, the value and the remedy are named.
+        A rule is broken; the trajectory, the stage, the object or the robot, the value and the remedy are named.
     """
     if logs.objects is None:
         raise LogError("objects: the log has none; a table is learned from logs with an objects table")
     require_columns("objects", logs.objects, _NEEDED)
     if horizon is not None and logs.horizon > horizon:
-        raise LogError(f"stages: a path has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
+        raise LogError(f"stages: a trajectory has {logs.horizon} stages, more than horizon={horizon}; raise horizon")
     log = TableLog(logs, logs.objects, robots_in(logs))
     _check_stages(log)
     _check_whereabouts(log)
@@ -133,12 +133,12 @@ def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | No
 
 
 def _check_stages(log: TableLog) -> None:
-    """FINISH ends a path, or what one of several robots does; actions are done to what is on the table."""
+    """FINISH ends a trajectory, or what one of several robots does; actions are done to what is on the table."""
     stages, is_gone = log.logs.stages, (log.objects["location"] != TABLE).to_numpy(dtype=bool)
-    is_finish, who = stages["action"].eq(Verb.FINISH.name), ["path", *({ROBOT} & set(stages.columns))]
+    is_finish, who = stages["action"].eq(Verb.FINISH.name), ["trajectory", *({ROBOT} & set(stages.columns))]
     late = is_finish.groupby([stages[name] for name in who]).shift(fill_value=False).to_numpy(dtype=bool)
-    ends = "parks its robot for good" if ROBOT in stages.columns else "ends a path"
-    refuse(stages, late, f"it comes after FINISH, which {ends}; drop the stage, or begin a new path with it")
+    ends = "parks its robot for good" if ROBOT in stages.columns else "ends a trajectory"
+    refuse(stages, late, f"it comes after FINISH, which {ends}; drop the stage, or begin a new trajectory with it")
     is_known = log.objects["location"].isin(LOCATIONS)
     log.refuse_objects("location", ~is_known, f"is none of {', '.join(LOCATIONS)}; say in which of them the object is")
 
@@ -152,8 +152,8 @@ def _check_stages(log: TableLog) -> None:
 def _check_whereabouts(log: TableLog) -> None:
     """Objects may come into view late, but what was listed once is listed to the end; nothing is washed back."""
     frame, number = log.objects, log.target
-    path_of_stage = frame["path"].to_numpy()[log.first == np.arange(len(frame))]
-    goes_on = np.append(path_of_stage[1:] == path_of_stage[:-1], False)[log.of_stage]
+    trajectory_of_stage = frame["trajectory"].to_numpy()[log.first == np.arange(len(frame))]
+    goes_on = np.append(trajectory_of_stage[1:] == trajectory_of_stage[:-1], False)[log.of_stage]
     is_next = np.isin((log.of_stage + 1) * log.num_objects + number, log.of_stage * log.num_objects + number)
 
     def lost(row: int) -> str:
@@ -162,8 +162,8 @@ def _check_whereabouts(log: TableLog) -> None:
 
     refuse(frame, goes_on & ~is_next, lost, OF_OBJECT)
     is_washed = frame["location"].eq(DISHWASHER)
-    was_washed = is_washed.astype(np.int8).groupby([frame["path"], number]).shift(fill_value=0).astype(bool)
-    remedy = f"follows {DISHWASHER}, from where nothing returns; fix one, or begin a new path"
+    was_washed = is_washed.astype(np.int8).groupby([frame["trajectory"], number]).shift(fill_value=0).astype(bool)
+    remedy = f"follows {DISHWASHER}, from where nothing returns; fix one, or begin a new trajectory"
     log.refuse_objects("location", was_washed & ~is_washed, remedy)
 
 
@@ -192,11 +192,11 @@ def _check_robots_there(log: TableLog) -> None:
     each = [f"{r}_{what}" for r in range(max(log.num_robots, 1)) for what in _NEEDED_OF_ROBOT]
     require_columns("stages", logs.stages, (ROBOT, *each))
     require_columns("objects", log.objects, ("reached_by", "near"))
-    for robot in robots_that_may_drop_out(logs.paths):
+    for robot in robots_that_may_drop_out(logs.trajectories):
         if robot > last:
             raise LogError(
-                f"paths: column '{robot}_out_s' is of a robot that there is none of; the stages tell of robots 0 to "
-                f"{last}: rename it, or leave it out"
+                f"trajectories: column '{robot}_out_s' is of a robot that there is none of; the stages tell of robots "
+                f"0 to {last}: rename it, or leave it out"
             )
     remedy = f"but its columns tell of robots 0 to {last}; name it so, or add what it does"
     log.refuse_stages(ROBOT, log.decider < 0, remedy)
@@ -209,7 +209,9 @@ def _check_doings(log: TableLog, horizon: int | None) -> None:
     since_s, to_go = log.of_robots("since_s"), log.of_robots("decisions_to_go")
     for r in robots:
         decides, does, decisions = log.decider == r, f"{r}_does", f"{r}_decisions_to_go"
-        log.refuse_stages(does, at[:, r] >= num_objects, f"and no path has more than {num_objects} objects, from 0")
+        log.refuse_stages(
+            does, at[:, r] >= num_objects, f"and no trajectory has more than {num_objects} objects, from 0"
+        )
         is_busy = decides & (log.does[:, r, 0] != IDLE[FREE])
         log.refuse_stages(does, is_busy, f"yet robot {r} decides; it decides when it is FREE")
         log.refuse_stages(f"{r}_since_s", since_s[:, r] < 0, "below 0; give the seconds that it has been at it")

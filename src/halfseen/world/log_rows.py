@@ -23,7 +23,7 @@ NOTHING = -1
 IDLE = {FREE: -1, PARKED: -2, OUT: -3}
 """Verbs of who is at nothing, below those of `Verb`."""
 
-OF_OBJECT = ("path", "stage", "object")
+OF_OBJECT = ("trajectory", "stage", "object")
 """Columns that name a row of the objects."""
 
 _UNKNOWN = -4
@@ -64,13 +64,13 @@ class TableLog:
 
     @property
     def num_objects(self) -> int:
-        """Most that a path lists."""
+        """Most that a trajectory lists."""
         return int(self.target.max(initial=0)) + 1
 
     @cached_property
     def first(self) -> Int[np.ndarray, " rows"]:
         """First row of the stage that each row is of."""
-        return np.arange(len(self.objects)) - self.objects.groupby(["path", "stage"]).cumcount().to_numpy()
+        return np.arange(len(self.objects)) - self.objects.groupby(["trajectory", "stage"]).cumcount().to_numpy()
 
     @cached_property
     def of_stage(self) -> Int[np.ndarray, " rows"]:
@@ -163,18 +163,20 @@ def _parsed(words: str) -> tuple[int, int]:
 
 
 def object_numbers(objects: pd.DataFrame) -> Int[np.ndarray, " rows"]:
-    """Number of each row's object among all that its path ever lists, from 0, in the order of their names.
+    """Number of each row's object among all that its trajectory ever lists, from 0, in the order of their names.
 
-    A path lists what came into view so far, so that the same object may be another row of a later stage.
+    A trajectory lists what came into view so far, so that the same object may be another row of a later stage.
 
     Parameters
     ----------
     objects
-        Columns path and object.
+        Columns trajectory and object.
     """
-    path, name = (pd.factorize(objects[column], sort=True)[0].astype(np.int64) for column in ("path", "object"))
-    each, place = np.unique(path * (name.max(initial=0) + 1) + name, return_inverse=True)
-    return place - np.searchsorted(each, path * (name.max(initial=0) + 1))
+    trajectory, name = (
+        pd.factorize(objects[column], sort=True)[0].astype(np.int64) for column in ("trajectory", "object")
+    )
+    each, place = np.unique(trajectory * (name.max(initial=0) + 1) + name, return_inverse=True)
+    return place - np.searchsorted(each, trajectory * (name.max(initial=0) + 1))
 
 
 def begun_objects(logs: Logs) -> Int[np.ndarray, " stages"]:

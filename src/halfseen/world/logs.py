@@ -5,13 +5,14 @@ Per object and stage a log holds: location ("TABLE" or "DISHWASHER"; "LOST" wher
 of), successes and failures (of past grasps), lifts, and three lists: hidden_by (the share of it that each object of the
 scene hides alone, in the order of the objects), attempt_occlusions and attempt_succeeded (its past attempts, oldest
 first). Where grip or seen are 0 throughout, they are not written, and a log without them is read so.
-Per path it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start from.
+Per trajectory it holds the scene's name, and dirty_share: P(DIRTY) of an object before any label, which log_odds start
+from.
 
 Where several robots work, a stage holds, too, `robot` (which decided, from 0) and, for each robot r, what it was at
 when that stage began: r_does ("WASH 3", "WAIT", "FREE", "PARKED", "OUT"), r_since_s (for how long, 0 where it is free)
 and r_decisions_to_go; and r_reward, what the stage would have paid it had it been alone (its own attempts that ended in
 it, the price of its seconds, and at its own end that of what was left dirty in its reach).
-Where robots may drop out, a path holds r_out_s and r_out_cause, null where robot r did not.
+Where robots may drop out, a trajectory holds r_out_s and r_out_cause, null where robot r did not.
 Per object there are three lists more: reached_by (numbers of the robots that reach it), near (the objects of the stage
 that are too near to it for two robots at once, by their place among these, itself included) and attempt_by (which robot
 made each of its past attempts, oldest first), which a log may leave out.
@@ -51,7 +52,7 @@ def to_logs(
     Parameters
     ----------
     cuts
-        The episodes; path k began from scene k modulo their number.
+        The episodes; trajectory k began from scene k modulo their number.
     kind
         How they were cut.
     scenes
@@ -61,20 +62,20 @@ def to_logs(
     drop_out_cause
         What it is called when one of several robots drops out alone.
     """
-    begun, num_paths = np.argwhere(cuts.is_begun), len(cuts.end_s)
-    cause = np.full(num_paths, CAUSES[kind], dtype=object)
+    begun, num_trajectories = np.argwhere(cuts.is_begun), len(cuts.end_s)
+    cause = np.full(num_trajectories, CAUSES[kind], dtype=object)
     cause[cuts.is_finished] = None
-    paths = {
-        "path": np.arange(num_paths),
+    trajectories = {
+        "trajectory": np.arange(num_trajectories),
         "end_s": cuts.end_s,
         "ending": np.where(cuts.is_finished, "finished", "cut"),
         "cause": cause,
-        "scene": [scenes[k % len(scenes)].name for k in range(num_paths)],
+        "scene": [scenes[k % len(scenes)].name for k in range(num_trajectories)],
         **({} if dirty_share is None else {"dirty_share": float(dirty_share)}),
         **drop_out_columns(cuts, drop_out_cause),
     }
     stages = {**_stage_columns(cuts, begun), **_robot_columns(cuts, begun)}
-    return Logs(pd.DataFrame(stages), pd.DataFrame(paths), objects_of(cuts.episodes.states, begun))
+    return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories), objects_of(cuts.episodes.states, begun))
 
 
 def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
@@ -84,19 +85,19 @@ def elapsed_s(cuts: CutEpisodes) -> Float[np.ndarray, "n T"]:
 
 
 def _stage_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[str, Any]:
-    """What was done in the stages that were begun, (path, stage) from 0."""
-    path, stage = begun.T
+    """What was done in the stages that were begun, (trajectory, stage) from 0."""
+    trajectory, stage = begun.T
     episodes, actions = cuts.episodes, ActionSpace(cuts.episodes.states.num_objects)
-    action = episodes.action[path, stage]
-    verb, reward = actions.verb(action), episodes.reward[path, stage].astype(np.float64)
+    action = episodes.action[trajectory, stage]
+    verb, reward = actions.verb(action), episodes.reward[trajectory, stage].astype(np.float64)
     return {
-        "path": path,
+        "trajectory": trajectory,
         "stage": stage + 1,
-        "elapsed_s": elapsed_s(cuts)[path, stage],
+        "elapsed_s": elapsed_s(cuts)[trajectory, stage],
         "action": np.array(VERB_NAMES)[verb],
         "object": pd.Series(actions.target(action), dtype="Int64").mask(~np.isin(verb, TARGETED)),
-        "reward": np.where(cuts.is_completed[path, stage], reward, np.nan),
-        "probability": episodes.probability[path, stage].astype(np.float64),
+        "reward": np.where(cuts.is_completed[trajectory, stage], reward, np.nan),
+        "probability": episodes.probability[trajectory, stage].astype(np.float64),
     }
 
 
@@ -131,10 +132,10 @@ def history_of(states: TableState) -> tuple[Float[np.ndarray, "*B N"], ...]:
 
 
 def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
-    """What was seen of each object in the stages that were begun, (path, stage) from 0; of states with axes (n, T)."""
+    """What was seen of each object in the stages that were begun, both indexed from 0; of states with axes (n, T)."""
     is_object = states.is_object[:, 0][begun[:, 0]]
     row, target = np.nonzero(is_object)
-    path, stage = begun[row].T
+    trajectory, stage = begun[row].T
     seen = mapped(lambda leaf: leaf[begun[:, 0], begun[:, 1]], replace(states, robots=None, workspace=None))
     occluded, successes, failures = (values[row, target] for values in history_of(seen))
     is_attempt = seen.attempt_object[row] == target[:, None]
@@ -145,14 +146,14 @@ def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table
         "attempt_succeeded": (seen.attempt_succeeded[row], is_attempt),
     }
     if states.workspace is not None:
-        is_reached, near = states.workspace.is_in_reach[path, stage, :, target], states.workspace.is_near
+        is_reached, near = states.workspace.is_in_reach[trajectory, stage, :, target], states.workspace.is_near
         lists["reached_by"] = np.arange(is_reached.shape[1]), is_reached
-        lists["near"] = np.arange(states.num_objects), near[path, stage, target] & is_object[row]
+        lists["near"] = np.arange(states.num_objects), near[trajectory, stage, target] & is_object[row]
     if seen.attempt_robot is not None:
         lists[ATTEMPT_BY] = seen.attempt_robot[row].astype(np.int64), is_attempt
     return pa.table(
         {
-            "path": path,
+            "trajectory": trajectory,
             "stage": stage + 1,
             "object": target,
             "location": np.where(seen.is_on_table[row, target], TABLE, DISHWASHER).tolist(),
@@ -192,7 +193,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
         The log breaks a rule of tables or of robots; see `log_checks`.
     """
     log = checked_tables(logs, horizon)
-    frame, shape = log.objects, (logs.num_paths, horizon, log.num_objects)
+    frame, shape = log.objects, (logs.num_trajectories, horizon, log.num_objects)
     at = (*_stage_places(logs, frame), log.target)
 
     def spread(values: Any, dtype: Any) -> np.ndarray:
@@ -200,7 +201,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
 
     types = {"grip": np.float32, "log_odds": np.float32, "seen": np.float32, "lifts": np.int32}
     numbers = {name: spread(frame.get(name, 0), dtype) for name, dtype in types.items()}
-    # Lists go by the objects of their stage; states by those of the path.
+    # Lists go by the objects of their stage; states by those of the trajectory.
     hidden_by = log.lists("hidden_by")
     hider = log.target[log.first[hidden_by.row] + hidden_by.place]
     hides = (*(index[hidden_by.row] for index in at), hider)
@@ -216,8 +217,8 @@ def states_of(logs: Logs, horizon: int) -> TableState:
 
 
 def _stage_places(logs: Logs, frame: pd.DataFrame) -> tuple[Int[np.ndarray, " rows"], Int[np.ndarray, " rows"]]:
-    """Path and stage of each row, from 0."""
-    return pd.Index(logs.path_ids).get_indexer(frame["path"]), frame["stage"].to_numpy() - 1
+    """Trajectory and stage of each row, from 0."""
+    return pd.Index(logs.trajectory_ids).get_indexer(frame["trajectory"]), frame["stage"].to_numpy() - 1
 
 
 def _spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...], fill: int = 0) -> np.ndarray:
@@ -230,15 +231,15 @@ def _spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ..
 def _attempts(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> dict[str, Any]:
     """Attempts of each stage's history, gathered from the objects; their order across objects carries nothing."""
     occluded, succeeded = log.lists("attempt_occlusions"), log.lists("attempt_succeeded")
-    path, stage, target = (index[occluded.row] for index in at)
-    slot = pd.Series(path).groupby([path, stage]).cumcount().to_numpy()
+    trajectory, stage, target = (index[occluded.row] for index in at)
+    slot = pd.Series(trajectory).groupby([trajectory, stage]).cumcount().to_numpy()
     if len(slot) and slot.max() >= shape[-1]:
         where = log.objects.iloc[occluded.row[np.argmax(slot)]]
         raise LogError(
-            f"path {where['path']}, stage {where['stage']}: {slot.max() + 1} past attempts, more than the horizon of "
-            f"{shape[-1]} stages allows; raise horizon or mend attempt_occlusions"
+            f"trajectory {where['trajectory']}, stage {where['stage']}: {slot.max() + 1} past attempts, more than the "
+            f"horizon of {shape[-1]} stages allows; raise horizon or mend attempt_occlusions"
         )
-    place = path, stage, slot
+    place = trajectory, stage, slot
     found = {
         "attempt_object": _spread(target.astype(np.int32), place, shape, NO_ATTEMPT),
         "attempt_occlusion": _spread(occluded.values.astype(np.float32), place, shape),
@@ -257,7 +258,7 @@ def _of_robots(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, int,
         return _spread(values.astype(dtype), of_stage, (*shape[:2], *values.shape[1:]))
 
     is_out, near = verb == IDLE[OUT], log.lists("near")
-    may_drop_out = is_out.any() or len(robots_that_may_drop_out(log.logs.paths)) > 0
+    may_drop_out = is_out.any() or len(robots_that_may_drop_out(log.logs.trajectories)) > 0
     robots = Robots(
         is_busy=spread(verb >= 0, bool),
         is_parked=spread(verb == IDLE[PARKED], bool),

@@ -105,10 +105,10 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         Raises
         ------
         ArgumentError
-            The path is over or not begun, or there is no such action.
+            The trajectory is over or not begun, or there is no such action.
         """
         if not self.agents:
-            raise ArgumentError("the path is over or has not begun; call reset")
+            raise ArgumentError("the trajectory is over or has not begun; call reset")
         agent = self.agent_selection
         if self.terminations[agent] or self.truncations[agent]:
             self._was_dead_step(action)

@@ -110,7 +110,7 @@ class TableState:
 
     @property
     def horizon(self) -> int:
-        """T, the number of decisions that a path may have."""
+        """T, the number of decisions that a trajectory may have."""
         return self.attempt_object.shape[-1]
 
     @property
@@ -273,10 +273,10 @@ def check_goes_on(state: TableState) -> None:
     Raises
     ------
     ArgumentError
-        The path is over.
+        The trajectory is over.
     """
     if int(state.steps_to_go) < 1 or not np.asarray(state.is_on_table).any():
-        raise ArgumentError("the path is over: no step to go or no object left; give a state before its end")
+        raise ArgumentError("the trajectory is over: no step to go or no object left; give a state before its end")
 
 
 def occlusion(state: TableState) -> Float[Array, "*B N"]:

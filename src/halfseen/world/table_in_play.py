@@ -106,7 +106,7 @@ class TableInPlay:
             No table is set.
         """
         if self._state is None:
-            raise ArgumentError("the path has not begun; call reset")
+            raise ArgumentError("the trajectory has not begun; call reset")
         return self._state
 
     @property
@@ -142,11 +142,11 @@ class TableInPlay:
         Raises
         ------
         ArgumentError
-            The path is over or not begun, or there is no such action.
+            The trajectory is over or not begun, or there is no such action.
         """
         state = self.state
         if self.is_ended:
-            raise ArgumentError("the path is over; call reset")
+            raise ArgumentError("the trajectory is over; call reset")
         if not (np.issubdtype(np.asarray(action).dtype, np.integer) and 0 <= action < self.num_actions):
             raise ArgumentError(f"action is {action}; it lies in 0 to {self.num_actions - 1}")
         key = random.fold_in(self._world_key, self._num_decisions)

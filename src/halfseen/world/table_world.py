@@ -17,7 +17,7 @@ from halfseen.world.rollout import Totals, evaluate, play
 from halfseen.world.scene import Scene
 from halfseen.world.state import Layout, pad_scenes
 
-NUM_PILOT_PATHS = 2000
+NUM_PILOT_TRAJECTORIES = 2000
 """Uncut trajectories on which the rate of cuts is calibrated."""
 
 
@@ -47,7 +47,7 @@ class TableWorld:
     >>> from halfseen.world import Robot, Scene, TableWorld, UniformPolicy
     >>> scene = Scene(np.array([[0.0, 0.4], [0.0, 0.0]]), places_m=np.array([[-0.2, 0.0], [0.2, 0.0]]))
     >>> logs = TableWorld().simulate(scene, UniformPolicy(), episodes=20, seed=0, cut_share=0.5)
-    >>> logs.num_paths
+    >>> logs.num_trajectories
     20
     >>> world = TableWorld(robots=[Robot((-0.6, 0.0), 0.9), Robot((0.6, 0.0), 0.9)])
     >>> logs = world.simulate(scene, UniformPolicy(), episodes=20, seed=0, cut_share=0.5)
@@ -148,7 +148,7 @@ class TableWorld:
         pilot_key, play_key = random.split(random.key_of(seed))
         rate = 0.0
         if cut_share != 0.0:
-            rate = cut_rate(play(config, layouts, policy, pilot_key, NUM_PILOT_PATHS), cut_share, cut_kind)
+            rate = cut_rate(play(config, layouts, policy, pilot_key, NUM_PILOT_TRAJECTORIES), cut_share, cut_kind)
         played = play(config, layouts, policy, play_key, episodes)
         return cut(played, rate, cut_kind, np.random.default_rng(seed))
 

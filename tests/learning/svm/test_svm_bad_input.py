@@ -62,8 +62,12 @@ REGRESSOR = [
     ({"num_landmarks": 0}, Y, r"num_landmarks is 0; give at least 1"),
     ({"kernel": lambda x, z: np.ones((2, 2))}, Y, r"the kernel gives shape \(2, 2\)"),
     *(({"reg": "cv", "cv": cv}, Y, rf"cv is {cv}; cross-validation needs at least 2 folds") for cv in (0, 1)),
-    ({"censoring": NobodyIsWatched()}, Y, r"path \d+: finished at .* \(Ĝ = 0\).*shorten.*truncate"),
-    ({}, (TIME, np.zeros(80, dtype=bool)), r"all 80 paths were cut before their target was seen; record until some"),
+    ({"censoring": NobodyIsWatched()}, Y, r"trajectory \d+: finished at .* \(Ĝ = 0\).*shorten.*truncate"),
+    (
+        {},
+        (TIME, np.zeros(80, dtype=bool)),
+        r"all 80 trajectories were cut before their target was seen; record until some",
+    ),
 ]
 CLASSIFIER = [
     ({}, Y, "y holds times and tau is None; give the tau"),
@@ -71,7 +75,7 @@ CLASSIFIER = [
     ({}, np.ones(80), "only one class"),
     ({"tau": 1e9}, Y, "only one class, .*True.*, was seen among 80 rows"),
     ({"tau": 1e-9}, Y, "only one class, .*False.*, was seen"),
-    ({"tau": 100.0}, (TIME, np.zeros(80, dtype=bool)), "all 80 paths were cut before their target was seen"),
+    ({"tau": 100.0}, (TIME, np.zeros(80, dtype=bool)), "all 80 trajectories were cut before their target was seen"),
     ({"loss": "squared"}, LABELS, "loss is 'squared'; CensoredSVC has hinge, squared-hinge, logistic"),
     ({"cv": 1}, LABELS, "cv is 1"),
 ]
@@ -82,7 +86,7 @@ CLASSIFIER = [
     [(CensoredSVR, *each) for each in REGRESSOR] + [(CensoredSVC, *each) for each in CLASSIFIER],
 )
 def test_parameters_and_targets_are_refused(make, parameters, y, says):
-    error = PositivityError if says.startswith(("all 80", r"path \d")) else ArgumentError
+    error = PositivityError if says.startswith(("all 80", r"trajectory \d")) else ArgumentError
     message = refusal(lambda: make(**{"reg": 1e-2} | parameters).fit(X, y), error)
     assert re.search(says, message), message
 
@@ -109,7 +113,7 @@ def test_a_constant_covariate_is_no_trouble_elsewhere():
 
 
 INPUTS = [
-    (X, (but(TIME, 3, 0.0), IS_FINISHED), "time, row 3: 0.0 is no end of a path"),
+    (X, (but(TIME, 3, 0.0), IS_FINISHED), "time, row 3: 0.0 is no end of a trajectory"),
     (X, (but(TIME, 3, -1.0), IS_FINISHED), "time, row 3: -1.0"),
     (X, (but(TIME, 5, np.nan), IS_FINISHED), "time, row 5: nan"),
     (X, (but(TIME, 5, np.inf), IS_FINISHED), "time, row 5: inf"),

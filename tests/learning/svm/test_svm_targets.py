@@ -77,7 +77,7 @@ def test_refuses_targets_that_are_none(target, says):
     assert "\n" not in str(refusal.value)
 
 
-def test_a_path_cut_after_tau_counts_in_full():
+def test_a_trajectory_cut_after_tau_counts_in_full():
     tau = 0.6
     is_late = np.greater_equal(TIME, tau)
     model = CensoredSVR("squared", reg=1e-2, tau=tau).fit(X, Y)
@@ -116,7 +116,7 @@ def area_under_kaplan_meier(time, is_finished):
 def test_one_group_has_the_area_under_kaplan_meier_as_its_mean(load):
     y = load()[1]
     is_finished, time = (y[name] for name in y.dtype.names)
-    # The area ends where the last path ends, so all must have ended by then: the target is restricted to it.
+    # The area ends where the last trajectory ends, so all must have ended by then: the target is restricted to it.
     tau = float(np.sort(time)[int(0.9 * len(time))])
     model = CensoredSVR("squared", kernel="linear", reg=0, fit_intercept=False, tau=tau).fit(np.ones((len(y), 1)), y)
     area = area_under_kaplan_meier(np.minimum(time, tau), is_finished & (time <= tau))

@@ -11,11 +11,11 @@ from bags import (
     cloud,
     joints,
     number,
-    one_path,
+    one_trajectory,
     pose,
     tables_of,
     text,
-    two_paths,
+    two_trajectories,
     whole,
     write_bag_of_ros_1,
 )
@@ -31,7 +31,7 @@ in_each_storage = pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 
 def test_the_template_is_a_whole_mapping_and_the_example_of_the_documentation_is_the_template(mapping, tmp_path):
     told = read_mapping(mapping(MAPPING_TEMPLATE))
-    keys = ["path", "covariates.occlusion", "cloud", "action", "object", "probability", "reward", "ending"]
+    keys = ["trajectory", "covariates.occlusion", "cloud", "action", "object", "probability", "reward", "ending"]
     assert [source.key for source in told.sources] == keys
     assert (told.action.topic, told.action.field, told.finished) == ("/pick/action", "data", ("finished",))
     example = inspect.cleandoc(read_mapping.__doc__ or "").partition("are needed::")[2]
@@ -43,7 +43,7 @@ def test_the_template_is_a_whole_mapping_and_the_example_of_the_documentation_is
 
 
 BROKEN = [
-    ("[reward]", "[rewards]", r"rewards: it is unknown; there are clock, path, .*reward"),
+    ("[reward]", "[rewards]", r"rewards: it is unknown; there are clock, trajectory, .*reward"),
     ('[reward]\ntopic = "/reward"\nfield = "data"\n', "", r"reward: it is missing; say which topic"),
     ('topic = "/reward"\n', "", r"reward\.topic: it is missing"),
     ('topic = "/reward"', "topic = 3", r"reward\.topic: 3 is no text"),
@@ -51,7 +51,7 @@ BROKEN = [
     ('topic = "/reward"', 'topic = "/r"\ntype = "x"', r"reward\.type: it is unknown; there are topic, field"),
     ("[action]", 'clock = "sim"\n[action]', r"clock: 'sim' is none of 'log', 'publish', 'header'"),
     ("[action]", "covariates = 1\n[action]", r"covariates: 1 is no table"),
-    ("[action]", "path = 1\n[action]", r"path: 1 is no table"),
+    ("[action]", "trajectory = 1\n[action]", r"trajectory: 1 is no table"),
     ("[action]", "[covariates.reward]\ntopic='/x'\nfield='data'\n[action]", "covariates.reward: stages have such"),
     ("[action]", "[covariates.x]\ntopic='/x'\n[action]", r"covariates\.x\.field: it is missing"),
     ('topic = "/end"', 'topic = "/end"\nfinished = []', r"ending\.finished: \[\] is no list of values"),
@@ -79,22 +79,22 @@ BROKEN = [
 
 
 def test_a_mapping_that_is_broken_or_does_not_fit_is_told_with_file_and_key(bag, mapping):
-    folder, content = bag(one_path(joints(0.0, "/joints", [0.5, 0.75]))), tables_of(SMALL)
+    folder, content = bag(one_trajectory(joints(0.0, "/joints", [0.5, 0.75]))), tables_of(SMALL)
     for old, new, message in BROKEN:
         assert old in content
         with refused(rf"cell\.toml(, |:){message}", ArgumentError):
             read_bag(folder, mapping(content.replace(old, new, 1)))
 
 
-# Paths.
+# Trajectories.
 
 
 @in_each_storage
-def test_two_paths_of_one_bag_which_is_read_from_its_storage_where_its_recorder_died(bag, mapping, storage):
-    folder, file = bag(two_paths(), storage=storage), mapping()
+def test_two_trajectories_of_one_bag_which_is_read_from_its_storage_where_its_recorder_died(bag, mapping, storage):
+    folder, file = bag(two_trajectories(), storage=storage), mapping()
     logs = read_bag(folder, file)
-    paths = logs.paths[["path", "ending", "cause", "end_s", "bag"]].values.tolist()
-    assert paths == [["monday-1", "finished", None, 2.75, "bag"], ["monday-2", "cut", "crash", 2.5, "bag"]]
+    trajectories = logs.trajectories[["trajectory", "ending", "cause", "end_s", "bag"]].values.tolist()
+    assert trajectories == [["monday-1", "finished", None, 2.75, "bag"], ["monday-2", "cut", "crash", 2.5, "bag"]]
     assert logs.stages["action"].tolist() == ["WASH", "FINISH", "LIFT", None]
     assert logs.stages["object"].tolist() == ["cup", None, None, None]
     wanted = {
@@ -111,12 +111,12 @@ def test_two_paths_of_one_bag_which_is_read_from_its_storage_where_its_recorder_
 
 
 def test_bags_of_ros_1_are_read_too(tmp_path, mapping):
-    logs = read_bag(write_bag_of_ros_1(tmp_path / "old.bag", one_path()), mapping(SMALL))
+    logs = read_bag(write_bag_of_ros_1(tmp_path / "old.bag", one_trajectory()), mapping(SMALL))
     assert logs.stages[["elapsed_s", "action"]].values.tolist() == [[1.0, "A"]]
 
 
 def test_messages_recorded_out_of_order_are_put_in_order(bag, mapping):
-    messages = two_paths()
+    messages = two_trajectories()
     other = [messages[i] for i in np.random.default_rng(3).permutation(len(messages))]
     # Of equal stamps the recorded order counts, so keep the ending behind the reward and the object with its action.
     other.sort(key=lambda message: message[1] == "/episode/end")
@@ -124,28 +124,28 @@ def test_messages_recorded_out_of_order_are_put_in_order(bag, mapping):
     assert left.stages.equals(right.stages)
 
 
-def test_without_a_beginning_a_bag_is_one_path_and_bags_are_numbered(bag, mapping):
-    bags = [bag(one_path(), "a"), bag(one_path(ending="battery"), "b"), bag(one_path(ending=""), "c")]
+def test_without_a_beginning_a_bag_is_one_trajectory_and_bags_are_numbered(bag, mapping):
+    bags = [bag(one_trajectory(), "a"), bag(one_trajectory(ending="battery"), "b"), bag(one_trajectory(ending=""), "c")]
     logs = read_bag(bags, mapping(SMALL))
-    assert logs.paths[["path", "bag"]].values.tolist() == [[1, "a"], [2, "b"], [3, "c"]]
-    assert logs.paths["cause"].tolist() == [None, "battery", "unknown"]
+    assert logs.trajectories[["trajectory", "bag"]].values.tolist() == [[1, "a"], [2, "b"], [3, "c"]]
+    assert logs.trajectories["cause"].tolist() == [None, "battery", "unknown"]
     assert logs.end_s.tolist() == [1.5, 1.5, 1.5]
-    assert logs.stages.groupby("path").size().tolist() == [1, 2, 2]
+    assert logs.stages.groupby("trajectory").size().tolist() == [1, 2, 2]
 
 
-def test_a_path_cut_during_an_attempt_keeps_what_was_seen_and_tried(bag, mapping):
+def test_a_trajectory_cut_during_an_attempt_keeps_what_was_seen_and_tried(bag, mapping):
     told = SMALL | {"covariates.x": "/x data"}
     crashed = bag([number(0, "/x", 1.0), text(1, "/action", "A"), number(2, "/x", 2.0)], "crashed")
-    logs = read_bag([crashed, bag(one_path(number(0, "/x", 3.0)))], mapping(told))
+    logs = read_bag([crashed, bag(one_trajectory(number(0, "/x", 3.0)))], mapping(told))
     assert logs.stages[["action", "x"]].to_numpy().tolist() == [["A", 1.0], ["A", 3.0]]
-    assert (logs.paths["cause"].tolist(), logs.end_s.tolist()) == (["crash", None], [2.0, 2.5])
+    assert (logs.trajectories["cause"].tolist(), logs.end_s.tolist()) == (["crash", None], [2.0, 2.5])
     with refused(r"no topic '/reward' in .*together with others", ArgumentError):
         read_bag(crashed, mapping(told))
 
 
 def test_fields_are_paths_into_messages(read):
     seen = {"x_m": "/pose pose.position.x", "elbow_rad": "/joints position.1", "joint": "/joints name.0"}
-    messages = one_path(pose(0.0, "/pose", 0.25), joints(0.1, "/joints", [0.5, 0.75]))
+    messages = one_trajectory(pose(0.0, "/pose", 0.25), joints(0.1, "/joints", [0.5, 0.75]))
     logs = read(messages, SMALL | {f"covariates.{name}": source for name, source in seen.items()})
     assert logs.stages[list(seen)].to_numpy().tolist() == [[0.25, 0.75, "a"]]
 
@@ -153,7 +153,7 @@ def test_fields_are_paths_into_messages(read):
 def test_actions_may_be_whole_numbers_and_endings_too(read):
     messages = [whole(1.0, "/action", 3), number(2.0, "/reward", 1.0), whole(2.0, "/end", 1)]
     logs = read(messages, tables_of(SMALL) + "finished = [0]")
-    assert (logs.stages["action"].tolist()[0], logs.paths["cause"].tolist()) == (3, ["1"])
+    assert (logs.stages["action"].tolist()[0], logs.trajectories["cause"].tolist()) == (3, ["1"])
 
 
 def test_the_header_may_be_the_clock(read):
@@ -174,14 +174,14 @@ B = text(3.0, "/action", "B")
 @pytest.mark.parametrize(
     ("messages", "message"),
     [
-        ([number(0.5, "/reward", 1.0), A, E], r"path 1, stage 1: reward 1\.0 comes at 0 s with no action before it"),
+        ([number(0.5, "/reward", 1.0), A, E], r"trajectory 1, stage 1: reward 1\.0 comes at 0 s with no action"),
         ([A, text(1.5, "/action", "B"), R, E], r"stage 1: action 'B' comes at 0\.5 s, yet 'A' before it has no"),
-        ([A, R, B, E], r"path 1, stage 2: the path finished, yet the stage has no reward"),
-        ([A, R, text(3.0, "/end", "finished"), E], r"path 1: ending comes at 8 s, after .* at 2 s; map \[path\]"),
-        ([A, number(1.0, "/reward", 1.0), E], r"path 1, stage 1: elapsed_s 0\.0 is no time after the path's beginning"),
-        ([A, number(2.0, "/reward", np.nan), E], r"path 1, stage 1: .*its reward is nan"),
-        ([message for message in two_paths() if message[0] != 1.1],
-         r"path 'monday-1', stage 1: no message of /camera/occlusion came before"),
+        ([A, R, B, E], r"trajectory 1, stage 2: the trajectory finished, yet the stage has no reward"),
+        ([A, R, text(3.0, "/end", "finished"), E], r"trajectory 1: ending comes at 8 s, after .* at 2 s; map"),
+        ([A, number(1.0, "/reward", 1.0), E], r"trajectory 1, stage 1: elapsed_s 0\.0 is no time after"),
+        ([A, number(2.0, "/reward", np.nan), E], r"trajectory 1, stage 1: .*its reward is nan"),
+        ([message for message in two_trajectories() if message[0] != 1.1],
+         r"trajectory 'monday-1', stage 1: no message of /camera/occlusion came before"),
     ],
 )  # fmt: skip
 def test_messages_that_make_no_stages_are_told(read, messages, message):
@@ -189,13 +189,15 @@ def test_messages_that_make_no_stages_are_told(read, messages, message):
         read(messages, SMALL if A in messages or E in messages else WITHOUT_CLOUD)
 
 
-def test_a_path_cut_before_anything_was_seen_is_left_out_with_a_warning(bag, mapping):
-    messages = [*two_paths(), text(20.0, "/episode/begin", "monday-3"), text(21.0, "/episode/end", "operator")]
-    with pytest.warns(HalfseenWarning, match=r"path 'monday-3' was cut before any message of /camera/occlusion came"):
-        assert read_bag(bag(messages), mapping()).num_paths == 2
-    messages = [message for message in two_paths() if message[1] != "/episode/begin"]
+def test_a_trajectory_cut_before_anything_was_seen_is_left_out_with_a_warning(bag, mapping):
+    messages = [*two_trajectories(), text(20.0, "/episode/begin", "monday-3"), text(21.0, "/episode/end", "operator")]
+    with pytest.warns(
+        HalfseenWarning, match=r"trajectory 'monday-3' was cut before any message of /camera/occlusion came"
+    ):
+        assert read_bag(bag(messages), mapping()).num_trajectories == 2
+    messages = [message for message in two_trajectories() if message[1] != "/episode/begin"]
     bags = [bag(messages, "without"), bag([text(0.0, "/episode/begin", "late")], "late")]
-    told = r"no path with a stage was found; look at \[path\] in .*cell\.toml"
+    told = r"no trajectory with a stage was found; look at \[trajectory\] in .*cell\.toml"
     with pytest.warns(HalfseenWarning, match="'late' was cut"), refused(told, LogError):
         read_bag(bags, mapping())
 
@@ -223,7 +225,7 @@ def test_points_come_out_as_they_went_in(read, dtype, padding):
         seen.append((points_m, shape, name))
         return {"object": [0], "occlusion": [0.5]}
 
-    logs = read(one_path(cloud(0.0, "/points", POINTS, (2, 3), dtype=dtype, padding=padding)), CLOUD, see=see)
+    logs = read(one_trajectory(cloud(0.0, "/points", POINTS, (2, 3), dtype=dtype, padding=padding)), CLOUD, see=see)
     ((points_m, *told),) = seen
     assert told == [(2, 3), "bag-0"]
     assert np.array_equal(points_m, POINTS.astype(dtype))
@@ -265,4 +267,4 @@ def test_each_stage_has_the_last_cloud_before_its_action_and_only_those_are_read
 )
 def test_broken_clouds_and_mappings_without_them_are_told(read, options, told, message):
     with refused(message):
-        read(one_path(cloud(0.0, "/points", POINTS, (2, 3), **options)), told, see=lambda *_: {})
+        read(one_trajectory(cloud(0.0, "/points", POINTS, (2, 3), **options)), told, see=lambda *_: {})

@@ -17,17 +17,17 @@ def folder(tmp_path):
 
 
 def test_by_hand_without_types_the_rules_decide(tmp_path):
-    (tmp_path / "paths.csv").write_bytes(
-        b"\xef\xbb\xbfpath,end_s,ending,cause,room\r\n007,4,finished,,1\r\n8,3.5,cut,battery,2\r\n"
+    (tmp_path / "trajectories.csv").write_bytes(
+        b"\xef\xbb\xbftrajectory,end_s,ending,cause,room\r\n007,4,finished,,1\r\n8,3.5,cut,battery,2\r\n"
     )
     (tmp_path / "stages.csv").write_text(
-        "path,stage,elapsed_s,action,reward,x,is_held,shares,note,empty\n"
+        "trajectory,stage,elapsed_s,action,reward,x,is_held,shares,note,empty\n"
         '007,1,1.5,1,0,1e-1,true,"[1, 2.5]",a,\n007,2,4,B,1,-2,false,[],"",\n8,1,,,,3,true,[3],,\n'
     )
     logs = read_csv(tmp_path)
-    assert logs.path_ids.tolist() == ["007", "8"]
-    assert logs.paths["cause"].tolist() == [None, "battery"]
-    assert logs.paths["room"].dtype == np.int64
+    assert logs.trajectory_ids.tolist() == ["007", "8"]
+    assert logs.trajectories["cause"].tolist() == [None, "battery"]
+    assert logs.trajectories["room"].dtype == np.int64
     assert logs.stages[["action", "x", "note"]].values.tolist() == [["1", 0.1, "a"], ["B", -2.0, ""], [None, 3.0, None]]
     assert logs.stages["is_held"].dtype == bool
     assert [shares.tolist() for shares in logs.stages["shares"]] == [[1.0, 2.5], [], [3.0]]
@@ -36,10 +36,10 @@ def test_by_hand_without_types_the_rules_decide(tmp_path):
 
 def test_types_may_name_only_some_columns(folder):
     types = json.loads((folder / "columns.json").read_text())
-    types["tables"] = {name: {"path": "string"} for name in ("stages", "paths", "objects")}
+    types["tables"] = {name: {"trajectory": "string"} for name in ("stages", "trajectories", "objects")}
     (folder / "columns.json").write_text(json.dumps(types))
     logs = read_csv(folder)
-    assert logs.path_ids.tolist() == ["1", "2", "3"]
+    assert logs.trajectory_ids.tolist() == ["1", "2", "3"]
     assert logs.objects["hidden_by"][0].tolist() == [0.0, 0.0]
 
 
@@ -50,27 +50,27 @@ WRONG = [
     ("stages.csv", "-0.1,0.5,10", "-0.1,0.5", rf": {NO_TABLE} .*Row #2: Expected 8 columns, got 7"),
     ("stages.csv", "-5,1,9", "-5,1,NA", r", row 3, column 'steps_to_go': 'NA' is no (int64|number)"),
     ("stages.csv", '"stage"', '"sta\nge"', r": the column 'sta\\nge' has a name of two lines"),
-    ("stages.csv", '"stage"', '"path"', r": there are two columns 'path'"),
+    ("stages.csv", '"stage"', '"trajectory"', r": there are two columns 'trajectory'"),
     ("stages.csv", '"stage"', '"stag"', r"there is no column 'stage' among .* rename 'stag'\?"),
-    ("stages.csv", "1,1,1.5", "9,1,1.5", r"paths has no such path"),
-    ("stages.csv", "1,1,1.5", "1,1,-1.5", r"path 1, stage 1: elapsed_s -1.5"),
-    ("paths.csv", ",", ";", r": its cells are separated by ';'; export it with commas"),
-    ("paths.csv", "battery", b"b\xe4ttery", r": it is no CSV file.*(utf-8|UTF8)"),
-    *((name, None, b"", f": {NO_TABLE}") for name in ("stages.csv", "paths.csv")),
-    *((name, None, None, ": it is missing") for name in ("stages.csv", "paths.csv")),
+    ("stages.csv", "1,1,1.5", "9,1,1.5", r"trajectories has no such trajectory"),
+    ("stages.csv", "1,1,1.5", "1,1,-1.5", r"trajectory 1, stage 1: elapsed_s -1.5"),
+    ("trajectories.csv", ",", ";", r": its cells are separated by ';'; export it with commas"),
+    ("trajectories.csv", "battery", b"b\xe4ttery", r": it is no CSV file.*(utf-8|UTF8)"),
+    *((name, None, b"", f": {NO_TABLE}") for name in ("stages.csv", "trajectories.csv")),
+    *((name, None, None, ": it is missing") for name in ("stages.csv", "trajectories.csv")),
 ]
 """File, what stands in it, what is put there, and what is told."""
 TYPES = [
     ("{", "it cannot be read"),
     ("[]", "it is not of format"),
-    ('{"format": "halfseen-csv", "version": 2}', "it is not of format 'halfseen-csv', version 1"),
+    ('{"format": "halfseen-csv", "version": 1}', "it is not of format 'halfseen-csv', version 2"),
     *(
-        (f'{{"format": "halfseen-csv", "version": 1, "tables": {tables}}}', told)
+        (f'{{"format": "halfseen-csv", "version": 2, "tables": {tables}}}', told)
         for tables, told in (
             ("[]", "tables does not name"),
-            ('{"paths": {"end_s": "metres"}}', "'metres' is unknown"),
-            ('{"paths": {"end_s": 3}}', "tables.paths.end_s is 3, which is no type"),
-            ('{"paths": {"end_s": {"type": 1}}}', "which is no type"),
+            ('{"trajectories": {"end_s": "metres"}}', "'metres' is unknown"),
+            ('{"trajectories": {"end_s": 3}}', "tables.trajectories.end_s is 3, which is no type"),
+            ('{"trajectories": {"end_s": {"type": 1}}}', "which is no type"),
         )
     ),
 ]

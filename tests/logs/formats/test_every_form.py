@@ -5,7 +5,7 @@ from contextlib import closing
 
 import pytest
 
-from bags import WITHOUT_CLOUD, mapping_for, mixed, two_paths, write_bag, write_mcap
+from bags import WITHOUT_CLOUD, mapping_for, mixed, two_trajectories, write_bag, write_mcap
 from foreign import arrays, episodes, rows_of, write_arrays, write_rows
 from halfseen.errors import HalfseenError
 from halfseen.logs.formats import (
@@ -39,7 +39,7 @@ def hdf5(folder):
 def bag(storage, is_folder=False):
     def make(folder):
         (folder / "cell.toml").write_text(WITHOUT_CLOUD)
-        write_bag(folder / "bag", two_paths() * 5, storage)
+        write_bag(folder / "bag", two_trajectories() * 5, storage)
         (file,) = (file for file in (folder / "bag").iterdir() if file.suffix != ".yaml")
         return file, lambda: read_bag(folder / "bag" if is_folder else file, folder / "cell.toml")
 
@@ -48,7 +48,7 @@ def bag(storage, is_folder=False):
 
 def mcap(folder):
     (folder / "cell.toml").write_text(mapping_for(mixed))
-    file = write_mcap(folder / "cell.mcap", two_paths() * 3, mixed)
+    file = write_mcap(folder / "cell.mcap", two_trajectories() * 3, mixed)
     return file, lambda: read_bag(file, folder / "cell.toml")
 
 
@@ -60,9 +60,9 @@ def minari(folder):
 def sqlite(folder):
     file = folder / "logs.db"
     with closing(sqlite3.connect(file)) as database:
-        for name in ("stages", "paths"):
+        for name in ("stages", "trajectories"):
             flat_log(8).tables[name].to_sql(name, database, index=False)
-    return file, lambda: read_sql(f"sqlite:///{file}", Queries("SELECT * FROM stages", "SELECT * FROM paths"))
+    return file, lambda: read_sql(f"sqlite:///{file}", Queries("SELECT * FROM stages", "SELECT * FROM trajectories"))
 
 
 NO_BAG = "it is no whole bag .*ros2 bag reindex"
@@ -77,7 +77,8 @@ FORMS = {
     "minari": (minari, "dataset flat-v0: "),
     "sqlite": (
         sqlite,
-        r"logs\.db: paths, row 0: path is null|logs\.db, stages: the database refuses .*(malformed|disk image|no such)",
+        r"logs\.db: trajectories, row 0: trajectory is null|logs\.db, stages: the database refuses .*(malformed|disk "
+        r"image|no such)",
     ),
 }
 """By form: what makes a file and reads it, and what is said where that broke off."""

@@ -19,7 +19,7 @@ from bags import (
     mapping_for,
     mixed,
     tables_of,
-    two_paths,
+    two_trajectories,
     write_mcap,
 )
 from halfseen.errors import ArgumentError
@@ -29,13 +29,13 @@ from refusals import refused
 
 @pytest.mark.parametrize("encode", [as_json, as_json_without_schema, as_protobuf, as_ros, mixed])
 def test_each_encoding_is_the_log_of_the_bag_of_ros(read, read_mcap, encode):
-    wanted, logs = read(two_paths()), read_mcap(two_paths(), encode)
+    wanted, logs = read(two_trajectories()), read_mcap(two_trajectories(), encode)
     pd.testing.assert_frame_equal(logs.stages, wanted.stages)
-    pd.testing.assert_frame_equal(logs.paths.drop(columns="bag"), wanted.paths.drop(columns="bag"))
+    pd.testing.assert_frame_equal(logs.trajectories.drop(columns="bag"), wanted.trajectories.drop(columns="bag"))
 
 
 def test_each_way_to_write_it_is_the_same_log(read_mcap):
-    wanted = read_mcap(two_paths(), mixed)
+    wanted = read_mcap(two_trajectories(), mixed)
     for options in (
         {"compression": CompressionType.NONE},
         {"compression": CompressionType.LZ4},
@@ -46,15 +46,15 @@ def test_each_way_to_write_it_is_the_same_log(read_mcap):
         {"enable_crcs": False},
         {"enable_data_crcs": True},
     ):
-        pd.testing.assert_frame_equal(read_mcap(two_paths(), mixed, **options).stages, wanted.stages)
+        pd.testing.assert_frame_equal(read_mcap(two_trajectories(), mixed, **options).stages, wanted.stages)
 
 
 def test_the_clock_may_be_when_it_was_sent(bag, mapping, read_mcap):
     rng, late = np.random.default_rng(0), mapping_for(as_json, "publish")
-    logs = read_mcap(two_paths(), as_json, late, late_ns=lambda: int(rng.integers(10**9)))
-    pd.testing.assert_frame_equal(logs.stages, read_mcap(two_paths(), as_json).stages)
+    logs = read_mcap(two_trajectories(), as_json, late, late_ns=lambda: int(rng.integers(10**9)))
+    pd.testing.assert_frame_equal(logs.stages, read_mcap(two_trajectories(), as_json).stages)
     with refused(r'clock: .* does not say when it was sent; say clock = "log"', ArgumentError):
-        read_bag(bag(two_paths(), storage="sqlite3"), mapping(mapping_for(as_ros, "publish")))
+        read_bag(bag(two_trajectories(), storage="sqlite3"), mapping(mapping_for(as_ros, "publish")))
 
 
 @pytest.mark.parametrize("encoding", ["json", "protobuf"])
@@ -96,7 +96,9 @@ def test_what_is_not_set_in_protobuf_is_told(read_mcap):
         told = mapping_for(as_protobuf).replace('field = "text"', f'field = "{field}"')
         with refused(rf"field '{field}' is no single value", ArgumentError):
             read_mcap(
-                two_paths(), lambda *_: ("protobuf", SCHEMAS["protobuf"], Said(raw=b"x").SerializeToString()), told
+                two_trajectories(),
+                lambda *_: ("protobuf", SCHEMAS["protobuf"], Said(raw=b"x").SerializeToString()),
+                told,
             )
 
 
@@ -119,21 +121,21 @@ def test_what_is_not_set_in_protobuf_is_told(read_mcap):
 )
 def test_messages_that_are_none_are_told(read_mcap, encoding, schema, content, told):
     with refused(told):
-        read_mcap(two_paths(), lambda *_: (encoding, schema, content), mapping_for(as_json))
+        read_mcap(two_trajectories(), lambda *_: (encoding, schema, content), mapping_for(as_json))
 
 
 def test_channels_that_nobody_names_need_not_be_known_and_those_that_are_named_must_be_there(read_mcap):
     def encode(topic, kind, message):
         return ("flatbuffer", None, b"") if topic == "/other" else as_json(topic, kind, message)
 
-    messages = [*two_paths(), (14.0, "/other", "", None)]
-    assert read_mcap(messages, encode, mapping_for(as_json)).num_paths == 2
+    messages = [*two_trajectories(), (14.0, "/other", "", None)]
+    assert read_mcap(messages, encode, mapping_for(as_json)).num_trajectories == 2
     with refused(r"no topic '/pick/action' in .*; there are /camera/occlusion, /episode/begin"):
-        read_mcap(two_paths()[:3], as_json)
+        read_mcap(two_trajectories()[:3], as_json)
 
 
 def test_a_wrong_checksum_is_told(tmp_path, mapping):
-    file = write_mcap(tmp_path / "a.mcap", two_paths(), as_json, compression=CompressionType.NONE)
+    file = write_mcap(tmp_path / "a.mcap", two_trajectories(), as_json, compression=CompressionType.NONE)
     content = file.read_bytes()
     assert content.count(b"monday-2") == 1
     file.write_bytes(content.replace(b"monday-2", b"monday-3"))
@@ -149,7 +151,7 @@ def test_a_chunk_of_few_bytes_and_many_or_of_more_than_it_says_is_refused(read_m
     with monkeypatch.context() as patch:
         patch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**6)
         with refused(r"unpacked, it has 6 MB, and at most"):
-            read_mcap(two_paths(), padded, mapping_for(as_json), compression=compression, chunk_size=10**8)
+            read_mcap(two_trajectories(), padded, mapping_for(as_json), compression=compression, chunk_size=10**8)
     unpacked = mcap_files._unpacked
 
     def less(chunk):
@@ -158,13 +160,13 @@ def test_a_chunk_of_few_bytes_and_many_or_of_more_than_it_says_is_refused(read_m
 
     monkeypatch.setattr(mcap_files, "_unpacked", less)
     with refused("a chunk says that it has .* bytes unpacked, and has other"):
-        read_mcap(two_paths(), as_json, compression=compression, enable_crcs=False)
+        read_mcap(two_trajectories(), as_json, compression=compression, enable_crcs=False)
 
 
 def test_clouds_of_ros_stand_beside_other_encodings(tmp_path, mapping):
     points = np.arange(18.0).reshape(6, 3)
     clouds = [cloud(1.2, "/camera/points", points, (2, 3)), cloud(11.3, "/camera/points", points + 1, (2, 3))]
-    messages = sorted([*two_paths(), *clouds], key=lambda message: message[0])
+    messages = sorted([*two_trajectories(), *clouds], key=lambda message: message[0])
     file = write_mcap(tmp_path / "a.mcap", messages, lambda t, *of: (as_ros if "points" in t else as_json)(t, *of))
     kept = []
 

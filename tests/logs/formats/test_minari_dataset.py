@@ -27,11 +27,11 @@ def root(tmp_path, monkeypatch):
 
 @pytest.fixture
 def flat():
-    """Path 1 finishes in two stages, path 2 is cut in its second, path 3 in its first."""
+    """Trajectory 1 finishes in two stages, trajectory 2 is cut in its second, trajectory 3 in its first."""
     tables = small_tables()
     del tables["stages"]["object"]
     tables["stages"]["height_m"] = np.float32([0.1, 0.2, 0.3, 0.4, 0.5])
-    return Logs(tables["stages"], tables["paths"])
+    return Logs(tables["stages"], tables["trajectories"])
 
 
 # Written by halfseen.
@@ -57,7 +57,7 @@ def test_steps_are_completed_stages_and_the_cut_stage_is_the_last_observation(fl
 
 def test_a_log_without_numeric_covariates_shows_the_stage(root):
     tables = small_tables()
-    logs = Logs(tables["stages"].drop(columns="steps_to_go"), tables["paths"], tables["objects"])
+    logs = Logs(tables["stages"].drop(columns="steps_to_go"), tables["trajectories"], tables["objects"])
     write_minari(logs, "pick-v0")
     assert next(iter(minari.load_dataset("pick-v0"))).observations.tolist() == [[1.0], [2.0], [3.0]]
     for source in ("pick-v0", root / "pick-v0"):
@@ -81,7 +81,7 @@ def test_what_halfseen_wrote_is_read_in_part_checked_and_never_replaced(flat, ro
     noted = json.loads(dataset.storage.metadata["halfseen"])
     for broken in ({}, {**noted, "version": 9}, {**noted, "observations": ["x"]}, {**noted, "actions": ["FINISH"]}):
         dataset.storage.update_metadata({"halfseen": json.dumps(broken)})
-        with refused(r"dataset pick-v0: (it is broken|path)", LogError):
+        with refused(r"dataset pick-v0: (it is broken|trajectory)", LogError):
             read_minari("pick-v0")
 
 
@@ -124,12 +124,12 @@ def test_episodes_of_a_data_collector_are_read_with_steps_as_seconds():
     with pytest.warns(HalfseenWarning, match="every step counts as 1 s; name what holds it as clock"):
         logs = read_minari(dataset)
     episodes = list(dataset)
-    assert logs.num_paths == 6
+    assert logs.num_trajectories == 6
     assert logs.is_finished.tolist() == [bool(episode.terminations[-1]) for episode in episodes]
     assert 0 < logs.cut_share < 1
-    assert set(logs.paths["cause"].dropna()) == {"truncated"}
-    for path, episode in enumerate(episodes):
-        stages = logs.stages[logs.stages["path"] == path]
+    assert set(logs.trajectories["cause"].dropna()) == {"truncated"}
+    for trajectory, episode in enumerate(episodes):
+        stages = logs.stages[logs.stages["trajectory"] == trajectory]
         num_steps = len(episode)
         assert stages["elapsed_s"].dropna().tolist() == list(range(1, num_steps + 1))
         assert stages["action"].dropna().tolist() == episode.actions.tolist()
@@ -142,10 +142,10 @@ def test_episodes_of_a_data_collector_are_read_with_steps_as_seconds():
 def test_each_ending_has_its_meaning(truncated, ending):
     dataset = by_hand([(LAST, NO), (NO, LAST), (LAST, LAST), (NO, NO)])
     logs = read_minari(dataset, step_s=0.5, truncated=truncated)
-    assert logs.paths["cause"].tolist() == [None, ending, None, "unknown"]
+    assert logs.trajectories["cause"].tolist() == [None, ending, None, "unknown"]
     assert logs.is_finished.tolist() == [True, ending is None, True, False]
     assert logs.end_s.tolist() == [1.5] * 4
-    assert logs.stages.groupby("path").size().tolist() == [3, 4 - (ending is None), 3, 4]
+    assert logs.stages.groupby("trajectory").size().tolist() == [3, 4 - (ending is None), 3, 4]
 
 
 def test_a_named_info_is_the_clock():
@@ -174,7 +174,7 @@ IN_WORDS = {"observation_space": spaces.Text(4), "observations": ["a", "b", "c",
         ((LAST, NO), {}, {"clock": "time"}, r"dataset hand-v0, episode 0: there is no info 'time' among note, t"),
         ((LAST, NO), {}, {"clock": "note"}, "info 'note' is object"),
         ((LAST, NO), {}, {"step_s": -1.0}, r"step_s -1\.0"),
-        ((LAST, NO), {"infos": STANDS}, {"clock": "t"}, r"path 0, stage 2: elapsed_s 1\.0 is also the 1\.0"),
+        ((LAST, NO), {"infos": STANDS}, {"clock": "t"}, r"trajectory 0, stage 2: elapsed_s 1\.0 is also the 1\.0"),
         ((LAST, NO), TORQUE, {"step_s": 1.0}, r"hand-v0: actions are Box.*discretise them"),
         ((LAST, NO), IN_WORDS, {"step_s": 1.0}, r"hand-v0: observations are Text.*flatten them"),
         ((LAST, NO), {"observations": np.zeros((3, 2))}, {"step_s": 1.0}, "3 observations for 3 steps"),

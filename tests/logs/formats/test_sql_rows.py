@@ -15,8 +15,8 @@ from halfseen.logs.formats.sql_rows import _value, shown_url
 from refusals import refused
 from valid_logs import small_tables
 
-ALL = Queries("SELECT * FROM stages", "SELECT * FROM paths", "SELECT * FROM objects")
-TWO = Queries("SELECT * FROM stages", "SELECT * FROM paths")
+ALL = Queries("SELECT * FROM stages", "SELECT * FROM trajectories", "SELECT * FROM objects")
+TWO = Queries("SELECT * FROM stages", "SELECT * FROM trajectories")
 
 
 def run(database, *statements):
@@ -46,19 +46,23 @@ def test_rows_are_the_log_that_was_written(database):
 
 def test_queries_may_name_filter_and_compute(database):
     run(database, ["ALTER TABLE stages RENAME COLUMN steps_to_go TO togo"])
-    stages = """/* all; but one */ WITH s AS (SELECT * FROM stages WHERE path < 3)
-        SELECT path, stage, elapsed_s, action, reward, togo * 2 AS x FROM s;"""
+    stages = """/* all; but one */ WITH s AS (SELECT * FROM stages WHERE trajectory < 3)
+        SELECT trajectory, stage, elapsed_s, action, reward, togo * 2 AS x FROM s;"""
     # Percent signs and colons are no parameters.
-    paths = """SELECT path, end_s, ending, cause, 'a; b 100 % :x' AS note FROM paths
-        WHERE path < 3 AND ending LIKE '%' AND ':y' <> '' -- and no more"""
-    logs = read_sql(database, Queries(stages, paths))
+    trajectories = """SELECT trajectory, end_s, ending, cause, 'a; b 100 % :x' AS note FROM trajectories
+        WHERE trajectory < 3 AND ending LIKE '%' AND ':y' <> '' -- and no more"""
+    logs = read_sql(database, Queries(stages, trajectories))
     assert logs.stages["x"].tolist() == [20, 18, 20, 18]
-    assert logs.paths["note"].tolist() == ["a; b 100 % :x"] * 2
+    assert logs.trajectories["note"].tolist() == ["a; b 100 % :x"] * 2
 
 
 def test_whole_numbers_with_null_and_beyond_fractions_stay(database):
-    run(database, ["ALTER TABLE paths ADD COLUMN serial"], [f"UPDATE paths SET serial = {2**60 + 1} WHERE path > 1"])
-    assert read_sql(database, TWO).paths["serial"].tolist()[1:] == [2**60 + 1] * 2
+    run(
+        database,
+        ["ALTER TABLE trajectories ADD COLUMN serial"],
+        [f"UPDATE trajectories SET serial = {2**60 + 1} WHERE trajectory > 1"],
+    )
+    assert read_sql(database, TWO).trajectories["serial"].tolist()[1:] == [2**60 + 1] * 2
 
 
 def test_what_is_read_stays_as_it_is(database):
@@ -75,34 +79,34 @@ def test_what_is_read_stays_as_it_is(database):
         with refused("is not one SELECT"):
             Queries(query, "SELECT 1")
     with refused():
-        read_sql(database, Queries("WITH x AS (SELECT 1) DELETE FROM stages", TWO.paths))
+        read_sql(database, Queries("WITH x AS (SELECT 1) DELETE FROM stages", TWO.trajectories))
     assert file.read_bytes() == before
     assert os.listdir(file.parent) == ["cell.db"]
 
 
-COLUMNS = "SELECT path, stage, elapsed_s, action, "
+COLUMNS = "SELECT trajectory, stage, elapsed_s, action, "
 
 
 def test_what_is_wrong_is_told_in_one_line(database, monkeypatch):
     for stages, told in (
         ("SELECT * FROM stage", r"cell\.db, stages: the database refuses 'SELECT \* FROM stage' \(no such table"),
         ("SELECT FROM stages", r"the database refuses .*syntax error"),
-        ("SELECT path, stage FROM stages", r"cell\.db: stages: there is no column 'elapsed_s'"),
-        ("SELECT *, path FROM stages", r"stages: there are two columns 'path'"),
+        ("SELECT trajectory, stage FROM stages", r"cell\.db: stages: there is no column 'elapsed_s'"),
+        ("SELECT *, trajectory FROM stages", r"stages: there are two columns 'trajectory'"),
         (f"{COLUMNS} reward, CASE stage WHEN 1 THEN 'a' ELSE 2 END AS x FROM stages",
          r"stages: column 'x' mixes int, str .*give it one type \(CAST\)"),
-        ("SELECT * FROM stages WHERE path = 1", r"path 2: it has no stage"),
+        ("SELECT * FROM stages WHERE trajectory = 1", r"trajectory 2: it has no stage"),
         (f"{COLUMNS} reward, 9e999 AS x FROM stages", r"covariate x is inf"),
         (f"{COLUMNS} NULL AS reward FROM stages", r"its reward is nan"),
     ):  # fmt: skip
         with refused(told):
-            read_sql(database, Queries(stages, TWO.paths))
+            read_sql(database, Queries(stages, TWO.trajectories))
     # Rows without end.
     monkeypatch.setattr("halfseen.logs.formats.sql_rows.ROWS_AT_ONCE", 1000)
     monkeypatch.setattr("halfseen.logs.formats.sql_rows.MOST_BYTES", 10**5)
-    endless = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k AS path FROM n"
+    endless = "WITH RECURSIVE n(k) AS (SELECT 1 UNION ALL SELECT k + 1 FROM n) SELECT k AS trajectory FROM n"
     with refused(r"stages: .* gives more than 0 MB"):
-        read_sql(database, Queries(endless, TWO.paths))
+        read_sql(database, Queries(endless, TWO.trajectories))
 
 
 @pytest.mark.parametrize(
@@ -134,13 +138,13 @@ def test_an_address_that_leads_nowhere_is_told_without_its_password(url, told, t
 
 def test_queries_come_from_a_file(tmp_path):
     file = tmp_path / "cell.toml"
-    file.write_text('stages = "SELECT 1"\npaths = "SELECT 2"\nobjects = "SELECT 3"\n')
+    file.write_text('stages = "SELECT 1"\ntrajectories = "SELECT 2"\nobjects = "SELECT 3"\n')
     assert read_queries(file) == Queries("SELECT 1", "SELECT 2", "SELECT 3")
     for content, told in (
-        ('stages = "SELECT 1"', "paths: it is missing"),
-        ("stages = 1\npaths = 2", "stages: 1 is no text"),
-        ('stages = "DROP x"\npaths = "SELECT 1"', "stages 'DROP x': it is not one SELECT"),
-        ('other = "SELECT 1"', "other: it is unknown; there are stages, paths, objects"),
+        ('stages = "SELECT 1"', "trajectories: it is missing"),
+        ("stages = 1\ntrajectories = 2", "stages: 1 is no text"),
+        ('stages = "DROP x"\ntrajectories = "SELECT 1"', "stages 'DROP x': it is not one SELECT"),
+        ('other = "SELECT 1"', "other: it is unknown; there are stages, trajectories, objects"),
         ("stages =", "it is no TOML"),
     ):
         file.write_text(content)

@@ -89,9 +89,9 @@ def test_a_last_row_that_is_no_last_one_broke_off(tmp_path, truncated, ending):
     found = episodes(lengths=(2, 3))
     file = write_rows(tmp_path / "steps", rows_of(found, [False, False], last=[True, False]))
     logs = read_steps(file, StepRules(step_s=1.0, truncated=truncated))
-    assert logs.paths[["ending", "cause"]].to_numpy().tolist() == [list(ending), ["cut", "unknown"]]
+    assert logs.trajectories[["ending", "cause"]].to_numpy().tolist() == [list(ending), ["cut", "unknown"]]
     # Of what broke off the last row is a step that began: its action is known, and its reward is not.
-    torn = logs.stages[logs.stages["path"] == "e1"]
+    torn = logs.stages[logs.stages["trajectory"] == "e1"]
     np.testing.assert_array_equal(torn["elapsed_s"], [1.0, 2.0, 3.0, np.nan])
     assert torn["action"].tolist() == [*found[1]["actions"], found[1]["actions"][0]]
     assert logs.end_s.tolist()[1] == 4.0
@@ -262,9 +262,9 @@ WRONG = {
         ({"is_first": None, "episode_id": None}, r"no 'is_first' for the beginning of an episode"),
         ({"action": [[0.1, 0.2]] * 5}, r"action holds float64 of shape \(2,\).*discretise"),
         ({"action": [0.5] * 5}, r"action holds float64"),
-        ({"action": [None, 1, 1, 1, 1]}, r"path 'e0', stage 1: the stage is completed, yet its action is null"),
-        ({"reward": [None, 1.0, 1.0, 1.0, 1.0]}, r"path 'e0', stage 1: .*reward is nan"),
-        ({"reward": [NAN] * 5}, r"path 'e0', stage 1: .*reward is nan"),
+        ({"action": [None, 1, 1, 1, 1]}, r"trajectory 'e0', stage 1: the stage is completed, yet its action is null"),
+        ({"reward": [None, 1.0, 1.0, 1.0, 1.0]}, r"trajectory 'e0', stage 1: .*reward is nan"),
+        ({"reward": [NAN] * 5}, r"trajectory 'e0', stage 1: .*reward is nan"),
         ({"is_last": [NO, YES, YES, NO, YES]}, r"episode 'e1': step 1 of 3 ends it; make two"),
         ({"is_terminal": [YES, YES, NO, NO, NO]}, r"episode 'e0': step 1 of 2 ends it"),
         ({"is_last": [NO] * 5}, r"episode 'e0': its last row terminates it and is not is_last"),
@@ -275,7 +275,7 @@ WRONG = {
         ({"episode_id": [None, *"bbbb"]}, r"episode_id holds object, or null, and not names"),
         ({"episode_id": [0.5] * 5, "is_first": [YES, NO, NO, NO, NO]}, r"episode_id holds float64"),
         ({"observation": [[1.0], [2.0], [3.0], [4.0], [5.0, 6.0]]}, r"row 4: observation has 2 values"),
-        ({"observation": [[NAN, 1.0]] * 5}, r"path 'e0', stage 1: covariate observation_0 is null"),
+        ({"observation": [[NAN, 1.0]] * 5}, r"trajectory 'e0', stage 1: covariate observation_0 is null"),
         ({"observation": [[1.0, np.inf]] * 5}, r"covariate observation_1 is inf"),
         ({"observation": [{"a": 1.0}] * 5, "observation.a": [2.0] * 5}, r"two columns 'observation\.a'; drop or"),
         ({"episode_id": [*"abccc"], "is_first": [YES, YES, YES, NO, NO], "is_last": [YES, YES, NO, NO, YES],
@@ -290,7 +290,7 @@ WRONG = {
         ({"terminals": [0.5] * 8}, r"row 0: terminals is 0\.5, neither true nor false"),
         ({"timeouts": [NAN] * 8}, r"timeouts is null, neither true nor false"),
         ({"actions": np.zeros((8, 3))}, r"actions holds float64 of shape \(3,\).*discretise"),
-        ({"rewards": [NAN] * 8}, r"path 0, stage 1: .*reward is nan"),
+        ({"rewards": [NAN] * 8}, r"trajectory 0, stage 1: .*reward is nan"),
         ({"observations": np.full((8, 2), np.inf)}, r"covariate observations_0 is inf"),
         ({"next_observations": np.zeros((8, 3))}, r"next_observations and observations differ in observations_2"),
         ({"rewards": np.array([(1, 2)] * 8, dtype="i4,i4")}, r"rewards holds"),

@@ -114,7 +114,7 @@ def test_each_type_comes_back_or_is_refused(tmp_path, form):
     for name, table in tables.items():
         columns = {kind: pd.Series(make(rng, len(table)), index=table.index) for kind, make in KINDS.items()}
         # Null is no covariate.
-        kept = {kind: values for kind, values in columns.items() if name == "paths" or values.notna().all()}
+        kept = {kind: values for kind, values in columns.items() if name == "trajectories" or values.notna().all()}
         tables[name] = table.assign(**kept)
     is_refused = {(loss.table, loss.column) for loss in losses(Logs(**tables), form) if loss.is_refused}
     for number, left_out in enumerate([set(), is_refused]):
@@ -177,12 +177,12 @@ def test_each_loss_is_named_with_its_column():
     tables = small_tables()
     tables["stages"]["pose"] = [{"x": 1.0}] * 5
     more = {"raw": [b"a"] * 3, "two\nlines": 1, "serial": pd.array([1, 2, 3], dtype=pd.ArrowDtype(pa.int32()))}
-    tables["paths"] = tables["paths"].assign(**more)
+    tables["trajectories"] = tables["trajectories"].assign(**more)
     logs = Logs(**tables)
     in_csv, in_minari = (losses(logs, form) for form in ("csv", "minari"))
     told = "holds struct<x: double>, which has no form as text; drop it or turn it into numbers, text, times or lists"
     assert str(in_csv[0]).startswith(f"stages: column 'pose' {told}")
-    assert [loss.table for loss in in_csv] == ["stages", "paths", "paths", "paths"]
+    assert [loss.table for loss in in_csv] == ["stages", "trajectories", "trajectories", "trajectories"]
     assert [loss.column for loss in in_csv] == ["pose", "raw", "serial", "two\nlines"]
     found = [(loss.column, loss.is_refused) for loss in in_minari]
     assert found == [("pose", True), ("raw", True), ("serial", False)]
@@ -200,7 +200,7 @@ def test_each_loss_is_named_with_its_column():
 
 def test_what_steps_cannot_carry_is_named():
     tables = small_tables()
-    told = ["stages.object", "stages.probability", "paths.cause", "paths.scene", "objects"]
+    told = ["stages.object", "stages.probability", "trajectories.cause", "trajectories.scene", "objects"]
     assert seen_by_halfseen_alone(Logs(**tables)) == told
-    bare = Logs(tables["stages"].drop(columns=["object", "probability"]), tables["paths"].drop(columns="scene"))
+    bare = Logs(tables["stages"].drop(columns=["object", "probability"]), tables["trajectories"].drop(columns="scene"))
     assert seen_by_halfseen_alone(bare.select([1])) == []

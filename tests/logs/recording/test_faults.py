@@ -11,7 +11,7 @@ from warnings import catch_warnings, simplefilter
 
 import numpy as np
 import pytest
-from recordings import finished, logs_or_none, record_path
+from recordings import finished, logs_or_none, record_trajectory
 
 from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, read_logs
@@ -81,33 +81,33 @@ def until_it_is_taken(on_refusal, call, *given, **named):
             return told
 
 
-def record_all(recorder, num_paths, num_stages, on_refusal=lambda: None, **seen):
+def record_all(recorder, num_trajectories, num_stages, on_refusal=lambda: None, **seen):
     told = []
-    for _ in range(num_paths):
-        path = recorder.begin_path()
+    for _ in range(num_trajectories):
+        trajectory = recorder.begin_trajectory()
         for stage in range(1, num_stages + 1):
-            told += until_it_is_taken(on_refusal, path.begin_stage, {"x": stage, **seen}, action="PICK")
-            told += until_it_is_taken(on_refusal, path.complete_stage, 1.0, elapsed_s=float(stage))
-        told += until_it_is_taken(on_refusal, path.finish)
+            told += until_it_is_taken(on_refusal, trajectory.begin_stage, {"x": stage, **seen}, action="PICK")
+            told += until_it_is_taken(on_refusal, trajectory.complete_stage, 1.0, elapsed_s=float(stage))
+        told += until_it_is_taken(on_refusal, trajectory.finish)
     return told
 
 
-def check_all(folder, num_paths, num_stages):
+def check_all(folder, num_trajectories, num_stages):
     logs = read_logs(folder)
-    assert logs.is_finished.tolist() == [True] * num_paths
-    assert logs.stages["x"].tolist() == list(range(1, num_stages + 1)) * num_paths
+    assert logs.is_finished.tolist() == [True] * num_trajectories
+    assert logs.stages["x"].tolist() == list(range(1, num_stages + 1)) * num_trajectories
 
 
 @pytest.mark.parametrize(
-    ("num_paths", "seed", "fewest_refused"), [(6, 1, 5), pytest.param(120, 2, 200, marks=pytest.mark.slow)]
+    ("num_trajectories", "seed", "fewest_refused"), [(6, 1, 5), pytest.param(120, 2, 200, marks=pytest.mark.slow)]
 )
-def test_faults_of_writing_lose_nothing_that_was_taken(tmp_path, monkeypatch, num_paths, seed, fewest_refused):
+def test_faults_of_writing_lose_nothing_that_was_taken(tmp_path, monkeypatch, num_trajectories, seed, fewest_refused):
     with LogRecorder(tmp_path, fsync="stage", part_bytes=1) as recorder:
         failing(monkeypatch, seed)
-        told = record_all(recorder, num_paths, 2)
-        assert read_logs(tmp_path).num_paths == num_paths
+        told = record_all(recorder, num_trajectories, 2)
+        assert read_logs(tmp_path).num_trajectories == num_trajectories
         monkeypatch.undo()
-    check_all(tmp_path, num_paths, 2)
+    check_all(tmp_path, num_trajectories, 2)
     assert len(told) > fewest_refused
 
 
@@ -127,19 +127,19 @@ def test_a_disk_that_is_full_for_a_while_loses_nothing_that_was_taken(tmp_path):
 
 def test_a_disk_that_stays_broken_leaves_what_was_taken(tmp_path, monkeypatch):
     recorder = LogRecorder(tmp_path)
-    path = recorder.begin_path()
-    path.begin_stage({"x": 1.0}, action="PICK")
+    trajectory = recorder.begin_trajectory()
+    trajectory.begin_stage({"x": 1.0}, action="PICK")
     failing(monkeypatch, 1, share=1.0)
-    for call in (lambda: path.complete_stage(1.0), recorder.close):
+    for call in (lambda: trajectory.complete_stage(1.0), recorder.close):
         with pytest.raises(LogError, match="cannot be written"):
             call()
     monkeypatch.undo()
-    assert read_logs(tmp_path).paths["cause"].tolist() == ["crash"]
+    assert read_logs(tmp_path).trajectories["cause"].tolist() == ["crash"]
     with LogRecorder(tmp_path) as recorder:
-        assert recorder.begin_path().name == 2
+        assert recorder.begin_trajectory().name == 2
 
 
-FSYNCED = {"never": 0, "path": 1, "stage": 4, "event": 7, True: 7, False: 0}
+FSYNCED = {"never": 0, "trajectory": 1, "stage": 4, "event": 7, True: 7, False: 0}
 
 
 @pytest.mark.parametrize("fsync", FSYNCED)
@@ -149,7 +149,7 @@ def test_the_disk_is_waited_for_as_often_as_was_said(tmp_path, monkeypatch, fsyn
     folder = tmp_path / "a" / "b"
     with LogRecorder(folder, fsync=fsync) as recorder:
         at_first = list(synced)
-        record_path(recorder)
+        record_trajectory(recorder)
     assert len(synced) - len(at_first) == FSYNCED[fsync]
     places = [folder / JOURNAL, folder, tmp_path / "a", tmp_path]
     assert at_first == ([] if fsync in ("never", False) else [str(place) for place in places])
@@ -157,30 +157,30 @@ def test_the_disk_is_waited_for_as_often_as_was_said(tmp_path, monkeypatch, fsyn
 
 # Lines that do not check, as after a loss of power.
 
-NUM_PATHS, LINES_A_PATH = 6, 7
+NUM_TRAJECTORIES, LINES_A_TRAJECTORY = 6, 7
 LINES_BEFORE = 2
 """The header and the session."""
 
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """Lines of a journal of some finished paths."""
+    """Lines of a journal of some finished trajectories."""
     folder = tmp_path_factory.mktemp("whole")
     with LogRecorder(folder) as recorder:
-        for _ in range(NUM_PATHS):
-            record_path(recorder)
+        for _ in range(NUM_TRAJECTORIES):
+            record_trajectory(recorder)
     return (folder / JOURNAL).read_bytes().splitlines(keepends=True)
 
 
 def intact(whole, content, num_above):
-    """Paths whose lines, and some above them, are as they were; each line has a checksum of its own."""
-    begins = [LINES_BEFORE + k * LINES_A_PATH for k in range(NUM_PATHS)]
-    spans = (whole[begin - num_above : begin + LINES_A_PATH] for begin in begins)
-    return {path for path, span in enumerate(spans, start=1) if b"".join(span) in content}
+    """Trajectories whose lines, and some above them, are as they were; each line has a checksum of its own."""
+    begins = [LINES_BEFORE + k * LINES_A_TRAJECTORY for k in range(NUM_TRAJECTORIES)]
+    spans = (whole[begin - num_above : begin + LINES_A_TRAJECTORY] for begin in begins)
+    return {trajectory for trajectory, span in enumerate(spans, start=1) if b"".join(span) in content}
 
 
 def goes_on(folder, whole, content, *, num_above=2, warns=catch_warnings):
-    """Read a harmed journal and go on with it: no path is lost that was not harmed. None if it is none any more."""
+    """Read a harmed journal and go on with it: nothing is lost that was not harmed. None if it is none any more."""
     (folder / JOURNAL).write_bytes(content)
     with warns():
         logs = logs_or_none(folder, "none of its lines checks")
@@ -188,7 +188,7 @@ def goes_on(folder, whole, content, *, num_above=2, warns=catch_warnings):
         return None
     assert intact(whole, content, num_above) <= finished(logs)
     with warns(), LogRecorder(folder) as recorder:
-        record_path(recorder, 99)
+        record_trajectory(recorder, 99)
     with warns():
         assert finished(read_logs(folder)) >= intact(whole, content, num_above) | {99}
         assert finished(read_logs(folder)) == finished(logs) | {99}
@@ -212,7 +212,7 @@ def told():
 
 
 @pytest.mark.parametrize("harm", ["flip", "drop", "double", "zeros"])
-def test_one_bad_line_costs_at_most_the_paths_at_it(whole, tmp_path, harm):
+def test_one_bad_line_costs_at_most_the_trajectories_at_it(whole, tmp_path, harm):
     for line in (0, 1, 2, 4, 8, 15):
         bad = whole[line]
         put = {"flip": [bad.replace(b":", b";", 1)], "drop": [], "double": [bad, bad], "zeros": [bytes(len(bad))]}[harm]
@@ -221,34 +221,35 @@ def test_one_bad_line_costs_at_most_the_paths_at_it(whole, tmp_path, harm):
         assert goes_on(tmp_path, whole, content, num_above=2 if harm == "zeros" else 1, warns=told) is not None
 
 
-def test_a_path_that_lines_are_missing_of_counts_as_cut_where_it_was_last_known(whole, tmp_path):
-    # The beginning of stage 2 of path 2, which lines of stages 2 and 3 follow.
-    line = LINES_BEFORE + LINES_A_PATH + 2
+def test_a_trajectory_that_lines_are_missing_of_counts_as_cut_where_it_was_last_known(whole, tmp_path):
+    # The beginning of stage 2 of trajectory 2, which lines of stages 2 and 3 follow.
+    line = LINES_BEFORE + LINES_A_TRAJECTORY + 2
     (tmp_path / JOURNAL).write_bytes(b"".join([*whole[:line], *whole[line + 1 :]]))
     with pytest.warns(HalfseenWarning, match=rf"1 of {len(whole) - 1} lines .*\({line + 1}\)") as caught:
         logs = read_logs(tmp_path)
     assert len(caught) == 1
-    second = logs.paths[logs.paths["path"] == 2].iloc[0]
+    second = logs.trajectories[logs.trajectories["trajectory"] == 2].iloc[0]
     assert (second["ending"], second["cause"], second["end_s"]) == ("cut", "crash", np.nextafter(1.0, 0.0))
-    assert (logs.stages["path"] == 2).sum() == 1
+    assert (logs.stages["trajectory"] == 2).sum() == 1
 
 
 @pytest.mark.parametrize("tail", [b"\0" * 4096, b"\0" * 50 + b"\n", b'["deadbeef",{"eve\0\0"}]\n', b'["dead\n\n'])
 def test_a_recorder_goes_on_after_a_broken_end(whole, tmp_path, tail):
     logs = goes_on(tmp_path, whole, b"".join(whole) + tail, warns=told if tail.endswith(b"\n") else nullcontext)
-    assert finished(logs) == set(range(1, NUM_PATHS + 1))
+    assert finished(logs) == set(range(1, NUM_TRAJECTORIES + 1))
 
 
 def test_a_file_of_zeros_is_begun_anew(tmp_path):
     (tmp_path / JOURNAL).write_bytes(b"\0" * 4096)
     assert logs_or_none(tmp_path) is None
     with LogRecorder(tmp_path) as recorder:
-        record_path(recorder)
+        record_trajectory(recorder)
     assert finished(read_logs(tmp_path)) == {1}
 
 
 @pytest.mark.parametrize(
-    "body", ['{"event":"stage"}', '{"event":"stage","stage":1,"path":1}', "[1]", "[" * 100_000, '{"event":["done"]}']
+    "body",
+    ['{"event":"stage"}', '{"event":"stage","stage":1,"trajectory":1}', "[1]", "[" * 100_000, '{"event":["done"]}'],
 )
 def test_a_line_that_checks_and_tells_nonsense_is_no_traceback(whole, tmp_path, body):
     checksum = zlib.crc32(body.encode(), int(whole[-1][2:10], 16))
@@ -273,7 +274,7 @@ def zeroed_pages(content, rng, page):
 @pytest.mark.parametrize(
     ("num_faults", "seed", "fewest_read"), [(12, 1, 4), pytest.param(500, 2, 200, marks=pytest.mark.slow)]
 )
-def test_zeroed_pages_cost_only_the_paths_at_them(whole, tmp_path, num_faults, seed, fewest_read):
+def test_zeroed_pages_cost_only_the_trajectories_at_them(whole, tmp_path, num_faults, seed, fewest_read):
     rng, content = random.Random(seed), b"".join(whole)
     harmed = (zeroed_pages(content, rng, rng.choice([64, 128, 512])) for _ in range(num_faults))
     assert sum(goes_on(tmp_path, whole, each, warns=quiet) is not None for each in harmed) > fewest_read

@@ -20,28 +20,28 @@ from halfseen.logs.journal.parts import PART_BYTES
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")
 
-STAGES_A_PATH, EVENTS_A_PATH = 4, 9
+STAGES_A_TRAJECTORY, EVENTS_A_TRAJECTORY = 4, 9
 
 
 def record_at_full_speed(folder, pipe):
     """Record without end, and report each event once it is returned from."""
     recorder = LogRecorder(folder, part_bytes=2000)
     while True:
-        path = recorder.begin_path()
-        for stage in range(1, STAGES_A_PATH + 1):
-            path.begin_stage(covariates_of(path.name, stage), [{"object": 1, "x": 1.0}], "PICK", 1, 0.5)
+        trajectory = recorder.begin_trajectory()
+        for stage in range(1, STAGES_A_TRAJECTORY + 1):
+            trajectory.begin_stage(covariates_of(trajectory.name, stage), [{"object": 1, "x": 1.0}], "PICK", 1, 0.5)
             os.write(pipe, b".")
-            path.complete_stage(reward_of(path.name, stage))
+            trajectory.complete_stage(reward_of(trajectory.name, stage))
             os.write(pipe, b".")
-        path.finish()
+        trajectory.finish()
         os.write(pipe, b".")
 
 
 def taken_after(num_events):
-    """By path: stages completed for good, which they are when the next begins or the path finishes; whether it did."""
-    num_paths, more = divmod(num_events, EVENTS_A_PATH)
-    torn = {num_paths + 1: ((more - 1) // 2, False)} if more else {}
-    return dict.fromkeys(range(1, num_paths + 1), (STAGES_A_PATH, True)) | torn
+    """By trajectory: stages completed for good, as the next begins or it finishes; whether it did."""
+    num_trajectories, more = divmod(num_events, EVENTS_A_TRAJECTORY)
+    torn = {num_trajectories + 1: ((more - 1) // 2, False)} if more else {}
+    return dict.fromkeys(range(1, num_trajectories + 1), (STAGES_A_TRAJECTORY, True)) | torn
 
 
 @contextmanager
@@ -66,7 +66,7 @@ def recovered(folder):
 
 
 def check_kills(folder, num_kills, longest_s, seed):
-    """Kill children at any time; how many left a path torn."""
+    """Kill children at any time; how many left a trajectory torn."""
     rng, num_torn = random.Random(seed), 0
     for kill in range(num_kills):
         with recording_child(folder / str(kill)) as (pipe, kill_it):
@@ -95,18 +95,18 @@ def test_kills_lose_at_most_the_stage_in_progress(tmp_path, num_kills, longest_s
 
 
 def test_one_folder_outlives_kills_and_another_process_is_refused_until_the_first_is_killed(tmp_path):
-    num_paths = 0
+    num_trajectories = 0
     for _ in range(3):
         with recording_child(tmp_path) as (pipe, kill):
             pipe.read(20)
             with pytest.raises(ArgumentError, match="another recorder"):
                 LogRecorder(tmp_path)
-            assert set(read_logs(tmp_path).paths["cause"].dropna()) <= {"still-running", "crash"}
+            assert set(read_logs(tmp_path).trajectories["cause"].dropna()) <= {"still-running", "crash"}
             kill()
-        assert len(recovered(tmp_path)) > num_paths
-        num_paths = len(recovered(tmp_path))
+        assert len(recovered(tmp_path)) > num_trajectories
+        num_trajectories = len(recovered(tmp_path))
     with LogRecorder(tmp_path) as recorder:
-        assert recorder.begin_path().name > num_paths
+        assert recorder.begin_trajectory().name > num_trajectories
 
 
 # Ctrl-C.
@@ -140,13 +140,13 @@ class Interrupter:
 
 
 def record_stages(recorder, name, elapsed_s):
-    """Record a path of two stages."""
-    path = recorder.begin_path(name, scene=1)
+    """Record a trajectory of two stages."""
+    trajectory = recorder.begin_trajectory(name, scene=1)
     for stage in (1, 2):
-        path.begin_stage({"x": stage}, *CHOICE)
-        path.still_running(elapsed_s=elapsed_s and stage - 0.5)
-        path.complete_stage(1.0, elapsed_s=elapsed_s and float(stage))
-    path.finish()
+        trajectory.begin_stage({"x": stage}, *CHOICE)
+        trajectory.still_running(elapsed_s=elapsed_s and stage - 0.5)
+        trajectory.complete_stage(1.0, elapsed_s=elapsed_s and float(stage))
+    trajectory.finish()
 
 
 def interrupted(folder, at, elapsed_s):
@@ -157,19 +157,19 @@ def interrupted(folder, at, elapsed_s):
                 record_stages(recorder, "a", elapsed_s)
             return False
         except KeyboardInterrupt:
-            path = recorder.path
-        if path is not None and not path.is_ended:
-            if path.is_in_stage:
+            trajectory = recorder.trajectory
+        if trajectory is not None and not trajectory.is_ended:
+            if trajectory.is_in_stage:
                 with pytest.raises(LogError, match="it is in progress"):
-                    path.begin_stage({"x": 9}, *CHOICE)
-            path.cut("operator")
+                    trajectory.begin_stage({"x": 9}, *CHOICE)
+            trajectory.cut("operator")
         record_stages(recorder, "b", None)
     logs = read_logs(folder)
-    assert logs.path_ids.tolist() in (["b"], ["a", "b"])
-    assert set(logs.paths["cause"].dropna()) <= {"operator"}
+    assert logs.trajectory_ids.tolist() in (["b"], ["a", "b"])
+    assert set(logs.trajectories["cause"].dropna()) <= {"operator"}
     assert logs.stages["x"].tolist() == logs.stages["stage"].tolist()
     with LogRecorder(folder) as recorder, pytest.raises(LogError, match="it is in the folder already"):
-        recorder.begin_path(logs.path_ids[-1])
+        recorder.begin_trajectory(logs.trajectory_ids[-1])
     return True
 
 
@@ -181,7 +181,7 @@ def left_by(folder, at, elapsed_s):
         return False
     except KeyboardInterrupt:
         logs = logs_or_none(folder)
-    assert logs is None or logs.paths["cause"].dropna().tolist() in ([], ["operator"])
+    assert logs is None or logs.trajectories["cause"].dropna().tolist() in ([], ["operator"])
     return True
 
 

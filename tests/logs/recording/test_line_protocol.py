@@ -20,8 +20,8 @@ from lines import as_lines
 from valid_logs import assert_same
 
 STAGE = {"covariates": {"x": 0.5, "seen": [1, 2]}, "objects": [{"object": 1, "y": 2}]}
-PATH = [
-    {"call": "begin_path", "columns": {"cell": "left"}},
+TRAJECTORY = [
+    {"call": "begin_trajectory", "columns": {"cell": "left"}},
     {"call": "begin_stage", **STAGE, "action": "PICK", "object": 1, "probability": 0.5},
     {"call": "still_running", "elapsed_s": 1.0},
     {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5},
@@ -29,7 +29,7 @@ PATH = [
 ]
 TEAM_STAGE = {"call": "begin_stage", "covariates": {"x": 1}, "action": "WAIT", "robot": 0}
 TEAM = [
-    {"call": "begin_path"},
+    {"call": "begin_trajectory"},
     TEAM_STAGE,
     {"call": "drop_out", "robot": 1, "cause": "battery", "elapsed_s": 1.0},
     {"call": "complete_stage", "reward": 3, "elapsed_s": 2.0, "own_rewards": [3, 0]},
@@ -47,28 +47,28 @@ def recorded(folder, lines):
 
 
 def test_lines_record_what_the_calls_would(tmp_path):
-    assert recorded(tmp_path / "lines", PATH) == [{"ok": True, "path": 1}] * len(PATH)
+    assert recorded(tmp_path / "lines", TRAJECTORY) == [{"ok": True, "trajectory": 1}] * len(TRAJECTORY)
     with LogRecorder(tmp_path / "calls") as recorder:
-        path = recorder.begin_path(cell="left")
-        path.begin_stage(**STAGE, action="PICK", object=1, probability=0.5)
-        path.still_running(elapsed_s=1.0)
-        path.complete_stage(1.0, elapsed_s=2.5)
-        path.finish()
+        trajectory = recorder.begin_trajectory(cell="left")
+        trajectory.begin_stage(**STAGE, action="PICK", object=1, probability=0.5)
+        trajectory.still_running(elapsed_s=1.0)
+        trajectory.complete_stage(1.0, elapsed_s=2.5)
+        trajectory.finish()
     assert_same(read_logs(tmp_path / "lines"), read_logs(tmp_path / "calls"))
     assert all(each["ok"] for each in recorded(tmp_path / "team", TEAM))
     logs = read_logs(tmp_path / "team")
-    assert (logs.paths["1_out_cause"].tolist(), logs.stages["0_reward"].tolist()[:1]) == (["battery"], [3.0])
-    # Where lines end, the path in progress is cut.
-    assert all(answer["ok"] for answer in recorded(tmp_path / "short", PATH[:2]))
-    assert read_logs(tmp_path / "short").paths["cause"].tolist() == ["input-ended"]
+    assert (logs.trajectories["1_out_cause"].tolist(), logs.stages["0_reward"].tolist()[:1]) == (["battery"], [3.0])
+    # Where lines end, the trajectory in progress is cut.
+    assert all(answer["ok"] for answer in recorded(tmp_path / "short", TRAJECTORY[:2]))
+    assert read_logs(tmp_path / "short").trajectories["cause"].tolist() == ["input-ended"]
 
 
 BAD = {
-    "finish: no path has begun; begin_path first": b'{"call": "finish"}\n',
+    "finish: no trajectory has begun; begin_trajectory first": b'{"call": "finish"}\n',
     "is no JSON": b"nonsense\n",
     "it is nested too deep|no JSON": b"[" * 100_000 + b"\n",
     "names no call": b"[1]\n",
-    "call.*one of begin_path": b'{"call": 1}\n',
+    "call.*one of begin_trajectory": b'{"call": 1}\n',
     "did you mean 'complete_stage'": b'{"call": "complete_stag"}\n',
     "takes no 'rewrd'": b'{"call": "complete_stage", "rewrd": 1}\n',
     "complete_stage needs reward": b'{"call": "complete_stage", "reward": null}\n',
@@ -77,25 +77,27 @@ BAD = {
     "a name is given twice": b'{"call": "complete_stage", "reward": 1, "reward": 2}\n',
     "longer than": b'{"call": "complete_stage", "reward": "' + b"9" * (2 * MOST_BYTES + 5) + b'"}\n',
     "no JSON .*utf-8": b'{"call": "cut", "cause": "\xff"}\n',
-    "columns are no JSON object": b'{"call": "begin_path", "columns": [1]}\n',
+    "columns are no JSON object": b'{"call": "begin_trajectory", "columns": [1]}\n',
     "own_rewards is 5": b'{"call": "complete_stage", "reward": 1, "own_rewards": 5}\n',
     "objects is 5": b'{"call": "begin_stage", "covariates": {"x": 0.5, "seen": []}, "objects": 5, "action": "A"}\n',
-    "is in progress": b'{"call": "begin_path"}\n',
+    "is in progress": b'{"call": "begin_trajectory"}\n',
 }
-PLACE = {"objects is 5": 4, "finish: no path has begun; begin_path first": 0}
+PLACE = {"objects is 5": 4, "finish: no trajectory has begun; begin_trajectory first": 0}
 """Number of lines before a bad one, where it is not 2."""
 
 
 def test_bad_lines_are_told_in_one_and_harm_none_after_them(tmp_path):
     lines = {
-        trouble: [*PATH[: PLACE.get(trouble, 2)], bad, b"\n", *PATH[PLACE.get(trouble, 2) :]]
+        trouble: [*TRAJECTORY[: PLACE.get(trouble, 2)], bad, b"\n", *TRAJECTORY[PLACE.get(trouble, 2) :]]
         for trouble, bad in BAD.items()
     }
     answers = iter(recorded(tmp_path, [line for each in lines.values() for line in each]))
     for trouble in BAD:
         number = PLACE.get(trouble, 2)
-        told = [next(answers) for _ in range(len(PATH) + 1)]
-        assert [answer["ok"] for answer in told] == [True] * number + [False] + [True] * (len(PATH) - number), trouble
+        told = [next(answers) for _ in range(len(TRAJECTORY) + 1)]
+        assert [answer["ok"] for answer in told] == [True] * number + [False] + [True] * (len(TRAJECTORY) - number), (
+            trouble
+        )
         assert re.search(trouble, told[number]["error"])
         assert len(told[number]["error"]) < 400
     assert read_logs(tmp_path).is_finished.tolist() == [True] * len(BAD)
@@ -113,10 +115,10 @@ ODD = st.binary(max_size=9).map(lambda odd: odd.replace(b"\n", b"") + b"\n")
 
 
 @given(lines=st.lists(CALL | JSON | ODD, max_size=8))
-def test_whatever_lines_say_a_whole_path_can_follow(tmp_path_factory, lines):
+def test_whatever_lines_say_a_whole_trajectory_can_follow(tmp_path_factory, lines):
     folder = tmp_path_factory.mktemp("logs") / "logs"
-    answers = recorded(folder, [PATH[0], *lines, {"call": "cut", "cause": "operator"}])
-    assert all(set(answer) in ({"ok", "path"}, {"ok", "error"}) for answer in answers)
+    answers = recorded(folder, [TRAJECTORY[0], *lines, {"call": "cut", "cause": "operator"}])
+    assert all(set(answer) in ({"ok", "trajectory"}, {"ok", "error"}) for answer in answers)
     logs_or_none(folder)
 
 
@@ -144,26 +146,26 @@ def served(request, tmp_path):
 
 def test_clients_record_one_after_the_other(served, tmp_path):
     connected, has_gone = served
-    for lines in (PATH, PATH[:2]):
+    for lines in (TRAJECTORY, TRAJECTORY[:2]):
         with connected() as client, client.makefile("rwb") as stream:
             for line in lines:
                 stream.write(as_lines([line]))
                 stream.flush()
                 assert json.loads(stream.readline())["ok"]
         assert has_gone()
-    assert read_logs(tmp_path / "logs").paths["cause"].tolist() == [None, "input-ended"]
+    assert read_logs(tmp_path / "logs").trajectories["cause"].tolist() == [None, "input-ended"]
     # One that leaves without its answers harms none after it.
     for _ in range(2):
         with connected() as client:
-            client.sendall(as_lines(PATH))
+            client.sendall(as_lines(TRAJECTORY))
             client.shutdown(socket.SHUT_WR)
         assert has_gone()
-    assert 2 < read_logs(tmp_path / "logs").num_paths <= 4
+    assert 2 < read_logs(tmp_path / "logs").num_trajectories <= 4
 
 
 def test_a_browser_is_turned_away_before_what_it_posts_is_read(served, tmp_path):
     connected, has_gone = served
-    posted = as_lines([PATH[0], {"call": "begin_stage", "action": "A"}])
+    posted = as_lines([TRAJECTORY[0], {"call": "begin_stage", "action": "A"}])
     with connected() as client:
         client.sendall(b"POST / HTTP/1.1\r\nHost: x\r\n\r\n" + posted)
         assert b"is no JSON" in client.recv(1000)

@@ -44,7 +44,7 @@ def call(names, *given, **named):
 BEGIN_PLAINLY = call("begin_stage", X, st.none(), NAME, st.none())
 CALLS = st.one_of(
     *[BEGIN_PLAINLY] * 3,
-    call("begin_path", st.none() | NAME, columns=st.dictionaries(WILD_TEXT, VALUE, max_size=2)),
+    call("begin_trajectory", st.none() | NAME, columns=st.dictionaries(WILD_TEXT, VALUE, max_size=2)),
     call("begin_stage", COVARIATES, st.none() | st.lists(OBJECT, max_size=2), NAME, st.none() | NAME, chances=CHANCES),
     call("complete_stage", st.floats(-9, 9) | WILD_NUMBER, at=AT_S, shares=SHARES),
     call("drop_out", st.integers(0, 2), WILD_TEXT, at=AT_S),
@@ -66,27 +66,27 @@ def check_row(row, values):
 
 
 def check_calls(folder, calls):
-    """Make calls, and read back what was taken: of paths, of stages and of objects."""
+    """Make calls, and read back what was taken: of trajectories, of stages and of objects."""
     columns, stages = {}, {}
     with LogRecorder(folder) as recorder:
         for name, given, named in calls:
-            path = recorder.path
+            trajectory = recorder.trajectory
             try:
-                if name == "begin_path":
-                    columns[recorder.begin_path(*given, **named).name] = named
-                elif path is not None:
-                    getattr(path, name)(*given, **named)
+                if name == "begin_trajectory":
+                    columns[recorder.begin_trajectory(*given, **named).name] = named
+                elif trajectory is not None:
+                    getattr(trajectory, name)(*given, **named)
                     if name == "begin_stage":
-                        stages.setdefault(path.name, []).append((given, named))
+                        stages.setdefault(trajectory.name, []).append((given, named))
             except LogError as error:
                 assert len(str(error).splitlines()) == 1  # noqa: PT017
     if not stages:
         return
     tables = {name: rows.astype(object).to_dict("records") for name, rows in read_logs(folder).tables.items()}
-    for end in tables["paths"]:
-        name = end["path"]
+    for end in tables["trajectories"]:
+        name = end["trajectory"]
         check_row(end, columns[name])
-        rows = [row for row in tables["stages"] if row["path"] == name]
+        rows = [row for row in tables["stages"] if row["trajectory"] == name]
         assert len(stages[name]) - len(rows) in (0, 1)  # a cut may take the last one back
         for row, ((covariates, objects, action, acted_on), named) in zip(rows, stages[name], strict=False):
             check_row(row, covariates | {"action": action, "object": acted_on})
@@ -95,7 +95,7 @@ def check_calls(folder, calls):
                 (found,) = (
                     one
                     for one in tables["objects"]
-                    if (one["path"], one["stage"], one["object"]) == (name, row["stage"], each["object"])
+                    if (one["trajectory"], one["stage"], one["object"]) == (name, row["stage"], each["object"])
                 )
                 check_row(found, each)
 
@@ -107,7 +107,7 @@ def test_whatever_is_taken_is_read_back(tmp_path_factory, monkeypatch, most):
     @settings(max_examples=most)
     @given(calls=st.lists(CALLS, min_size=4, max_size=12 if most == 60 else 20))
     def check(calls):
-        check_calls(tmp_path_factory.mktemp("logs") / "logs", [("begin_path", (None,), {}), *calls])
+        check_calls(tmp_path_factory.mktemp("logs") / "logs", [("begin_trajectory", (None,), {}), *calls])
 
     check()
 
@@ -120,7 +120,7 @@ def test_columns_of_numbers_of_all_sizes_are_read_back_or_refused(tmp_path_facto
     calls = []
     for x, y, scene in values:
         stage = ({"x": x}, [{"object": 1, "y": y}], "A", 1)
-        calls += [("begin_path", (), {} if scene is None else {"scene": scene}), ("begin_stage", stage, {})]
+        calls += [("begin_trajectory", (), {} if scene is None else {"scene": scene}), ("begin_stage", stage, {})]
         calls += [("complete_stage", (0.0,), {"elapsed_s": 1.0}), ("finish", (), {}), ("cut", ("operator",), {})]
     check_calls(tmp_path_factory.mktemp("logs") / "logs", calls)
 
@@ -129,15 +129,20 @@ DECISION = st.tuples(st.integers(0, 2), st.sampled_from([None, 0, 1, 2]), st.sam
 
 
 def logs_of(decisions, ending):
-    """As `Logs` takes them; the last stage of a path that is cut is not completed."""
+    """As `Logs` takes them; the last stage of a trajectory that is cut is not completed."""
     num, clock = len(decisions), np.cumsum([length for *_, length in decisions]).tolist()
     elapsed_s = [*clock[:-1], None] if ending == "cut" else clock
-    stages = {"path": [1] * num, "stage": np.arange(1, num + 1), "x": [1.0] * num, "robot": [r for r, *_ in decisions]}
+    stages = {
+        "trajectory": [1] * num,
+        "stage": np.arange(1, num + 1),
+        "x": [1.0] * num,
+        "robot": [r for r, *_ in decisions],
+    }
     stages |= {"elapsed_s": elapsed_s, "reward": [None if each is None else 0.0 for each in elapsed_s]}
     stages |= {"action": ["A"] * num, "object": [target for _, target, _ in decisions]}
     rows = [(1, stage + 1, k) for stage in range(num) for k in range(3)]
-    objects = dict(zip(("path", "stage", "object"), zip(*rows, strict=True), strict=True))
-    return Logs(stages, {"path": [1], "end_s": [clock[-1] + 1.0], "ending": [ending]}, objects)
+    objects = dict(zip(("trajectory", "stage", "object"), zip(*rows, strict=True), strict=True))
+    return Logs(stages, {"trajectory": [1], "end_s": [clock[-1] + 1.0], "ending": [ending]}, objects)
 
 
 @settings(max_examples=15)
@@ -145,21 +150,21 @@ def logs_of(decisions, ending):
 def test_a_stage_of_robots_is_refused_where_the_log_with_it_would_not_be_read(tmp_path_factory, decisions):
     folder, taken = tmp_path_factory.mktemp("robots") / "logs", []
     with LogRecorder(folder) as recorder:
-        path = recorder.begin_path(1)
+        trajectory = recorder.begin_trajectory(1)
         for robot, target, length in decisions:
             try:
                 logs_of([*taken, (robot, target, length)], "cut")
             except LogError as told:
                 with refused(re.escape(str(told)), LogError):
-                    of_robot(path, robot, target)
+                    of_robot(trajectory, robot, target)
                 continue
             taken.append((robot, target, length))
-            of_robot(path, robot, target)
-            path.complete_stage(0.0, elapsed_s=sum(each for *_, each in taken))
+            of_robot(trajectory, robot, target)
+            trajectory.complete_stage(0.0, elapsed_s=sum(each for *_, each in taken))
         if not taken:
-            path.cut("operator")
+            trajectory.cut("operator")
             return
-        path.finish(elapsed_s=sum(each for *_, each in taken) + 1.0)
+        trajectory.finish(elapsed_s=sum(each for *_, each in taken) + 1.0)
     found, wanted = read_logs(folder), logs_of(taken, "finished")
     for name in ("robot", "elapsed_s", "action", "object"):
         pd.testing.assert_series_equal(found.stages[name], wanted.stages[name], check_dtype=False)

@@ -82,7 +82,7 @@ def test_the_price_of_what_is_left_is_that_of_one(paid, left, expected):
 
 def test_a_log_that_does_not_tell_what_became_of_attempts_is_learned_without_laws():
     logs = logs_of(30)
-    untold = Logs(logs.stages, logs.paths, logs.objects.drop(columns=["successes"]))
+    untold = Logs(logs.stages, logs.trajectories, logs.objects.drop(columns=["successes"]))
     learner = CensoredQLearner.for_table(HORIZON).fit(untold)
     assert learner.assisted_ is None
     assert isinstance(learner.policy_, LinearTablePolicy)

@@ -133,7 +133,7 @@ def test_log_odds_that_are_too_sure_of_themselves_are_not_relied_upon(logs):
     objects = logs.objects.copy()
     prior = float(np.log(0.6 / 0.4))
     objects["log_odds"] = prior + 4.0 * (objects["log_odds"] - prior)
-    wrong = type(logs)(logs.stages, logs.paths, objects)
+    wrong = type(logs)(logs.stages, logs.trajectories, objects)
     learner = CensoredQLearner.for_team(2, HORIZON).fit(wrong)
     assert learner.assisted_.basis == learning.WITHOUT_LAWS
     assert learner.policy_ is learner.linear_policy_
@@ -204,7 +204,7 @@ def test_a_row_is_what_an_action_did_better_than_the_myopic_one(states, world):
 
 def test_layouts_are_the_tables_with_which_trajectories_begin(logs):
     layouts = layouts_of(team_states(logs, 2 * HORIZON))
-    assert len(layouts.hides) == logs.num_paths
+    assert len(layouts.hides) == logs.num_trajectories
     np.testing.assert_allclose(layouts.hides[0], HIDES, atol=1e-6)
 
 

@@ -45,24 +45,24 @@ def expected_rows(cuts):
     seen = (occlusion(states), *attempt_counts(states))
     occluded, successes, failures = (np.asarray(leaf) for leaf in seen)
     last_state = np.asarray(states.attempt_succeeded)[:, -1]
-    for path, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
+    for trajectory, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
         if stage + 1 == CONFIG.horizon:
             continue
-        target = (int(cuts.episodes.action[path, stage]) - 1) % NUM_OBJECTS
-        is_finished = bool(cuts.is_completed[path, stage])
-        begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[path, :stage]))
-        duration_s = float(cuts.episodes.duration_s[path, stage])
-        at = path, stage, target
+        target = (int(cuts.episodes.action[trajectory, stage]) - 1) % NUM_OBJECTS
+        is_finished = bool(cuts.is_completed[trajectory, stage])
+        begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[trajectory, :stage]))
+        duration_s = float(cuts.episodes.duration_s[trajectory, stage])
+        at = trajectory, stage, target
         rows.append(
             {
-                "path": path,
+                "trajectory": trajectory,
                 "stage": stage + 1,
                 "occlusion": occluded[at],
                 "successes": successes[at],
                 "failures": failures[at],
-                # States after the path's own end are copies of its last one.
-                "succeeded": bool(last_state[path, stage]) if is_finished else None,
-                "time_s": duration_s if is_finished else cuts.end_s[path] - begun_s,
+                # States after the trajectory's own end are copies of its last one.
+                "succeeded": bool(last_state[trajectory, stage]) if is_finished else None,
+                "time_s": duration_s if is_finished else cuts.end_s[trajectory] - begun_s,
                 "is_finished": is_finished,
             }
         )
@@ -72,7 +72,7 @@ def expected_rows(cuts):
 def test_attempts_are_those_of_the_episodes(table, cuts):
     expected = expected_rows(cuts)
     assert len(expected) > 400
-    for name in ("path", "stage", "is_finished"):
+    for name in ("trajectory", "stage", "is_finished"):
         np.testing.assert_array_equal(table[name], expected[name])
     for name in ("occlusion", "successes", "failures", "time_s"):
         np.testing.assert_allclose(table[name], expected[name].astype(float), atol=1e-5)
@@ -81,28 +81,28 @@ def test_attempts_are_those_of_the_episodes(table, cuts):
     ]
 
 
-def test_every_kind_of_end_is_there_and_objects_are_numbered_within_their_paths(table, cuts):
+def test_every_kind_of_end_is_there_and_objects_are_numbered_within_their_trajectories(table, cuts):
     """So that the comparison above has compared them."""
     is_cleared = cuts.is_finished & (cuts.is_completed.sum(axis=1) < CONFIG.horizon)
     action = np.asarray(cuts.episodes.action)
     last = action[np.arange(200), cuts.is_completed.sum(axis=1) - 1]
     cleared = np.flatnonzero(is_cleared & (last > 0))
     assert len(cleared) > 0
-    assert table[table["path"].isin(cleared)].groupby("path")["succeeded"].last().all()
+    assert table[table["trajectory"].isin(cleared)].groupby("trajectory")["succeeded"].last().all()
     assert (~table["is_finished"]).sum() > 20
     assert table["succeeded"].isna().equals(~table["is_finished"])
     assert (table.loc[table["succeeded"].fillna(True), "time_s"] <= 7.0 + 1e-4).all()
     np.testing.assert_allclose(table.loc[~table["succeeded"].fillna(True), "time_s"], 7.0, atol=1e-4)
-    target = (action[table["path"], table["stage"] - 1] - 1) % NUM_OBJECTS
-    assert table.groupby(["path", target])["object"].nunique().max() == 1
-    assert table["object"].nunique() == len(table.assign(target=target).drop_duplicates(["path", "target"]))
+    target = (action[table["trajectory"], table["stage"] - 1] - 1) % NUM_OBJECTS
+    assert table.groupby(["trajectory", target])["object"].nunique().max() == 1
+    assert table["object"].nunique() == len(table.assign(target=target).drop_duplicates(["trajectory", "target"]))
 
 
 def by_hand():
-    """One path: the mug is grasped and put back, the cup is missed, the jar's attempt is cut."""
+    """One trajectory: the mug is grasped and put back, the cup is missed, the jar's attempt is cut."""
     stages = pd.DataFrame(
         {
-            "path": "a",
+            "trajectory": "a",
             "stage": [1, 2, 3],
             "elapsed_s": [2.0, 9.0, None],
             "action": ["LIFT", "WASH", "WASH"],
@@ -113,28 +113,49 @@ def by_hand():
     counts = {"cup": [(0, 0), (0, 0), (0, 1)], "jar": [(0, 0)] * 3, "mug": [(0, 0), (1, 0), (1, 0)]}
     objects = pd.DataFrame(
         [
-            {"path": "a", "stage": k + 1, "object": name, "occlusion": 0.1, "successes": of[k][0], "failures": of[k][1]}
+            {
+                "trajectory": "a",
+                "stage": k + 1,
+                "object": name,
+                "occlusion": 0.1,
+                "successes": of[k][0],
+                "failures": of[k][1],
+            }
             for name, of in counts.items()
             for k in range(3)
         ]
     )
-    paths = pd.DataFrame({"path": ["a", "b"], "end_s": [10.5, 3.0], "ending": ["cut", "finished"]})
-    ended = {"path": ["b"], "stage": [1], "elapsed_s": [3.0], "action": ["WASH"], "object": ["jar"], "reward": [5.0]}
-    alone = {"path": ["b"], "stage": [1], "object": ["jar"], "occlusion": [0.0], "successes": [0], "failures": [0]}
-    return pd.concat([stages, pd.DataFrame(ended)]), paths, pd.concat([objects, pd.DataFrame(alone)])
+    trajectories = pd.DataFrame({"trajectory": ["a", "b"], "end_s": [10.5, 3.0], "ending": ["cut", "finished"]})
+    ended = {
+        "trajectory": ["b"],
+        "stage": [1],
+        "elapsed_s": [3.0],
+        "action": ["WASH"],
+        "object": ["jar"],
+        "reward": [5.0],
+    }
+    alone = {
+        "trajectory": ["b"],
+        "stage": [1],
+        "object": ["jar"],
+        "occlusion": [0.0],
+        "successes": [0],
+        "failures": [0],
+    }
+    return pd.concat([stages, pd.DataFrame(ended)]), trajectories, pd.concat([objects, pd.DataFrame(alone)])
 
 
 def test_a_log_by_hand():
-    stages, paths, objects = by_hand()
-    table = attempts(Logs(stages, paths, objects), horizon=10)
+    stages, trajectories, objects = by_hand()
+    table = attempts(Logs(stages, trajectories, objects), horizon=10)
     assert table["object"].tolist() == [0, 1, 2, 3]
     assert table["time_s"].tolist() == [2.0, 7.0, 1.5, 3.0]
     assert table["is_finished"].tolist() == [True, True, False, True]
     assert table["succeeded"].tolist() == [True, False, pd.NA, True]
     # The horizon leaves its last stage out, and so is an attempt that was cut as it began.
-    assert attempts(Logs(stages, paths, objects))["stage"].tolist() == [1, 2, 1]
-    assert len(attempts(Logs(stages, paths, objects), horizon=2)) == 2
-    at_once = paths.assign(end_s=[9.0, 3.0])
+    assert attempts(Logs(stages, trajectories, objects))["stage"].tolist() == [1, 2, 1]
+    assert len(attempts(Logs(stages, trajectories, objects), horizon=2)) == 2
+    at_once = trajectories.assign(end_s=[9.0, 3.0])
     assert attempts(Logs(stages, at_once, objects), horizon=10)["is_finished"].all()
 
 
@@ -145,15 +166,15 @@ def test_a_log_by_hand():
         (lambda s, p, o: (s, p, o.drop(columns="failures")), "there is no column 'failures' among"),
         (
             lambda s, p, o: (s, p, o.assign(successes=0)),
-            "path 'a', stage 1: LIFT of object 'mug': successes and failures do not grow by this one attempt",
+            "trajectory 'a', stage 1: LIFT of object 'mug': successes and failures do not grow by this one attempt",
         ),
         (
-            lambda s, p, o: (s.assign(action=s["action"].where(s["path"] == "a", "LIFT")), p, o),
-            "path 'b', stage 1: LIFT of object 'jar': no later stage tells",
+            lambda s, p, o: (s.assign(action=s["action"].where(s["trajectory"] == "a", "LIFT")), p, o),
+            "trajectory 'b', stage 1: LIFT of object 'jar': no later stage tells",
         ),
         (
-            lambda s, p, o: (s, p, o[~((o["stage"] == 2) & (o["object"] == "mug") & (o["path"] == "a"))]),
-            "path 'a', stage 1: LIFT of object 'mug': no later stage tells",
+            lambda s, p, o: (s, p, o[~((o["stage"] == 2) & (o["object"] == "mug") & (o["trajectory"] == "a"))]),
+            "trajectory 'a', stage 1: LIFT of object 'mug': no later stage tells",
         ),
     ],
 )
@@ -168,14 +189,14 @@ SPACE = ActionSpace(TEAM_OBJECTS)
 @pytest.mark.parametrize("cut_share", [0.0, 0.5])
 def test_of_one_robot_they_are_those_of_one_robot(cut_share):
     team = team_of(1)
-    paths = played(team, 120, seed=3)
-    logs = logged(paths, cut_share)
+    trajectories = played(team, 120, seed=3)
+    logs = logged(trajectories, cut_share)
     of_robots = [name for name in logs.stages if name == "robot" or name.startswith("0_")]
-    alone = Logs(logs.stages.drop(columns=of_robots), logs.paths, logs.objects)
+    alone = Logs(logs.stages.drop(columns=of_robots), logs.trajectories, logs.objects)
     ours, theirs = attempts(logs), attempts(alone, 5)
     assert len(theirs) > 100
     assert ours["is_finished"].tolist() == theirs["is_finished"].tolist()
-    for name in ("path", "stage", "successes", "failures", "succeeded"):
+    for name in ("trajectory", "stage", "successes", "failures", "succeeded"):
         pd.testing.assert_series_equal(ours[name], theirs[name], check_dtype=False)
     for name in ("occlusion", "grip", "time_s"):
         np.testing.assert_allclose(ours[name], theirs[name], rtol=1e-5, atol=1e-5)
@@ -186,26 +207,28 @@ def test_of_one_robot_they_are_those_of_one_robot(cut_share):
 
 def test_each_lasts_until_its_robot_is_free():
     world = WorldConfig(horizon=5, grasping=SureGrasping(), transport_s=1.0, speed=(1.0, 2.0))
-    paths = played(world, 60, seed=4)
-    logs = logged(paths, 0.0)
+    trajectories = played(world, 60, seed=4)
+    logs = logged(trajectories, 0.0)
     found = attempts(logs)
-    at = pd.Index(logs.path_ids).get_indexer(found["path"]), found["stage"].to_numpy() - 1
-    speed = np.array([1.0, 2.0])[paths.states.decider[at]]
-    target = SPACE.target(paths.action)[at]
+    at = pd.Index(logs.trajectory_ids).get_indexer(found["trajectory"]), found["stage"].to_numpy() - 1
+    speed = np.array([1.0, 2.0])[trajectories.states.decider[at]]
+    target = SPACE.target(trajectories.action)[at]
     assert found["is_finished"].all()
     assert found["succeeded"].all()
     np.testing.assert_allclose(found["time_s"], (1.0 + 1.0 + 2.0 * target) / speed, rtol=1e-4)
 
 
 def test_a_robot_that_drops_out_cuts_its_own_attempt():
-    paths = played(team_of(2, drop_out_rate=(0.05, 0.0)), 80, seed=6)
-    logs = logged(paths, 0.0)
+    trajectories = played(team_of(2, drop_out_rate=(0.05, 0.0)), 80, seed=6)
+    logs = logged(trajectories, 0.0)
     found = attempts(logs)
-    out_s = logs.paths.set_index("path")["0_out_s"]
+    out_s = logs.trajectories.set_index("trajectory")["0_out_s"]
     is_cut = ~found["is_finished"].to_numpy()
     assert 5 < is_cut.sum() < len(found)
-    begun = logs.stages.set_index(["path", "stage"])
-    for path, stage, time_s in found[is_cut][["path", "stage", "time_s"]].itertuples(index=False, name=None):
-        assert begun.loc[(path, stage), "robot"] == 0
-        begun_s = 0.0 if stage == 1 else begun.loc[(path, stage - 1), "elapsed_s"]
-        assert time_s == pytest.approx(out_s[path] - begun_s, abs=1e-4)
+    begun = logs.stages.set_index(["trajectory", "stage"])
+    for trajectory, stage, time_s in found[is_cut][["trajectory", "stage", "time_s"]].itertuples(
+        index=False, name=None
+    ):
+        assert begun.loc[(trajectory, stage), "robot"] == 0
+        begun_s = 0.0 if stage == 1 else begun.loc[(trajectory, stage - 1), "elapsed_s"]
+        assert time_s == pytest.approx(out_s[trajectory] - begun_s, abs=1e-4)

@@ -29,9 +29,9 @@ HORIZON = 10
 
 
 def attempts_of(num_objects, intercept, slope, seed=0):
-    """Two objects a path."""
+    """Two objects a trajectory."""
     tried = cut_some(beta_attempts(num_objects, intercept=intercept, slope=slope, seed=seed))
-    return tried.assign(path=tried["object"] // 2, stage=1, grip=0.0)
+    return tried.assign(trajectory=tried["object"] // 2, stage=1, grip=0.0)
 
 
 def naive_beta(attempts):
@@ -54,16 +54,21 @@ def naive_beta(attempts):
 
 
 def by_hand(tried):
-    """Squared errors of the rule and of the Beta, path by path."""
+    """Squared errors of the rule and of the Beta, trajectory by trajectory."""
     tried = tried.assign(weight=censoring_weights(tried["time_s"], tried["is_finished"]))
-    paths = sorted(set(tried["path"]))
+    trajectories = sorted(set(tried["trajectory"]))
     columns = ["occlusion", "successes", "failures", "succeeded", "weight"]
-    rows = {path: tried[(tried["path"] == path) & tried["is_finished"]][columns].to_numpy(float) for path in paths}
-    errors = np.zeros((len(paths), 2))
+    rows = {
+        trajectory: tried[(tried["trajectory"] == trajectory) & tried["is_finished"]][columns].to_numpy(float)
+        for trajectory in trajectories
+    }
+    errors = np.zeros((len(trajectories), 2))
     for k in range(NUM_FOLDS):
-        beta = naive_beta([row for rank, path in enumerate(paths) if rank % NUM_FOLDS != k for row in rows[path]])
-        for rank in range(k, len(paths), NUM_FOLDS):
-            for occlusion, successes, failures, held, weight in rows[paths[rank]]:
+        beta = naive_beta(
+            [row for rank, trajectory in enumerate(trajectories) if rank % NUM_FOLDS != k for row in rows[trajectory]]
+        )
+        for rank in range(k, len(trajectories), NUM_FOLDS):
+            for occlusion, successes, failures, held, weight in rows[trajectories[rank]]:
                 rule = (1 - occlusion) * (1 + successes) / (1 + successes + failures)
                 said = np.array([rule, beta(occlusion, successes, failures)])
                 errors[rank] += weight * (said - held) ** 2
@@ -114,7 +119,7 @@ def test_the_learner_chooses_by_itself_says_why_and_keeps_the_rule_where_the_log
     learner = CensoredQLearner.for_table(reg=1.0).fit(logs)
     assert learner.chosen_ == (chosen.sentence,)
     assert isinstance(learner.policy_.grasp, GraspTable) == (chosen.grasp is not None)
-    silent = choose_grasp(Logs(logs.stages, logs.paths, logs.objects.assign(successes=0, failures=0)), HORIZON)
+    silent = choose_grasp(Logs(logs.stages, logs.trajectories, logs.objects.assign(successes=0, failures=0)), HORIZON)
     assert silent.grasp is None
     assert "mend the counts" in silent.sentence
 
@@ -228,8 +233,8 @@ def begun(world):
     return start(world.played_config, picked(world.layouts([SCENE]), 0), KEY)
 
 
-def fitted(*laws, num_paths=300):
-    logs = world_of(*laws).simulate([SCENE], UniformPolicy(), num_paths, seed=1, cut_share=0.2)
+def fitted(*laws, num_trajectories=300):
+    logs = world_of(*laws).simulate([SCENE], UniformPolicy(), num_trajectories, seed=1, cut_share=0.2)
     return TeamTask(base=None).fitted(logs, 2 * WORLD.horizon)
 
 
@@ -246,7 +251,7 @@ def test_robots_that_differ_are_told_apart_and_those_that_do_not_are_not():
         assert float(told.grasp.of(robot).probability(state)[-1]) == pytest.approx(known, abs=0.1)
     assert not isinstance(fitted(SURE, SURE).grasp, GraspByRobot)
     # Too few attempts tell nothing.
-    assert not isinstance(fitted(SURE, CLUMSY, num_paths=5).grasp, GraspByRobot)
+    assert not isinstance(fitted(SURE, CLUMSY, num_trajectories=5).grasp, GraspByRobot)
 
 
 def by_robot():

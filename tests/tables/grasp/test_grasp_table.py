@@ -31,8 +31,8 @@ def scene():
 @pytest.fixture(scope="module")
 def states(scene):
     episodes = play(WorldConfig(), pad_scenes([scene]), UniformPolicy(), random.key_of(1), 40)
-    path, stage = np.nonzero(np.asarray(episodes.is_taken))
-    return picked(episodes.states, (path, stage))
+    trajectory, stage = np.nonzero(np.asarray(episodes.is_taken))
+    return picked(episodes.states, (trajectory, stage))
 
 
 @pytest.fixture(scope="module")

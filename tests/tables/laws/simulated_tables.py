@@ -36,15 +36,15 @@ def scene(grip=None):
     return Scene(hides) if grip is None else Scene(hides, grip=np.asarray(grip))
 
 
-def recorded(num_paths, cut_share=0.0, cut_kind="independent", config=None, seed=0, table=None):
+def recorded(num_trajectories, cut_share=0.0, cut_kind="independent", config=None, seed=0, table=None):
     """The episodes with what was hidden, and the log of them."""
     config = WorldConfig() if config is None else config
     scenes = [scene() if table is None else table]
-    cuts = TableWorld(config).record(scenes, LOGGER, num_paths, seed, cut_share, cut_kind)
+    cuts = TableWorld(config).record(scenes, LOGGER, num_trajectories, seed, cut_share, cut_kind)
     return cuts, to_logs(cuts, cut_kind, scenes, config.dirty_share)
 
 
-def evidence(num_paths, *args, config=None, **options):
+def evidence(num_trajectories, *args, config=None, **options):
     """What such a log tells."""
     config = WorldConfig() if config is None else config
-    return evidence_of(recorded(num_paths, *args, config=config, **options)[1], config)
+    return evidence_of(recorded(num_trajectories, *args, config=config, **options)[1], config)

@@ -21,16 +21,18 @@ def test_attempts_are_watched_until_they_held_or_were_cut_and_misses_until_the_l
     cuts, logs = recorded(60, cut_share, table=scene(GRIP))
     tried, config = evidence_of(logs, WorldConfig()).tried, WorldConfig()
     expected = []
-    for path, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
-        target = (int(cuts.episodes.action[path, stage]) - 1) % 5
-        begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[path, :stage]))
-        is_completed = cuts.is_completed[path, stage]
-        lasted_s = float(cuts.episodes.duration_s[path, stage]) if is_completed else cuts.end_s[path] - begun_s
+    for trajectory, stage in np.argwhere(cuts.is_begun & (np.asarray(cuts.episodes.action) > 0)):
+        target = (int(cuts.episodes.action[trajectory, stage]) - 1) % 5
+        begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[trajectory, :stage]))
+        is_completed = cuts.is_completed[trajectory, stage]
+        lasted_s = (
+            float(cuts.episodes.duration_s[trajectory, stage]) if is_completed else cuts.end_s[trajectory] - begun_s
+        )
         if stage + 1 < config.horizon and lasted_s > 0.0:
             attempt_s = max(0.0, lasted_s - 1.0)
-            expected.append((path, attempt_s, is_completed and attempt_s < 6.0 - 1e-4, GRIP[target]))
-    path, attempt_s, is_held, grip = (np.array(column) for column in zip(*expected, strict=True))
-    np.testing.assert_array_equal(tried.path, path)
+            expected.append((trajectory, attempt_s, is_completed and attempt_s < 6.0 - 1e-4, GRIP[target]))
+    trajectory, attempt_s, is_held, grip = (np.array(column) for column in zip(*expected, strict=True))
+    np.testing.assert_array_equal(tried.trajectory, trajectory)
     np.testing.assert_array_equal(tried.is_held, is_held)
     np.testing.assert_allclose(tried.watched_s, attempt_s, atol=1e-4)
     np.testing.assert_allclose(tried.grip, grip, atol=1e-6)
@@ -43,14 +45,14 @@ def test_misses_are_watched_until_they_end_where_they_end_before_the_limit(cut_s
     cuts, logs = recorded(60, cut_share, config=FITTED)
     tried = evidence_of(logs, FITTED).tried
     assert not (tried.is_held & tried.is_missed).any()
-    seen = tried.path[tried.is_missed], tried.watched_s[tried.is_missed]
+    seen = tried.trajectory[tried.is_missed], tried.watched_s[tried.is_missed]
     states, action = cuts.episodes.states, np.asarray(cuts.episodes.action)
     succeeded = np.asarray(states.attempt_succeeded)
-    path, stage = np.nonzero(cuts.is_completed[:, :-1] & (action[:, :-1] > 0))
-    # Whether the attempt of a stage held stands in the state after it, which a path keeps after its own end.
-    is_miss = ~succeeded[path, stage + 1, stage]
-    duration_s = np.asarray(cuts.episodes.duration_s, dtype=float)[path, stage] - FITTED.transport_s
-    np.testing.assert_array_equal(seen[0], path[is_miss])
+    trajectory, stage = np.nonzero(cuts.is_completed[:, :-1] & (action[:, :-1] > 0))
+    # Whether the attempt of a stage held stands in the state after it, which a trajectory keeps after its own end.
+    is_miss = ~succeeded[trajectory, stage + 1, stage]
+    duration_s = np.asarray(cuts.episodes.duration_s, dtype=float)[trajectory, stage] - FITTED.transport_s
+    np.testing.assert_array_equal(seen[0], trajectory[is_miss])
     np.testing.assert_allclose(seen[1], duration_s[is_miss], atol=1e-4)
     assert (seen[1] < 0.9 * FITTED.grasping.limit_s).any()
 
@@ -58,15 +60,15 @@ def test_misses_are_watched_until_they_end_where_they_end_before_the_limit(cut_s
 def test_a_miss_that_ends_next_to_the_limit_is_at_the_limit():
     _, logs = recorded(60)
     stages = logs.stages.assign(elapsed_s=logs.stages["elapsed_s"] * 0.995)
-    rounded = evidence_of(Logs(stages, logs.paths, logs.objects), WorldConfig()).tried
+    rounded = evidence_of(Logs(stages, logs.trajectories, logs.objects), WorldConfig()).tried
     assert rounded.is_missed.any()
     assert (rounded.watched_s[rounded.is_missed] == 6.0).all()
 
 
-def test_the_first_paths_tell_what_a_log_of_them_tells():
+def test_the_first_trajectories_tell_what_a_log_of_them_tells():
     _, logs = recorded(40, 0.5)
     some = evidence_of(logs, WorldConfig()).first(15)
-    alone = evidence_of(logs.select(logs.path_ids[:15]), WorldConfig())
+    alone = evidence_of(logs.select(logs.trajectory_ids[:15]), WorldConfig())
     for one, other in zip((*some.tried, *some.told), (*alone.tried, *alone.told), strict=True):
         np.testing.assert_array_equal(one, other)
 
@@ -78,12 +80,12 @@ def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(c
     states = cuts.episodes.states
     is_on_table, log_odds = np.asarray(states.is_on_table), np.asarray(states.log_odds, dtype=float)
     moved = np.diff(log_odds, axis=1, prepend=np.log(1.5))
-    path, stage, target = np.nonzero(is_on_table & cuts.is_begun[:, :, None] & (np.abs(moved) > 1e-4))
-    np.testing.assert_array_equal(told.path, path)
-    np.testing.assert_array_equal(told.object, 5 * path + target)
+    trajectory, stage, target = np.nonzero(is_on_table & cuts.is_begun[:, :, None] & (np.abs(moved) > 1e-4))
+    np.testing.assert_array_equal(told.trajectory, trajectory)
+    np.testing.assert_array_equal(told.object, 5 * trajectory + target)
     accuracy = config.seeing.accuracy(told.occlusion)
     expected = np.where(told.says_dirty, 1.0, -1.0) * (np.log(accuracy) - np.log1p(-accuracy))
-    np.testing.assert_allclose(moved[path, stage, target], expected, atol=1e-4)
+    np.testing.assert_allclose(moved[trajectory, stage, target], expected, atol=1e-4)
     assert (told.occlusion == 0.0).any()
     # To this recorder each look is news, so that no views are counted; and no grip shows.
     assert not told.is_persistent
@@ -94,7 +96,7 @@ def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(c
 def test_washing_shows_what_an_object_was():
     cuts, logs = recorded(200, 0.3)
     told = evidence_of(logs, WorldConfig()).told
-    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[told.path, told.object % 5]
+    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[told.trajectory, told.object % 5]
     assert told.was_dirty.any()
     assert told.was_clean.any()
     assert not (told.was_dirty & told.was_clean).any()
@@ -107,7 +109,7 @@ def test_washing_shows_what_an_object_was():
 def num_washed(cuts):
     """Objects that a completed WASH before the last step of the horizon put into the dishwasher."""
     is_on_table = np.asarray(cuts.episodes.states.is_on_table)
-    # The state after the path's own end is a copy of its last one, so a table that was cleared shows it there.
+    # The state after the trajectory's own end is a copy of its last one, so a table that was cleared shows it there.
     last = np.where(cuts.is_completed[:, :-1, None], is_on_table[:, :-1] & ~is_on_table[:, 1:], False)
     return int(last.sum())
 
@@ -119,7 +121,7 @@ def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut
     assert told.is_persistent
     # A look that shows nothing new is no label.
     num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
-    assert 0 < len(told.path) < 0.7 * num_looks
+    assert 0 < len(told.trajectory) < 0.7 * num_looks
     np.testing.assert_allclose(
         told.seen_after, law.after(told.occlusion, told.seen, told.says_dirty, told.is_held), atol=1e-6
     )
@@ -128,7 +130,7 @@ def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut
     # What washing showed to be clean had its false alarms, and no more.
     if_dirty, if_clean = law.positive(told.occlusion, told.seen, told.is_held)
     assert (if_dirty > 0.0).all()
-    expected = np.where(np.asarray(cuts.episodes.hidden.is_dirty)[told.path, told.object % 5], if_dirty, if_clean)
+    expected = np.where(np.asarray(cuts.episodes.hidden.is_dirty)[told.trajectory, told.object % 5], if_dirty, if_clean)
     excess = told.says_dirty - expected
     assert abs(excess.sum()) < 3.0 * np.sqrt((expected * (1.0 - expected)).sum())
 
@@ -155,6 +157,6 @@ def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_fro
 def test_a_log_speaks_for_the_laws_that_made_it(config, families, cut_share):
     _, logs = recorded(200, cut_share, config=config)
     for begin in range(0, 200, 50):
-        told = evidence_of(logs.select(logs.path_ids[begin : begin + 50]), config)
+        told = evidence_of(logs.select(logs.trajectory_ids[begin : begin + 50]), config)
         assert isinstance(choose_grasping(told.tried, config.grasping.limit_s), families[0])
         assert isinstance(seeing_of(told.told, told.dirty_share).law, families[1])

@@ -97,7 +97,7 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     kept = trials["is_finished"].to_numpy(dtype=bool)
     # Rows of one object follow one another's number; an integral is taken over each.
     objects = pd.factorize(decided.group)[0].astype(np.int64)
-    clusters = pd.factorize(trials["path"][kept])[0].astype(np.int64)
+    clusters = pd.factorize(trials["trajectory"][kept])[0].astype(np.int64)
     # Of mean 1: within the integral over an object's offset, attempts that weigh more would seem to be more.
     weight = decided.weight / decided.weight.mean()
     data = _Data(design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), weight, objects)

@@ -38,7 +38,7 @@ def held_shares(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Panels:
     """
     decided = checked_attempts(trials)
     said, met = held_given_past(theta, trials)[decided.row], trials.iloc[decided.row]
-    tables = pd.factorize(met["path"])[0].astype(np.int64)
+    tables = pd.factorize(met["trajectory"])[0].astype(np.int64)
     occlusion, is_lying, width_m, room_m = (
         met[name].to_numpy(dtype=np.float64) for name in ("occlusion", "is_lying", "width_m", "room_m")
     )

@@ -18,7 +18,7 @@ FACTS = tuple(each.name for each in fields(Facts))
 GLANCES = ("glance_occlusions", "glance_held", "glance_dirty")
 LARGEST_M = 100.0
 """Of what stands on a table [m]."""
-_AT = ["path", "stage", "object"]
+_AT = ["trajectory", "stage", "object"]
 
 
 def trials(logs: Logs, horizon: int) -> pd.DataFrame:
@@ -50,7 +50,7 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     seen = acted_on.merge(logs.objects[[*_AT, *FACTS]], on=_AT)
     after = acted_on.assign(stage=acted_on["stage"] + 1).merge(logs.objects[[*_AT, "attempt_s"]], on=_AT)
     after = after.assign(stage=after["stage"] - 1, attempt_s=[_last(each) for each in after["attempt_s"]])
-    at = ["path", "stage"]
+    at = ["trajectory", "stage"]
     table = table.merge(seen.drop(columns="object"), on=at).merge(after.drop(columns="object"), on=at, how="left")
     return table.assign(is_lying=table["is_lying"].astype(np.float64))
 
@@ -77,7 +77,8 @@ def glances(logs: Logs) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        One row an object of a path: path, object, is_dirty, and the lists `GLANCES` as they were at its last stage.
+        One row an object of a trajectory: trajectory, object, is_dirty, and the lists `GLANCES` as they were at its
+        last stage.
 
     Raises
     ------
@@ -87,5 +88,5 @@ def glances(logs: Logs) -> pd.DataFrame:
     if logs.objects is None:
         raise LogError("the log has no objects; give one that a cell recorded")
     require_columns("objects", logs.objects, (*GLANCES, "is_dirty"))
-    last = logs.objects.groupby(["path", "object"], sort=True).tail(1)
-    return pd.DataFrame(last[["path", "object", "is_dirty", *GLANCES]]).reset_index(drop=True)
+    last = logs.objects.groupby(["trajectory", "object"], sort=True).tail(1)
+    return pd.DataFrame(last[["trajectory", "object", "is_dirty", *GLANCES]]).reset_index(drop=True)

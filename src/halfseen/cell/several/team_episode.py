@@ -15,7 +15,7 @@ from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.several.touches import Touches
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.recording.path_recorder import PathRecorder
+from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
 from halfseen.world.actions import WAIT, Verb
 from halfseen.world.policy import Policy
@@ -50,7 +50,7 @@ def play_team(
     is_dirty: Bool[np.ndarray, " N"],
     policy: Policy,
     belief: Belief,
-    path: PathRecorder,
+    trajectory: TrajectoryRecorder,
     key: Key,
     *,
     tells_truth: bool = False,
@@ -62,7 +62,7 @@ def play_team(
 
     Parameters
     ----------
-    cell, is_dirty, belief, path, key, tells_truth, on_decision
+    cell, is_dirty, belief, trajectory, key, tells_truth, on_decision
         As for `halfseen.cell.episode.play`; the horizon of the belief's world is counted in decisions of each arm.
     policy
         What decides.
@@ -73,7 +73,7 @@ def play_team(
         What came of it.
     """
     shift = _Arms(cell, Account(TeamRun(), cell, is_dirty, belief.config), belief)
-    told = cleared(shift, policy, path, key, tells_truth=tells_truth, on_decision=on_decision)
+    told = cleared(shift, policy, trajectory, key, tells_truth=tells_truth, on_decision=on_decision)
     assert isinstance(told, TeamRun), "it is the run of the account"
     seen = {"num_collisions": shift.touches.num_collisions, "busy_s": shift.busy_s}
     return replace(told, **seen, **asdict(shift.crew.tally))

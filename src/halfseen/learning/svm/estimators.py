@@ -130,7 +130,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         Parameters
         ----------
         X
-            One row for each path, shape (n, F), or n sets.
+            One row for each trajectory, shape (n, F), or n sets.
         y
             Times and whether they were seen: a structured array as scikit-survival has it (`survival_array` makes one),
             a frame with ``is_finished`` and ``time`` or ``time_s`` [s], or a tuple (time, is_finished). A plain column
@@ -143,7 +143,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         ArgumentError
             A parameter or a value is none that it can be; the row is named.
         PositivityError
-            All paths were cut, or a weight is not identified.
+            All trajectories were cut, or a weight is not identified.
         """
         self._fit(X, y, sample_weight)
         return self
@@ -202,8 +202,8 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         λ‖g‖² + (1/n) Σ_i w_i L(Y_i, f(Z_i)),   w_i = δ_i / Ĝ(min(T_i, τ)⁻ | Z_i),   Y_i = +1 if T_i ≤ τ, else −1
 
     over g in the kernel's space and, if `fit_intercept`, an unpenalised b (paper, eqs. 1 and 2). δ_i tells whether
-    min(T_i, τ) was seen: a path that is cut at τ or later is known to be late. n counts all rows, the cut ones too;
-    with sample weights s_i it is Σ s_i and w_i becomes s_i w_i. For plain labels every w_i is 1.
+    min(T_i, τ) was seen: a trajectory that is cut at τ or later is known to be late. n counts all rows, the cut ones
+    too; with sample weights s_i it is Σ s_i and w_i becomes s_i w_i. For plain labels every w_i is 1.
 
     Parameters
     ----------
@@ -259,7 +259,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         Parameters
         ----------
         X
-            One row for each path, shape (n, F), or n sets.
+            One row for each trajectory, shape (n, F), or n sets.
         y
             With `tau`: times and whether they were seen, as in `CensoredSVR.fit`, or plain times. Without: two kinds of
             labels.
@@ -271,7 +271,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         ArgumentError
             A parameter or a value is none that it can be; the row is named.
         PositivityError
-            All paths were cut, or a weight is not identified.
+            All trajectories were cut, or a weight is not identified.
         """
         problem, held_out = self._fit(X, y, sample_weight)
         if self.calibrate:
@@ -319,7 +319,7 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
         return ends
 
     def _is_early(self, ends: Ends) -> RowMask:
-        """T ≤ τ; a path that was cut at τ had not come to its end by then."""
+        """T ≤ τ; a trajectory that was cut at τ had not come to its end by then."""
         return (ends.time < self.tau) | ((ends.time == self.tau) & ends.is_finished)
 
     def _targets(self, y: Any, ends: Ends | None) -> Rows:

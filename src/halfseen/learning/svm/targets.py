@@ -1,7 +1,7 @@
 """What is predicted, and how much each row counts: from right-censored times to a target Y(T) and a weight.
 
-Y is a known function of the time. Where it needs the time up to τ only, the event is that min(T, τ) was seen, so a path
-that is cut after τ counts in full (design, §2). Rows weigh w = δ / Ĝ(min(T, τ)⁻ | z).
+Y is a known function of the time. Where it needs the time up to τ only, the event is that min(T, τ) was seen, so a
+trajectory that is cut after τ counts in full (design, §2). Rows weigh w = δ / Ĝ(min(T, τ)⁻ | z).
 """
 
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from halfseen.errors import ArgumentError, PositivityError
 
 
 class Ends(NamedTuple):
-    """Observed ends of paths [s], and whether they are the path's own; False where it was cut."""
+    """Observed ends of trajectories [s], and whether they are the trajectory's own; False where it was cut."""
 
     time: Rows
     is_finished: RowMask
@@ -30,9 +30,9 @@ def survival_array(time: ArrayLike, is_finished: ArrayLike) -> np.ndarray:
     Parameters
     ----------
     time
-        Observed end of each path [s], shape (n,).
+        Observed end of each trajectory [s], shape (n,).
     is_finished
-        False where the path was cut, shape (n,).
+        False where the trajectory was cut, shape (n,).
 
     Returns
     -------
@@ -46,7 +46,7 @@ def survival_array(time: ArrayLike, is_finished: ArrayLike) -> np.ndarray:
 
 
 def as_ends(y: Any) -> Ends | None:
-    """Read the ends of paths; None if `y` is a plain column of targets, of which nothing was cut.
+    """Read the ends of trajectories; None if `y` is a plain column of targets, of which nothing was cut.
 
     Parameters
     ----------
@@ -147,8 +147,8 @@ def row_weights(
     counted = counts > 0
     if not is_seen[counted].any():
         raise PositivityError(
-            f"all {len(rows)} paths were cut before their target was seen; record until some finish, or give a tau "
-            "that some outlived"
+            f"all {len(rows)} trajectories were cut before their target was seen; record until some finish, or give a "
+            "tau that some outlived"
         )
     if isinstance(censoring, str) and censoring == "none":
         return counts * is_seen, None

@@ -16,33 +16,35 @@ from halfseen.logs.columns import (
 from halfseen.logs.refusal import refuse, shown, value_at
 
 
-def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFrame, layout: Layout) -> pd.DataFrame:
+def checked_objects(
+    frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.DataFrame, layout: Layout
+) -> pd.DataFrame:
     """Bring the objects into order and check them against their stages.
 
     Parameters
     ----------
     frame
-        Columns path, stage, object, plus covariates of each object.
-    stages, paths, layout
-        Checked stages and paths, and where they stand.
+        Columns trajectory, stage, object, plus covariates of each object.
+    stages, trajectories, layout
+        Checked stages and trajectories, and where they stand.
 
     Returns
     -------
     DataFrame
-        Sorted by path, stage and object.
+        Sorted by trajectory, stage and object.
 
     Raises
     ------
     LogError
-        An invariant is broken; the path, the stage, the object and the remedy are named.
+        An invariant is broken; the trajectory, the stage, the object and the remedy are named.
     """
     require_columns("objects", frame, NEEDED["objects"])
     refuse_misnamed("objects", frame)
     objects = frame.copy()
-    objects["path"] = as_labels("objects", objects, "path", is_null_allowed=False)
+    objects["trajectory"] = as_labels("objects", objects, "trajectory", is_null_allowed=False)
     objects["stage"] = as_counts("objects", objects, "stage")
     objects["object"] = as_labels("objects", objects, "object", is_null_allowed=False)
-    stage_row = _stage_rows(objects, paths, layout)
+    stage_row = _stage_rows(objects, trajectories, layout)
     names = pd.Index(objects["object"]).unique().sort_values()
     name = names.get_indexer(pd.Index(objects["object"]))
     order = np.lexsort((name, stage_row))
@@ -55,15 +57,15 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, paths: pd.DataFra
     return objects
 
 
-def _stage_rows(objects: pd.DataFrame, paths: pd.DataFrame, layout: Layout) -> np.ndarray:
+def _stage_rows(objects: pd.DataFrame, trajectories: pd.DataFrame, layout: Layout) -> np.ndarray:
     """Find the row of stages that each object belongs to."""
-    path_row = pd.Index(paths["path"]).get_indexer(pd.Index(objects["path"]))
-    trouble = "paths has no such path; add its row to paths, or drop its objects"
-    refuse(objects, path_row < 0, trouble, OBJECT_COLUMNS)
-    number, last = objects["stage"].to_numpy(), layout.num_stages[path_row]
+    trajectory_row = pd.Index(trajectories["trajectory"]).get_indexer(pd.Index(objects["trajectory"]))
+    trouble = "trajectories has no such trajectory; add its row to trajectories, or drop its objects"
+    refuse(objects, trajectory_row < 0, trouble, OBJECT_COLUMNS)
+    number, last = objects["stage"].to_numpy(), layout.num_stages[trajectory_row]
     unknown, remedy = (number < 1) | (number > last), "add the stage to stages, or drop its objects"
-    refuse(objects, unknown, lambda row: f"the path has stages 1 to {last[row]}; {remedy}", OBJECT_COLUMNS)
-    return layout.first_row[path_row] + number - 1
+    refuse(objects, unknown, lambda row: f"the trajectory has stages 1 to {last[row]}; {remedy}", OBJECT_COLUMNS)
+    return layout.first_row[trajectory_row] + number - 1
 
 
 def _check_once(objects: pd.DataFrame, stage_row: np.ndarray, name: np.ndarray) -> None:

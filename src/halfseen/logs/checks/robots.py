@@ -4,7 +4,7 @@ A stage belongs to the robot that decided at its beginning, and what a robot beg
 at which it decides again; what it began last may end at any time. Where stages tell in r_does what robot r is at as
 they begin ("WASH 3", "FREE"), that is believed: of two robots that are free at once, the first may take what the second
 has let go of, although that decides a moment later. A robot r that dropped out alone has the clock of that in r_out_s
-of its path.
+of its trajectory.
 """
 
 import re
@@ -30,44 +30,46 @@ def is_of_one_robot(column: str) -> bool:
     return is_own_reward(column) or any(each.fullmatch(column) for each in (_OUT_S, _OUT_CAUSE))
 
 
-def robots_that_may_drop_out(paths: pd.DataFrame) -> list[int]:
-    """Numbers of the robots of which the paths tell whether they dropped out."""
-    found = (_OUT_S.fullmatch(str(column)) for column in paths.columns)
+def robots_that_may_drop_out(trajectories: pd.DataFrame) -> list[int]:
+    """Numbers of the robots of which the trajectories tell whether they dropped out."""
+    found = (_OUT_S.fullmatch(str(column)) for column in trajectories.columns)
     return sorted(int(each[1]) for each in found if each is not None)
 
 
-def with_drop_outs(paths: pd.DataFrame) -> pd.DataFrame:
-    """Paths with the clocks and the causes of drop-outs in their types.
+def with_drop_outs(trajectories: pd.DataFrame) -> pd.DataFrame:
+    """Trajectories with the clocks and the causes of drop-outs in their types.
 
     Parameters
     ----------
-    paths
-        Columns path, end_s [s], ending, and for each robot r that may drop out r_out_s [s] and r_out_cause.
+    trajectories
+        Columns trajectory, end_s [s], ending, and for each robot r that may drop out r_out_s [s] and r_out_cause.
 
     Raises
     ------
     LogError
-        A drop-out lies outside its path, or a cause has no clock.
+        A drop-out lies outside its trajectory, or a cause has no clock.
     """
-    end_s = paths["end_s"].to_numpy()
-    for found in filter(None, (_OUT_CAUSE.fullmatch(str(column)) for column in paths.columns)):
+    end_s = trajectories["end_s"].to_numpy()
+    for found in filter(None, (_OUT_CAUSE.fullmatch(str(column)) for column in trajectories.columns)):
         robot, column = found[1], found[0]
-        paths[column] = as_labels("paths", paths, column, is_null_allowed=True)
-        has_clock = paths[f"{robot}_out_s"].notna() if f"{robot}_out_s" in paths.columns else False
+        trajectories[column] = as_labels("trajectories", trajectories, column, is_null_allowed=True)
+        has_clock = trajectories[f"{robot}_out_s"].notna() if f"{robot}_out_s" in trajectories.columns else False
         trouble = f"{column} is given, yet {robot}_out_s is not; give the clock at which robot {robot} dropped out"
-        refuse(paths, (paths[column].notna() & ~has_clock).to_numpy(dtype=bool), trouble, ("path",))
-    for robot in robots_that_may_drop_out(paths):
+        refuse(trajectories, (trajectories[column].notna() & ~has_clock).to_numpy(dtype=bool), trouble, ("trajectory",))
+    for robot in robots_that_may_drop_out(trajectories):
         column = f"{robot}_out_s"
-        out_s = as_floats("paths", paths, column).to_numpy()
-        paths[column] = out_s
+        out_s = as_floats("trajectories", trajectories, column).to_numpy()
+        trajectories[column] = out_s
         wrong = ~np.isnan(out_s) & ~((out_s > 0) & (out_s <= end_s))
-        refuse(paths, wrong, _outside(column, out_s, end_s), ("path",))
-    return paths
+        refuse(trajectories, wrong, _outside(column, out_s, end_s), ("trajectory",))
+    return trajectories
 
 
 def _outside(column: str, out_s: Float[np.ndarray, " n"], end_s: Float[np.ndarray, " n"]) -> Callable[[int], str]:
     remedy = "null where the robot did not drop out before it"
-    return lambda row: f"{column} {out_s[row]} lies outside the path, which ends at {end_s[row]} s; fix it, {remedy}"
+    return lambda row: (
+        f"{column} {out_s[row]} lies outside the trajectory, which ends at {end_s[row]} s; fix it, {remedy}"
+    )
 
 
 def check_own_rewards(stages: pd.DataFrame, is_completed: Bool[np.ndarray, " rows"]) -> None:
@@ -76,7 +78,7 @@ def check_own_rewards(stages: pd.DataFrame, is_completed: Bool[np.ndarray, " row
     Raises
     ------
     LogError
-        As above; the path, the stage and the value are named.
+        As above; the trajectory, the stage and the value are named.
     """
     for column in filter(is_own_reward, stages.columns):
         value = stages[column].to_numpy(dtype=np.float64)
@@ -89,7 +91,7 @@ def _no_own_reward(stages: pd.DataFrame, column: str) -> Callable[[int], str]:
     return lambda row: f"{column} is {shown(value_at(stages, column, row))}; {remedy}"
 
 
-def check_robots(stages: pd.DataFrame, paths: pd.DataFrame, path_row: Int[np.ndarray, " rows"]) -> None:
+def check_robots(stages: pd.DataFrame, trajectories: pd.DataFrame, trajectory_row: Int[np.ndarray, " rows"]) -> None:
     """Refuse two robots at one object, and one that decides after it dropped out.
 
     Stages without robots are left alone.
@@ -97,11 +99,11 @@ def check_robots(stages: pd.DataFrame, paths: pd.DataFrame, path_row: Int[np.nda
     Parameters
     ----------
     stages
-        Sorted by path and stage.
-    paths
-        Checked paths.
-    path_row
-        Path of each row.
+        Sorted by trajectory and stage.
+    trajectories
+        Checked trajectories.
+    trajectory_row
+        Trajectory of each row.
 
     Raises
     ------
@@ -110,10 +112,10 @@ def check_robots(stages: pd.DataFrame, paths: pd.DataFrame, path_row: Int[np.nda
     """
     if ROBOT not in stages.columns:
         return
-    begin_s: Any = stages["elapsed_s"].groupby(path_row).shift(fill_value=0.0)
-    _check_two_at_one(stages, begin_s, path_row)
-    for robot in robots_that_may_drop_out(paths):
-        out_s = paths[f"{robot}_out_s"].to_numpy()[path_row]
+    begin_s: Any = stages["elapsed_s"].groupby(trajectory_row).shift(fill_value=0.0)
+    _check_two_at_one(stages, begin_s, trajectory_row)
+    for robot in robots_that_may_drop_out(trajectories):
+        out_s = trajectories[f"{robot}_out_s"].to_numpy()[trajectory_row]
         late = stages[ROBOT].eq(robot).to_numpy(dtype=bool) & (begin_s.to_numpy() > out_s)
         refuse(stages, late, _late(robot, begin_s.to_numpy(), out_s))
 
@@ -123,10 +125,10 @@ def _late(robot: int, begin_s: Float[np.ndarray, " rows"], out_s: Float[np.ndarr
     return lambda row: f"robot {robot} decides at {begin_s[row]} s, yet dropped out at {out_s[row]} s; {remedy}"
 
 
-def _check_two_at_one(stages: pd.DataFrame, begin_s: pd.Series, path_row: Int[np.ndarray, " rows"]) -> None:
+def _check_two_at_one(stages: pd.DataFrame, begin_s: pd.Series, trajectory_row: Int[np.ndarray, " rows"]) -> None:
     row = pd.Series(np.arange(len(stages)), index=stages.index)
-    decides_again_s = begin_s.groupby([path_row, stages[ROBOT]]).shift(-1).to_numpy()
-    earlier = row.groupby([path_row, stages["object"]]).shift(1)
+    decides_again_s = begin_s.groupby([trajectory_row, stages[ROBOT]]).shift(-1).to_numpy()
+    earlier = row.groupby([trajectory_row, stages["object"]]).shift(1)
     there = earlier.notna().to_numpy()
     before = earlier.fillna(0).to_numpy(dtype=np.int64)
     robots = stages[ROBOT].to_numpy()

@@ -1,4 +1,4 @@
-"""What must hold for stages: numbered without gaps, on a clock that runs, completed up to the path's end."""
+"""What must hold for stages: numbered without gaps, on a clock that runs, completed up to the trajectory's end."""
 
 from dataclasses import dataclass
 
@@ -23,7 +23,7 @@ from halfseen.logs.refusal import refuse, shown, value_at
 from halfseen.shapes import Bool, Int
 
 UNIT_TOLERANCE = 1e-6
-"""How near to a power of 1,000 the ratio of a path's end to its last stage must be to look like another unit."""
+"""How near to a power of 1,000 the ratio of a trajectory's end to its last stage must be to look like another unit."""
 
 
 @dataclass(frozen=True)
@@ -32,63 +32,63 @@ class Layout:
 
     Parameters
     ----------
-    path_row
-        Row of paths that each stage belongs to, shape (rows,).
+    trajectory_row
+        Row of trajectories that each stage belongs to, shape (rows,).
     first_row
-        Row of stages in which each path begins, shape (n,).
+        Row of stages in which each trajectory begins, shape (n,).
     num_stages
-        Number of stages of each path, shape (n,).
+        Number of stages of each trajectory, shape (n,).
     """
 
-    path_row: Int[np.ndarray, " rows"]
+    trajectory_row: Int[np.ndarray, " rows"]
     first_row: Int[np.ndarray, " n"]
     num_stages: Int[np.ndarray, " n"]
 
     @property
     def is_first(self) -> Bool[np.ndarray, " rows"]:
-        """True in the first stage of each path."""
+        """True in the first stage of each trajectory."""
         return self._mark(self.first_row)
 
     @property
     def is_last(self) -> Bool[np.ndarray, " rows"]:
-        """True in the last stage of each path."""
+        """True in the last stage of each trajectory."""
         return self._mark(self.first_row + self.num_stages - 1)
 
     def _mark(self, rows: Int[np.ndarray, " n"]) -> Bool[np.ndarray, " rows"]:
-        marks = np.zeros(len(self.path_row), dtype=bool)
+        marks = np.zeros(len(self.trajectory_row), dtype=bool)
         marks[rows] = True
         return marks
 
 
-def checked_stages(frame: pd.DataFrame, paths: pd.DataFrame) -> tuple[pd.DataFrame, Layout]:
-    """Bring the stages into order and check them against their paths.
+def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> tuple[pd.DataFrame, Layout]:
+    """Bring the stages into order and check them against their trajectories.
 
     Parameters
     ----------
     frame
         Columns as in `STAGE_COLUMNS`, plus covariates.
-    paths
-        Checked paths.
+    trajectories
+        Checked trajectories.
 
     Returns
     -------
     stages : DataFrame
-        Sorted by path and stage.
+        Sorted by trajectory and stage.
     layout : Layout
-        Where each path's stages stand.
+        Where each trajectory's stages stand.
 
     Raises
     ------
     LogError
-        An invariant is broken; the path, the stage, the value and the remedy are named.
+        An invariant is broken; the trajectory, the stage, the value and the remedy are named.
     """
     stages = _typed_stages(frame)
-    stages, path_row = _sorted_stages(stages, paths)
-    layout = _checked_layout(stages, path_row, paths)
+    stages, trajectory_row = _sorted_stages(stages, trajectories)
+    layout = _checked_layout(stages, trajectory_row, trajectories)
     is_completed = stages["elapsed_s"].notna().to_numpy()
-    _check_completion(stages, is_completed, layout, (paths["ending"] == CUT).to_numpy(dtype=bool))
-    _check_clock(stages, is_completed, layout, paths["end_s"].to_numpy())
-    check_robots(stages, paths, layout.path_row)
+    _check_completion(stages, is_completed, layout, (trajectories["ending"] == CUT).to_numpy(dtype=bool))
+    _check_clock(stages, is_completed, layout, trajectories["end_s"].to_numpy())
+    check_robots(stages, trajectories, layout.trajectory_row)
     check_own_rewards(stages, is_completed)
     _check_actions(stages, is_completed)
     _check_rewards(stages, is_completed)
@@ -103,7 +103,7 @@ def _typed_stages(frame: pd.DataFrame) -> pd.DataFrame:
     stages = frame.copy()
     if "object" not in stages.columns:
         stages["object"] = pd.Series(None, index=stages.index, dtype=object)
-    stages["path"] = as_labels("stages", stages, "path", is_null_allowed=False)
+    stages["trajectory"] = as_labels("stages", stages, "trajectory", is_null_allowed=False)
     stages["stage"] = as_counts("stages", stages, "stage")
     numbers = {"elapsed_s", "reward", "probability"} | set(filter(is_own_reward, stages.columns))
     for column in sorted(numbers & set(stages.columns)):
@@ -115,48 +115,53 @@ def _typed_stages(frame: pd.DataFrame) -> pd.DataFrame:
     return stages
 
 
-def _sorted_stages(stages: pd.DataFrame, paths: pd.DataFrame) -> tuple[pd.DataFrame, np.ndarray]:
-    path_row = pd.Index(paths["path"]).get_indexer(pd.Index(stages["path"]))
-    refuse(stages, path_row < 0, "paths has no such path; add its row to paths, or drop its stages")
+def _sorted_stages(stages: pd.DataFrame, trajectories: pd.DataFrame) -> tuple[pd.DataFrame, np.ndarray]:
+    trajectory_row = pd.Index(trajectories["trajectory"]).get_indexer(pd.Index(stages["trajectory"]))
+    refuse(
+        stages,
+        trajectory_row < 0,
+        "trajectories has no such trajectory; add its row to trajectories, or drop its stages",
+    )
     number = stages["stage"].to_numpy()
-    order = np.lexsort((number, path_row))
+    order = np.lexsort((number, trajectory_row))
     if (order[1:] > order[:-1]).all():
-        return stages, path_row
-    return stages.iloc[order].reset_index(drop=True), path_row[order]
+        return stages, trajectory_row
+    return stages.iloc[order].reset_index(drop=True), trajectory_row[order]
 
 
-def _checked_layout(stages: pd.DataFrame, path_row: np.ndarray, paths: pd.DataFrame) -> Layout:
-    num_stages = np.bincount(path_row, minlength=len(paths))
+def _checked_layout(stages: pd.DataFrame, trajectory_row: np.ndarray, trajectories: pd.DataFrame) -> Layout:
+    num_stages = np.bincount(trajectory_row, minlength=len(trajectories))
     if (num_stages == 0).any():
-        path = paths["path"].iloc[int(np.argmax(num_stages == 0))]
+        trajectory = trajectories["trajectory"].iloc[int(np.argmax(num_stages == 0))]
         raise LogError(
-            f"path {shown(path)}: it has no stage; even a path cut in its first stage has that one, not completed"
+            f"trajectory {shown(trajectory)}: it has no stage; even a trajectory cut in its first stage has that one, "
+            "not completed"
         )
     first_row = np.cumsum(num_stages) - num_stages
     number = stages["stage"].to_numpy()
     repeated = np.zeros(len(stages), dtype=bool)
-    repeated[1:] = (number[1:] == number[:-1]) & (path_row[1:] == path_row[:-1])
+    repeated[1:] = (number[1:] == number[:-1]) & (trajectory_row[1:] == trajectory_row[:-1])
     refuse(stages, repeated, "the stage is there twice; drop one of the two rows, or renumber them")
-    expected = np.arange(len(stages)) - first_row[path_row] + 1
-    remedy = "number the stages of a path 1, 2, 3, … without gaps"
+    expected = np.arange(len(stages)) - first_row[trajectory_row] + 1
+    remedy = "number the stages of a trajectory 1, 2, 3, … without gaps"
     refuse(stages, number != expected, lambda row: f"stage {expected[row]} is missing before it; {remedy}")
-    return Layout(path_row, first_row, num_stages)
+    return Layout(trajectory_row, first_row, num_stages)
 
 
 def _check_completion(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout, is_cut: np.ndarray) -> None:
-    is_cut_stage = layout.is_last & is_cut[layout.path_row]
+    is_cut_stage = layout.is_last & is_cut[layout.trajectory_row]
     refuse(
         stages,
         ~is_completed & ~is_cut_stage,
-        "elapsed_s is null, yet only the last stage of a cut path is not completed; give the clock at its end, or cut "
-        "the path there",
+        "elapsed_s is null, yet only the last stage of a cut trajectory is not completed; give the clock at its end, "
+        "or cut the trajectory there",
     )
     refuse(
         stages,
         is_completed & is_cut_stage,
         lambda row: (
-            f"elapsed_s {value_at(stages, 'elapsed_s', row)} completes the last stage of a cut path; add the stage in "
-            "which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'"
+            f"elapsed_s {value_at(stages, 'elapsed_s', row)} completes the last stage of a cut trajectory; add the "
+            "stage in which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'"
         ),
     )
 
@@ -166,7 +171,9 @@ def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout,
     # Where two robots of a team are free at once, the stage between their decisions takes no time.
     may_stand = ROBOT in stages.columns
     early = is_completed & ~(((clock >= 0) if may_stand else (clock > 0)) & np.isfinite(clock))
-    refuse(stages, early, lambda row: f"elapsed_s {clock[row]} is no time after the path's beginning; fix the clock")
+    refuse(
+        stages, early, lambda row: f"elapsed_s {clock[row]} is no time after the trajectory's beginning; fix the clock"
+    )
     before = np.concatenate(([0.0], clock[:-1]))
 
     def unsorted(row: int) -> str:
@@ -176,15 +183,15 @@ def _check_clock(stages: pd.DataFrame, is_completed: np.ndarray, layout: Layout,
 
     runs = clock >= before if may_stand else clock > before
     refuse(stages, is_completed & ~layout.is_first & ~runs, unsorted)
-    ends = end_s[layout.path_row]
-    remedy = "fix end_s, or make this the stage in which the path was cut"
+    ends = end_s[layout.trajectory_row]
+    remedy = "fix end_s, or make this the stage in which the trajectory was cut"
     late = is_completed & (clock > ends)
-    refuse(stages, late, lambda row: f"elapsed_s {clock[row]} is after the path's end_s {ends[row]}; {remedy}")
+    refuse(stages, late, lambda row: f"elapsed_s {clock[row]} is after the trajectory's end_s {ends[row]}; {remedy}")
     _check_units(stages, layout, clock, ends)
 
 
 def _check_units(stages: pd.DataFrame, layout: Layout, clock: np.ndarray, ends: np.ndarray) -> None:
-    """Refuse a path whose end is exactly a thousand, or a power of it, times its last stage's clock."""
+    """Refuse a trajectory whose end is exactly a thousand, or a power of it, times its last stage's clock."""
     # A clock that still stands at 0 tells no unit.
     ratio = ends / np.where(clock == 0.0, np.nan, clock)
     with np.errstate(invalid="ignore"):

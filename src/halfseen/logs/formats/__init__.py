@@ -1,10 +1,10 @@
 """Logs in other forms: CSV folders, databases, bags, MCAP files, and datasets of Minari, LeRobot, RLDS and D4RL.
 
 Read down: `column_types` (what a column is, and its cells as text) → `losses` (what a form cannot hold) →
-`csv_folder` → `sql_rows` → `step_values`, `episodes` (steps of others, column by column, as stages) → `minari_steps`,
-`minari_foreign`, `minari_dataset` → `arrow_tables`, `lerobot_folder`, `step_tables` → `step_arrays` → `ros_mapping`,
-`mcap_files`, `ros_messages`, `ros_paths`, `ros_bag`. The libraries of Minari, HDF5, MCAP, ROS and SQL are `extras`;
-they load when they are used.
+`csv_folder` → `older` (logs of version 1) → `sql_rows` → `step_values`, `episodes` (steps of others, column by column,
+as stages) → `minari_steps`, `minari_foreign`, `minari_dataset` → `arrow_tables`, `lerobot_folder`, `step_tables` →
+`step_arrays` → `ros_mapping`, `mcap_files`, `ros_messages`, `ros_trajectories`, `ros_bag`. The libraries of Minari,
+HDF5, MCAP, ROS and SQL are `extras`; they load when they are used.
 """
 
 from halfseen.logs.formats.csv_folder import read_csv, write_csv
@@ -12,6 +12,7 @@ from halfseen.logs.formats.episodes import StepRules
 from halfseen.logs.formats.lerobot_folder import read_lerobot
 from halfseen.logs.formats.losses import Loss, losses, seen_by_halfseen_alone
 from halfseen.logs.formats.minari_dataset import read_minari, write_minari
+from halfseen.logs.formats.older import is_older, read_older
 from halfseen.logs.formats.ros_bag import read_bag
 from halfseen.logs.formats.ros_mapping import MAPPING_TEMPLATE, BagMapping, read_mapping
 from halfseen.logs.formats.sql_rows import Queries, read_queries, read_sql
@@ -24,12 +25,14 @@ __all__ = [
     "Loss",
     "Queries",
     "StepRules",
+    "is_older",
     "losses",
     "read_bag",
     "read_csv",
     "read_lerobot",
     "read_mapping",
     "read_minari",
+    "read_older",
     "read_queries",
     "read_sql",
     "read_step_arrays",

@@ -4,7 +4,7 @@
 
     FOLDER/
       stages.csv     one row a stage
-      paths.csv      one row a path
+      trajectories.csv      one row a trajectory
       objects.csv    where the stages have objects
       columns.json   the type of each column and, if somebody said, the unit of rewards; may be missing, or name only
                      some of the columns
@@ -17,7 +17,7 @@ rules, in this order:
    and ``cause`` hold text.
 2. A column whose every cell is a whole number holds whole numbers; but names such as ``007`` are text.
 3. Every cell a number: numbers. Every cell ``true`` or ``false``: booleans. Every cell a JSON list: lists. Names of
-   paths, actions and objects are never any of these.
+   trajectories, actions and objects are never any of these.
 4. Else it holds text; but a column of covariates that begins with a number and goes on with text is refused, since
    that is more often a slip than a name. To keep it as text, say ``"string"`` in ``columns.json``.
 """
@@ -33,21 +33,22 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError, within
-from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
 from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, list_type
 from halfseen.logs.formats.losses import CSV, refuse_lost
 from halfseen.logs.logs import Logs
+from halfseen.logs.place import converting
 from halfseen.logs.refusal import shown
 from halfseen.reading import TABLE, json_of, opened_text, read_text, reason_of
 from halfseen.writing import placed
 
 TYPES_FILE = "columns.json"
-FORMAT, VERSION = "halfseen-csv", 1
+FORMAT, VERSION = "halfseen-csv", 2
 UNIT = "reward_unit"
 
 _KNOWN_TYPES = {"stage": "int64", "ending": "string", "cause": "string"}
 _KNOWN_TYPES |= dict.fromkeys(("elapsed_s", "reward", "probability", "end_s"), "double")
-_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
+_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 
 _WRONG = (ValueError, TypeError, KeyError, AttributeError, pa.ArrowException)
 _INTEGER = r"-?(0|[1-9][0-9]{0,17})"
@@ -90,7 +91,7 @@ def read_csv(folder: str | Path) -> Logs:
     Parameters
     ----------
     folder
-        Holds ``stages.csv``, ``paths.csv`` and, where the stages have objects, ``objects.csv``.
+        Holds ``stages.csv``, ``trajectories.csv`` and, where the stages have objects, ``objects.csv``.
 
     Raises
     ------
@@ -99,9 +100,11 @@ def read_csv(folder: str | Path) -> Logs:
         with the heading, and the column are named), or the tables break an invariant.
     """
     folder = Path(folder)
+    if (folder / "paths.csv").exists():
+        raise LogError(f"{folder / 'paths.csv'}: an older halfseen wrote it; {converting(folder)}")
     manifest = _read_manifest(folder / TYPES_FILE)
     types: dict[str, dict[str, ColumnType]] = manifest.get("tables", {})
-    names = ["stages", "paths", "objects"] if (folder / "objects.csv").exists() else ["stages", "paths"]
+    names = ["stages", "trajectories", "objects"] if (folder / "objects.csv").exists() else ["stages", "trajectories"]
     tables = {name: _read_table(folder / f"{name}.csv", types.get(name, {})) for name in names}
     with within(folder):
         return Logs(**tables, reward_unit=manifest.get(UNIT))
@@ -169,7 +172,7 @@ def _read_cells(file: Path) -> pa.Table:
             ),
         )
     except FileNotFoundError as error:
-        raise LogError(f"{file}: it is missing; logs as CSV need stages.csv and paths.csv") from error
+        raise LogError(f"{file}: it is missing; logs as CSV need stages.csv and trajectories.csv") from error
     except (OSError, UnicodeDecodeError, csv.Error, pa.ArrowException) as error:
         raise LogError(
             f"{file}: it is no CSV file of one table ({reason_of(error)}); mend or export it again"

@@ -1,4 +1,4 @@
-"""Episodes of other people's datasets as paths: what was seen before each action, and how the last step ended.
+"""Episodes of other people's datasets as trajectories: what was seen before each action, and how the last step ended.
 
 A step is a stage: what was observed, the action that was taken on it, what it earned, and when it ended. Where a
 dataset also has what was observed after the last step, a cut falls into the stage of that observation; where it has
@@ -79,7 +79,7 @@ class Episode:
     Parameters
     ----------
     name
-        Of its path.
+        Of its trajectory.
     observed
         Columns of what was observed, T rows each, or one more where `has_last`.
     actions
@@ -89,7 +89,7 @@ class Episode:
     ends_s
         Time from the beginning to the end of each step [s], shape (T,).
     ending, cause
-        As in `paths` of `Logs`.
+        As in `trajectories` of `Logs`.
     has_last
         Whether what was observed after the last step is known.
     """
@@ -134,7 +134,7 @@ class StepColumns:
         Parameters
         ----------
         name
-            Of its path.
+            Of its trajectory.
         rows
             Its steps.
         ends_s
@@ -153,7 +153,7 @@ class StepColumns:
 
 
 def logs_of_episodes(place: str, episodes: Sequence[Episode]) -> Logs:
-    """Make paths of episodes.
+    """Make trajectories of episodes.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def logs_of_episodes(place: str, episodes: Sequence[Episode]) -> Logs:
         There is none, one has no step, or the log breaks an invariant.
     """
     if not episodes:
-        raise LogError(f"{place}: it has no episodes; a log has at least one path")
+        raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
     for episode in episodes:
         if not len(episode.actions):
             raise LogError(f"{place}, episode {shown(episode.name)}: it has no step; leave the episode out")
@@ -177,13 +177,13 @@ def logs_of_episodes(place: str, episodes: Sequence[Episode]) -> Logs:
     is_whole = all(episode.actions.dtype.kind == "i" for episode in episodes)
     columns["action"] = pd.array(columns["action"].tolist(), dtype="Int64" if is_whole else object)
     ends: dict[str, list[Any]] = {
-        "path": [episode.name for episode in episodes],
+        "trajectory": [episode.name for episode in episodes],
         "end_s": [episode.ends_s[-1] for episode in episodes],
         "ending": [episode.ending for episode in episodes],
         "cause": [episode.cause for episode in episodes],
     }
     with within(place):
-        return Logs(stages=pd.DataFrame(columns), paths=pd.DataFrame(ends))
+        return Logs(stages=pd.DataFrame(columns), trajectories=pd.DataFrame(ends))
 
 
 def _stages(episode: Episode) -> dict[str, np.ndarray]:
@@ -195,7 +195,7 @@ def _stages(episode: Episode) -> dict[str, np.ndarray]:
     actions = np.full(num_stages, None, dtype=object)
     actions[: min(num_steps, num_stages)] = episode.actions[:num_stages]
     return {
-        "path": np.repeat(np.array([episode.name], dtype=object), num_stages),
+        "trajectory": np.repeat(np.array([episode.name], dtype=object), num_stages),
         "stage": np.arange(1, num_stages + 1),
         "elapsed_s": np.append(episode.ends_s[:num_completed], unknown),
         "action": actions,

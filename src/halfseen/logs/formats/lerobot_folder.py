@@ -63,7 +63,7 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
     Returns
     -------
     Logs
-        Each episode a path, each frame a stage. A cut falls into the last frame, whose reward is passed over.
+        Each episode a trajectory, each frame a stage. A cut falls into the last frame, whose reward is passed over.
 
     Raises
     ------

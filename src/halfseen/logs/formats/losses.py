@@ -86,8 +86,8 @@ def refuse_lost(logs: Logs, form: str) -> None:
 def seen_by_halfseen_alone(logs: Logs) -> list[str]:
     """Name what Minari keeps only as notes that no other program reads."""
     schema = schema_of(logs)
-    steps = {"path", "stage", "elapsed_s", "action", "reward", *schema.observations}
-    found = {"stages": steps, "paths": {"path", "ending", "end_s"}}
+    steps = {"trajectory", "stage", "elapsed_s", "action", "reward", *schema.observations}
+    found = {"stages": steps, "trajectories": {"trajectory", "ending", "end_s"}}
     told = [
         f"{table}.{column}"
         for table, column in _columns(logs)

@@ -1,7 +1,8 @@
 """Logs as Minari datasets, written and read with Minari itself.
 
 What stands where is in `minari_steps`; datasets that others wrote are read in `minari_foreign`. An ending is never a
-bare boolean here: an episode that terminated is a path that finished, one that was truncated is a path that was cut.
+bare boolean here: an episode that terminated is a trajectory that finished, one that was truncated is a trajectory that
+was cut.
 """
 
 import json
@@ -68,7 +69,9 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
     }
     with placed(target) as fresh, _datasets_in(fresh), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Minari misses an author, a licence and an environment
-        _create(minari, dataset_id, schema, [path for path in episodes if len(path.actions)], metadata)
+        _create(
+            minari, dataset_id, schema, [trajectory for trajectory in episodes if len(trajectory.actions)], metadata
+        )
         _lift(fresh, dataset_id)
 
 
@@ -135,26 +138,26 @@ def _create(minari: Any, dataset_id: str, schema: Schema, episodes: list[Steps],
     spaces = extra("gymnasium.spaces", "minari")
     dataset = minari.create_dataset_from_buffers(
         dataset_id,
-        [_buffer(minari, path) for path in episodes],
+        [_buffer(minari, trajectory) for trajectory in episodes],
         observation_space=spaces.Box(-np.inf, np.inf, (max(1, len(schema.observations)),), np.float64),
         action_space=spaces.Discrete(len(schema.actions)),
-        description="Paths of a robot, written by halfseen: terminated means finished, truncated means cut.",
+        description="Trajectories of a robot, written by halfseen: terminated means finished, truncated means cut.",
     )
     dataset.storage.update_metadata({KEY: json.dumps(metadata, default=np.ndarray.tolist)})
-    dataset.storage.update_episode_metadata([{KEY: json.dumps(path.path)} for path in episodes])
+    dataset.storage.update_episode_metadata([{KEY: json.dumps(trajectory.trajectory)} for trajectory in episodes])
 
 
-def _buffer(minari: Any, path: Steps) -> Any:
-    num_steps = len(path.actions)
+def _buffer(minari: Any, trajectory: Steps) -> Any:
+    num_steps = len(trajectory.actions)
     is_last = np.arange(num_steps) == num_steps - 1
     numbers = np.arange(1.0, num_steps + 2)[:, None]
     return minari.data_collector.EpisodeBuffer(
-        observations=path.observations if path.observations.shape[1] else numbers,
-        actions=path.actions,
-        rewards=list(path.rewards),
-        terminations=list(is_last & path.is_finished),
-        truncations=list(is_last & (not path.is_finished)),
-        infos={"elapsed_s": path.clock_s, "stage": [json.dumps(stage) for stage in path.stages]},
+        observations=trajectory.observations if trajectory.observations.shape[1] else numbers,
+        actions=trajectory.actions,
+        rewards=list(trajectory.rewards),
+        terminations=list(is_last & trajectory.is_finished),
+        truncations=list(is_last & (not trajectory.is_finished)),
+        infos={"elapsed_s": trajectory.clock_s, "stage": [json.dumps(stage) for stage in trajectory.stages]},
     )
 
 
@@ -165,18 +168,20 @@ def _read_own(dataset: Any, metadata: dict[str, Any]) -> Logs:
     indices = [int(index) for index in dataset.episode_indices]
     notes = dataset.storage.get_episode_metadata(indices)
     is_whole = len(indices) == dataset.storage.total_episodes
-    paths = [_steps(episode, note, schema) for episode, note in zip(dataset, notes, strict=True)]
-    stepless = [_stepless(path) for path in metadata["without_steps"]] if is_whole else []
-    return logs_of([*paths, *stepless], schema).in_unit(metadata.get("reward_unit"))
+    trajectories = [_steps(episode, note, schema) for episode, note in zip(dataset, notes, strict=True)]
+    stepless = [_stepless(trajectory) for trajectory in metadata["without_steps"]] if is_whole else []
+    return logs_of([*trajectories, *stepless], schema).in_unit(metadata.get("reward_unit"))
 
 
 def _steps(episode: Any, note: dict[str, Any], schema: Schema) -> Steps:
-    path = json.loads(note[KEY])
+    trajectory = json.loads(note[KEY])
     is_finished = bool(episode.terminations[-1])
-    if is_finished != (path["ending"] == "finished"):
-        raise ValueError(f"episode {episode.id} and the note of its path {path['path']} disagree about the ending")
+    if is_finished != (trajectory["ending"] == "finished"):
+        raise ValueError(
+            f"episode {episode.id} and the note of its trajectory {trajectory['trajectory']} disagree about the ending"
+        )
     return Steps(
-        path=path,
+        trajectory=trajectory,
         observations=np.asarray(episode.observations, dtype=np.float64)[:, : len(schema.observations)],
         actions=np.asarray(episode.actions, dtype=np.int64),
         rewards=np.asarray(episode.rewards, dtype=np.float64),
@@ -187,7 +192,7 @@ def _steps(episode: Any, note: dict[str, Any], schema: Schema) -> Steps:
 
 def _stepless(noted: dict[str, Any]) -> Steps:
     arrays = {name: np.array(noted[name], dtype=np.float64) for name in ("observations", "rewards", "clock_s")}
-    return Steps(noted["path"], actions=np.zeros(0, dtype=np.int64), stages=noted["stages"], **arrays)
+    return Steps(noted["trajectory"], actions=np.zeros(0, dtype=np.int64), stages=noted["stages"], **arrays)
 
 
 def _loaded(dataset: Any) -> Any:

@@ -3,19 +3,19 @@
 ==================  ==================================================================================================
 Minari              Logs
 ==================  ==================================================================================================
-observations[t-1]   numeric covariates of stage t, as float64. The last observation is S of the stage in which the path
-                    was cut; after a finished path, where nothing was recorded, it repeats the last stage
+observations[t-1]   numeric covariates of stage t, as float64. The last is S of the stage in which the trajectory
+                    was cut; after a finished trajectory, where nothing was recorded, it repeats the last stage
 actions[t-1]        index of the action of stage t among the dataset's actions
 rewards[t-1]        reward of stage t
-terminations[-1]    the path finished
-truncations[-1]     the path was cut, in the stage of the last observation
+terminations[-1]    the trajectory finished
+truncations[-1]     the trajectory was cut, in the stage of the last observation
 infos elapsed_s     clock at each observation [s]: 0, then the end of each completed stage
 infos stage         JSON: the rest of the stage (object, probability, covariates that are no numbers; the action where
                     the stage was not completed), and the objects that stood there, row by row
-episode metadata    JSON: the row of the path
+episode metadata    JSON: the row of the trajectory
 dataset metadata    names of the actions and of the observation's columns, types of all columns, the unit of rewards,
-                    and the paths that were cut in their first stage: they have no step, so that Minari has no episode
-                    for them
+                    and the trajectories that were cut in their first stage: they have no step, so that Minari has no
+                    episode for them
 ==================  ==================================================================================================
 """
 
@@ -35,19 +35,19 @@ Cells = dict[str, str | None]
 """Cells of one row, as text."""
 
 # Columns of stages that steps carry in numbers; the action only where the stage was completed.
-_IN_STEPS = ("path", "stage", "elapsed_s", "action", "reward")
+_IN_STEPS = ("trajectory", "stage", "elapsed_s", "action", "reward")
 _LARGEST_EXACT = 2**53
 _PANDAS_NAMES = {"float": "float32", "double": "float64"}
 
 
 @dataclass(frozen=True)
 class Steps:
-    """A path as the steps of an episode.
+    """A trajectory as the steps of an episode.
 
     Parameters
     ----------
-    path
-        Row of the path.
+    trajectory
+        Row of the trajectory.
     observations
         Numeric covariates, shape (T + 1, F).
     actions
@@ -57,10 +57,10 @@ class Steps:
     clock_s
         Clock at each observation [s], shape (T + 1,).
     stages
-        The rest of each stage and its objects, T + 1 of them; empty after a finished path.
+        The rest of each stage and its objects, T + 1 of them; empty after a finished trajectory.
     """
 
-    path: Cells
+    trajectory: Cells
     observations: Float[np.ndarray, "T1 F"]
     actions: Int[np.ndarray, " T"]
     rewards: Float[np.ndarray, " T"]
@@ -69,8 +69,8 @@ class Steps:
 
     @property
     def is_finished(self) -> bool:
-        """Whether the path reached its own end."""
-        return self.path["ending"] == "finished"
+        """Whether the trajectory reached its own end."""
+        return self.trajectory["ending"] == "finished"
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _is_exact(values: Any) -> bool:
 
 
 def steps_of(logs: Logs, schema: Schema) -> Iterator[Steps]:
-    """Turn each path into steps, in the order of the paths."""
+    """Turn each trajectory into steps, in the order of the trajectories."""
     stages = logs.stages
     covariates = stages[schema.observations].to_numpy(dtype=np.float64)
     is_completed = stages["elapsed_s"].notna().to_numpy()
@@ -121,10 +121,12 @@ def steps_of(logs: Logs, schema: Schema) -> Iterator[Steps]:
     action_texts = texts(stages["action"], kinds["action"])
     rest = _rows({name: texts(stages[name], kind) for name, kind in kinds.items() if name not in in_steps})
     objects = _objects_by_stage(logs, schema)
-    path_rows = _rows({name: texts(logs.paths[name], kind) for name, kind in schema.types["paths"].items()})
+    trajectory_rows = _rows(
+        {name: texts(logs.trajectories[name], kind) for name, kind in schema.types["trajectories"].items()}
+    )
     index_of = {name: index for index, name in enumerate(schema.actions)}
     first = np.flatnonzero(stages["stage"].to_numpy() == 1)
-    for path, begin, end in zip(path_rows, first, np.append(first[1:], len(stages)), strict=True):
+    for trajectory, begin, end in zip(trajectory_rows, first, np.append(first[1:], len(stages)), strict=True):
         rows = np.arange(begin, end)
         done = rows[is_completed[rows]]
         carried: list[dict[str, Any]] = [{"cells": rest[row]} for row in rows]
@@ -135,7 +137,7 @@ def steps_of(logs: Logs, schema: Schema) -> Iterator[Steps]:
                 stage["objects"] = objects[row]
         is_over = len(done) == len(rows)
         yield Steps(
-            path=path,
+            trajectory=trajectory,
             observations=covariates[np.append(rows, rows[-1:])] if is_over else covariates[rows],
             actions=np.array([index_of[str(action_texts[row])] for row in done], dtype=np.int64),
             rewards=stages["reward"].to_numpy()[done],
@@ -145,7 +147,7 @@ def steps_of(logs: Logs, schema: Schema) -> Iterator[Steps]:
 
 
 def logs_of(episodes: list[Steps], schema: Schema) -> Logs:
-    """Put paths together again; the inverse of `steps_of`."""
+    """Put trajectories together again; the inverse of `steps_of`."""
     columns: dict[str, list[Any]] = {name: [] for name in schema.types["stages"]}
     numbers: dict[str, list[float]] = {name: [] for name in ("elapsed_s", "reward", *schema.observations)}
     objects: list[Cells] = []
@@ -156,7 +158,7 @@ def logs_of(episodes: list[Steps], schema: Schema) -> Logs:
                 continue
             is_completed = t < len(episode.actions)
             action = schema.actions[episode.actions[t]] if is_completed else stage.get("action")
-            own = {"path": episode.path["path"], "stage": str(t + 1), "action": action}
+            own = {"trajectory": episode.trajectory["trajectory"], "stage": str(t + 1), "action": action}
             for name, cell in {**stage["cells"], **own}.items():
                 columns[name].append(cell)
             values = [
@@ -166,14 +168,16 @@ def logs_of(episodes: list[Steps], schema: Schema) -> Logs:
             ]
             for name, value in zip(numbers, values, strict=True):
                 numbers[name].append(value)
-            objects += [{**cells, "path": own["path"], "stage": own["stage"]} for cells in stage.get("objects", [])]
+            objects += [
+                {**cells, "trajectory": own["trajectory"], "stage": own["stage"]} for cells in stage.get("objects", [])
+            ]
     stages = {
         name: _typed_numbers(numbers[name], kind) if name in numbers else from_texts(columns[name], kind)
         for name, kind in schema.types["stages"].items()
     }
     return Logs(
         stages=pd.DataFrame(stages),
-        paths=_frame([episode.path for episode in episodes], schema.types["paths"]),
+        trajectories=_frame([episode.trajectory for episode in episodes], schema.types["trajectories"]),
         objects=_frame(objects, schema.types["objects"]) if "objects" in schema.types else None,
     )
 
@@ -188,12 +192,14 @@ def _objects_by_stage(logs: Logs, schema: Schema) -> list[list[Cells]] | None:
     if logs.objects is None:
         return None
     cells = {name: texts(logs.objects[name], kind) for name, kind in schema.types["objects"].items()}
-    keys = zip(cells.pop("path"), cells.pop("stage"), strict=True)
+    keys = zip(cells.pop("trajectory"), cells.pop("stage"), strict=True)
     by_stage: dict[tuple[str | None, str | None], list[Cells]] = {}
     for key, row in zip(keys, _rows(cells), strict=True):
         by_stage.setdefault(key, []).append(row)
     kinds = schema.types["stages"]
-    stages = zip(texts(logs.stages["path"], kinds["path"]), texts(logs.stages["stage"], kinds["stage"]), strict=True)
+    stages = zip(
+        texts(logs.stages["trajectory"], kinds["trajectory"]), texts(logs.stages["stage"], kinds["stage"]), strict=True
+    )
     return [by_stage[key] for key in stages]
 
 
@@ -201,7 +207,7 @@ def _check_lengths(episode: Steps) -> None:
     counts = len(episode.observations), len(episode.clock_s), len(episode.stages)
     if set(counts) != {len(episode.actions) + 1}:
         raise LogError(
-            f"path {episode.path['path']!r}: {counts} observations, clocks and stages do not fit "
+            f"trajectory {episode.trajectory['trajectory']!r}: {counts} observations, clocks and stages do not fit "
             f"{len(episode.actions)} steps; each needs one more than there are steps"
         )
 

@@ -1,19 +1,21 @@
 """Logs from ROS 2 bags (SQLite or MCAP storage) and ROS 1 bags, by a mapping file.
 
-Read down: `ros_mapping` (which topic carries what) → `ros_messages` (values in the order of time) → `ros_paths` (paths
-and stages) → here. Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
+Read down: `ros_mapping` (which topic carries what) → `ros_messages` (values in the order of time) → `ros_trajectories`
+(trajectories and stages) → here. Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
 ``sensor_msgs/PointCloud2`` for clouds.
 
 How messages become stages:
 
-- A path begins with the message that ``[path]`` maps, or, without that, with the first mapped message of the bag. Its
+- A trajectory begins with the message that ``[trajectory]`` maps, or, without that, with the first mapped message of
+the bag. Its
   clock is 0 then.
 - An action message begins the attempt of a stage. The covariates and the cloud are those that had come last: what the
   policy saw. A reward message completes the stage.
-- An ending message finishes the path or names the cause of its cut. A path without one was cut by ``crash`` at its
-  last message. A cut path keeps the stage in which it was cut, with what had been seen.
+- An ending message finishes the trajectory or names the cause of its cut. A trajectory without one was cut by ``crash``
+at its
+  last message. A cut trajectory keeps the stage in which it was cut, with what had been seen.
 - Every topic of the mapping must be in one of the bags that are read together; one that broke off early may lack some.
-- A path that was cut before anything of it was seen has no stage; it is left out with a warning.
+- A trajectory that was cut before anything of it was seen has no stage; it is left out with a warning.
 """
 
 import warnings
@@ -27,7 +29,7 @@ import pandas as pd
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
 from halfseen.logs.formats.ros_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.ros_messages import check_topics, points_of, read_clouds, read_events
-from halfseen.logs.formats.ros_paths import BagPath, follow, missing, split
+from halfseen.logs.formats.ros_trajectories import BagTrajectory, follow, missing, split
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
 
@@ -61,7 +63,7 @@ def read_bag(
     Returns
     -------
     Logs
-        Paths carry the name of their bag in the column ``bag``; without a name of their own they are numbered.
+        Trajectories carry the name of their bag in the column ``bag``; without a name of their own they are numbered.
 
     Raises
     ------
@@ -74,7 +76,7 @@ def read_bag(
     if mapping.cloud is None and (see is not None or keep is not None):
         raise ArgumentError(f"{mapping.file}, cloud: it is missing, so that no cloud is seen or kept; name its topic")
     files = [Path(bags)] if isinstance(bags, str | Path) else [Path(bag) for bag in bags]
-    paths: list[dict[str, Any]] = []
+    trajectories: list[dict[str, Any]] = []
     stages: list[dict[str, Any]] = []
     objects: list[pd.DataFrame] = []
     num_begun = 0
@@ -84,25 +86,36 @@ def read_bag(
         for name, events in split(read_events(bag, mapping), mapping):
             num_begun += 1
             found.append(follow(num_begun if name is None else name, events, mapping))
-        found = [path for path in found if _is_seen(bag, path, mapping)]
+        found = [trajectory for trajectory in found if _is_seen(bag, trajectory, mapping)]
         _add_clouds(bag, found, mapping, see, keep, objects)
-        for path in found:
-            row = {"path": path.name, "end_s": path.end_s, "ending": path.ending, "cause": path.cause}
-            paths.append({**row, "bag": bag.name})
-            stages += [{"path": path.name, "stage": t, **stage} for t, stage in enumerate(path.stages, start=1)]
-    if not paths:
+        for trajectory in found:
+            row = {
+                "trajectory": trajectory.name,
+                "end_s": trajectory.end_s,
+                "ending": trajectory.ending,
+                "cause": trajectory.cause,
+            }
+            trajectories.append({**row, "bag": bag.name})
+            stages += [
+                {"trajectory": trajectory.name, "stage": t, **stage}
+                for t, stage in enumerate(trajectory.stages, start=1)
+            ]
+    if not trajectories:
         raise LogError(
-            f"{', '.join(map(str, files))}: no path with a stage was found; look at [path] in {mapping.file}"
+            f"{', '.join(map(str, files))}: no trajectory with a stage was found; look at [trajectory] in "
+            f"{mapping.file}"
         )
-    return _checked(files, stages, paths, objects)
+    return _checked(files, stages, trajectories, objects)
 
 
-def _is_seen(bag: Path, path: BagPath, mapping: BagMapping) -> bool:
-    topics = missing(path, mapping)
-    if topics or path.end_s == 0:
+def _is_seen(bag: Path, trajectory: BagTrajectory, mapping: BagMapping) -> bool:
+    topics = missing(trajectory, mapping)
+    if topics or trajectory.end_s == 0:
         trouble = f"before any message of {', '.join(topics)} came" if topics else "as it began"
         warnings.warn(
-            f"{bag}: path {shown(path.name)} was cut {trouble}; it is left out", HalfseenWarning, stacklevel=3
+            f"{bag}: trajectory {shown(trajectory.name)} was cut {trouble}; it is left out",
+            HalfseenWarning,
+            stacklevel=3,
         )
         return False
     return True
@@ -110,7 +123,7 @@ def _is_seen(bag: Path, path: BagPath, mapping: BagMapping) -> bool:
 
 def _add_clouds(
     bag: Path,
-    paths: list[BagPath],
+    trajectories: list[BagTrajectory],
     mapping: BagMapping,
     see: See | None,
     keep: Keep | None,
@@ -119,29 +132,29 @@ def _add_clouds(
     """Hand the cloud of each stage to `see` and `keep`; only those that belong to a stage are read."""
     if mapping.cloud is None or (see is None and keep is None):
         return
-    stages_of: dict[int, list[tuple[BagPath, int]]] = {}
-    for path in paths:
-        for t, number in enumerate(path.clouds):
+    stages_of: dict[int, list[tuple[BagTrajectory, int]]] = {}
+    for trajectory in trajectories:
+        for t, number in enumerate(trajectory.clouds):
             if number is not None:
-                stages_of.setdefault(number, []).append((path, t))
+                stages_of.setdefault(number, []).append((trajectory, t))
     for number, message in read_clouds(bag, mapping.cloud.topic, set(stages_of)):
         name = f"{bag.stem}-{number}"
         points, shape = points_of(message, f"{bag}, {mapping.cloud.topic}, cloud {number}")
         columns = None if see is None else see(points, shape, name)
         file = None if keep is None else keep(points, shape, name)
-        for path, t in stages_of[number]:
+        for trajectory, t in stages_of[number]:
             if file is not None:
-                path.stages[t]["cloud"] = file
+                trajectory.stages[t]["cloud"] = file
             if columns is not None:
-                objects.append(pd.DataFrame({"path": path.name, "stage": t + 1, **columns}))
+                objects.append(pd.DataFrame({"trajectory": trajectory.name, "stage": t + 1, **columns}))
 
 
 def _checked(
-    files: list[Path], stages: list[dict[str, Any]], paths: list[dict[str, Any]], objects: list[pd.DataFrame]
+    files: list[Path], stages: list[dict[str, Any]], trajectories: list[dict[str, Any]], objects: list[pd.DataFrame]
 ) -> Logs:
     with within(", ".join(map(str, files))):
         return Logs(
             stages=pd.DataFrame(stages),
-            paths=pd.DataFrame(paths),
+            trajectories=pd.DataFrame(trajectories),
             objects=pd.concat(objects, ignore_index=True) if objects else None,
         )

@@ -18,9 +18,9 @@ MAPPING_TEMPLATE = """\
 # "header": header.stamp, which every topic below must then have.
 clock = "log"
 
-# A message that begins a path, and its name (leave field out to number the paths). Without this table a bag is one
-# path that begins with its first message.
-[path]
+# A message that begins a trajectory, and its name (leave field out to number the trajectories). Without this table a
+# bag is one trajectory that begins with its first message.
+[trajectory]
 topic = "/episode/begin"
 field = "data"
 
@@ -48,8 +48,8 @@ field = "data"
 topic = "/pick/reward"
 field = "data"
 
-# How a path ended: one of the values in finished, or else the cause of a cut, such as "operator" or "battery".
-# A path without such a message was cut by "crash" when its last message came.
+# How a trajectory ended: one of the values in finished, or else the cause of a cut, such as "operator" or "battery".
+# A trajectory without such a message was cut by "crash" when its last message came.
 [ending]
 topic = "/episode/end"
 field = "data"
@@ -99,7 +99,7 @@ class BagMapping:
         Values of the ending that mean finished.
     clock
         "log", "publish" or "header".
-    path, object, probability, cloud
+    trajectory, object, probability, cloud
         What a bag may have.
     covariates
         Source of each covariate of the stages.
@@ -111,7 +111,7 @@ class BagMapping:
     ending: Source
     finished: tuple[Any, ...] = (FINISHED,)
     clock: str = "log"
-    path: Source | None = None
+    trajectory: Source | None = None
     object: Source | None = None
     probability: Source | None = None
     cloud: Source | None = None
@@ -120,7 +120,7 @@ class BagMapping:
     @property
     def sources(self) -> list[Source]:
         """All that is mapped."""
-        named = [self.path, *self.covariates.values(), self.cloud, self.action, self.object, self.probability]
+        named = [self.trajectory, *self.covariates.values(), self.cloud, self.action, self.object, self.probability]
         return [source for source in (*named, self.reward, self.ending) if source is not None]
 
 
@@ -147,7 +147,7 @@ def read_mapping(file: str | Path) -> BagMapping:
         ending = {topic = "/episode/end", field = "data", finished = ["finished"]}
 
         clock = "log"
-        path = {topic = "/episode/begin", field = "data"}
+        trajectory = {topic = "/episode/begin", field = "data"}
         object = {topic = "/pick/object", field = "data"}
         probability = {topic = "/pick/probability", field = "data"}
         cloud = {topic = "/camera/points"}
@@ -167,7 +167,7 @@ def read_mapping(file: str | Path) -> BagMapping:
 
 
 def _mapping(file: str, tables: dict[str, Any]) -> BagMapping:
-    known = ("clock", "path", "covariates", "cloud", *_NEEDED, *_FIELDS)
+    known = ("clock", "trajectory", "covariates", "cloud", *_NEEDED, *_FIELDS)
     _check_keys(file, "", tables, known)
     for key in _NEEDED:
         if key not in tables:
@@ -181,7 +181,9 @@ def _mapping(file: str, tables: dict[str, Any]) -> BagMapping:
     taken = [name for name in covariates if name in (*STAGE_COLUMNS, "cloud")]
     if taken:
         _refuse(file, f"covariates.{taken[0]}", "stages have such a column already; give the covariate another name")
-    sources = {key: _source(file, key, tables[key]) for key in ("path", "cloud", *_NEEDED, *_FIELDS) if key in tables}
+    sources = {
+        key: _source(file, key, tables[key]) for key in ("trajectory", "cloud", *_NEEDED, *_FIELDS) if key in tables
+    }
     return BagMapping(
         file=file,
         clock=clock,
@@ -194,8 +196,8 @@ def _mapping(file: str, tables: dict[str, Any]) -> BagMapping:
 def _source(file: str, key: str, table: Any) -> Source:
     if not isinstance(table, dict):
         _refuse(file, key, f"{table!r} is no table; write [{key}] with topic and field below it")
-    may_lack_field = key in ("path", "cloud")
-    known = {"path": ("topic", "field"), "cloud": ("topic",), "ending": ("topic", "field", "finished")}
+    may_lack_field = key in ("trajectory", "cloud")
+    known = {"trajectory": ("topic", "field"), "cloud": ("topic",), "ending": ("topic", "field", "finished")}
     _check_keys(file, f"{key}.", table, known.get(key, ("topic", "field")))
     for entry in ("topic", "field"):
         value = table.get(entry)

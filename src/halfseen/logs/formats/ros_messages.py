@@ -288,7 +288,7 @@ def _first_part(value: Any, names: tuple[str, ...]) -> Any:
 
 
 def _value(message: Any, msgtype: str, source: Source, mapping: BagMapping) -> Any:
-    if source.field is None:  # a path's beginning without a name
+    if source.field is None:  # a trajectory's beginning without a name
         return None
     where = f"{mapping.file}, {source.key}.field: {source.topic} ({msgtype})"
     value = message
@@ -331,7 +331,7 @@ def _check_kind(value: Any, source: Source, where: str) -> None:
     if source.key in ("reward", "probability") and not is_number:
         raise ArgumentError(f"{where}, field {source.field!r} is {value!r}, no number; name another field")
     is_name = isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool))
-    if source.key in ("action", "object", "path") and not is_name:
+    if source.key in ("action", "object", "trajectory") and not is_name:
         raise ArgumentError(
             f"{where}, field {source.field!r} is {value!r}, neither text nor a whole number; name another field"
         )

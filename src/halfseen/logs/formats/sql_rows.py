@@ -16,7 +16,7 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError, within
-from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
 from halfseen.logs.formats.column_types import from_list_texts
 from halfseen.logs.formats.extras import extra
 from halfseen.logs.logs import Logs
@@ -27,7 +27,7 @@ ROWS_AT_ONCE = 10_000
 BYTES_OF_VALUE = 8
 MOST_BYTES = UNPACKED
 """Of the rows of one table."""
-_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
+_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 _COMMENTS_AND_TEXT = re.compile(r"--[^\n]*|/\*.*?\*/|'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"", re.DOTALL)
 _SELECTS = re.compile(r"\(*\s*(select|with|values|table)\b", re.IGNORECASE)
 _SECRET = re.compile(r"(?i)((?:password|passwd|pwd|token|secret|key)[^=&;]*=)[^&;]*")
@@ -40,7 +40,7 @@ class Queries:
 
     Parameters
     ----------
-    stages, paths, objects
+    stages, trajectories, objects
         A SELECT each; None where the log has no objects.
 
     Raises
@@ -50,7 +50,7 @@ class Queries:
     """
 
     stages: str
-    paths: str
+    trajectories: str
     objects: str | None = None
 
     def __post_init__(self) -> None:
@@ -62,12 +62,12 @@ class Queries:
     @property
     def by_table(self) -> dict[str, str]:
         """The queries that there are."""
-        queries = {"stages": self.stages, "paths": self.paths, "objects": self.objects}
+        queries = {"stages": self.stages, "trajectories": self.trajectories, "objects": self.objects}
         return {name: query for name, query in queries.items() if query is not None}
 
 
 def read_queries(file: str | Path) -> Queries:
-    """Read a file (TOML) whose keys ``stages``, ``paths`` and, if there are any, ``objects`` are SELECTs.
+    """Read a file (TOML) whose keys ``stages``, ``trajectories`` and, if there are any, ``objects`` are SELECTs.
 
     Raises
     ------
@@ -80,10 +80,10 @@ def read_queries(file: str | Path) -> Queries:
         raise ArgumentError(f"{file}: it cannot be read ({error.strerror}); give a file of queries") from error
     except ValueError as error:
         raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
-    unknown = [key for key in found if key not in ("stages", "paths", "objects")]
+    unknown = [key for key in found if key not in ("stages", "trajectories", "objects")]
     if unknown:
-        raise ArgumentError(f"{file}, {unknown[0]}: it is unknown; there are stages, paths, objects")
-    for key in ("stages", "paths"):
+        raise ArgumentError(f"{file}, {unknown[0]}: it is unknown; there are stages, trajectories, objects")
+    for key in ("stages", "trajectories"):
         if key not in found:
             raise ArgumentError(f"{file}, {key}: it is missing; say which SELECT gives the {key}")
     for key, query in found.items():
@@ -102,7 +102,7 @@ def read_sql(url: str, queries: Queries) -> Logs:
         As SQLAlchemy takes it: ``sqlite:///cell.db``, ``postgresql+psycopg://user:password@host/cell``. The password
         is never shown.
     queries
-        Which rows are the stages, the paths and the objects.
+        Which rows are the stages, the trajectories and the objects.
 
     Raises
     ------

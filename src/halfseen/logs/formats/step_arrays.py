@@ -54,8 +54,8 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     Returns
     -------
     Logs
-        Each episode a path, each row a stage. A cut falls into the stage of the last ``next_observations``, or, without
-        these, into the last row. What the end of the file breaks off is cut by ``end-of-data``.
+        Each episode a trajectory, each row a stage. A cut falls into the stage of the last ``next_observations``, or,
+        without these, into the last row. What the end of the file breaks off is cut by ``end-of-data``.
 
     Raises
     ------

@@ -58,7 +58,7 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     Returns
     -------
     Logs
-        Each episode a path, each step a stage. A cut falls into the stage of the last row.
+        Each episode a trajectory, each step a stage. A cut falls into the stage of the last row.
 
     Raises
     ------

@@ -9,20 +9,21 @@ from halfseen.logs.logs import Logs
 
 
 def by_cause(logs: Logs) -> list[dict[str, Any]]:
-    """Tell for each cause of a cut, the most frequent first: its paths, when they were cut, and in which stages.
+    """Tell for each cause of a cut, the most frequent first: its trajectories, when they were cut, and in which stages.
 
     Returns
     -------
     list of dict
-        cause, num_paths, share (proportion of the cuts), earliest, median and latest end [s], first and last stage.
+        cause, num_trajectories, share (proportion of the cuts), earliest, median and latest end [s], first and last
+        stage.
     """
-    cut = logs.paths[~logs.is_finished].reset_index(drop=True)
-    last_stage: Any = logs.stages.groupby("path")["stage"].max()
-    stage = last_stage.reindex(cut["path"]).reset_index(drop=True)
+    cut = logs.trajectories[~logs.is_finished].reset_index(drop=True)
+    last_stage: Any = logs.stages.groupby("trajectory")["stage"].max()
+    stage = last_stage.reindex(cut["trajectory"]).reset_index(drop=True)
     rows = [
         {
             "cause": str(cause),
-            "num_paths": len(ends),
+            "num_trajectories": len(ends),
             "share": len(ends) / len(cut),
             "earliest_s": float(ends.min()),
             "median_s": float(ends.median()),
@@ -32,7 +33,7 @@ def by_cause(logs: Logs) -> list[dict[str, Any]]:
         }
         for cause, ends in cut.groupby("cause")["end_s"]
     ]
-    return sorted(rows, key=lambda row: (-row["num_paths"], row["cause"]))
+    return sorted(rows, key=lambda row: (-row["num_trajectories"], row["cause"]))
 
 
 def by_action(logs: Logs) -> list[dict[str, Any]]:
@@ -68,13 +69,13 @@ def by_robot(logs: Logs) -> list[dict[str, Any]]:
 
 
 def by_stage(logs: Logs) -> list[dict[str, Any]]:
-    """Tell for each stage: how many paths began and completed it, were cut in it, and how long it took.
+    """Tell for each stage: how many trajectories began and completed it, were cut in it, and how long it took.
 
     Returns
     -------
     list of dict
         stage, num_begun, num_completed, num_cut, and quantiles (5 %, 50 %, 95 %) of its duration [s], None where no
-        path completed it.
+        trajectory completed it.
     """
     stages: Any = logs.stages.assign(duration_s=durations_s(logs))
     return [_stage_row(int(stage), rows) for stage, rows in stages.groupby("stage")]
@@ -82,7 +83,7 @@ def by_stage(logs: Logs) -> list[dict[str, Any]]:
 
 def durations_s(logs: Logs) -> np.ndarray:
     """Duration of each stage [s], shape (rows of stages,); NaN where it was not completed."""
-    before = logs.stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
+    before = logs.stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0)
     return (logs.stages["elapsed_s"] - before).to_numpy(dtype=np.float64)
 
 

@@ -1,9 +1,9 @@
-"""Endings that do not look like ends: paths that are called finished and stop in mid-task, as a cut would stop them.
+"""Endings that do not look like ends: called finished, they stop in mid-task, as a cut would stop them.
 
 Where a task ends, something tells: the action that ends it, what it paid, or the number of stages. Stages of one action
-that paid the same, with paths going on after them and paths ending, differ in nothing that is known; and where no stage
-pays 0 but some that end paths do, that 0 may stand for what nobody saw. If those that end are clearly shorter, too,
-somebody or something stopped them.
+that paid the same, with trajectories going on after them and trajectories ending, differ in nothing that is known; and
+where no stage pays 0 but some that end trajectories do, that 0 may stand for what nobody saw. If those that end are
+clearly shorter, too, somebody or something stopped them.
 """
 
 from collections.abc import Iterator
@@ -20,12 +20,12 @@ LEVEL = 1e-4
 
 
 def cuts_called_finished(logs: Logs) -> Iterator[str]:
-    """Tell of finished paths that look as if they had been cut."""
+    """Tell of finished trajectories that look as if they had been cut."""
     stages: Any = logs.stages
-    lasted_s = stages["elapsed_s"] - stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
-    is_last = ~stages.duplicated("path", keep="last")
-    finished = set(logs.paths["path"][logs.is_finished])
-    is_end = is_last & stages["path"].isin(finished) & (stages["stage"] < logs.horizon)
+    lasted_s = stages["elapsed_s"] - stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0)
+    is_last = ~stages.duplicated("trajectory", keep="last")
+    finished = set(logs.trajectories["trajectory"][logs.is_finished])
+    is_end = is_last & stages["trajectory"].isin(finished) & (stages["stage"] < logs.horizon)
     reward = stages["reward"].astype(float)
     for name, rows in stages.groupby(stages["action"].astype(str)).groups.items():
         of_action = reward.loc[rows].dropna()
@@ -40,7 +40,7 @@ def cuts_called_finished(logs: Logs) -> Iterator[str]:
             if chance_of_shorter(lasted_s[alike].to_numpy(), lasted_s[others].to_numpy()) < LEVEL:
                 ended_s, other_s = (float(np.median(lasted_s[each])) for each in (alike, others))
                 yield (
-                    f"{len(alike)} paths are called finished after a {name} that paid {paid:g} and lasted "
+                    f"{len(alike)} trajectories are called finished after a {name} that paid {paid:g} and lasted "
                     f"{ended_s:.2g} s, yet {len(others)} {words} and lasted {other_s:.2g} s: if something stopped "
                     "them, their ending is 'cut', and that stage has neither reward nor elapsed_s"
                 )

@@ -99,6 +99,6 @@ def _indicators(code: Any) -> Float[np.ndarray, "m k"]:
 
 def _before(stages: Any, each: Grouped) -> Float[np.ndarray, "m k"]:
     """The covariate's group in the stage before; none of them in the first."""
-    path, group = stages["path"].to_numpy(), each.group
-    was = np.where(np.append(False, path[1:] == path[:-1]), np.append(0, group[:-1]), -1)
+    trajectory, group = stages["trajectory"].to_numpy(), each.group
+    was = np.where(np.append(False, trajectory[1:] == trajectory[:-1]), np.append(0, group[:-1]), -1)
     return (was[:, None] == np.arange(each.num_groups)).astype(np.float64)

@@ -1,4 +1,4 @@
-"""Covariates that say which path or what time it is, and numbers that were read as text.
+"""Covariates that say which trajectory or what time it is, and numbers that were read as text.
 
 A policy that goes by the number of a part, or by the clock, meets only values that its log never held.
 """
@@ -20,11 +20,11 @@ AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d+,\d+)"
 
 
 def identifiers(logs: Logs) -> Iterator[str]:
-    """Tell of covariates that number the paths, or tell the time."""
-    if logs.num_paths < FEWEST:
+    """Tell of covariates that number the trajectories, or tell the time."""
+    if logs.num_trajectories < FEWEST:
         return
     stages: Any = logs.stages
-    begun_s = stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
+    begun_s = stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0)
     for name in logs.stage_covariates:
         values = stages[name]
         is_number = pd.api.types.is_numeric_dtype(values.dtype) and not pd.api.types.is_bool_dtype(values.dtype)
@@ -34,9 +34,9 @@ def identifiers(logs: Logs) -> Iterator[str]:
         first = values[stages["stage"] == 1]
         is_counted = (first % 1 == 0).all() and np.ptp(first) < 3.0 * len(first)
         if is_counted and first.nunique() >= NEARLY_ALL * len(first):
-            yield f"covariate {name} numbers the paths, which tells nothing of the next one: leave it out"
-        elif _is_clock(values - values.groupby(stages["path"]).transform("first"), begun_s):
-            yield f"covariate {name} runs with the clock, which later paths have of their own: leave it out"
+            yield f"covariate {name} numbers the trajectories, which tells nothing of the next one: leave it out"
+        elif _is_clock(values - values.groupby(stages["trajectory"]).transform("first"), begun_s):
+            yield f"covariate {name} runs with the clock, which later trajectories have of their own: leave it out"
 
 
 def _is_clock(since_first: Any, begun_s: Any) -> bool:

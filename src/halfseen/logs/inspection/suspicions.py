@@ -55,40 +55,44 @@ def suspicions(logs: Logs) -> tuple[Suspicion, ...]:
 
 def _all_cut(logs: Logs) -> Iterator[str]:
     if not logs.is_finished.any():
-        which = "the only path was" if logs.num_paths == 1 else f"all {logs.num_paths} paths were"
+        which = (
+            "the only trajectory was"
+            if logs.num_trajectories == 1
+            else f"all {logs.num_trajectories} trajectories were"
+        )
         yield f"{which} cut: nobody saw one come to its own end, which no weight makes up for"
 
 
 def _ends_among_causes(logs: Logs) -> Iterator[str]:
     """What the task itself does is its end, whatever it is called."""
-    for cause, num_paths in logs.paths["cause"].dropna().value_counts().sort_index().items():
+    for cause, num_trajectories in logs.trajectories["cause"].dropna().value_counts().sort_index().items():
         if str(cause).casefold().strip() in NAMES_OF_ENDS:
             yield (
-                f"{num_paths} {'path is' if num_paths == 1 else 'paths are'} cut by {str(cause)!r}: if that is how the "
-                "task ends, the ending is 'finished', without a cause"
+                f"{num_trajectories} {'trajectory is' if num_trajectories == 1 else 'trajectories are'} cut by "
+                f"{str(cause)!r}: if that is how the task ends, the ending is 'finished', without a cause"
             )
 
 
 def _horizons(logs: Logs) -> Iterator[str]:
-    """A time limit of the task is its own end, not a cut: cuts at one time leave nothing to weigh later paths by."""
-    for cause, ends in logs.paths[~logs.is_finished].groupby("cause")["end_s"]:
+    """A time limit of the task is its own end, not a cut: cuts at one time leave nothing to weigh what is later by."""
+    for cause, ends in logs.trajectories[~logs.is_finished].groupby("cause")["end_s"]:
         middle_s = float(ends.median())
         num_same = int(((ends - middle_s).abs() <= SAME_END * middle_s).sum())
         if num_same >= max(FEWEST_CUTS, 0.9 * len(ends)):
             yield (
                 f"{num_same} of {len(ends)} cuts by {cause} fall at {middle_s:.4g} s: if that limit belongs to the "
-                "task, it is a horizon, and those paths finished"
+                "task, it is a horizon, and those trajectories finished"
             )
 
 
 def _one_stage(logs: Logs) -> Iterator[str]:
-    last = logs.stages.groupby("path")["stage"].max().reindex(logs.path_ids).to_numpy()[~logs.is_finished]
+    last = logs.stages.groupby("trajectory")["stage"].max().reindex(logs.trajectory_ids).to_numpy()[~logs.is_finished]
     if len(last) >= 2 * FEWEST_CUTS and logs.horizon > 1 and (last == last[0]).all():
-        yield f"all {len(last)} cuts fall in stage {last[0]}: does something of the task itself end paths there?"
+        yield f"all {len(last)} cuts fall in stage {last[0]}: does something of the task itself end trajectories there?"
 
 
 def _spelling(logs: Logs) -> Iterator[str]:
-    for what, values in (("causes", logs.paths["cause"]), ("actions", logs.stages["action"])):
+    for what, values in (("causes", logs.trajectories["cause"]), ("actions", logs.stages["action"])):
         names = [str(name) for name in sorted(values.dropna().unique(), key=str)]
         folded: dict[str, list[str]] = {}
         for name in names:
@@ -153,22 +157,23 @@ def _constant_covariates(logs: Logs) -> Iterator[str]:
 
 
 def _duplicates(logs: Logs) -> Iterator[str]:
-    """Two paths that agree to the last digit in two measured durations are copies; whole steps may well agree."""
+    """Trajectories that agree to the last digit in two measured durations are copies; whole steps may well agree."""
     stages: Any = logs.stages
-    part = stages["elapsed_s"] - stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)
+    part = stages["elapsed_s"] - stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0)
     part = (part % 1.0).round(6) % 1.0
-    num_measured = part.where(part > 0).groupby(stages["path"]).nunique()
+    num_measured = part.where(part > 0).groupby(stages["trajectory"]).nunique()
     content = stages[["stage", "elapsed_s", "action", "reward"]].astype({"action": str})
     prints: Any = hash_pandas_object(content, index=False)  # pyright: ignore[reportCallIssue]
-    prints = prints.groupby(stages["path"]).sum()
+    prints = prints.groupby(stages["trajectory"]).sum()
     prints = prints[num_measured >= 2]
     repeated = prints[prints.duplicated(keep=False)]
     if len(repeated):
         first = [shown(name) for name in repeated.index[repeated == repeated.iloc[0]][:2]]
         num_copies = int(prints.duplicated().sum())
         yield (
-            f"{num_copies} {'path is a copy' if num_copies == 1 else 'paths are copies'} of another (such as "
-            f"{' and '.join(first)}): the same clock, actions and rewards to the last digit; drop what was logged twice"
+            f"{num_copies} {'trajectory is a copy' if num_copies == 1 else 'trajectories are copies'} of another (such "
+            f"as {' and '.join(first)}): the same clock, actions and rewards to the last digit; drop what was logged "
+            "twice"
         )
 
 
@@ -208,5 +213,5 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "no-exploration": _no_exploration,
     "equal-rewards": _equal_rewards,
     "constant-covariate": _constant_covariates,
-    "duplicated-paths": _duplicates,
+    "duplicated-trajectories": _duplicates,
 }

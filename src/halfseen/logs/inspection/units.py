@@ -1,6 +1,6 @@
-"""Units that look mixed: some paths in seconds and others in milliseconds, metres beside millimetres.
+"""Units that look mixed: some trajectories in seconds and others in milliseconds, metres beside millimetres.
 
-The sign of it is a gap: two groups of paths, far apart, with nothing in between.
+The sign of it is a gap: two groups of trajectories, far apart, with nothing in between.
 """
 
 from collections.abc import Iterator
@@ -14,17 +14,17 @@ from halfseen.logs.columns import OBJECT_COLUMNS
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
 
-FEWEST_PATHS, FEWEST_SHARE = 3, 0.01
+FEWEST_TRAJECTORIES, FEWEST_SHARE = 3, 0.01
 GAP, RATIO = 30.0, 300.0
 LONG_S = (900.0, 1e6)
 """Beyond a quarter of an hour, below what takes days [s]."""
 
 
 def mixed_clocks(logs: Logs) -> Iterator[str]:
-    """Tell of paths whose stages last some thousand times as long as those of others."""
-    # The mean of a path, not its shortest stages: some actions take hardly any time.
-    clocks = logs.stages.groupby("path")["elapsed_s"]
-    duration_s = _per_path(logs, clocks.max() / clocks.count())
+    """Tell of trajectories whose stages last some thousand times as long as those of others."""
+    # The mean of a trajectory, not its shortest stages: some actions take hardly any time.
+    clocks = logs.stages.groupby("trajectory")["elapsed_s"]
+    duration_s = _per_trajectory(logs, clocks.max() / clocks.count())
     is_long = far_apart(duration_s)
     if is_long is not None:
         yield _told(logs, "stages last", duration_s, is_long, " s") + ": are some clocks in milliseconds?"
@@ -33,7 +33,7 @@ def mixed_clocks(logs: Logs) -> Iterator[str]:
 def long_clocks(logs: Logs) -> Iterator[str]:
     """Tell of stages that last longer than any robot's."""
     stages: Any = logs.stages
-    lasted_s = (stages["elapsed_s"] - stages.groupby("path")["elapsed_s"].shift(fill_value=0.0)).dropna()
+    lasted_s = (stages["elapsed_s"] - stages.groupby("trajectory")["elapsed_s"].shift(fill_value=0.0)).dropna()
     middle_s = float(lasted_s.median()) if len(lasted_s) else 0.0
     if LONG_S[0] < middle_s < LONG_S[1]:
         hours = middle_s / 3600.0
@@ -41,23 +41,23 @@ def long_clocks(logs: Logs) -> Iterator[str]:
 
 
 def mixed_covariates(logs: Logs) -> Iterator[str]:
-    """Tell of covariates that are some thousand times as large in some paths as in others."""
-    for name, values, path in covariates(logs):
+    """Tell of covariates that are some thousand times as large in some trajectories as in others."""
+    for name, values, trajectory in covariates(logs):
         if pd.api.types.is_bool_dtype(values.dtype) or not pd.api.types.is_numeric_dtype(values.dtype):
             continue
-        size = _per_path(logs, values.astype(float).abs().groupby(path).median())
+        size = _per_trajectory(logs, values.astype(float).abs().groupby(trajectory).median())
         is_large = far_apart(size)
         if is_large is not None:
             yield _told(logs, f"{name} is around", size, is_large, "") + ": are its units mixed?"
 
 
 def covariates(logs: Logs) -> Iterator[tuple[str, Any, Any]]:
-    """Each covariate of stages and objects: what to call it, its column, and the path of each row."""
+    """Each covariate of stages and objects: what to call it, its column, and the trajectory of each row."""
     for name in logs.stage_covariates:
-        yield f"covariate {name}", logs.stages[name], logs.stages["path"]
+        yield f"covariate {name}", logs.stages[name], logs.stages["trajectory"]
     if logs.objects is not None:
         for name in logs.objects.columns.difference(OBJECT_COLUMNS, sort=False):
-            yield f"object covariate {name}", logs.objects[name], logs.objects["path"]
+            yield f"object covariate {name}", logs.objects[name], logs.objects["trajectory"]
 
 
 def far_apart(sizes: Rows) -> RowMask | None:
@@ -66,7 +66,7 @@ def far_apart(sizes: Rows) -> RowMask | None:
     Parameters
     ----------
     sizes
-        One positive size a path; others are left aside.
+        One positive size a trajectory; others are left aside.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def far_apart(sizes: Rows) -> RowMask | None:
     """
     usable = np.isfinite(sizes) & (sizes > 0)
     logs = np.sort(np.log(sizes[usable]))
-    fewest = max(FEWEST_PATHS, int(np.ceil(FEWEST_SHARE * len(logs))))
+    fewest = max(FEWEST_TRAJECTORIES, int(np.ceil(FEWEST_SHARE * len(logs))))
     if len(logs) < 2 * fewest:
         return None
     gaps = np.diff(logs)[fewest - 1 : len(logs) - fewest]
@@ -86,8 +86,8 @@ def far_apart(sizes: Rows) -> RowMask | None:
     return usable & (sizes >= np.exp((logs[split] + logs[split - 1]) / 2))
 
 
-def _per_path(logs: Logs, values: Any) -> Rows:
-    return values.reindex(logs.path_ids).to_numpy(dtype=np.float64)
+def _per_trajectory(logs: Logs, values: Any) -> Rows:
+    return values.reindex(logs.trajectory_ids).to_numpy(dtype=np.float64)
 
 
 def _told(logs: Logs, what: str, sizes: Rows, is_large: RowMask, unit: str) -> str:
@@ -95,6 +95,6 @@ def _told(logs: Logs, what: str, sizes: Rows, is_large: RowMask, unit: str) -> s
     small, large = (f"{np.median(sizes[rows]):.3g}{unit}" for rows in (is_small, is_large))
     first = int(np.argmax(is_small if is_small.sum() <= is_large.sum() else is_large))
     return (
-        f"{what} {small} in {is_small.sum()} paths and {large} in {is_large.sum()} (path "
-        f"{shown(logs.path_ids[first])} is of the fewer), with none in between"
+        f"{what} {small} in {is_small.sum()} trajectories and {large} in {is_large.sum()} (trajectory "
+        f"{shown(logs.trajectory_ids[first])} is of the fewer), with none in between"
     )

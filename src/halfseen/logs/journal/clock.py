@@ -1,4 +1,4 @@
-"""The clock of a path that is being recorded: read from the machine, or given with each event; never both."""
+"""The clock of a trajectory that is being recorded: read from the machine, or given with each event; never both."""
 
 import time
 from dataclasses import dataclass, replace
@@ -6,19 +6,19 @@ from math import log
 from typing import Any
 
 from halfseen.errors import LogError
-from halfseen.logs.checks.paths import EARLIEST_DATE_S
 from halfseen.logs.checks.stages import UNIT_TOLERANCE
+from halfseen.logs.checks.trajectories import EARLIEST_DATE_S
 from halfseen.logs.journal.values import checked_number
 
 RESOLUTION_S = 1e-9
-"""What a clock can tell apart [s]; a path that was torn before its clock moved ends there."""
+"""What a clock can tell apart [s]; a trajectory that was torn before its clock moved ends there."""
 
-_REMEDY = "give the time since the path began [s]"
+_REMEDY = "give the time since the trajectory began [s]"
 
 
 @dataclass(frozen=True)
-class PathClock:
-    """Seconds since a path began, which never go back.
+class TrajectoryClock:
+    """Seconds since a trajectory began, which never go back.
 
     Parameters
     ----------
@@ -27,7 +27,7 @@ class PathClock:
     is_given
         Whether times are given; None until the first event tells.
     began_s
-        When the path began, on the machine's clock [s].
+        When the trajectory began, on the machine's clock [s].
     completed_s
         When its last stage was completed [s].
     """
@@ -38,7 +38,7 @@ class PathClock:
     completed_s: float = 0.0
 
     @classmethod
-    def started(cls) -> "PathClock":
+    def started(cls) -> "TrajectoryClock":
         """A clock that begins to count now."""
         return cls(began_s=time.monotonic())
 
@@ -46,7 +46,7 @@ class PathClock:
         """Read the machine's clock [s], in nanoseconds, and never the same twice, however coarse that clock is."""
         return max(round(time.monotonic() - self.began_s, 9), round(self.at_s + RESOLUTION_S, 9))
 
-    def advanced(self, at_s: float, elapsed_s: Any) -> "PathClock":
+    def advanced(self, at_s: float, elapsed_s: Any) -> "TrajectoryClock":
         """The clock after an event at this time, which was given as `elapsed_s` or, if None, read."""
         return replace(self, at_s=at_s, is_given=elapsed_s is not None)
 
@@ -54,7 +54,7 @@ class PathClock:
         """Time of an event [s], given or, if None, read; checked to be no earlier (or later) than the last event."""
         if self.is_given not in (None, elapsed_s is not None):
             word = "missing" if elapsed_s is None else "given"
-            raise LogError(f"{where}: elapsed_s is {word}, unlike before in this path; give it always or never")
+            raise LogError(f"{where}: elapsed_s is {word}, unlike before in this trajectory; give it always or never")
         if elapsed_s is None:
             return self.read_s()
         at_s = checked_number(elapsed_s, "elapsed_s", where, _REMEDY)
@@ -70,7 +70,7 @@ class PathClock:
         return at_s
 
     def end_s(self, elapsed_s: Any, where: str) -> float:
-        """Time of the path's end [s]: without a word about it, a clock that is given stands at the last event."""
+        """Time of the trajectory's end [s]: without a word about it, a clock that is given stands at the last event."""
         return self.at_s if self.is_given and elapsed_s is None else self.time_of(elapsed_s, where)
 
     def check_units(self, end_s: float, where: str) -> None:

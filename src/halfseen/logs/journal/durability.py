@@ -14,7 +14,7 @@ from halfseen.errors import ArgumentError
 
 FSYNC: dict[str, Container[str]] = {
     "never": (),
-    "path": ("finished", "cut"),
+    "trajectory": ("finished", "cut"),
     "stage": ("stage", "finished", "cut"),
     "event": ("stage", "done", "running", "out", "finished", "cut"),
 }

@@ -8,18 +8,18 @@ After a loss of power a page in the middle may hold zeros. Lines that do not che
 kept, and so is what is below, from the first line whose checksum goes on from the one that the line above it states. A
 session that begins below such lines may begin from 0.
 
-Events, with the clock `at_s` of the path [s]:
+Events, with the clock `at_s` of the trajectory [s]:
 
 ==========  ===========================================================================================================
 journal     the first line: format and version
-session     a recorder was opened; a path in progress above it was torn; ``reward_unit`` where the recorder was told it
-stage       a stage began: path, stage, covariates, objects, robot, action, object, probability; the first also has
-            ``columns``
+session     a recorder was opened; a trajectory in progress above it was torn; ``reward_unit`` where it is known
+stage       a stage began: trajectory, stage, covariates, objects, robot, action, object, probability; the first one
+            also has ``columns``
 done        the stage in progress was completed: reward; ``is_given`` where the clock was given, not read
-running     the path was still in progress
+running     the trajectory was still in progress
 out         one of several robots dropped out: robot, cause
-finished    the path reached its own end
-cut         the path was cut: cause
+finished    the trajectory reached its own end
+cut         the trajectory was cut: cause
 ==========  ===========================================================================================================
 """
 
@@ -32,10 +32,13 @@ from pathlib import Path
 from typing import Any
 
 from halfseen.errors import HalfseenWarning, LogError
+from halfseen.logs.place import converting
 from halfseen.reading import TABLE, opened, reason_of
 
-FORMAT, VERSION = "halfseen-journal", 1
+FORMAT, VERSION = "halfseen-journal", 2
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}
+OLDER = HEADER | {"version": 1}
+"""Of a journal whose trajectories were called paths."""
 
 MOST_LINE_BYTES = 256 * 10**6
 """Of an event; memory holds one at a time."""
@@ -148,7 +151,7 @@ class JournalEvents:
         num_lost = sum(last - first + 1 for first, last in self.holes)
         warnings.warn(
             f"{self.file}: {num_lost} of {self.num_lines} lines do not check and are left out ({told}{more}), as after "
-            "a loss of power; all others are kept, and a path in progress there counts as cut by a crash",
+            "a loss of power; all others are kept, and a trajectory in progress there counts as cut by a crash",
             HalfseenWarning,
             stacklevel=3,
         )
@@ -166,8 +169,9 @@ class JournalEvents:
         event = _parsed(body) if is_chained or is_anew else None
         if self.num_lines == 0 and event is not None and event != HEADER:
             raise LogError(
-                f"{self.file}, line 1: {body.decode()} is not the {FORMAT} of version {VERSION} that this "
-                "halfseen reads; read it with the halfseen that wrote it"
+                f"{self.file}, line 1: {body.decode()} is not the {FORMAT} of version {VERSION} that this halfseen "
+                "reads; "
+                + (converting(self.file.parent) if event == OLDER else "read it with the halfseen that wrote it")
             )
         return event
 

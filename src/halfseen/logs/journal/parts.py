@@ -1,4 +1,4 @@
-"""The files of a journal: it goes on in another once one is large, between two paths, so that none grows for ever.
+"""The files of a journal: between two trajectories it goes on in another once one is large.
 
 ::
 
@@ -20,7 +20,7 @@ from halfseen.errors import HalfseenWarning
 
 JOURNAL = "journal.jsonl"
 PART_BYTES = 256 * 10**6
-"""Size from which on a path begins in another part [B]."""
+"""Size from which on a trajectory begins in another part [B]."""
 
 _PART = re.compile(r"journal(?:-([1-9]\d{0,8}))?\.jsonl")
 

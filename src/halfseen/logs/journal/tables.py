@@ -1,20 +1,21 @@
-"""From a journal to the tables of `Logs`: where stages end, and where a path that nobody ended was cut.
+"""From a journal to the tables of `Logs`: where stages end, and where a trajectory that nobody ended was cut.
 
-A stage of a path on the recorder's own clock lasts until the next one begins, or the path finishes: only then is it
-known what the stage led to, and only then can anything be learned from it. So a path that ends between two stages is
-cut in the stage before, which it was seen to complete without being seen to reach the next. Nothing is biased by that:
-all stages of all paths are completed by the same rule, at a time until which the path was watched, and the weights
-count the path as at risk until its cut. Were the stage kept as completed, what follows it would have to be made up.
+A stage of a trajectory on the recorder's own clock lasts until the next one begins, or the trajectory finishes: only
+then is it known what the stage led to, and only then can anything be learned from it. So a trajectory that ends between
+two stages is cut in the stage before, which it was seen to complete without being seen to reach the next. Nothing is
+biased by that: all stages of all trajectories are completed by the same rule, at a time until which the trajectory was
+watched, and the weights count the trajectory as at risk until its cut. Were the stage kept as completed, what follows
+it would have to be made up.
 
 Where clocks are given, no time passes between two stages. Such a cut then stands just before the completion that it
 takes back: at equal times completions come before cuts, and a cut that stood at that time would leave the completion
-of this path unseen and unaccounted for. Of several robots, it takes back all stages that were completed at that time,
-and whatever dropped out then.
+of this trajectory unseen and unaccounted for. Of several robots, it takes back all stages that were completed at that
+time, and whatever dropped out then.
 
-A torn path is cut at the last time at which it was known to run. That is up to a stage earlier than the crash, so that
-Ĝ falls a little early and weights come out too large: where stages of 5 s are torn so often that two paths in five
-crash, by up to 7 %. Call `PathRecorder.still_running` from the control loop and the time is known to half a second;
-the same weights are then within 1 %. Where crashes are few, neither matters.
+A torn trajectory is cut at the last time at which it was known to run. That is up to a stage earlier than the crash, so
+that Ĝ falls a little early and weights come out too large: where stages of 5 s are torn so often that two trajectories
+in five crash, by up to 7 %. Call `TrajectoryRecorder.still_running` from the control loop and the time is known to half
+a second; the same weights are then within 1 %. Where crashes are few, neither matters.
 """
 
 from collections.abc import Iterable, Iterator
@@ -60,15 +61,15 @@ def journal_log(folder: Path) -> dict[str, Any]:
     tell_missing(parts)
     units: list[str | None] = []
 
-    def ended() -> Iterator[RecordedPath]:
+    def ended() -> Iterator[RecordedTrajectory]:
         for part in parts:
             events = JournalEvents(part)
-            for path in recorded_paths(events):
-                if path.ending is None:
+            for trajectory in recorded_trajectories(events):
+                if trajectory.ending is None:
                     is_live = part == parts[-1] and (was_recorded or is_being_recorded(folder))
                     with following(events):
-                        path.end(CUT, None, STILL_RUNNING if is_live else CRASH)
-                yield path
+                        trajectory.end(CUT, None, STILL_RUNNING if is_live else CRASH)
+                yield trajectory
             events.tell_holes()
             units.append(events.reward_unit)
 
@@ -79,12 +80,12 @@ def journal_log(folder: Path) -> dict[str, Any]:
         return {**built, "reward_unit": common_unit(units)}
 
 
-def tables_of(paths: Iterable["RecordedPath"]) -> dict[str, Any]:
-    """Put the rows of paths that have ended together, as what `Logs` is made of; nothing where there is no path."""
-    tables = {"stages": _Table(), "paths": _Table(), "objects": _Table()}
-    for path in paths:
+def tables_of(trajectories: Iterable["RecordedTrajectory"]) -> dict[str, Any]:
+    """Put the rows of trajectories that have ended together, as what `Logs` is made of; nothing where there is none."""
+    tables = {"stages": _Table(), "trajectories": _Table(), "objects": _Table()}
+    for trajectory in trajectories:
         for name, table in tables.items():
-            table.add(path.rows[name])
+            table.add(trajectory.rows[name])
     built: dict[str, Any] = {name: table.build() for name, table in tables.items() if table}
     stages = built.get("stages")
     if stages is not None and "probability" in stages.column_names:
@@ -93,33 +94,33 @@ def tables_of(paths: Iterable["RecordedPath"]) -> dict[str, Any]:
     return built
 
 
-def recorded_paths(events: JournalEvents) -> Iterator["RecordedPath"]:
-    """Put the events of a journal together into paths; one that was never ended has no ending, and is the last."""
-    path = None
+def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory"]:
+    """Put the events of a journal together into trajectories; one that never ended has no ending, and is last."""
+    trajectory = None
     for event in events:
         with following(events):
-            if event["event"] in ("session", "hole") and path is not None:
-                path.end(CUT, None, CRASH)
+            if event["event"] in ("session", "hole") and trajectory is not None:
+                trajectory.end(CUT, None, CRASH)
             elif event["event"] == "stage" and event["stage"] == 1:
-                _check_new(path, event)
-                path = RecordedPath(event)
-            elif path is not None:
-                path.add(event)
-        if path is not None and path.ending is not None:
-            yield path
-            path = None
-    if path is not None:
-        yield path
+                _check_new(trajectory, event)
+                trajectory = RecordedTrajectory(event)
+            elif trajectory is not None:
+                trajectory.add(event)
+        if trajectory is not None and trajectory.ending is not None:
+            yield trajectory
+            trajectory = None
+    if trajectory is not None:
+        yield trajectory
 
 
-def _check_new(path: "RecordedPath | None", event: dict[str, Any]) -> None:
+def _check_new(trajectory: "RecordedTrajectory | None", event: dict[str, Any]) -> None:
     """A first stage is given twice where Ctrl-C came before the recorder knew of the first."""
-    if path is not None and path.name != event["path"]:
-        raise KeyError(f"path {event['path']!r} begins before path {path.name!r} ended")
+    if trajectory is not None and trajectory.name != event["trajectory"]:
+        raise KeyError(f"trajectory {event['trajectory']!r} begins before trajectory {trajectory.name!r} ended")
 
 
-class RecordedPath:
-    """A path as its events tell it.
+class RecordedTrajectory:
+    """A trajectory as its events tell it.
 
     Parameters
     ----------
@@ -138,9 +139,9 @@ class RecordedPath:
 
     def __init__(self, event: dict[str, Any]) -> None:
         self.ending: str | None = None
-        self.rows: dict[str, list[dict[str, Any]]] = {"stages": [], "paths": [], "objects": []}
-        self.name = event["path"]
-        self._path = {"path": self.name, **event["columns"]}
+        self.rows: dict[str, list[dict[str, Any]]] = {"stages": [], "trajectories": [], "objects": []}
+        self.name = event["trajectory"]
+        self._trajectory = {"trajectory": self.name, **event["columns"]}
         self._clock_s = 0.0
         self._done: dict[str, Any] | None = None
         self._out_s: dict[int, float] = {}
@@ -168,7 +169,7 @@ class RecordedPath:
                 self.end(ending, event["at_s"], event.get("cause"))
 
     def end(self, ending: str, at_s: float | None, cause: str | None) -> None:
-        """End the path, at the last known clock where there is no other."""
+        """End the trajectory, at the last known clock where there is no other."""
         end_s = self._clock_s if at_s is None else at_s
         if ending == FINISHED:
             self._complete(end_s)
@@ -176,14 +177,14 @@ class RecordedPath:
             end_s = float(np.nextafter(self._done["at_s"], 0.0))
             self._take_back(end_s)
         self.ending, end_s = ending, max(end_s, RESOLUTION_S)
-        row = {**self._path, "end_s": end_s, "ending": ending, "cause": cause}
+        row = {**self._trajectory, "end_s": end_s, "ending": ending, "cause": cause}
         for robot, out_s in self._out_s.items():
             if out_s <= end_s:
                 row |= {f"{robot}_out_s": out_s, f"{robot}_out_cause": self._out_cause[robot]}
-        self.rows["paths"] = [row]
+        self.rows["trajectories"] = [row]
 
     def _begin(self, event: dict[str, Any]) -> None:
-        key = {"path": event["path"], "stage": event["stage"]}
+        key = {"trajectory": event["trajectory"], "stage": event["stage"]}
         row = {**key, "elapsed_s": None, "action": None, "object": None, "reward": None, "probability": None}
         row |= {name: event[name] for name in ("action", "object", "probability", ROBOT) if name in event}
         self.rows["stages"].append(row | event["covariates"])
@@ -195,7 +196,7 @@ class RecordedPath:
         self.rows["objects"] = [row for row in self.rows["objects"] if row["stage"] != number]
 
     def _take_back(self, end_s: float) -> None:
-        """Of several robots that decided at one time, the path is cut in the first stage that had not ended before."""
+        """Of several robots that decided at one time, it is cut in the first stage that had not ended before."""
         stages = self.rows["stages"]
         while len(stages) > 1 and stages[-2]["elapsed_s"] > end_s:
             self._forget_stage()

@@ -13,13 +13,13 @@ import numpy as np
 
 from halfseen.errors import LogError
 from halfseen.logs.checks.robots import is_of_one_robot
-from halfseen.logs.columns import OBJECT_COLUMNS, PATH_COLUMNS, STAGE_COLUMNS
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
 from halfseen.logs.frames import LARGEST_FRACTION
 from halfseen.logs.refusal import shown
 
 Kinds = Mapping[str, str]
 
-_OWN_NAMES = {*STAGE_COLUMNS, *PATH_COLUMNS, *OBJECT_COLUMNS}
+_OWN_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 _LARGEST_WHOLE = 2**63
 
 _NUMBER, _FRACTION, _HUGE, _TEXT, _TRUTH = "number", "fraction", "whole number beyond 2^53", "text", "truth value"
@@ -36,9 +36,9 @@ class Schema:
     Parameters
     ----------
     labels
-        Kind of the names of paths, actions, objects and robots, where there are any.
-    paths
-        Kind of each column of the paths.
+        Kind of the names of trajectories, actions, objects and robots, where there are any.
+    trajectories
+        Kind of each column of the trajectories.
     covariates
         Kind of each covariate of the stages; None before the first stage.
     objects
@@ -50,20 +50,20 @@ class Schema:
     """
 
     labels: Kinds = field(default_factory=dict)
-    paths: Kinds = field(default_factory=dict)
+    trajectories: Kinds = field(default_factory=dict)
     covariates: Kinds | None = None
     objects: Kinds | None = None
     has_probability: bool | None = None
     has_robot: bool | None = None
 
-    def with_path(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, dict[str, Any]]:
-        """Check a path's name and columns; columns may differ between paths, and None leaves one out."""
-        where = f"path {shown(name)}"
-        labels, name = self._with_label("path", name, where)
-        _refuse_names(columns, self.paths, where)
+    def with_trajectory(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, dict[str, Any]]:
+        """Check a trajectory's name and columns; columns may differ between trajectories, and None leaves one out."""
+        where = f"trajectory {shown(name)}"
+        labels, name = self._with_label("trajectory", name, where)
+        _refuse_names(columns, self.trajectories, where)
         given = {column: value for column, value in columns.items() if value is not None}
-        row, kinds = _row(given, self.paths, where, "column")
-        return replace(self, labels=labels, paths={**self.paths, **kinds}), name, row
+        row, kinds = _row(given, self.trajectories, where, "column")
+        return replace(self, labels=labels, trajectories={**self.trajectories, **kinds}), name, row
 
     def with_stage(
         self,
@@ -81,7 +81,7 @@ class Schema:
         chosen
             robot, action, object and probability, None where there is none.
         where
-            The path and the stage, for messages.
+            The trajectory and the stage, for messages.
         """
         _refuse_names(covariates, self.covariates, where)
         seen, kinds = _row(covariates, self.covariates, where, "covariate")

@@ -59,7 +59,7 @@ class JournalWriter:
     reward_unit
         What rewards are counted in; None for what the journal already says, if it does.
     part_bytes
-        Size from which on a path begins in another part [B].
+        Size from which on a trajectory begins in another part [B].
 
     Raises
     ------

@@ -61,10 +61,10 @@ def bytes_of_texts(groups: list[list[Chunk]], file: Path, opened: pq.ParquetFile
     num_bytes = 0
     for k in texts:
         if sum(group[k].num_values * group[k].num_bytes for group in groups) > ALWAYS_UNPACKED:
-            path = schema.column(k).path
-            stored = pq.ParquetFile(file, read_dictionary=[path], metadata=opened.metadata)
+            column = schema.column(k).path
+            stored = pq.ParquetFile(file, read_dictionary=[column], metadata=opened.metadata)
             for number in range(len(groups)):
-                num_bytes += sum(map(_bytes_as_often, stored.read_row_group(number, [path]).column(0).chunks))
+                num_bytes += sum(map(_bytes_as_often, stored.read_row_group(number, [column]).column(0).chunks))
     return num_bytes
 
 

@@ -2,15 +2,15 @@ r"""Recording without Python: one JSON object a line is a call of the recorder, 
 
 ::
 
-    {"call": "begin_path", "name": "left-1", "columns": {"cell": "left"}}
+    {"call": "begin_trajectory", "name": "left-1", "columns": {"cell": "left"}}
     {"call": "begin_stage", "covariates": {"clutter": 0.3}, "action": "PICK", "probability": 0.5}
     {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5}
     {"call": "finish"}
 
-The calls are those of `LogRecorder` and `PathRecorder`, and so are the names of what they take; what is left out or
-null is not given. The answer is ``{"ok": true, "path": …}``, or ``{"ok": false, "error": "…"}`` with the line that says
-what was wrong and what to do: nothing of it is then recorded, and the next call is taken as if it had not been made.
-Lines are UTF-8 and end with ``\n``. Where lines end, a path in progress is cut.
+The calls are those of `LogRecorder` and `TrajectoryRecorder`, and so are the names of what they take; what is left out
+or null is not given. The answer is ``{"ok": true, "trajectory": …}``, or ``{"ok": false, "error": "…"}`` with the line
+that says what was wrong and what to do: nothing of it is then recorded, and the next call is taken as if it had not
+been made. Lines are UTF-8 and end with ``\n``. Where lines end, a trajectory in progress is cut.
 """
 
 import json
@@ -26,7 +26,7 @@ MOST_BYTES = 1_000_000
 """A longer line is refused, and none of it kept."""
 
 INPUT_ENDED = "input-ended"
-"""Cause of the cut of a path that was in progress where lines ended."""
+"""Cause of the cut of a trajectory that was in progress where lines ended."""
 
 
 @runtime_checkable
@@ -47,7 +47,7 @@ class Call(NamedTuple):
 
 
 CALLS = {
-    "begin_path": Call(("name", "columns")),
+    "begin_trajectory": Call(("name", "columns")),
     "begin_stage": Call(("covariates", "objects", "action", "object", "probability", "robot")),
     "complete_stage": Call(("reward", "elapsed_s", "own_rewards"), 1),
     "drop_out": Call(("robot", "cause", "elapsed_s"), 2),
@@ -58,7 +58,7 @@ CALLS = {
 
 
 def record_lines(recorder: LogRecorder, lines: Lines, answer: Callable[[str], object]) -> None:
-    """Record what lines say until they end, and then cut the path in progress.
+    """Record what lines say until they end, and then cut the trajectory in progress.
 
     Parameters
     ----------
@@ -77,8 +77,8 @@ def record_lines(recorder: LogRecorder, lines: Lines, answer: Callable[[str], ob
     for line in _bounded(lines):
         if line.strip():
             answer(answered(recorder, line))
-    if recorder.path is not None and not recorder.path.is_ended:
-        recorder.path.cut(INPUT_ENDED)
+    if recorder.trajectory is not None and not recorder.trajectory.is_ended:
+        recorder.trajectory.cut(INPUT_ENDED)
 
 
 def answered(recorder: LogRecorder, line: bytes) -> str:
@@ -88,7 +88,7 @@ def answered(recorder: LogRecorder, line: bytes) -> str:
         _make(recorder, name, given)
     except HalfseenError as error:
         return json.dumps({"ok": False, "error": " ".join(str(error).split())})
-    return json.dumps({"ok": True, "path": None if recorder.path is None else recorder.path.name})
+    return json.dumps({"ok": True, "trajectory": None if recorder.trajectory is None else recorder.trajectory.name})
 
 
 def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
@@ -125,15 +125,15 @@ def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
 
 
 def _make(recorder: LogRecorder, name: str, given: dict[str, Any]) -> None:
-    if name == "begin_path":
+    if name == "begin_trajectory":
         columns = given.get("columns", {})
         if not isinstance(columns, Mapping):
             raise LogError("columns are no JSON object; give names and values")
-        recorder.begin_path(given.get("name"), **columns)
-    elif recorder.path is None:
-        raise LogError(f"{name}: no path has begun; begin_path first")
+        recorder.begin_trajectory(given.get("name"), **columns)
+    elif recorder.trajectory is None:
+        raise LogError(f"{name}: no trajectory has begun; begin_trajectory first")
     else:
-        getattr(recorder.path, name)(**given)
+        getattr(recorder.trajectory, name)(**given)
 
 
 def _bounded(lines: Lines) -> Iterator[bytes]:

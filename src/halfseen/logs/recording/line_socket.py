@@ -67,7 +67,7 @@ def _remove_left(file: Path) -> None:
 def record_clients(
     recorder: LogRecorder, listener: socket.socket, on_gone: Callable[[], object] = lambda: None
 ) -> None:
-    """Record what clients say, one after the other, for ever; a path that one leaves in progress is cut.
+    """Record what clients say, one after the other, for ever; a trajectory that one leaves in progress is cut.
 
     Parameters
     ----------

@@ -1,20 +1,20 @@
-"""A path that is being recorded, as a log that whoever reads it later can judge now."""
+"""A trajectory that is being recorded, as a log that whoever reads it later can judge now."""
 
 from collections.abc import Sequence
 from typing import Any
 
 from halfseen.logs.columns import CUT
-from halfseen.logs.journal.tables import STILL_RUNNING, RecordedPath, tables_of
+from halfseen.logs.journal.tables import STILL_RUNNING, RecordedTrajectory, tables_of
 from halfseen.logs.logs import Logs
 
 
 def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
-    """Give the log of one path, cut at its last event.
+    """Give the log of one trajectory, cut at its last event.
 
     Parameters
     ----------
     events
-        Of the path, as a journal has them, the beginning of its first stage first.
+        Of the trajectory, as a journal has them, the beginning of its first stage first.
 
     Raises
     ------
@@ -22,8 +22,8 @@ def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
         What happened so far is none that a log takes.
     """
     first, *others = events
-    path = RecordedPath(first)
+    trajectory = RecordedTrajectory(first)
     for event in others:
-        path.add(event)
-    path.end(CUT, None, STILL_RUNNING)
-    return Logs(**tables_of([path]))
+        trajectory.add(event)
+    trajectory.end(CUT, None, STILL_RUNNING)
+    return Logs(**tables_of([trajectory]))

@@ -1,17 +1,18 @@
-"""Recording paths (trajectories) as they happen, so that a kill at any moment loses at most the stage in progress.
+"""Recording trajectories as they happen, so that a kill at any moment loses at most the stage in progress.
 
 ::
 
     with LogRecorder("logs") as recorder:
-        path = recorder.begin_path(scene="cell 3")
+        trajectory = recorder.begin_trajectory(scene="cell 3")
         while not is_over:
-            path.begin_stage(covariates=seen, action=action, probability=probability)
+            trajectory.begin_stage(covariates=seen, action=action, probability=probability)
             ...                                      # the robot acts
-            path.complete_stage(reward=1.0)
-        path.finish()                                # or path.cut("operator")
+            trajectory.complete_stage(reward=1.0)
+        trajectory.finish()                                # or trajectory.cut("operator")
 
-`halfseen.logs.read_logs` reads the folder at any time, also while it is being recorded. A path that a crash tore is
-told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is fair.
+`halfseen.logs.read_logs` reads the folder at any time, also while it is being recorded. A trajectory that a crash tore
+is told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is
+fair.
 
 Where several robots work at once, each stage says which of them decides (``begin_stage(…, robot=1)``), and `drop_out`
 tells that one of them is gone while the others go on.
@@ -32,37 +33,38 @@ from halfseen.logs.journal.state import Recorded
 from halfseen.logs.journal.tables import CRASH
 from halfseen.logs.journal.writer import JournalWriter
 from halfseen.logs.logs import Logs
-from halfseen.logs.recording.path_recorder import PathRecorder
+from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
 from halfseen.logs.refusal import shown
 from halfseen.logs.reward_unit import checked_unit
 
 
 class LogRecorder:
-    """Record paths into a folder, stage by stage.
+    """Record trajectories into a folder, stage by stage.
 
     One recorder at a time has a folder; a folder that was recorded before is gone on with. Each call is checked and
-    then handed to the operating system in one write before it returns. What is refused leaves no trace, and the path
-    goes on.
+    then handed to the operating system in one write before it returns. What is refused leaves no trace, and the
+    trajectory goes on.
 
     Parameters
     ----------
     folder
         Where to; it is made where it is not there.
     fsync
-        When to wait for the disk: "never"; each "path", when it ends; each "stage", when it begins; or each "event".
-        Without it, nothing that was written is lost when the process dies, but a loss of power or a crash of the
-        operating system may take the last half minute. With it they take, as far as the disk keeps its word, no more
-        than the path, stage or event in progress; a call that waits takes as long as the disk does, commonly 0.1 to
-        20 ms (`benchmarks/recorder.py` measures it). True is "event", False is "never".
+        When to wait for the disk: "never"; each "trajectory", when it ends; each "stage", when it begins; or each
+        "event". Without it, nothing that was written is lost when the process dies, but a loss of power or a crash of
+        the operating system may take the last half minute. With it they take, as far as the disk keeps its word, no
+        more than the trajectory, stage or event in progress; a call that waits takes as long as the disk does, commonly
+        0.1 to 20 ms (`benchmarks/recorder.py` measures it). True is "event", False is "never".
     reward_unit
         What rewards are counted in, such as "parts": a short text, for people; None for what was said before, if
         anything was.
     check
-        What a path must hold beyond what every log must, such as `halfseen.world.check_log` for robots at a table:
-        called with the path so far, cut just now, when a stage begins or a robot drops out, and raises `LogError` where
-        that is to be refused. It reads all of the path each time: meant for stages of a second or more.
+        What a trajectory must hold beyond what every log must, such as `halfseen.world.check_log` for robots at a
+        table: called with the trajectory so far, cut just now, when a stage begins or a robot drops out, and raises
+        `LogError` where that is to be refused. It reads all of the trajectory each time: meant for stages of a second
+        or more.
     part_bytes
-        Size of the journal from which on a path begins in another file of the folder [B].
+        Size of the journal from which on a trajectory begins in another file of the folder [B].
 
     Raises
     ------
@@ -77,13 +79,13 @@ class LogRecorder:
     >>> from tempfile import mkdtemp
     >>> folder = mkdtemp()
     >>> with LogRecorder(folder) as recorder:
-    ...     path = recorder.begin_path(scene="cell 3")
-    ...     path.begin_stage(covariates={"x": 0.1}, action="PICK")
-    ...     path.complete_stage(reward=1.0, elapsed_s=2.5)
-    ...     path.finish()
+    ...     trajectory = recorder.begin_trajectory(scene="cell 3")
+    ...     trajectory.begin_stage(covariates={"x": 0.1}, action="PICK")
+    ...     trajectory.complete_stage(reward=1.0, elapsed_s=2.5)
+    ...     trajectory.finish()
     >>> from halfseen.logs import read_logs
     >>> print(read_logs(folder).summary())
-    1 path of up to 1 stage and 2.5 s: 1 finished, 0 cut (0%).
+    1 trajectory of up to 1 stage and 2.5 s: 1 finished, 0 cut (0%).
     """
 
     def __init__(
@@ -103,7 +105,7 @@ class LogRecorder:
         self._check = check
         self._names: set[int | str] = set()
         self._restored = Recorded()
-        self._path: PathRecorder | None = None
+        self._trajectory: TrajectoryRecorder | None = None
         self._journal = JournalWriter(folder, synced_events(fsync), self._restore, unit, part_bytes)
         self._journal.known = self._restored
 
@@ -113,8 +115,8 @@ class LogRecorder:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.close(UNKNOWN_CAUSE if kind is None else "operator" if kind is KeyboardInterrupt else CRASH)
 
-    def begin_path(self, name: Any = None, /, **columns: Any) -> PathRecorder:
-        """Begin a path; its clock starts with its first stage, and before that nothing of it is on disk.
+    def begin_trajectory(self, name: Any = None, /, **columns: Any) -> TrajectoryRecorder:
+        """Begin a trajectory; its clock starts with its first stage, and before that nothing of it is on disk.
 
         Parameters
         ----------
@@ -126,40 +128,41 @@ class LogRecorder:
         Raises
         ------
         LogError
-            A path is in progress, or the name is taken.
+            A trajectory is in progress, or the name is taken.
         """
-        if self._path is not None and not self._path.is_ended:
+        if self._trajectory is not None and not self._trajectory.is_ended:
             raise LogError(
-                f"path {shown(self._path.name)}: it is in progress; finish() or cut() it before the next one begins"
+                f"trajectory {shown(self._trajectory.name)}: it is in progress; finish() or cut() it before the next "
+                "one begins"
             )
         known = self._journal.known
-        if known.path is not None and known.path.stage:
-            self._names.add(known.path.name)
+        if known.trajectory is not None and known.trajectory.stage:
+            self._names.add(known.trajectory.name)
         wanted = self._next_name() if name is None else name
-        schema, label, row = known.schema.with_path(wanted, columns)
+        schema, label, row = known.schema.with_trajectory(wanted, columns)
         if label in self._names:
-            raise LogError(f"path {shown(label)}: it is in the folder already; choose another name, or give none")
-        self._path = PathRecorder(self._journal, label, row, schema, self._check)
-        return self._path
+            raise LogError(f"trajectory {shown(label)}: it is in the folder already; choose another name, or give none")
+        self._trajectory = TrajectoryRecorder(self._journal, label, row, schema, self._check)
+        return self._trajectory
 
     @property
-    def path(self) -> PathRecorder | None:
-        """The path that began last; None before the first."""
-        return self._path
+    def trajectory(self) -> TrajectoryRecorder | None:
+        """The trajectory that began last; None before the first."""
+        return self._trajectory
 
     def close(self, cause: str = UNKNOWN_CAUSE) -> None:
-        """Cut the path in progress, if there is one, and let the folder go.
+        """Cut the trajectory in progress, if there is one, and let the folder go.
 
         Leaving a ``with`` block does the same, with the cause "operator" after Ctrl-C and "crash" after an error.
         """
         try:
-            if self._path is not None and not self._path.is_ended and not self._journal.is_closed:
-                self._path.cut(cause)
+            if self._trajectory is not None and not self._trajectory.is_ended and not self._journal.is_closed:
+                self._trajectory.cut(cause)
         finally:
             self._journal.close()
 
     def _next_name(self) -> int | str:
-        is_text = self._journal.known.schema.labels.get("path") == "text"
+        is_text = self._journal.known.schema.labels.get("trajectory") == "text"
         number = len(self._names) + 1
         while (str(number) if is_text else number) in self._names:
             number += 1
@@ -172,9 +175,9 @@ class LogRecorder:
             self._restored = replace(known, num_shares=len(event.get("own_rewards", ())))
         if event["event"] != "stage":
             return
-        schema, where = known.schema, f"path {shown(event['path'])}, stage {event['stage']}"
+        schema, where = known.schema, f"trajectory {shown(event['trajectory'])}, stage {event['stage']}"
         if event["stage"] == 1:
-            schema, name, _ = schema.with_path(event["path"], event["columns"])
+            schema, name, _ = schema.with_trajectory(event["trajectory"], event["columns"])
             self._names.add(name)
         schema, _ = schema.with_stage(event["covariates"], event.get("objects"), event, where)
         self._restored = replace(known, schema=schema)

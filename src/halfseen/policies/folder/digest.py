@@ -1,4 +1,4 @@
-"""One digest for a log: the same paths have the same, in memory, in parts and from any form on disk."""
+"""One digest for a log: the same trajectories have the same, in memory, in parts and from any form on disk."""
 
 import hashlib
 from collections.abc import Iterator
@@ -19,7 +19,7 @@ def log_digest(logs: Logs) -> str:
 
 
 class LogDigest:
-    """The digest of a log that comes in parts, in the order of its paths."""
+    """The digest of a log that comes in parts, in the order of its trajectories."""
 
     def __init__(self) -> None:
         self._columns: dict[str, Any] = {}

@@ -41,7 +41,7 @@ def horizon_of(record: Mapping[str, Any]) -> int:
     """Number T of stages."""
     horizon = typed(record["schema"], "horizon", int, "a whole number")
     if horizon < 1:
-        raise PolicyError(f"horizon is {horizon}; a path has at least 1 stage: learn the policy anew")
+        raise PolicyError(f"horizon is {horizon}; a trajectory has at least 1 stage: learn the policy anew")
     return horizon
 
 

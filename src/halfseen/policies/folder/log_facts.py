@@ -29,7 +29,7 @@ class LogFacts:
     seen
         What states looked like.
     stages_left
-        Mean number of stages from each to the end of a path.
+        Mean number of stages from each to the end of a trajectory.
     reward_spread
         Standard deviation of the rewards of completed stages.
     """
@@ -48,7 +48,7 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
     Parameters
     ----------
     parts
-        The log, whole or in parts of whole paths, in their order.
+        The log, whole or in parts of whole trajectories, in their order.
     kind
         Of the policy.
     policy
@@ -60,7 +60,7 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
     seen, counts, spread = [], None, _Spread(0, 0.0, 0.0)
     for part in parts:
         digest.add(part)
-        summary.add(part.paths, part.stages, part.objects)
+        summary.add(part.trajectories, part.stages, part.objects)
         facts.append(kind.facts(part))
         seen = joined_seen(seen, kind.seen(part, policy, is_by_stage))
         here = stage_counts(part)

@@ -13,7 +13,7 @@ from halfseen.policies.folder.kinds import kind_of
 from halfseen.policies.promise import check_promise
 from halfseen.reading import json_of
 
-FORMAT, VERSION = "halfseen-policy", 1
+FORMAT, VERSION = "halfseen-policy", 2
 
 
 def as_json(record: Mapping[str, Any]) -> bytes:

@@ -23,6 +23,6 @@ def seen_tables(logs: Logs) -> list[dict[str, Any]]:
     there = objects[objects["location"] == TABLE]
     tried = there["attempt_occlusions"].map(len)
     each = there[["occlusion", "log_odds"]].assign(num_attempts=tried)
-    counts = pd.DataFrame({"num_objects": there.groupby(["path", "stage"]).size()})
+    counts = pd.DataFrame({"num_objects": there.groupby(["trajectory", "stage"]).size()})
     found = ranges(counts, TABLE_RANGES[:1]) | ranges(each, TABLE_RANGES[1:])
     return [entry(1, logs.horizon, logs.num_stages, found)]

@@ -48,7 +48,7 @@ def targets_of_record(learned: Mapping[str, Any]) -> Targets:
     """
     return named_targets(
         learned["censoring"],
-        by=learned.get("censoring_by") or "path",
+        by=learned.get("censoring_by") or "trajectory",
         covariates=learned.get("censoring_covariates"),
         truncate_at=learned.get("truncate_at"),
         is_doubly_robust=bool(learned.get("augmented")),

@@ -9,7 +9,7 @@ from halfseen.shapes import Int
 
 
 class StageCounts(NamedTuple):
-    """How many paths began and completed each stage; those of parts of a log add up."""
+    """How many trajectories began and completed each stage; those of parts of a log add up."""
 
     begun: Int[np.ndarray, " T"]
     done: Int[np.ndarray, " T"]
@@ -32,9 +32,9 @@ def stage_counts(logs: Logs) -> StageCounts:
 
 
 def stages_left(counts: StageCounts) -> list[float]:
-    """Mean number of stages from each to the end of a path, by Kaplan and Meier: what a cut took away is made up for.
+    """Mean number of stages from each to the end, by Kaplan and Meier: what a cut took away is made up for.
 
-    Of the paths that completed a stage, some went on to the next; a cut within a stage tells nothing of that.
+    Of the trajectories that completed a stage, some went on to the next; a cut within a stage tells nothing of that.
 
     Parameters
     ----------
@@ -43,11 +43,12 @@ def stages_left(counts: StageCounts) -> list[float]:
 
     Examples
     --------
-    Of three paths one was cut in stage 1; of the two others one went on.
+    Of three trajectories one was cut in stage 1; of the two others one went on.
 
-    >>> stages = {"path": [0, 1, 1, 2], "stage": [1, 1, 2, 1], "elapsed_s": [1.0, 1.0, 2.0, None], "action": ["A"] * 4}
-    >>> paths = {"path": [0, 1, 2], "end_s": [1.0, 2.0, 0.5], "ending": ["finished", "finished", "cut"]}
-    >>> stages_left(stage_counts(Logs(stages | {"reward": [1.0, 1.0, 1.0, None]}, paths)))
+    >>> stages = {"trajectory": [0, 1, 1, 2], "stage": [1, 1, 2, 1], "elapsed_s": [1.0, 1.0, 2.0, None]}
+    >>> stages["action"] = ["A"] * 4
+    >>> trajectories = {"trajectory": [0, 1, 2], "end_s": [1.0, 2.0, 0.5], "ending": ["finished", "finished", "cut"]}
+    >>> stages_left(stage_counts(Logs(stages | {"reward": [1.0, 1.0, 1.0, None]}, trajectories)))
     [1.5, 1.0]
     """
     left = np.ones(len(counts.begun))

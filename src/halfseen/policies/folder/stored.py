@@ -47,7 +47,7 @@ class StoredPolicy:
 
     @property
     def horizon(self) -> int:
-        """Number T of stages that a path may have."""
+        """Number T of stages that a trajectory may have."""
         return horizon_of(self.record)
 
     @property

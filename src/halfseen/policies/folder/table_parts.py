@@ -14,7 +14,7 @@ from halfseen.world.policy import GraspModel
 
 
 def seen_verbs(verbs: Sequence[str], is_seen: Bool[np.ndarray, "T V"] | None, horizon: int) -> list[list[str]]:
-    """Verbs that have a value, by steps to go; where none has, as in a stage that no path reached, all may be taken."""
+    """Verbs that have a value, by steps to go; where none has, as in a stage never reached, all may be taken."""
     every = list(verbs)
     if is_seen is None:
         return [every] * horizon

@@ -92,7 +92,7 @@ def record_of(
     is_by_stage = learner.model_.stages == "separate"
     facts = log_facts(parts_of(logs), kind_named(name), policy, is_by_stage)
     sample = logs if isinstance(logs, Logs) else sample_of(logs, learner.random_state)
-    positivity = positivity_report(logs.end_s, logs.is_finished, path_ids=logs.path_ids)
+    positivity = positivity_report(logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -141,7 +141,7 @@ def _diagnostics(learner: CensoredQLearner, horizon: int, positivity: Positivity
         "weights": asdict(learner.diagnostics_),
         "weights_by_stage": [asdict(one) for one in by_stage],
         "positivity": {
-            "censoring": "kaplan-meier by path",
+            "censoring": "kaplan-meier by trajectory",
             "text": str(positivity),
             "is_sound": positivity.is_sound,
             "mean_weight": positivity.mean_weight,

@@ -1,4 +1,4 @@
-"""What becomes of cut paths in linear eq. 3 by default, against other treatments of them: Figure 4.
+"""What becomes of cut trajectories in linear eq. 3 by default, against other treatments of them: Figure 4.
 
 All learn without laws: treatments are of eq. 3, and laws fitted under censoring would hide what they do to it.
 """
@@ -33,7 +33,14 @@ from halfseen.study.figures import MEAN
 from halfseen.study.frames import records, stacked, where
 from halfseen.study.pipeline import TREATMENTS, Source
 from halfseen.study.statistics import estimate_in, mean_columns
-from halfseen.study.wording import CUT_KIND_NAMES, CUT_KIND_NOTES, PATHS_AXIS, REWARD_AXIS, estimated_in, learned_from
+from halfseen.study.wording import (
+    CUT_KIND_NAMES,
+    CUT_KIND_NOTES,
+    REWARD_AXIS,
+    TRAJECTORIES_AXIS,
+    estimated_in,
+    learned_from,
+)
 from halfseen.world.cuts import CutKind
 
 DEFAULT = TREATMENTS[0]
@@ -41,13 +48,13 @@ TREATMENT_NAMES = {
     "imputed": "imputed (default)",
     "weighted": "weighted by 1/Ĝ",
     "unweighted": "completed stages, no weights",
-    "dropped": "cut paths dropped",
+    "dropped": "cut trajectories dropped",
     "failures": "cuts counted as failures",
 }
 RIVALS = {
     "weighted": "weighting by 1/Ĝ",
     "unweighted": "using completed stages without weights",
-    "dropped": "dropping cut paths",
+    "dropped": "dropping cut trajectories",
     "failures": "counting cuts as failures",
 }
 TREATMENT_COLOURS = {"imputed": BLUE, "weighted": SKY, "unweighted": ORANGE, "dropped": RED, "failures": PINK}
@@ -58,23 +65,24 @@ DODGE, BAR_DODGE = 1.02, 1.10
 
 @dataclass(frozen=True)
 class Censoring:
-    """Five treatments of the same cut paths: of logs of each size, `cut_share` of the paths are cut by each kind.
+    """Five treatments of the same cut trajectories: `cut_share` of each log are cut by each kind.
 
-    Treatments are compared in words where `compared_num_paths` were logged.
+    Treatments are compared in words where `compared_num_trajectories` were logged.
     """
 
-    num_paths: tuple[int, ...] = (50, 200, 800)
+    num_trajectories: tuple[int, ...] = (50, 200, 800)
     cut_share: float = 1 / 2
     cut_kinds: tuple[CutKind, ...] = ("independent", "attempt")
-    compared_num_paths: int = 800
+    compared_num_trajectories: int = 800
     episodes_per_scene: int = 5
     most_repetitions: int | None = None
     name: ClassVar[str] = "censoring"
 
     def __post_init__(self) -> None:
-        if self.compared_num_paths not in self.num_paths:
+        if self.compared_num_trajectories not in self.num_trajectories:
             raise ArgumentError(
-                f"compared_num_paths is {self.compared_num_paths}; it is one of num_paths, {self.num_paths}"
+                f"compared_num_trajectories is {self.compared_num_trajectories}; it is one of num_trajectories, "
+                f"{self.num_trajectories}"
             )
 
     def prepare(self, setting: Setting) -> PieceOf:
@@ -84,15 +92,15 @@ class Censoring:
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn from a fresh log under every treatment, and play all on the same fresh episodes."""
         source = Source.of(setting, index)
-        episodes = source.play(max(self.num_paths))
+        episodes = source.play(max(self.num_trajectories))
         cuts = {kind: source.cut(episodes, prepared["rates"][kind], kind) for kind in self.cut_kinds}
         arms = [(kind, treatment) for kind in self.cut_kinds for treatment in TREATMENTS]
         logs = [(cuts[kind], treatment) for kind, treatment in arms]
         num_episodes = self.episodes_per_scene * len(setting.scenes)
-        played = source.logged(episodes, laws=False).learn_and_play(logs, self.num_paths, num_episodes)
+        played = source.logged(episodes, laws=False).learn_and_play(logs, self.num_trajectories, num_episodes)
         rows = [
-            {"treatment": treatment, "cut_kind": kind, "num_paths": size}
-            for size in self.num_paths
+            {"treatment": treatment, "cut_kind": kind, "num_trajectories": size}
+            for size in self.num_trajectories
             for kind, treatment in arms
         ]
         return {"index": index, "learned": [row | each.means() for row, (_, each) in zip(rows, played, strict=True)]}
@@ -100,16 +108,16 @@ class Censoring:
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
         """Make figure4.
 
-        Its columns are treatment, cut_kind, num_paths, cut_share, repetitions, mean_reward, se, low, high; and
+        Its columns are treatment, cut_kind, num_trajectories, cut_share, repetitions, mean_reward, se, low, high; and
         behind_default, se_behind, behind_low, behind_high: the paired mean difference (default − this treatment).
         """
         found = stacked(pieces.repetitions, "learned", "reward")
-        default = {(row["cut_kind"], row["num_paths"]): row for row in found if row["treatment"] == DEFAULT}
+        default = {(row["cut_kind"], row["num_trajectories"]): row for row in found if row["treatment"] == DEFAULT}
         rows = []
         for row in found:
-            at: dict[str, Any] = {name: row[name] for name in ("treatment", "cut_kind", "num_paths")}
+            at: dict[str, Any] = {name: row[name] for name in ("treatment", "cut_kind", "num_trajectories")}
             at |= {"cut_share": self.cut_share, "repetitions": len(pieces.repetitions)}
-            gain = default[row["cut_kind"], row["num_paths"]]["reward"] - row["reward"]
+            gain = default[row["cut_kind"], row["num_trajectories"]]["reward"] - row["reward"]
             behind = mean_columns(gain, "behind_default", "se_behind", "behind_low", "behind_high")
             rows.append(at | mean_columns(row["reward"]) | behind)
         return {"figure4": pd.DataFrame(rows)}
@@ -120,7 +128,7 @@ class Censoring:
         claims = claims_of(self, figure4)
         title, draw = _title(self, claims), partial(_draw, self, figure4)
         drawing = Drawing("figure4", "Figure 4", title, _caption(self, figure4), draw)
-        return Section("What becomes of cut paths", (_sentence(self, claims),), (drawing,), (_numbers(figure4),))
+        return Section("What becomes of cut trajectories", (_sentence(self, claims),), (drawing,), (_numbers(figure4),))
 
 
 Claims = dict[CutKind, list[Claim]]
@@ -129,7 +137,7 @@ Claims = dict[CutKind, list[Claim]]
 def claims_of(design: Censoring, figure4: pd.DataFrame) -> Claims:
     """That the default earns more than each other treatment, at one size of log, by kind of cut."""
     claims: Claims = {kind: [] for kind in design.cut_kinds}
-    for row in records(figure4, num_paths=design.compared_num_paths):
+    for row in records(figure4, num_trajectories=design.compared_num_trajectories):
         if row["treatment"] in RIVALS:
             gain = estimate_in(row, "behind_default", "se_behind", int(row["repetitions"]))
             rival = RIVALS[row["treatment"]]
@@ -145,7 +153,7 @@ def _title(design: Censoring, claims: Claims) -> str:
         said = [f"{verb} {listed(rivals[verdict])}" for verdict, verb in verbs.items() if rivals[verdict]]
         kinds.setdefault(" but ".join(said) or "makes no significant difference", []).append(CUT_KIND_NAMES[kind])
     parts = (f"{said} under {listed(names)}" for said, names in kinds.items())
-    return f"From {design.compared_num_paths} paths, imputing what was cut {'; it '.join(parts)}"
+    return f"From {design.compared_num_trajectories} trajectories, imputing what was cut {'; it '.join(parts)}"
 
 
 def _sentence(design: Censoring, claims: Claims) -> str:
@@ -154,7 +162,7 @@ def _sentence(design: Censoring, claims: Claims) -> str:
         gains = [f"{amount(each.gain.value)}, {interval(each.gain.low, each.gain.high)}" for each in of_kind]
         said = (f"than {each.rival}: {each.verdict} ({gain})" for each, gain in zip(of_kind, gains, strict=True))
         parts.append(f"under {CUT_KIND_NAMES[kind]}, {'; '.join(said)}")
-    learned = learned_from(design.compared_num_paths, design.cut_share)
+    learned = learned_from(design.compared_num_trajectories, design.cut_share)
     start = f"By linear eq. 3 without laws, a policy {learned} earns more by imputing what was cut"
     return f"{start} – {'; and '.join(parts)} (paired differences with 95 % intervals, not adjusted)."
 
@@ -163,17 +171,17 @@ def _caption(design: Censoring, figure4: pd.DataFrame) -> str:
     others = figure4[figure4["treatment"] != DEFAULT]
     above, below = int((others["behind_low"] > 0).sum()), int((others["behind_high"] < 0).sum())
     return (
-        "Five treatments of right-censored paths, by linear eq. 3 without laws (it is eq. 3 that treats cuts; laws are "
-        "fitted under censoring whatever it does), learned from the same logs, of which "
-        f"{share_in_words(design.cut_share)} of the paths are cut in expectation, and played on the same episodes; "
-        f"{int(figure4['repetitions'].iloc[0])} repetitions. Above: mean reward, shaded: 95 % intervals (Student’s t). "
-        "Below: paired difference, default − other; an interval that covers 0 shows no significant difference. Of "
-        f"the {len(others)} intervals, {above} above 0 and {below} below; without any effect, about "
+        "Five treatments of right-censored trajectories, by linear eq. 3 without laws (it is eq. 3 that treats cuts; "
+        "laws are fitted under censoring whatever it does), learned from the same logs, of which "
+        f"{share_in_words(design.cut_share)} of the trajectories are cut in expectation, and played on the same "
+        f"episodes; {int(figure4['repetitions'].iloc[0])} repetitions. Above: mean reward, shaded: 95 % intervals "
+        "(Student’s t). Below: paired difference, default − other; an interval that covers 0 shows no significant "
+        f"difference. Of the {len(others)} intervals, {above} above 0 and {below} below; without any effect, about "
         f"{amount(0.05 * len(others), 1)} would miss 0. They are not adjusted for their number. The default "
         "imputes what a cut stage would have brought by a regression on the completed ones, given how long they took, "
         "and goes by lower confidence bounds of Q. The weights assume that cuts are independent of the task; under "
         "cuts that depend on it, 1/Ĝ is misspecified. A cut that "
-        "counts as a failure is a failed attempt that ended its path, with the price of the dirty objects left."
+        "counts as a failure is a failed attempt that ended its trajectory, with the price of the dirty objects left."
     )
 
 
@@ -194,10 +202,10 @@ def _draw(design: Censoring, figure4: pd.DataFrame, title: str) -> Figure:
         write_above(upper, CUT_KIND_NOTES[kind], 31.0, "normal")
         upper.set_title(REWARD_AXIS, **PANEL_TITLE)
         lower.set_title(GAIN_AXIS, **PANEL_TITLE)
-        lower.set_xlabel(PATHS_AXIS)
+        lower.set_xlabel(TRAJECTORIES_AXIS)
         upper.tick_params(labelbottom=True)
-        mark_sizes(upper, design.num_paths)
-        mark_sizes(lower, design.num_paths)
+        mark_sizes(upper, design.num_trajectories)
+        mark_sizes(lower, design.num_trajectories)
     write_legend(figure, named_curves(panels[0, 0]), top - 0.008, ncols=3)
     return figure
 
@@ -212,7 +220,7 @@ def _draw_treatments(
 ) -> None:
     for k, treatment in enumerate(treatments):
         curve = where(rows, treatment=treatment)
-        across = dodged(curve["num_paths"], k, len(treatments), dodge)
+        across = dodged(curve["num_trajectories"], k, len(treatments), dodge)
         colour, marker = TREATMENT_COLOURS[treatment], MARKERS[TREATMENTS.index(treatment)]
         above = 3.0 if treatment == DEFAULT else 2.5
         name = TREATMENT_NAMES[treatment]
@@ -223,7 +231,7 @@ def _numbers(figure4: pd.DataFrame) -> Listing:
     cells = {
         "cuts": lambda row: CUT_KIND_NAMES[row["cut_kind"]],
         "treatment": lambda row: TREATMENT_NAMES[row["treatment"]],
-        "logged paths": lambda row: str(row["num_paths"]),
+        "logged trajectories": lambda row: str(row["num_trajectories"]),
         "reward": lambda row: estimated_in(row, MEAN),
         "default − this": lambda row: MISSING if row["treatment"] == DEFAULT else estimated_in(row, GAIN),
     }

@@ -48,7 +48,7 @@ CUT_KIND: CutKind = "independent"
 NUM_TIMED_STATES, NUM_FITS = 30, 5
 OVER = [f"over_{LEARNED.name}", "over_low", "over_high"]
 STEP = ["over_previous", "over_previous_low", "over_previous_high"]
-SIMULATIONS_AXIS = "simulations a decision, to the end of the path (log scale)"
+SIMULATIONS_AXIS = "simulations a decision, to the end of the trajectory (log scale)"
 HORIZON_AXIS = "planning horizon [steps]"
 
 
@@ -56,17 +56,17 @@ HORIZON_AXIS = "planning horizon [steps]"
 class Planning:
     """Planners by simulations and by horizon.
 
-    `simulations` are those a decision of planners that look to the end of a path, and how many episodes of a repetition
-    each plays. Other planners look `horizons` steps ahead. The learned policy is learned from `num_paths`, of which
-    `cut_share` are cut; by `laws` with the help of laws fitted to the same log. What V° is worth as tables are set is
-    the mean over `num_starts`.
+    `simulations` are those a decision of planners that look to the end of a trajectory, and how many episodes of a
+    repetition each plays. Other planners look `horizons` steps ahead. The learned policy is learned from
+    `num_trajectories`, of which `cut_share` are cut; by `laws` with the help of laws fitted to the same log. What V° is
+    worth as tables are set is the mean over `num_starts`.
     """
 
     simulations: tuple[tuple[int, int], ...] = ((8, 25), (128, 25), (1024, 3))
     horizons: tuple[int, ...] = (1, 2, 3, 4, 5, 6)
     horizon_simulations: int = 128
     horizon_episodes: int = 15
-    num_paths: int = 800
+    num_trajectories: int = 800
     cut_share: float = 1 / 2
     episodes_per_scene: int = 5
     num_starts: int = 100_000
@@ -127,8 +127,10 @@ class Planning:
         return {"index": index, "played": rows}
 
     def _learned(self, source: Source, rate: float) -> Policy:
-        episodes = source.play(self.num_paths)
-        return source.logged(episodes, laws=self.laws).learn_one(source.cut(episodes, rate, CUT_KIND), self.num_paths)
+        episodes = source.play(self.num_trajectories)
+        return source.logged(episodes, laws=self.laws).learn_one(
+            source.cut(episodes, rate, CUT_KIND), self.num_trajectories
+        )
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
         """Make figure2 and figure3.
@@ -142,7 +144,9 @@ class Planning:
         repetitions and episodes; null where there is nothing shorter. ``learning`` has learning_s, measured.
         """
         rewards, times = _rewards(pieces), pieces.measured["decision_ms"]
-        learning = pd.DataFrame({"num_paths": [self.num_paths], "learning_s": [pieces.measured["learning_s"]]})
+        learning = pd.DataFrame(
+            {"num_trajectories": [self.num_trajectories], "learning_s": [pieces.measured["learning_s"]]}
+        )
         figure2, figure3 = _figure2(self, rewards, times), _figure3(self, rewards, times)
         return {"figure2": figure2, "figure3": figure3, "learning": learning}
 
@@ -220,7 +224,7 @@ def most_simulations(design: Planning, figure2: pd.DataFrame) -> Claim:
     size = max(design.by_simulations.values())
     row = row_of(figure2, simulations=size)
     subject = f"Planning with the true model, {counted(size, 'simulation')} a decision,"
-    rival = f"the policy {learned_from(design.num_paths, design.cut_share)[:-1]}"
+    rival = f"the policy {learned_from(design.num_trajectories, design.cut_share)[:-1]}"
     note = f"on the same {counted(int(row['repetitions'] * row['episodes']), 'episode')}"
     return Claim(subject, *VERBS, rival, estimate_in(row, OVER[0], "se_over", int(row["repetitions"])), note=note)
 
@@ -323,7 +327,7 @@ def _numbers(design: Planning, tables: Tables) -> Listing:
     }
     learning_s = significant(tables["learning"]["learning_s"].iloc[0], 2)
     caption = (
-        f"Decision times are medians on one core of this machine; learning from {design.num_paths} paths took "
-        f"{learning_s} s on it, once."
+        f"Decision times are medians on one core of this machine; learning from {design.num_trajectories} trajectories "
+        f"took {learning_s} s on it, once."
     )
     return Listing.of("The numbers of Figures 2 and 3", caption, records(tables["figure2"]), cells)

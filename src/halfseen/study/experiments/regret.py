@@ -41,7 +41,7 @@ NUM_GRIP_NODES = 31
 """Of the grid of grip offsets in the exact world: with so many it is the simulated world, in which logs are made, to
 1e-4 of reward; they cost no states."""
 CUT_KIND: CutKind = "independent"
-REGRET_AXIS = "regret: reward of a path below the optimum, mean over the small tables"
+REGRET_AXIS = "regret: reward of a trajectory below the optimum, mean over the small tables"
 BAR_DODGE = 1.05
 REGRET = ["regret", "se", "low", "high"]
 INTERVAL = ["regret", "low", "high"]
@@ -49,7 +49,7 @@ INTERVAL = ["regret", "low", "high"]
 
 @dataclass(frozen=True)
 class Regret:
-    """Regret on `num_tables` small tables, where a path takes `horizon` steps.
+    """Regret on `num_tables` small tables, where a trajectory takes `horizon` steps.
 
     Policies are learned from logs of each size and proportion of cuts, by `laws` with the help of laws fitted to the
     same log; words tell of `told_cut_share`. Planners look `planner_horizons` steps ahead and are asked in
@@ -58,7 +58,7 @@ class Regret:
 
     num_tables: int = 6
     horizon: int = 6
-    num_paths: tuple[int, ...] = (50, 200, 800)
+    num_trajectories: tuple[int, ...] = (50, 200, 800)
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
     told_cut_share: float = 1 / 2
     planner_horizons: tuple[int, ...] = (1, 2, 3, 6)
@@ -103,17 +103,17 @@ class Regret:
             {"policy": each.name, "regrets": small.regrets(each.policy(small.world), key, self.planner_states)}
             for each in self.planners
         ]
-        episodes = source.play(max(self.num_paths))
-        paths = source.logged(episodes, laws=self.laws)
+        episodes = source.play(max(self.num_trajectories))
+        trajectories = source.logged(episodes, laws=self.laws)
         logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in prepared["rates"]]
-        policies = [one.policy for one in paths.learn(logs, self.num_paths)]
-        places = product(self.num_paths, self.cut_shares)
+        policies = [one.policy for one in trajectories.learn(logs, self.num_trajectories)]
+        places = product(self.num_trajectories, self.cut_shares)
         for (size, cut_share), regrets in zip(places, small.regrets_of(policies), strict=True):
-            rows.append({"policy": LEARNED.name, "num_paths": size, "cut_share": cut_share, "regrets": regrets})
+            rows.append({"policy": LEARNED.name, "num_trajectories": size, "cut_share": cut_share, "regrets": regrets})
         return {"index": index, "rows": rows}
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
-        """Make regret: policy, num_paths, cut_share, regret, se, low, high, regret_share, optimum, repetitions.
+        """Make regret: policy, num_trajectories, cut_share, regret, se, low, high, regret_share, optimum, repetitions.
 
         The standard error is over repetitions: of learned policies, over logs; of planners, over the states in which
         they were asked and their own draws. Heuristics and the optimum are exact: their se is 0 and their repetitions
@@ -165,7 +165,7 @@ class SmallTables:
         return np.transpose(regrets).tolist()
 
     def source(self, index: int = 0) -> Source:
-        """Where paths on them come from."""
+        """Where trajectories on them come from."""
         return Source(self.world, pad_scenes(self.scenes), self.seed, index)
 
 
@@ -185,7 +185,7 @@ def _table(pieces: Pieces) -> pd.DataFrame:
     known = pieces.prepared
     optimum = float(np.mean(known["optimum"]))
     scale = optimum - float(np.mean(known["finish"]))
-    place = ["policy", "num_paths", "cut_share"]
+    place = ["policy", "num_trajectories", "cut_share"]
     rows = []
     for row in stacked(pieces.repetitions, "rows", "regrets"):
         values = row["regrets"].mean(axis=1)
@@ -196,9 +196,9 @@ def _table(pieces: Pieces) -> pd.DataFrame:
     table = pd.DataFrame(rows).assign(optimum=optimum)
     table = table.assign(regret_share=table["regret"] / scale)
     # What was learned comes first, as in the other tables; the order among the others is kept.
-    table = table.sort_values("num_paths", key=pd.isna, kind="stable", ignore_index=True)
+    table = table.sort_values("num_trajectories", key=pd.isna, kind="stable", ignore_index=True)
     table = table.loc[:, [*place, *REGRET, "regret_share", "optimum", "repetitions"]]
-    return table.astype({"num_paths": "Int64", "cut_share": "Float64", "repetitions": "Int64"})
+    return table.astype({"num_trajectories": "Int64", "cut_share": "Float64", "repetitions": "Int64"})
 
 
 def claim_of(design: Regret, table: pd.DataFrame) -> Claim:
@@ -208,7 +208,7 @@ def claim_of(design: Regret, table: pd.DataFrame) -> Claim:
     rule, planner = (float(each["regret"]) for each in (best, _best(design, table, Kind.PLANNER)))
     gain = Estimate(rule - end["regret"], rule - end["high"], rule - end["low"], end["se"], float(end["repetitions"]))
     return Claim(
-        f"The policy {learned_from(int(end['num_paths']), design.told_cut_share)}",
+        f"The policy {learned_from(int(end['num_trajectories']), design.told_cut_share)}",
         "has less regret than",
         "has more regret than",
         f"the best heuristic ({design.contenders[best['policy']].label})",
@@ -218,7 +218,7 @@ def claim_of(design: Regret, table: pd.DataFrame) -> Claim:
 
 
 def _end(design: Regret, table: pd.DataFrame) -> dict[str, Any]:
-    return row_of(table, num_paths=max(design.num_paths), cut_share=design.told_cut_share)
+    return row_of(table, num_trajectories=max(design.num_trajectories), cut_share=design.told_cut_share)
 
 
 def _best(design: Regret, table: pd.DataFrame, kind: Kind) -> dict[str, Any]:
@@ -233,7 +233,7 @@ def _lower(words: str) -> str:
 
 def _draw(design: Regret, table: pd.DataFrame, title: str) -> Figure:
     """Regret against the size of the log."""
-    return draw_by_size(title, REGRET_AXIS, design.num_paths, (1.2, 1.2), partial(_draw_lines, design, table))
+    return draw_by_size(title, REGRET_AXIS, design.num_trajectories, (1.2, 1.2), partial(_draw_lines, design, table))
 
 
 def _draw_lines(design: Regret, table: pd.DataFrame, axes: Axes) -> list[EndLabel]:
@@ -252,7 +252,7 @@ def _draw_lines(design: Regret, table: pd.DataFrame, axes: Axes) -> list[EndLabe
 def _numbers(design: Regret, table: pd.DataFrame) -> Listing:
     cells = {
         "policy": lambda row: design.contenders[row["policy"]].label,
-        "logged paths": lambda row: str(row["num_paths"]) if row["policy"] == LEARNED.name else MISSING,
+        "logged trajectories": lambda row: str(row["num_trajectories"]) if row["policy"] == LEARNED.name else MISSING,
         "cut": lambda row: share(float(row["cut_share"])) if row["policy"] == LEARNED.name else MISSING,
         "regret": lambda row: amount(row["regret"]) if pd.isna(row["repetitions"]) else estimated_in(row, INTERVAL),
         "% of the optimum above FINISH": lambda row: amount(100 * row["regret_share"], 1),

@@ -13,7 +13,7 @@ import numpy as np
 from halfseen.learning.judging import judged
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import fit_q
-from halfseen.learning.rows import PathArrays
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Float
 from halfseen.tables.policy import table_probabilities
 from halfseen.workers.threads import one_thread
@@ -27,7 +27,9 @@ FEWEST = 20
 """Trajectories below which nothing is chosen by them."""
 
 
-def gain_of(policy: Policy, over: Policy, model: QModel, paths: PathArrays, states: TableState) -> tuple[float, float]:
+def gain_of(
+    policy: Policy, over: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
+) -> tuple[float, float]:
     """By how much a policy is worth more than another, and the lower bound of it.
 
     Parameters
@@ -36,15 +38,15 @@ def gain_of(policy: Policy, over: Policy, model: QModel, paths: PathArrays, stat
         The policies.
     model
         Of eq. 3 in the linear class, fitted to the log but for Q.
-    paths, states
+    trajectories, states
         The log.
     """
     from scipy.special import stdtrit
 
-    if paths.num_paths < FEWEST:
+    if trajectories.num_trajectories < FEWEST:
         return 0.0, -np.inf
-    group = np.random.default_rng([model.random_state, 5]).permutation(paths.num_paths) % NUM_GROUPS
-    value, other = (_values(each, model, paths, states, group) for each in (policy, over))
+    group = np.random.default_rng([model.random_state, 5]).permutation(trajectories.num_trajectories) % NUM_GROUPS
+    value, other = (_values(each, model, trajectories, states, group) for each in (policy, over))
     gain = value - other
     without = np.array([gain[k][group != k].mean() for k in range(NUM_GROUPS)])
     error = np.sqrt((NUM_GROUPS - 1) / NUM_GROUPS * np.sum((without - without.mean()) ** 2))
@@ -53,10 +55,10 @@ def gain_of(policy: Policy, over: Policy, model: QModel, paths: PathArrays, stat
 
 
 def _values(
-    policy: Policy, model: QModel, paths: PathArrays, states: TableState, group: np.ndarray
+    policy: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState, group: np.ndarray
 ) -> Float[np.ndarray, "G1 n"]:
     """V̂_1(S_1) of every trajectory, by Qs that were fitted without each group, and last to all."""
-    log = model.transitions(paths)._replace(policy=table_probabilities(policy, states))
+    log = model.transitions(trajectories)._replace(policy=table_probabilities(policy, states))
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
     found = []
     with one_thread():

@@ -17,7 +17,7 @@ from halfseen.arrays import expit
 from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
-from halfseen.learning.rows import PathArrays, stage_places
+from halfseen.learning.rows import TrajectoryArrays, stage_places
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.planners.belief import known_seeing
@@ -217,7 +217,9 @@ class Chosen(NamedTuple):
     why: str
 
 
-def rule_or_linear(rule: RulePolicy, linear: Policy, model: QModel, paths: PathArrays, states: TableState) -> Chosen:
+def rule_or_linear(
+    rule: RulePolicy, linear: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
+) -> Chosen:
     """The rule, or linear eq. 3 where the log clearly speaks for that.
 
     Parameters
@@ -226,10 +228,10 @@ def rule_or_linear(rule: RulePolicy, linear: Policy, model: QModel, paths: PathA
         The two.
     model
         Of linear eq. 3, fitted to the log but for Q.
-    paths, states
+    trajectories, states
         The log, as that model sees it.
     """
-    gain, low = gain_of(linear, rule, model, paths, states)
+    gain, low = gain_of(linear, rule, model, trajectories, states)
     if low > 0.0:
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"
         return Chosen(linear, LINEAR, why)

@@ -66,7 +66,7 @@ def mending_of(told: Labels, law: KnownSeeing, dirty_share: float) -> Mending | 
     dirty_share
         P(DIRTY) before any label.
     """
-    if not len(told.path):
+    if not len(told.trajectory):
         return None
     prior = np.log(dirty_share) - np.log1p(-dirty_share)
     order = np.argsort(told.object, kind="stable")

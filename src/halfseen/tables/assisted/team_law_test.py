@@ -70,9 +70,9 @@ def tested_on_team(
         "dirt": _dirt(config, states, brought, weight),
         "labels": _labels(states, brought, weight),
     }
-    sums = {name: found.sums(logs.num_paths) for name, found in groups.items()}
+    sums = {name: found.sums(logs.num_trajectories) for name, found in groups.items()}
     z = {name: _z(each[:, 0]) for name, each in sums.items()}
-    if logs.num_paths < FEWEST:
+    if logs.num_trajectories < FEWEST:
         return LawTest(0.0, 1.0, z)
     return LawTest(*hotelling(np.concatenate([*sums.values()], axis=1)), z)
 
@@ -85,7 +85,9 @@ def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[n
     """Of attempts whose end was seen; each counts by the weight of the stage in which it ended."""
     tried: Any = attempts(logs)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
-    row = logs.stages.set_index(["path", "stage"]).index.get_indexer(tried.set_index(["path", "stage"]).index)
+    row = logs.stages.set_index(["trajectory", "stage"]).index.get_indexer(
+        tried.set_index(["trajectory", "stage"]).index
+    )
     trajectory, stage, target = stage_places(logs)[0][row], tried["stage"].to_numpy() - 1, begun_objects(logs)[row]
     there = mapped(lambda leaf: leaf[trajectory, stage], states)
     robot, number = tried["robot"].to_numpy(), np.arange(len(row))

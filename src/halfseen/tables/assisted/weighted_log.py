@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.errors import PositivityError
-from halfseen.learning.rows import PathArrays, path_arrays
+from halfseen.learning.rows import TrajectoryArrays, trajectory_arrays
 from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
@@ -42,17 +42,17 @@ def weighted_log(logs: Logs, states: TableState, *, is_team: bool = False) -> We
     """
     action = logged_actions(logs, states.horizon, states.num_objects, is_team=is_team)
     is_possible = np.ones((*action.shape, ActionSpace(states.num_objects).num_actions + is_team), dtype=bool)
-    return weighed(path_arrays(logs, Encoded(np.zeros((*action.shape, 1, 0)), is_possible, action), None), states)
+    return weighed(trajectory_arrays(logs, Encoded(np.zeros((*action.shape, 1, 0)), is_possible, action), None), states)
 
 
-def weighed(paths: PathArrays, states: TableState) -> WeightedLog | str:
+def weighed(trajectories: TrajectoryArrays, states: TableState) -> WeightedLog | str:
     """Weigh the stages of a log that is laid out; or say why that cannot be."""
     targets = Weighted()
     try:
-        weight = targets.weights(paths, targets.fit_cuts(paths.clocks))
+        weight = targets.weights(trajectories, targets.fit_cuts(trajectories.clocks))
     except PositivityError as error:
         return f"the laws are not tested on the log: {error}"
-    return WeightedLog(states, paths.action, paths.reward, weight, paths.is_last)
+    return WeightedLog(states, trajectories.action, trajectories.reward, weight, trajectories.is_last)
 
 
 def layouts_of(states: TableState) -> Layout:

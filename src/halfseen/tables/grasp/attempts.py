@@ -16,7 +16,7 @@ from halfseen.world.log_checks import checked_tables, robots_in
 from halfseen.world.log_rows import FREE, OUT, PARKED
 
 ATTEMPT_VERBS = tuple(verb.name for verb in TARGETED)
-_KEY = ["path", "stage", "object"]
+_KEY = ["trajectory", "stage", "object"]
 _HISTORY = ["occlusion", "successes", "failures"]
 _COLUMNS = [*_KEY, "occlusion", "grip", "successes", "failures", "succeeded", "time_s", "is_finished"]
 
@@ -25,26 +25,26 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
     """List every attempt to WASH or LIFT (any verb with a target) whose end, or cut, was seen.
 
     An attempt lasts until its robot decides again, or is free to. Whether it succeeded shows in the object's counts
-    then. After the last stage of a path there are none: a WASH that ends a path before the horizon has cleared the
-    table, so it succeeded. Of an attempt in stage `horizon`, and of several robots of one's last decision, nobody wrote
-    down what became of it; those attempts are left out, cut ones too. That depends on the number of the decision alone,
-    and so it biases nothing. So is an attempt that was cut the moment it began: it was watched for 0 s. What a robot
-    was at when it dropped out was cut.
+    then. After the last stage of a trajectory there are none: a WASH that ends a trajectory before the horizon has
+    cleared the table, so it succeeded. Of an attempt in stage `horizon`, and of several robots of one's last decision,
+    nobody wrote down what became of it; those attempts are left out, cut ones too. That depends on the number of the
+    decision alone, and so it biases nothing. So is an attempt that was cut the moment it began: it was watched for 0 s.
+    What a robot was at when it dropped out was cut.
 
     Parameters
     ----------
     logs
         A log with objects: columns occlusion, successes, failures, and grip if there is one.
     horizon
-        Stages after which a path of one robot ends by itself; by default the stages of the longest path.
+        Stages after which a trajectory of one robot ends by itself; by default the stages of the longest trajectory.
 
     Returns
     -------
     DataFrame
-        One row an attempt, sorted by path and stage: path, stage, object (a number for each object of each path),
-        occlusion, grip (0 where the log has none), successes and failures (before the attempt), succeeded (null where
-        cut), time_s (duration watched, transport included [s]) and is_finished (False where cut); and robot where there
-        are several.
+        One row an attempt, sorted by trajectory and stage: trajectory, stage, object (a number for each object of each
+        trajectory), occlusion, grip (0 where the log has none), successes and failures (before the attempt), succeeded
+        (null where cut), time_s (duration watched, transport included [s]) and is_finished (False where cut); and robot
+        where there are several.
 
     Raises
     ------
@@ -61,7 +61,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
     rows = pd.DataFrame(rows[~rows["is_last"] & (rows["time_s"] > 0)]).reset_index(drop=True)
     at_end = rows[_KEY].assign(stage=rows["next"]).merge(objects, on=_KEY, how="left")
     succeeded = (_of_team if robots_in(logs) else _of_one)(rows, at_end[_HISTORY[1:]].to_numpy(dtype=np.float64))
-    codes = rows.groupby(["path", "object"], sort=False).ngroup()
+    codes = rows.groupby(["trajectory", "object"], sort=False).ngroup()
     table = rows.assign(succeeded=succeeded, is_finished=succeeded.notna(), object=codes)
     return pd.DataFrame(table[[*_COLUMNS, *(["robot"] if robots_in(logs) else [])]])
 
@@ -80,28 +80,30 @@ class _Ends(NamedTuple):
     stage: Int[np.ndarray, " rows"]
     """The first later one in which the robot is free; 0 where there is none, −1 where it had dropped out by then."""
     after_s: Float[np.ndarray, " rows"]
-    """From the begin of the stage until then, or until the path ended or the robot dropped out [s]."""
+    """From the begin of the stage until then, or until the trajectory ended or the robot dropped out [s]."""
 
 
 def _ends(logs: Logs) -> _Ends:
-    stages, (path, stage) = logs.stages, stage_places(logs)
+    stages, (trajectory, stage) = logs.stages, stage_places(logs)
     row, elapsed_s = np.arange(len(stages)), stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
     begun_s = np.where(stage == 0, 0.0, np.roll(elapsed_s, 1))
     end, robot = row + 1, stages["robot"].to_numpy() if robots_in(logs) else np.zeros(len(row))
-    until_s = np.where(np.isnan(elapsed_s), logs.end_s[path], elapsed_s)[np.searchsorted(path, path, side="right") - 1]
+    until_s = np.where(np.isnan(elapsed_s), logs.end_s[trajectory], elapsed_s)[
+        np.searchsorted(trajectory, trajectory, side="right") - 1
+    ]
     is_out = np.zeros(len(row), dtype=bool)
     for k in range(robots_in(logs)):
         is_idle = np.append(stages[f"{k}_does"].isin([FREE, PARKED, OUT]).to_numpy(), True)
         next_idle = np.flatnonzero(is_idle)[np.searchsorted(np.flatnonzero(is_idle), row, side="right")]
         end = np.where(robot == k, next_idle, end)
-        if f"{k}_out_s" in logs.paths.columns:
+        if f"{k}_out_s" in logs.trajectories.columns:
             was_out = (robot == k) & (np.append(stages[f"{k}_does"] == OUT, False)[end])
-            out_s = logs.paths[f"{k}_out_s"].to_numpy(dtype=np.float64, na_value=np.nan)
-            until_s, is_out = np.where(was_out, out_s[path], until_s), is_out | was_out
-    is_in_path = (np.append(path, -1)[end] == path) & ~is_out
-    end = np.where(is_in_path, end, 0)
-    next_stage = np.where(is_in_path, stage[end] + 1, np.where(is_out, -1, 0))
-    return _Ends(next_stage, np.where(is_in_path, begun_s[end], until_s) - begun_s)
+            out_s = logs.trajectories[f"{k}_out_s"].to_numpy(dtype=np.float64, na_value=np.nan)
+            until_s, is_out = np.where(was_out, out_s[trajectory], until_s), is_out | was_out
+    is_in_trajectory = (np.append(trajectory, -1)[end] == trajectory) & ~is_out
+    end = np.where(is_in_trajectory, end, 0)
+    next_stage = np.where(is_in_trajectory, stage[end] + 1, np.where(is_out, -1, 0))
+    return _Ends(next_stage, np.where(is_in_trajectory, begun_s[end], until_s) - begun_s)
 
 
 def _is_last(logs: Logs, horizon: int | None) -> Bool[np.ndarray, " rows"]:
@@ -121,13 +123,13 @@ def _of_one(rows: pd.DataFrame, counts: Float[np.ndarray, "rows 2"]) -> pd.Serie
     wrong = "successes and failures do not grow by this one attempt until the next stage; mend the counts"
     _refuse(rows, ~is_cut & is_observed & ~is_right, wrong)
     cleared = ~is_cut & (rows["next"] == 0).to_numpy() & (rows["action"] == Verb.WASH.name).to_numpy()
-    unknown = "no later stage tells whether the attempt succeeded; give the horizon if it ended the path"
+    unknown = "no later stage tells whether the attempt succeeded; give the horizon if it ended the trajectory"
     _refuse(rows, ~is_cut & ~is_observed & ~cleared, unknown)
     return pd.Series((is_observed & (gained[:, 0] == 1)) | cleared, dtype="boolean").mask(pd.Series(is_cut))
 
 
 def _of_team(rows: pd.DataFrame, counts: Float[np.ndarray, "rows 2"]) -> pd.Series:
-    """The same of several robots: a clear table ends a path while a WASH is under way, and no other end does."""
+    """The same of several robots: a clear table ends a trajectory while a WASH is under way, and no other end does."""
     was_seen, is_clear = (rows["next"] > 0).to_numpy(), (rows["next"] == 0).to_numpy() & rows["is_clear"].to_numpy()
     held = np.where(was_seen, counts[:, 0] > rows["successes"].to_numpy(), is_clear)
     return pd.Series(held, dtype="boolean").mask(pd.Series(~was_seen & ~is_clear))

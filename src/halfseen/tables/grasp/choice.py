@@ -2,11 +2,11 @@
 
 *Where nothing is said.* A table's features take a grasp to succeed with the share in sight times the rule of succession
 (`halfseen.tables.features`). That needs no data, and is right where what is hidden is hard to grip. A cell in which it
-is not so shows it in its own attempts. So paths are dealt into folds; `BetaGrasp` learns from all but one and foretells
-the attempts of that one, and it is taken only where that at least halves the squared error, beyond noise. To foretell
-a little better is not enough. The share in sight also says how much a look shows and how long an attempt takes, and
-under the assumed laws features with the true probability of a grasp in its place earn less, though their error is a
-fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, they earn more.
+is not so shows it in its own attempts. So trajectories are dealt into folds; `BetaGrasp` learns from all but one and
+foretells the attempts of that one, and it is taken only where that at least halves the squared error, beyond noise. To
+foretell a little better is not enough. The share in sight also says how much a look shows and how long an attempt
+takes, and under the assumed laws features with the true probability of a grasp in its place earn less, though their
+error is a fourth smaller; under the law of the cell, where the Beta leaves a fifth of it, they earn more.
 
 *Where the robots of a team differ.* A Beta of each robot's own attempts is taken (`GraspByRobot`) only where it
 foretells held-out attempts better than one of all, beyond noise.
@@ -110,7 +110,9 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
         # Nobody asked for these weights, and the standard error tells how much they are worth.
         warnings.simplefilter("ignore", HalfseenWarning)
         held = _HeldOut.of(tried)
-        robot = tried["robot"].to_numpy()[held.decided.row] if num_robots > 1 else np.zeros(len(held.path), dtype=int)
+        robot = (
+            tried["robot"].to_numpy()[held.decided.row] if num_robots > 1 else np.zeros(len(held.trajectory), dtype=int)
+        )
         is_of = np.ones((1, len(robot)), dtype=bool)
         if num_robots > 1 and np.bincount(robot, minlength=num_robots).min() >= FEWEST_ATTEMPTS:
             is_of = np.vstack([is_of, robot == np.arange(num_robots)[:, None]])
@@ -131,39 +133,39 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
     )
 
 
-def _is_clear(lead: Float[np.ndarray, " paths"]) -> bool:
+def _is_clear(lead: Float[np.ndarray, " trajectories"]) -> bool:
     return bool(lead.mean() > CLEARLY * lead.std(ddof=1) / np.sqrt(len(lead)))
 
 
 class _HeldOut(NamedTuple):
-    """Decided attempts, whose paths are dealt into folds."""
+    """Decided attempts, whose trajectories are dealt into folds."""
 
     decided: Decided
-    path: RowIds
-    """Rank of each attempt's path."""
+    trajectory: RowIds
+    """Rank of each attempt's trajectory."""
     grip: Rows
 
     @classmethod
     def of(cls, tried: pd.DataFrame) -> "_HeldOut":
         decided = checked_attempts(tried)
-        path = np.unique(tried["path"].to_numpy(), return_inverse=True)[1][decided.row]
-        return cls(decided, path, tried["grip"].to_numpy(dtype=np.float64)[decided.row])
+        trajectory = np.unique(tried["trajectory"].to_numpy(), return_inverse=True)[1][decided.row]
+        return cls(decided, trajectory, tried["grip"].to_numpy(dtype=np.float64)[decided.row])
 
     def fitted(self, is_of: Bool[np.ndarray, "G n"]) -> Float[np.ndarray, "G V 3"]:
-        """Fit to each of some groups of attempts: without the paths of each fold, and, last, to all."""
-        is_kept = np.vstack([self.path % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None], np.ones_like(is_of[:1])])
+        """Fit to each of some groups of attempts: without the trajectories of each fold, and, last, to all."""
+        is_kept = np.vstack([self.trajectory % NUM_FOLDS != np.arange(NUM_FOLDS)[:, None], np.ones_like(is_of[:1])])
         weight = (is_of[:, None] & is_kept) * self.decided.weight
-        return fitted_thetas(self.decided, weight.reshape(-1, len(self.path))).reshape(*weight.shape[:2], -1)
+        return fitted_thetas(self.decided, weight.reshape(-1, len(self.trajectory))).reshape(*weight.shape[:2], -1)
 
     def said(self, folds: Float[np.ndarray, "V 3"]) -> Rows:
         """What is foretold of each attempt by the fit without its fold."""
         said = np.stack([predictive(theta, self.decided.history) for theta in folds])
-        return said[self.path % NUM_FOLDS, np.arange(len(self.path))]
+        return said[self.trajectory % NUM_FOLDS, np.arange(len(self.trajectory))]
 
-    def errors(self, said: Rows) -> Float[np.ndarray, " paths"]:
-        """Squared errors, weighted and summed over the attempts of each path."""
+    def errors(self, said: Rows) -> Float[np.ndarray, " trajectories"]:
+        """Squared errors, weighted and summed over the attempts of each trajectory."""
         squared = self.decided.weight * np.square(said - self.decided.succeeded)
-        return np.bincount(self.path, squared, self.path.max() + 1)
+        return np.bincount(self.trajectory, squared, self.trajectory.max() + 1)
 
     def table(self, theta: Theta, mine: RowMask, horizon: int) -> GraspTable:
         """Tabulate a fit to some attempts, with what their grips count beside it."""

@@ -135,7 +135,7 @@ IN_FULL = GripEffect(per_grip=1.0)
 
 
 def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) -> GraspTable:
-    """Ask a fitted model for all probabilities that a path of `horizon` stages can need.
+    """Ask a fitted model for all probabilities that a trajectory of `horizon` stages can need.
 
     Parameters
     ----------
@@ -152,7 +152,7 @@ def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) 
         `horizon` is below 1, or the model gives no probabilities.
     """
     if horizon < 1:
-        raise ArgumentError(f"horizon is {horizon}; a path has at least 1 stage")
+        raise ArgumentError(f"horizon is {horizon}; a trajectory has at least 1 stage")
     asked = every_history(horizon)
     probabilities = model.predict_proba(asked._asdict())[:, 1]
     wrong = ~((probabilities >= 0) & (probabilities <= 1))
@@ -165,7 +165,7 @@ def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) 
 
 
 def every_history(horizon: int) -> History:
-    """All that a path of `horizon` stages can tell of an object, occlusions in steps."""
+    """All that a trajectory of `horizon` stages can tell of an object, occlusions in steps."""
     level, successes, failures = (axis.ravel() for axis in np.indices(_shape(horizon)))
     return History(level / (NUM_OCCLUSIONS - 1), successes.astype(np.float64), failures.astype(np.float64))
 

@@ -1,8 +1,8 @@
-"""A world whose laws were fitted to the same logged paths that a policy is learned from: what a fair planner knows.
+"""A world whose laws were fitted to the log that a policy is learned from: what a fair planner knows.
 
 A planner that knows the true laws is an oracle; who runs a cell has no true law. She knows what she pays for, how many
-steps a path may have, how long transport takes and when an attempt is given up; and she has the log. It tells of which
-family the laws are, too.
+steps a trajectory may have, how long transport takes and when an attempt is given up; and she has the log. It tells of
+which family the laws are, too.
 
 Read down: `evidence` (logs → attempts, as far as each was watched, and what looks said; what all fits maximise) →
 `grasping` and `seeing`, two families of laws each → `recorder` (whose law made the log-odds); and `prices`.
@@ -86,9 +86,9 @@ def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | Non
     grasping = choose_grasping(evidence.tried, limit_s, None if prior is None else prior.grasping)
     seen = seeing_of(told, evidence.dirty_share, None if prior is None else known_seeing(prior))
     config = replace(known, dirty_share=evidence.dirty_share, grasping=grasping, seeing=seen.law)
-    is_mended = len(told.path) > 0 and (seen.recorder is None or seen.is_rejected)
+    is_mended = len(told.trajectory) > 0 and (seen.recorder is None or seen.is_rejected)
     family = "looks that show nothing new are no news" if told.is_persistent else "each look is news"
-    if not len(told.path):
+    if not len(told.trajectory):
         how = "no label tells how looks err"
     elif seen.recorder is None:
         how = f"no one law of seeing made the log’s log-odds: it is fitted to the labels ({family}), log-odds made anew"

@@ -34,10 +34,10 @@ NO_NEWS = 1e-4
 class Watched(NamedTuple):
     """Attempts, each as far as it was watched; n of them."""
 
-    path: RowIds
-    """Rank of its path in the log."""
+    trajectory: RowIds
+    """Rank of its trajectory in the log."""
     object: RowIds
-    """Number of the object; none stands in two paths."""
+    """Number of the object; none stands in two trajectories."""
     occlusion: Rows
     """Hidden share when it began, in [0, 1]."""
     grip: Rows
@@ -52,10 +52,10 @@ class Watched(NamedTuple):
 class Labels(NamedTuple):
     """Labels that were news; n of them."""
 
-    path: RowIds
-    """Rank of its path in the log."""
+    trajectory: RowIds
+    """Rank of its trajectory in the log."""
     object: RowIds
-    """Number of the object; none stands in two paths."""
+    """Number of the object; none stands in two trajectories."""
     occlusion: Rows
     """Hidden share in the look that it comes from; 0 of what is held up."""
     is_held: RowMask
@@ -78,9 +78,9 @@ class Labels(NamedTuple):
         return bool(self.seen_after.any())
 
 
-def of_first(told: Any, num_paths: int) -> Any:
-    """Keep what the first paths tell, of `Watched` or `Labels`."""
-    kept = told.path < num_paths
+def of_first(told: Any, num_trajectories: int) -> Any:
+    """Keep what the first trajectories tell, of `Watched` or `Labels`."""
+    kept = told.trajectory < num_trajectories
     return type(told)(*(values[kept] for values in told))
 
 
@@ -92,13 +92,13 @@ class Evidence(NamedTuple):
     dirty_share: float
     """P(DIRTY) of an object before any label, which the log-odds started from."""
 
-    def first(self, num_paths: int) -> "Evidence":
-        """Keep what the first paths tell; the share of dirty objects is the recorder's."""
-        return self._replace(tried=of_first(self.tried, num_paths), told=of_first(self.told, num_paths))
+    def first(self, num_trajectories: int) -> "Evidence":
+        """Keep what the first trajectories tell; the share of dirty objects is the recorder's."""
+        return self._replace(tried=of_first(self.tried, num_trajectories), told=of_first(self.told, num_trajectories))
 
 
 def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
-    """Read a log, once for all numbers of its paths.
+    """Read a log, once for all numbers of its trajectories.
 
     Parameters
     ----------
@@ -114,17 +114,17 @@ def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
         As `states_of` and `attempts` do.
     """
     dirty_share, tried = logged_dirty_share(logs), attempts(logs, known.horizon)
-    path = pd.Index(logs.path_ids).get_indexer(tried["path"]).astype(np.int64)
+    trajectory = pd.Index(logs.trajectory_ids).get_indexer(tried["trajectory"]).astype(np.int64)
     is_held = tried["succeeded"].fillna(False).to_numpy(dtype=bool)
-    row = np.searchsorted(stage_places(logs)[0], path) + tried["stage"].to_numpy() - 1
+    row = np.searchsorted(stage_places(logs)[0], trajectory) + tried["stage"].to_numpy() - 1
     return Evidence(
-        _watched(tried, path, is_held, known),
-        _labels(logs, known, dirty_share, path[is_held], row[is_held]),
+        _watched(tried, trajectory, is_held, known),
+        _labels(logs, known, dirty_share, trajectory[is_held], row[is_held]),
         dirty_share,
     )
 
 
-def _watched(tried: pd.DataFrame, path: RowIds, is_held: RowMask, known: WorldConfig) -> Watched:
+def _watched(tried: pd.DataFrame, trajectory: RowIds, is_held: RowMask, known: WorldConfig) -> Watched:
     """All attempts, the cut ones included.
 
     An attempt comes before its transport. So one that was cut when its stage had lasted c seconds had not ended within
@@ -137,10 +137,10 @@ def _watched(tried: pd.DataFrame, path: RowIds, is_held: RowMask, known: WorldCo
     speed = np.asarray(known.speed, dtype=np.float64)[tried["robot"]] if "robot" in tried.columns else 1.0
     until_s = np.clip(time_s * speed - float(known.transport_s), 0.0, limit_s)
     watched_s = np.where(is_missed & (until_s >= AT_LIMIT * limit_s), limit_s, until_s)
-    return Watched(path, tried["object"].to_numpy(dtype=np.int64), occlusion, grip, watched_s, is_held, is_missed)
+    return Watched(trajectory, tried["object"].to_numpy(dtype=np.int64), occlusion, grip, watched_s, is_held, is_missed)
 
 
-def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowIds, held_row: RowIds) -> Labels:
+def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_trajectory: RowIds, held_row: RowIds) -> Labels:
     """What every look said: DIRTY where it raised the log-odds, the other where it lowered them.
 
     By how much the recorder let them move is its own belief in its labels (`recorder`). A look that moved nothing
@@ -154,37 +154,37 @@ def _labels(logs: Logs, known: WorldConfig, dirty_share: float, held_path: RowId
     shows_more = np.diff(states.seen, axis=1, prepend=0.0) > SAME_VIEW
     is_news = ((np.abs(moved) > NO_NEWS) | shows_more) & states.is_on_table
     if states.robots is None:
-        was = _shown(logs, known, held_path, held_row, (len(states.lifts), states.num_objects))
+        was = _shown(logs, known, held_trajectory, held_row, (len(states.lifts), states.num_objects))
     else:
         is_counted = is_plain_look(states)[..., None]
         # What is washed depends on what looks said that are left out, so that it tells nothing of those objects.
         was = shown_by_washing(brought_by(logs, states), known) & ~np.any(is_news & ~is_counted, axis=1)
         is_news = is_news & is_counted
-    path, stage, target = at = np.nonzero(is_news)
+    trajectory, stage, target = at = np.nonzero(is_news)
     seen = states.seen.astype(np.float64)
     return Labels(
-        path=path,
-        object=path * states.num_objects + target,
+        trajectory=trajectory,
+        object=trajectory * states.num_objects + target,
         occlusion=_occluded(states, is_held)[at].astype(np.float64),
         is_held=is_held[at],
-        seen=np.where(stage > 0, seen[path, stage - 1, target], 0.0),
+        seen=np.where(stage > 0, seen[trajectory, stage - 1, target], 0.0),
         seen_after=seen[at],
         says_dirty=moved[at] > NO_NEWS,
-        was_dirty=was[0, path, target],
-        was_clean=was[1, path, target],
+        was_dirty=was[0, trajectory, target],
+        was_clean=was[1, trajectory, target],
         moved=moved[at].astype(np.float64),
     )
 
 
 def _shown(
-    logs: Logs, known: WorldConfig, held_path: RowIds, held_row: RowIds, shape: tuple[int, int]
-) -> Bool[np.ndarray, "2 paths N"]:
+    logs: Logs, known: WorldConfig, held_trajectory: RowIds, held_row: RowIds, shape: tuple[int, int]
+) -> Bool[np.ndarray, "2 trajectories N"]:
     """Which objects washing showed to be dirty, and which clean."""
     was = np.zeros((2, *shape), dtype=bool)
     is_wash = (logs.stages["action"] == Verb.WASH.name).to_numpy(dtype=bool)[held_row]
     paid = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)[held_row]
     is_clean = np.abs(paid - known.reward_wash_dirty) >= np.abs(paid - known.reward_wash_clean)
-    was[is_clean[is_wash].astype(np.int64), held_path[is_wash], begun_objects(logs)[held_row[is_wash]]] = True
+    was[is_clean[is_wash].astype(np.int64), held_trajectory[is_wash], begun_objects(logs)[held_row[is_wash]]] = True
     return was
 
 

@@ -43,7 +43,7 @@ def paid_in(logs: Logs, horizon: int, left: Rows) -> WorldConfig:
     reward = stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)
     action = stages["action"].to_numpy(dtype=object)
     seconds = _durations(logs)
-    is_over = ~(stages["path"] == stages["path"].shift(-1)).to_numpy()
+    is_over = ~(stages["trajectory"] == stages["trajectory"].shift(-1)).to_numpy()
     done = np.isfinite(reward)
     found: dict[str, float] = {}
     finished = done & (action == Verb.FINISH.name)
@@ -67,7 +67,7 @@ def paid_in(logs: Logs, horizon: int, left: Rows) -> WorldConfig:
 
 def _durations(logs: Logs) -> Float[np.ndarray, " rows"]:
     elapsed = logs.stages["elapsed_s"]
-    before = elapsed.groupby(logs.stages["path"]).shift(fill_value=0.0)
+    before = elapsed.groupby(logs.stages["trajectory"]).shift(fill_value=0.0)
     return (elapsed - before).to_numpy(dtype=np.float64, na_value=np.nan)
 
 
@@ -92,8 +92,8 @@ def _washed(logs: Logs, horizon: int, reward: Rows, action: np.ndarray, is_over:
     """Rewards of WASH: of what was dirty, of what was clean, and of a miss."""
     tried: Any = attempts(logs, horizon)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
-    keys: Any = logs.stages[["path", "stage"]]
-    row = pd.MultiIndex.from_frame(keys).get_indexer(pd.MultiIndex.from_frame(tried[["path", "stage"]]))
+    keys: Any = logs.stages[["trajectory", "stage"]]
+    row = pd.MultiIndex.from_frame(keys).get_indexer(pd.MultiIndex.from_frame(tried[["trajectory", "stage"]]))
     is_wash = (action[row] == Verb.WASH.name) & np.isfinite(reward[row])
     held = tried["succeeded"].fillna(False).to_numpy(dtype=bool)
     paid_held, paid_missed = reward[row[is_wash & held & ~is_over[row]]], reward[row[is_wash & ~held & ~is_over[row]]]

@@ -128,7 +128,7 @@ def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None
     about = None if known is None else plain.theta_of(known)
     unaided = plain.prior if about is None else Prior(about, SPREAD)
     each = ((family, read_back(told, family.law, family.prior.mode, family.bounds)) for family in families)
-    found = next((pair for pair in each if pair[1].is_consistent), None) if len(told.path) else None
+    found = next((pair for pair in each if pair[1].is_consistent), None) if len(told.trajectory) else None
     if found is None:
         return SeenBy(plain.law(plain.fitted(unaided)), None)
     family, recorder = found

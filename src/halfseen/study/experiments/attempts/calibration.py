@@ -37,7 +37,7 @@ def calibration_of(tried: pd.DataFrame, repetitions: Sequence[PieceOf]) -> pd.Da
     kept = np.flatnonzero(num)
     mean = {name: values[kept] / num[kept] for name, values in sums.items()}
     met = tried.iloc[kept]
-    held, tables = met["succeeded"].to_numpy(dtype=bool), met["path"].to_numpy()
+    held, tables = met["succeeded"].to_numpy(dtype=bool), met["trajectory"].to_numpy()
     lines = []
     for model in MODEL_NAMES:
         by_prediction, edges = _alike(mean[model])

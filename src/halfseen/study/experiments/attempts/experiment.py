@@ -45,11 +45,11 @@ class Attempts(AttemptsDesign):
         if COMPLETED not in prepared:
             return {"index": index}
         tried = frame_of(prepared[COMPLETED])
-        tables = np.unique(tried["path"].to_numpy())
+        tables = np.unique(tried["trajectory"].to_numpy())
         split = split_of(self, tables, setting.seed, index)
         held_out = _at(tried, split.held_out)
         decided = checked_attempts(held_out)
-        table = np.searchsorted(split.held_out, held_out["path"].to_numpy()[decided.row])
+        table = np.searchsorted(split.held_out, held_out["trajectory"].to_numpy()[decided.row])
         scores: list[dict[str, Any]] = []
         said: dict[str, list[float]] = {}
         for size in sizes_of(self, len(tables)):
@@ -77,7 +77,7 @@ class Attempts(AttemptsDesign):
 
 def _at(tried: pd.DataFrame, tables: Int[np.ndarray, " t"]) -> pd.DataFrame:
     """Attempts at these tables."""
-    return pd.DataFrame(tried[np.isin(tried["path"].to_numpy(), tables)])
+    return pd.DataFrame(tried[np.isin(tried["trajectory"].to_numpy(), tables)])
 
 
 def losses_of(probability: Rows, succeeded: RowMask) -> dict[str, Rows]:

@@ -30,7 +30,7 @@ def counts_of(planner: str, source: Source) -> dict[str, Any]:
     """Say what was tried."""
     tried, fit = frame_of(source), fit_of(source)
     held = int(tried["succeeded"].sum())
-    counts = {"tables": tried["path"].nunique(), "decided": fit.num_decided, "cut": fit.num_cut, "held": held}
+    counts = {"tables": tried["trajectory"].nunique(), "decided": fit.num_decided, "cut": fit.num_cut, "held": held}
     return {"planner": planner} | counts
 
 
@@ -39,7 +39,7 @@ def held_by_occlusion(planner: str, tried: pd.DataFrame) -> list[dict[str, Any]]
     decided = checked_attempts(tried)
     met = tried.iloc[decided.row]
     is_lying, lines = met["is_lying"].to_numpy(dtype=bool), []
-    occlusion, tables = met["occlusion"].to_numpy(), met["path"].to_numpy()
+    occlusion, tables = met["occlusion"].to_numpy(), met["trajectory"].to_numpy()
     for lies in (False, True):
         rows = is_lying == lies
         groups, nothing = occlusion_bins(occlusion[rows]), np.zeros(int(rows.sum()))

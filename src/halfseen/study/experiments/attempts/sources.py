@@ -13,7 +13,7 @@ from halfseen.cell.calibration.trials import FACTS, trials
 from halfseen.logs import read_logs
 
 COLUMNS = (
-    "path",
+    "trajectory",
     "stage",
     "object",
     "occlusion",

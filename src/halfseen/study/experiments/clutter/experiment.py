@@ -33,7 +33,8 @@ class Clutter(ClutterDesign):
     def prepare(self, setting: Setting) -> PieceOf:
         """Calibrate the cuts at each place, from a pilot of its own."""
         pilots = (
-            self._source(setting, place, 0).play(self.num_paths, MAP_SEED + PILOT) for place in self.places(setting)
+            self._source(setting, place, 0).play(self.num_trajectories, MAP_SEED + PILOT)
+            for place in self.places(setting)
         )
         return {"rates": [cut_rate(pilot, self.cut_share, CUT_KIND) for pilot in pilots]}
 
@@ -49,9 +50,9 @@ class Clutter(ClutterDesign):
         call serves all places.
         """
         source = self._source(setting, place, index)
-        episodes = source.play(self.num_paths, MAP_SEED + LOGS)
+        episodes = source.play(self.num_trajectories, MAP_SEED + LOGS)
         cuts = source.cut(episodes, rate, CUT_KIND)
-        learned = source.logged(episodes, laws=self.laws).learn_one(cuts, self.num_paths)
+        learned = source.logged(episodes, laws=self.laws).learn_one(cuts, self.num_trajectories)
         policies = {LEARNED.name: learned} | {each.name: each.policy(source.world) for each in HEURISTICS}
         num_episodes = self.num_tables * self.episodes_per_table
         rewards = {
@@ -86,7 +87,7 @@ LABEL_WORDS = {"gain": "how often a label is right in full view", "facing": "the
 def _caption(design: ClutterDesign, setting: Setting, table: pd.DataFrame) -> str:
     assumed = "" if setting.law is None else " Assumed laws: those that this project chose before a cell was tried."
     return (
-        f"In each field: what the policy learned from {design.num_paths} paths, of which "
+        f"In each field: what the policy learned from {design.num_trajectories} trajectories, of which "
         f"{share_in_words(design.cut_share)} are cut in expectation, gains over the best of the four heuristics, as a "
         "share of what that heuristic earns above FINISH at once (which leaves every dirty object). The best heuristic "
         "is chosen with hindsight on the very episodes of the comparison, which favours it, and knows the true world. "

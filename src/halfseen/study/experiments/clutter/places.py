@@ -90,10 +90,10 @@ class ClutterDesign:
     """The map: at every clutter the world's own numbers, and each of the variations below by itself.
 
     Clutter is the number of objects N and the mean hidden share of an object. In each repetition, policies are learned
-    from `num_paths` over `num_tables` random tables, `cut_share` of them cut, independently of the task; by `laws` with
-    the help of laws fitted to the same log. Learning is worth it where it gains more than `worthwhile_share` of what
-    the best heuristic earns above FINISH at once. Scales multiply the world's own number of labels and spread of grip
-    offsets.
+    from `num_trajectories` over `num_tables` random tables, `cut_share` of them cut, independently of the task; by
+    `laws` with the help of laws fitted to the same log. Learning is worth it where it gains more than
+    `worthwhile_share` of what the best heuristic earns above FINISH at once. Scales multiply the world's own number of
+    labels and spread of grip offsets.
     """
 
     num_objects: tuple[int, ...] = (3, 6, 9)
@@ -101,7 +101,7 @@ class ClutterDesign:
     label_scales: tuple[float, ...] = (0.5, 1.0, 1.5)
     wash_clean_rewards: tuple[float, ...] = (-5.0, -10.0, -20.0)
     grip_scales: tuple[float, ...] = (0.5, 1.0, 1.5)
-    num_paths: int = 200
+    num_trajectories: int = 200
     cut_share: float = 1 / 2
     num_tables: int = 20
     episodes_per_table: int = 10

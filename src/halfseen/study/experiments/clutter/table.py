@@ -43,8 +43,8 @@ def table_of(design: ClutterDesign, world: WorldConfig, pieces: Sequence[Mapping
 
     The best heuristic of a place is that of the four with the largest mean reward on the very episodes of the
     comparison: it is chosen with hindsight, which favours it.
-    Columns are num_objects, occlusion, labels, reward_wash_clean, grip_offset_std, is_assumed, num_paths, cut_share,
-    repetitions, censored_q, best_heuristic, heuristic_reward, finish_reward, gain, gain_se, gain_share,
+    Columns are num_objects, occlusion, labels, reward_wash_clean, grip_offset_std, is_assumed, num_trajectories,
+    cut_share, repetitions, censored_q, best_heuristic, heuristic_reward, finish_reward, gain, gain_se, gain_share,
     gain_share_low, gain_share_high and verdict.
     """
     rows = []
@@ -64,7 +64,7 @@ def _row(
     share = gain_share(learned - rule, rule - finish, NEXT_TO_NOTHING * abs(finish))
     gain = over_repetitions(learned - rule)
     return asdict(place) | {
-        "num_paths": design.num_paths,
+        "num_trajectories": design.num_trajectories,
         "cut_share": design.cut_share,
         "repetitions": len(learned),
         LEARNED.name: float(learned.mean()),

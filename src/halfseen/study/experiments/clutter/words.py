@@ -49,10 +49,10 @@ def map_sentence(table: pd.DataFrame, design: ClutterDesign, world: WorldConfig)
     lost = int((table["gain_share_high"] < 0).sum())
     undecided, unscaled = (_count(table, verdict) for verdict in (UNDECIDED, NO_SCALE))
     return (
-        f"{map_title(table, world)}. It pays where the policy {learned_from(design.num_paths, design.cut_share)} gains "
-        f"more than {bound}, and the heuristic is good enough where it gains less (a loss in {lost} places); "
-        f"{undecided} places are inconclusive, and in {unscaled} the heuristic earns next to nothing above finishing at"
-        " once."
+        f"{map_title(table, world)}. It pays where the policy "
+        f"{learned_from(design.num_trajectories, design.cut_share)} gains more than {bound}, and the heuristic is good "
+        f"enough where it gains less (a loss in {lost} places); {undecided} places are inconclusive, and in {unscaled} "
+        "the heuristic earns next to nothing above finishing at once."
     )
 
 

@@ -28,13 +28,13 @@ NUM_BINS = 10
 
 @dataclass(frozen=True)
 class GraspDesign:
-    """Models of the probability of a grasp, learned from logs of `num_paths`, of which `cut_share` are cut.
+    """Models of the probability of a grasp, learned from logs of `num_trajectories`, of which `cut_share` are cut.
 
-    All are scored on fresh paths, some six attempts each: on as many as were learned from, `most_held_out` at most.
-    What V° is worth as tables are set is the mean over `num_starts`.
+    All are scored on fresh trajectories, some six attempts each: on as many as were learned from, `most_held_out` at
+    most. What V° is worth as tables are set is the mean over `num_starts`.
     """
 
-    num_paths: tuple[int, ...] = (50, 200, 800)
+    num_trajectories: tuple[int, ...] = (50, 200, 800)
     cut_share: float = 1 / 2
     most_held_out: int = 400
     episodes_per_scene: int = 5

@@ -1,7 +1,7 @@
 """One repetition: from a log, cut as in Table 1, each model learns the probability of a grasp.
 
-It is scored on the attempts of fresh paths that nothing cut, and serves in the strongest heuristic and in the features
-of linear eq. 3: without laws, as laws that are fitted to the log have a grasp of their own.
+It is scored on the attempts of fresh trajectories that nothing cut, and serves in the strongest heuristic and in the
+features of linear eq. 3: without laws, as laws that are fitted to the log have a grasp of their own.
 """
 
 from collections.abc import Mapping
@@ -74,7 +74,7 @@ class Grasp(GraspDesign):
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Learn, score and play: one row for each model and size of log."""
         source = Source.of(setting, index)
-        log = source.cut(source.play(max(self.num_paths)), prepared["rate"], CUT_KIND)
+        log = source.cut(source.play(max(self.num_trajectories)), prepared["rate"], CUT_KIND)
         tried = attempts(to_logs(log, CUT_KIND, setting.scenes), setting.world.horizon)
         held_out, oracle = self._held_out(setting, source)
         succeeded = held_out["succeeded"].to_numpy(dtype=bool)
@@ -82,16 +82,16 @@ class Grasp(GraspDesign):
         learners: list[Policy] = []
         rules: list[Policy] = []
         knowing: Any = STRONGEST_RULE.policy(setting.world)
-        for size in self.num_paths:
-            known = pd.DataFrame(tried[tried["path"] < size])
+        for size in self.num_trajectories:
+            known = pd.DataFrame(tried[tried["trajectory"] < size])
             estimators = _fitted(known)
             for name in MODEL_NAMES:
                 said = oracle if name == ORACLE else estimators[name].predict_proba(held_out)[:, 1]
                 stands_in = name == CLAIMED and not can_hold_out(known)
-                rows.append({"model": name, "num_paths": size, "stands_in": stands_in} | scored(said, succeeded))
+                rows.append({"model": name, "num_trajectories": size, "stands_in": stands_in} | scored(said, succeeded))
                 grasp = _inside(setting, estimators, name, known)
-                paths = source.logged(log.episodes, None if name == SUCCESSION else grasp, laws=False)
-                learners.append(paths.learn_one(log, size))
+                trajectories = source.logged(log.episodes, None if name == SUCCESSION else grasp, laws=False)
+                learners.append(trajectories.learn_one(log, size))
                 rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
         for measure, policies in zip(REWARDS, (learners, rules), strict=True):
@@ -101,11 +101,11 @@ class Grasp(GraspDesign):
         return {"index": index, "grasp": rows}
 
     def _held_out(self, setting: Setting, source: Source) -> tuple[pd.DataFrame, Float[np.ndarray, " m"]]:
-        """Attempts of fresh paths that nothing cut, and the true probability of each given the object's history."""
-        episodes = source.play(min(max(self.num_paths), self.most_held_out), HELD_OUT)
+        """Attempts of fresh uncut trajectories, and the true probability of each given the object's history."""
+        episodes = source.play(min(max(self.num_trajectories), self.most_held_out), HELD_OUT)
         uncut = cut(episodes, 0.0, CUT_KIND, np.random.default_rng(0))
         table = attempts(to_logs(uncut, CUT_KIND, setting.scenes), setting.world.horizon)
-        at = table["path"].to_numpy(), table["stage"].to_numpy() - 1
+        at = table["trajectory"].to_numpy(), table["stage"].to_numpy() - 1
         target = ActionSpace(episodes.states.num_objects).target(np.asarray(episodes.action)[at])
         said = TrueGrasp(setting.world).probability(episodes.states).astype(np.float64)
         return table, said[*at, target]

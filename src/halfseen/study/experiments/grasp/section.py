@@ -51,7 +51,7 @@ VERBS = {
 FITTED = (RIVAL, "beta-dropped", CLAIMED)
 FEWEST_SHOWN = 100
 """Attempts below which a bin of predicted probabilities is not drawn."""
-SIZES_AXIS = "logged paths that the model was learned from (log scale)"
+SIZES_AXIS = "logged trajectories that the model was learned from (log scale)"
 BAR_DODGE = 1.10
 
 
@@ -72,8 +72,8 @@ def section_of(design: GraspDesign, setting: Setting, tables: Tables) -> Section
 
 def claim_of(design: GraspDesign, setting: Setting, tests: pd.DataFrame, measure: str) -> Claim:
     """The paper's claim on a measure, from the largest log."""
-    largest = max(design.num_paths)
-    row = row_of(tests, measure=measure, num_paths=largest)
+    largest = max(design.num_trajectories)
+    row = row_of(tests, measure=measure, num_trajectories=largest)
     asserted, denied, note = VERBS[measure]
     subject, rival = f"An SVM {learned_from(largest, design.cut_share)}", "the mean of a Beta"
     test = gain_in(row), float(row["p_holm"]), setting.alpha
@@ -82,25 +82,25 @@ def claim_of(design: GraspDesign, setting: Setting, tests: pd.DataFrame, measure
 
 def _title(tests: pd.DataFrame) -> str:
     rows = records(tests, measure=SCORE)
-    won = [str(row["num_paths"]) for row in rows if verdict_of(row) == SUPPORTED]
+    won = [str(row["num_trajectories"]) for row in rows if verdict_of(row) == SUPPORTED]
     if len(won) == len(rows):
         return "The SVM predicts grasps better than the Beta mean, from logs of every size"
     if won:
-        return f"The SVM predicts grasps better than the Beta mean from {listed(won)} paths alone"
+        return f"The SVM predicts grasps better than the Beta mean from {listed(won)} trajectories alone"
     return "The SVM does not predict grasps significantly better than the Beta mean"
 
 
 def _caption(design: GraspDesign, grasp: pd.DataFrame) -> str:
     return (
         "Models of the probability of a grasp, learned from the attempts of logs of which "
-        f"{share_in_words(design.cut_share)} of the paths are cut in expectation; {int(grasp['repetitions'].iloc[0])} "
-        "repetitions. The Beta mean and the SVM weight decided attempts by 1/Ĝ, as a cut is likelier in a long "
-        "attempt, and long ones fail; for comparison, the Beta mean with cut attempts dropped. The true model knows "
-        "how occlusion slows a grasp, and integrates out the grip of each object given all its attempts. Bars and "
-        "bands: 95 % intervals (Student’s t) of paired differences from the true model. Upper right: calibration, "
-        f"where at least {FEWEST_SHOWN} attempts were predicted so. Below: the model within the features of "
-        "linear eq. 3 (laws that are fitted to the log would have a grasp of their own), where the rule of succession "
-        "stands for the usual features, and within the heuristic that "
+        f"{share_in_words(design.cut_share)} of the trajectories are cut in expectation; "
+        f"{int(grasp['repetitions'].iloc[0])} repetitions. The Beta mean and the SVM weight decided attempts by 1/Ĝ, "
+        "as a cut is likelier in a long attempt, and long ones fail; for comparison, the Beta mean with cut attempts "
+        "dropped. The true model knows how occlusion slows a grasp, and integrates out the grip of each object given "
+        "all its attempts. Bars and bands: 95 % intervals (Student’s t) of paired differences from the true model. "
+        f"Upper right: calibration, where at least {FEWEST_SHOWN} attempts were predicted so. Below: the model within "
+        "the features of linear eq. 3 (laws that are fitted to the log would have a grasp of their own), where the "
+        "rule of succession stands for the usual features, and within the heuristic that "
         f"knows the rest of the world ({STRONGEST_RULE.label}).{_stood_in(grasp)}"
     )
 
@@ -151,24 +151,24 @@ def _draw_differences(
     columns = [f"{measure}_over_oracle{end}" for end in ("", "_low", "_high")]
     for k, model in enumerate(models):
         rows = where(grasp, model=model)
-        draw_bars(axes, dodged(rows["num_paths"], k, len(models), BAR_DODGE), rows[columns], **_look(model))
-    mark_sizes(axes, design.num_paths)
+        draw_bars(axes, dodged(rows["num_trajectories"], k, len(models), BAR_DODGE), rows[columns], **_look(model))
+    mark_sizes(axes, design.num_trajectories)
     axes.set_xlabel(SIZES_AXIS)
 
 
 def _draw_calibration(axes: Axes, design: GraspDesign, figure5: pd.DataFrame) -> None:
     """How much oftener attempts succeeded than predicted, for the largest log."""
-    largest = max(design.num_paths)
+    largest = max(design.num_trajectories)
     draw_zero(axes)
     for model in (*FITTED, ORACLE):
-        rows = where(figure5, model=model, num_paths=largest)
+        rows = where(figure5, model=model, num_trajectories=largest)
         rows = rows.loc[rows["attempts"] >= FEWEST_SHOWN].sort_values(by="mean_probability")
         draw_curve(axes, rows["mean_probability"], rows[["difference", "low", "high"]], linewidth=1.2, **_look(model))
     axes.set_xlim(0.0, 1.0)
     axes.set_xticks(np.linspace(0.0, 1.0, 6))
     draw_grid(axes)
     axes.set_xlabel("predicted probability of a grasp")
-    axes.set_title(f"proportion that succeeded, less predicted ({largest} paths)", **PANEL_TITLE)
+    axes.set_title(f"proportion that succeeded, less predicted ({largest} trajectories)", **PANEL_TITLE)
 
 
 def _look(model: str) -> dict[str, Any]:
@@ -187,7 +187,7 @@ def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
         f"procedure adjusted the p-values of this table together; α = {setting.alpha:g}."
     )
     cells = {
-        "logged paths": lambda row: str(row["num_paths"]),
+        "logged trajectories": lambda row: str(row["num_trajectories"]),
         "SVM": lambda row: amount(row[CLAIMED], _decimals(row["measure"])),
         "Beta": lambda row: amount(row[RIVAL], _decimals(row["measure"])),
         "difference": lambda row: estimated_in(row, EFFECT, _decimals(row["measure"])),
@@ -202,7 +202,10 @@ def _numbers(grasp: pd.DataFrame) -> Listing:
         columns = [f"{measure}{end}" for end in ("", "_low", "_high")]
         return lambda row: estimated_in(row, columns, _decimals(measure))
 
-    cells = {"model": lambda row: MODEL_NAMES[row["model"]], "logged paths": lambda row: str(row["num_paths"])}
+    cells = {
+        "model": lambda row: MODEL_NAMES[row["model"]],
+        "logged trajectories": lambda row: str(row["num_trajectories"]),
+    }
     names = ("log-loss", "Brier score", "reward, learned", "reward, heuristic")
     cells |= {name: cell(measure) for name, measure in zip(names, MEASURES, strict=True)}
     return Listing.of("The numbers of Figure 5", "", records(grasp), cells)

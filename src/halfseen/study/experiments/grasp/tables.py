@@ -21,16 +21,15 @@ def tables_of(design: GraspDesign, setting: Setting, pieces: Pieces) -> Tables:
     Returns
     -------
     dict of pandas.DataFrame
-        ``grasp``: model, num_paths, cut_share, repetitions, and stood_in, in how many the Beta mean stood in for it;
-        and of each measure its mean, ``…_se``, ``…_low`` and ``…_high``, and the same of ``…_over_oracle``, the paired
-        difference from the true model.
-        ``grasp_tests``: measure, num_paths, svm, beta, p_value, p_holm, effect, supported, effect_low, effect_high:
-        whether the SVM is better than the Beta mean, tests as in Table 1; the effect is svm − beta.
-        ``figure5``: model, num_paths, bin_from, attempts, mean_probability, share_succeeded, difference, se, low,
-        high: calibration; the difference is share_succeeded − mean_probability.
+        ``grasp``: model, num_trajectories, cut_share, repetitions, and stood_in, in how many the Beta mean stood in for
+        it; and of each measure its mean, ``…_se``, ``…_low`` and ``…_high``, and the same of ``…_over_oracle``, the
+        paired difference from the true model. ``grasp_tests``: measure, num_trajectories, svm, beta, p_value, p_holm,
+        effect, supported, effect_low, effect_high: whether the SVM is better than the Beta mean, tests as in Table 1;
+        the effect is svm − beta. ``figure5``: model, num_trajectories, bin_from, attempts, mean_probability,
+        share_succeeded, difference, se, low, high: calibration; the difference is share_succeeded − mean_probability.
     """
     rows = stacked(pieces.repetitions, "grasp", *MEASURES, "bins", "stands_in")
-    found = {(row["num_paths"], row["model"]): row for row in rows}
+    found = {(row["num_trajectories"], row["model"]): row for row in rows}
     return {
         "grasp": _means(design, found),
         "grasp_tests": adjusted(_tests(design, found), setting.alpha),
@@ -41,7 +40,7 @@ def tables_of(design: GraspDesign, setting: Setting, pieces: Pieces) -> Tables:
 def _means(design: GraspDesign, found: Found) -> pd.DataFrame:
     rows = []
     for (size, model), values in found.items():
-        row: dict[str, Any] = {"model": model, "num_paths": size, "cut_share": design.cut_share}
+        row: dict[str, Any] = {"model": model, "num_trajectories": size, "cut_share": design.cut_share}
         row |= {"repetitions": len(values["bins"]), "stood_in": int(values["stands_in"].sum())}
         for measure in MEASURES:
             over = values[measure] - found[size, ORACLE][measure]
@@ -54,18 +53,18 @@ def _means(design: GraspDesign, found: Found) -> pd.DataFrame:
 def _tests(design: GraspDesign, found: Found) -> pd.DataFrame:
     rows = []
     for measure in MEASURES:
-        for size in design.num_paths:
+        for size in design.num_trajectories:
             ours, other = found[size, CLAIMED][measure], found[size, RIVAL][measure]
             test = tested_columns(paired_test(ours, other, is_more_better=is_reward(measure)))
             means = {CLAIMED: float(ours.mean()), RIVAL: float(other.mean())}
-            rows.append({"measure": measure, "num_paths": size} | means | test)
+            rows.append({"measure": measure, "num_trajectories": size} | means | test)
     return pd.DataFrame(rows)
 
 
 def calibration(row: dict[str, Any]) -> list[dict[str, Any]]:
     """Proportion of attempts that succeeded against the mean predicted probability, by bin of predictions.
 
-    The interval is of their difference, over repetitions: attempts of one path are no independent draws.
+    The interval is of their difference, over repetitions: attempts of one trajectory are no independent draws.
     """
     attempts, said, successes = (
         np.array([bins[name] for bins in row["bins"]], dtype=np.float64)
@@ -78,7 +77,12 @@ def calibration(row: dict[str, Any]) -> list[dict[str, Any]]:
         # The ratio's error is that of the mean of its residuals.
         residual = successes[:, k] - said[:, k] - (share - mean) * attempts[:, k]
         spread = over_repetitions(residual * len(attempts) / total)
-        place = {"model": row["model"], "num_paths": row["num_paths"], "bin_from": k / NUM_BINS, "attempts": int(total)}
+        place = {
+            "model": row["model"],
+            "num_trajectories": row["num_trajectories"],
+            "bin_from": k / NUM_BINS,
+            "attempts": int(total),
+        }
         means = {"mean_probability": mean, "share_succeeded": share, "difference": share - mean}
         ends = {"se": spread.standard_error, "low": share - mean + spread.low, "high": share - mean + spread.high}
         lines.append(place | means | ends)

@@ -19,7 +19,7 @@ from halfseen.study.policies import (
 
 @dataclass(frozen=True)
 class RewardDesign:
-    """What the learned policy earns, by size of the log and proportion of cut paths.
+    """What the learned policy earns, by size of the log and proportion of cut trajectories.
 
     With `laws`, it is learned with the help of laws fitted to the same log, and linear eq. 3 without them stands
     beside; else it is the latter. From the same laws are the look one step ahead, the strongest heuristic and a
@@ -30,11 +30,11 @@ class RewardDesign:
     Table 1 it plays as many as with the true laws. Planners play in the first `planned_repetitions` alone, as they take
     longer than all else that a repetition plays. The strongest heuristic and planner are chosen on other episodes:
     heuristics on `selection_blocks` times as many as a repetition has, planners on `selection_planned`. Table 1
-    compares the policy learned from `table_num_paths`, of which `table_cut_share` are cut. What V° is worth as tables
-    are set is the mean over `num_starts`.
+    compares the policy learned from `table_num_trajectories`, of which `table_cut_share` are cut. What V° is worth as
+    tables are set is the mean over `num_starts`.
     """
 
-    num_paths: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
+    num_trajectories: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
     cut_shares: tuple[float, ...] = (0.0, 1 / 6, 1 / 3, 1 / 2)
     episodes_per_scene: int = 10
     planners: tuple[tuple[int, int], ...] = ((128, 25), (512, 20))
@@ -42,15 +42,18 @@ class RewardDesign:
     planned_repetitions: int = 40
     selection_blocks: int = 4
     selection_planned: int = 30
-    table_num_paths: int = 800
+    table_num_trajectories: int = 800
     table_cut_share: float = 1 / 2
     num_starts: int = 100_000
     laws: bool = True
     most_repetitions: int | None = None
 
     def __post_init__(self) -> None:
-        if self.table_num_paths not in self.num_paths:
-            raise ArgumentError(f"table_num_paths is {self.table_num_paths}; it is one of num_paths, {self.num_paths}")
+        if self.table_num_trajectories not in self.num_trajectories:
+            raise ArgumentError(
+                f"table_num_trajectories is {self.table_num_trajectories}; it is one of num_trajectories, "
+                f"{self.num_trajectories}"
+            )
         if self.table_cut_share not in self.cut_shares:
             raise ArgumentError(
                 f"table_cut_share is {self.table_cut_share}; it is one of cut_shares, {self.cut_shares}"

@@ -71,7 +71,7 @@ class Reward(RewardDesign):
         made |= {(each.name, None): each.policy(source.world) for each in (*HEURISTICS, ONE_STEP)}
         each = source.control_each(list(made.values()), range(num_all), start)
         played: dict[tuple[str, Place | None], Played] = dict(zip(made, each, strict=True))
-        place = self.table_num_paths, self.table_cut_share
+        place = self.table_num_trajectories, self.table_cut_share
         headline = played[LEARNED.name, place]
         baselines, peer = {}, []
         for name in (*self.beside_names, ONE_STEP.name, *(each.name for each in HEURISTICS)):
@@ -83,7 +83,7 @@ class Reward(RewardDesign):
             peer = peers_beside(self, source, fitted, earned, start)
 
         def row(name: str, at: Place) -> dict[str, Any]:
-            return {"num_paths": at[0], "cut_share": at[1], **played[name, at].means()}
+            return {"num_trajectories": at[0], "cut_share": at[1], **played[name, at].means()}
 
         return {
             "index": index,
@@ -95,10 +95,12 @@ class Reward(RewardDesign):
 
     def _learned(self, source: Source, rates: Sequence[float]) -> tuple[dict[Place, Learned], dict[Place, WorldConfig]]:
         """What is learned from each log, and the world with laws fitted to it; prices and times are the true ones."""
-        episodes = source.play(max(self.num_paths))
+        episodes = source.play(max(self.num_trajectories))
         cuts = [source.cut(episodes, rate, CUT_KIND) for rate in rates]
-        places = list(product(self.num_paths, self.cut_shares))
-        found = source.logged(episodes, laws=self.laws).learn([(each, "weighted") for each in cuts], self.num_paths)
+        places = list(product(self.num_trajectories, self.cut_shares))
+        found = source.logged(episodes, laws=self.laws).learn(
+            [(each, "weighted") for each in cuts], self.num_trajectories
+        )
         learned = dict(zip(places, found, strict=True))
         fitted = {place: one.assisted.laws.config for place, one in learned.items() if one.assisted is not None}
         if not fitted:

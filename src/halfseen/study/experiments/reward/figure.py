@@ -25,7 +25,7 @@ from halfseen.study.experiments.reward.tables import BEST
 from halfseen.study.figures import MEAN, draw_by_cut_share, draw_level
 from halfseen.study.frames import row_of, where
 from halfseen.study.policies import FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Contender
-from halfseen.study.wording import PATHS_AXIS, REWARD_AXIS
+from halfseen.study.wording import REWARD_AXIS, TRAJECTORIES_AXIS
 
 GAIN = ["gain", "gain_low", "gain_high"]
 GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the true laws, on the same episodes"
@@ -49,11 +49,11 @@ def draw_figure1(design: RewardDesign, figure1: pd.DataFrame, times_ms: Times, t
     lower = figure.add_axes((_LEFT, _FOOT, _WIDTH, foot - _FOOT), sharex=upper)
     for axes, name, draw in ((upper, REWARD_AXIS, _draw_rewards), (lower, GAIN_AXIS, _draw_gains)):
         labels = draw(axes, design, figure1, times_ms)
-        mark_sizes(axes, design.num_paths)
-        axes.set_xlim(min(design.num_paths) / _MARGINS[0], max(design.num_paths) * _MARGINS[1])
+        mark_sizes(axes, design.num_trajectories)
+        axes.set_xlim(min(design.num_trajectories) / _MARGINS[0], max(design.num_trajectories) * _MARGINS[1])
         axes.set_title(name, **PANEL_TITLE)
         write_end_labels(axes, labels)
-    lower.set_xlabel(PATHS_AXIS)
+    lower.set_xlabel(TRAJECTORIES_AXIS)
     return figure
 
 
@@ -64,13 +64,13 @@ def _draw_rewards(axes: Axes, design: RewardDesign, figure1: pd.DataFrame, times
     if LINEAR.name in design.beside_names:
         labels.append(_curve(axes, LINEAR, figure1, MEAN, times_ms, "o"))
     rows = where(figure1, policy=LEARNED.name, cut_share=design.table_cut_share)
-    draw_curve(axes, rows["num_paths"], rows[MEAN], color=LEARNED.colour, marker="s")
+    draw_curve(axes, rows["num_trajectories"], rows[MEAN], color=LEARNED.colour, marker="s")
     end = float(rows["mean_reward"].iloc[-1])
     return [*labels, _label(LEARNED, LEARNED.label, end, times_ms, is_bold=True)]
 
 
 def _draw_gains(axes: Axes, design: RewardDesign, figure1: pd.DataFrame, times_ms: Times) -> list[EndLabel]:
-    """Learned by proportion of cut paths; with fitted laws and with the true ones, one step ahead and to the end."""
+    """Learned by share of cuts; with fitted laws and with the true ones, one step ahead and to the end."""
     rule = design.contenders[str(row_of(figure1, role=BEST[0])["policy"])]
     draw_zero(axes, rule.colour, 1.5)
     labels = [_label(rule, rule.label, 0.0, times_ms, is_bold=True)]
@@ -99,11 +99,11 @@ def _levels(
 def _curve(
     axes: Axes, who: Contender, figure1: pd.DataFrame, columns: list[str], times_ms: Times, marker: str
 ) -> EndLabel:
-    """Draw what is made of logs, the mean over the proportions of cut paths."""
+    """Draw what is made of logs, the mean over the proportions of cut trajectories."""
     rows = where(figure1, policy=who.name)
     means = pd.DataFrame(rows[rows["cut_share"].isna()])
     dashes: Any = (0, who.dashes)
-    draw_curve(axes, means["num_paths"], means[columns], color=who.colour, marker=marker, linestyle=dashes)
+    draw_curve(axes, means["num_trajectories"], means[columns], color=who.colour, marker=marker, linestyle=dashes)
     return _label(who, who.label, float(means[columns[0]].iloc[-1]), times_ms)
 
 

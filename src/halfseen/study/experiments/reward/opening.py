@@ -46,7 +46,10 @@ def opening_of(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, ru
         That the learned policy earns more than the strongest heuristic.
     """
     bars = _bars(design, figure1, _left_as_it_is(setting))
-    world, few = setting.world, f"{design.table_num_paths} old runs, {share_in_words(design.table_cut_share)} of them"
+    world, few = (
+        setting.world,
+        f"{design.table_num_trajectories} old runs, {share_in_words(design.table_cut_share)} of them",
+    )
     theirs, ours = (f"{amount(bar.mean, 1)}" for bar in bars[1:3])
     sentence = (
         f"In simulation, a robot that learned from {few} cut short, clears a table {_verdict(rule.verdict)} the best "
@@ -77,10 +80,10 @@ def _left_as_it_is(setting: Setting) -> float:
 
 
 def _bars(design: RewardDesign, figure1: pd.DataFrame, nothing: float) -> list[_Bar]:
-    place = {"num_paths": design.table_num_paths, "cut_share": design.table_cut_share}
+    place = {"num_trajectories": design.table_num_trajectories, "cut_share": design.table_cut_share}
     rule, planner = (row_of(figure1, role=role) for role in BEST)
     plain = max((row_of(figure1, policy=name) for name in PLAIN), key=lambda row: float(row["mean_reward"]))
-    peers = where(figure1, policy=design.peer.name, num_paths=design.table_num_paths)
+    peers = where(figure1, policy=design.peer.name, num_trajectories=design.table_num_trajectories)
     rows = (
         ("a plain rule of thumb", design.contenders[str(plain["policy"])], plain),
         ("the best rule of thumb", design.contenders[str(rule["policy"])], rule),

@@ -9,7 +9,7 @@ is
 
 one number a repetition. Its mean is right, whatever M is, as each repetition has fresh episodes; and M, being a mean,
 is nearer to the planner than any one policy: by the control variate a planner and M differ by some .25 on an episode,
-a policy learned from 25 paths and M by .9.
+a policy learned from 25 trajectories and M by .9.
 """
 
 from collections.abc import Mapping, Sequence
@@ -24,7 +24,7 @@ from halfseen.study.pipeline import Played, Source, episodes_in_turn
 from halfseen.world.config import WorldConfig
 
 Place = tuple[int, float]
-"""Size of a log, and the proportion of its paths that is cut."""
+"""Size of a log, and the proportion of its trajectories that is cut."""
 
 
 def peers_beside(
@@ -34,7 +34,7 @@ def peers_beside(
     learned: Mapping[Place, Played],
     start: float,
 ) -> list[dict[str, Any]]:
-    """Plan at every size and proportion of cut paths: num_paths, cut_share and over_peer of each place.
+    """Plan at every size and proportion of cut trajectories: num_trajectories, cut_share and over_peer of each place.
 
     Parameters
     ----------
@@ -49,13 +49,13 @@ def peers_beside(
     start
         As `Source.control_each` takes it.
     """
-    rows, places = [], list(product(design.num_paths, design.cut_shares))
+    rows, places = [], list(product(design.num_trajectories, design.cut_shares))
     mean = np.mean([played.reward for played in learned.values()], axis=0)
     for rank, (size, share) in enumerate(places):
         some = episodes_in_turn(source.index * len(places) + rank, design.fitted_episodes, len(mean))
         (own,) = source.control_each([design.peer.policy(fitted[size, share])], some, start)
         gap = over_peer(learned[size, share].reward, mean, some, own.reward)
-        rows.append({"num_paths": size, "cut_share": share, "over_peer": gap})
+        rows.append({"num_trajectories": size, "cut_share": share, "over_peer": gap})
     return rows
 
 

@@ -16,15 +16,15 @@ MARK = " *"
 
 
 def peer_sentence(design: RewardDesign, peer: pd.DataFrame) -> str:
-    """Say who earns more from how many paths, over all proportions of cut paths and at single ones."""
+    """Say who earns more from how many trajectories, over all proportions of cut trajectories and at single ones."""
     is_mean = peer["cut_share"].isna()
     means, single = (records(pd.DataFrame(peer[which])) for which in (is_mean, ~is_mean))
-    ends = " and ".join(f"{estimated_in(row, EFFECT)} from {row['num_paths']}" for row in (means[0], means[-1]))
+    ends = " and ".join(f"{estimated_in(row, EFFECT)} from {row['num_trajectories']}" for row in (means[0], means[-1]))
     return (
         f"Against the planner with laws fitted to the same logs ({design.planners[0][0]:,} simulations), over all "
-        f"proportions of cut paths the learned policy {_by_verdict(means, _sizes)} (learned − planner: {ends} paths); "
-        f"by single proportions, it {_by_verdict(single, _places)} (two-sided signed-rank tests, adjusted by Holm’s "
-        f"procedure for all {len(peer)})."
+        f"proportions of cut trajectories the learned policy {_by_verdict(means, _sizes)} (learned − planner: {ends} "
+        f"trajectories); by single proportions, it {_by_verdict(single, _places)} (two-sided signed-rank tests, "
+        f"adjusted by Holm’s procedure for all {len(peer)})."
     )
 
 
@@ -38,22 +38,22 @@ def _by_verdict(rows: list[Row], told: Callable[[list[Row]], str]) -> str:
 
 
 def _sizes(rows: list[Row]) -> str:
-    return f"{listed([str(row['num_paths']) for row in rows])} paths"
+    return f"{listed([str(row['num_trajectories']) for row in rows])} trajectories"
 
 
 def _places(rows: list[Row]) -> str:
-    """Sizes with the proportions of cut paths, those of the same proportions together."""
+    """Sizes with the proportions of cut trajectories, those of the same proportions together."""
     shares: dict[int, list[str]] = {}
     for row in rows:
-        shares.setdefault(row["num_paths"], []).append(share(row["cut_share"]))
+        shares.setdefault(row["num_trajectories"], []).append(share(row["cut_share"]))
     sizes: dict[str, list[str]] = {}
     for size, of in shares.items():
         sizes.setdefault(listed(of, "or"), []).append(str(size))
-    return listed([f"{listed(those)} paths (cut: {cut})" for cut, those in sizes.items()])
+    return listed([f"{listed(those)} trajectories (cut: {cut})" for cut, those in sizes.items()])
 
 
 def peer_listing(design: RewardDesign, setting: Setting, peer: pd.DataFrame) -> Listing:
-    """Write the differences by size and by proportion of cut paths."""
+    """Write the differences by size and by proportion of cut trajectories."""
     num_played = counted(design.fitted_episodes, "episode")
     caption = (
         "Reward of the learned policy less that of the planner with laws fitted to the same log, which plays "
@@ -61,8 +61,12 @@ def peer_listing(design: RewardDesign, setting: Setting, peer: pd.DataFrame) -> 
         f"two-sided Wilcoxon signed-rank test, adjusted by Holm’s procedure for all {len(peer)}, below α = "
         f"{setting.alpha:g}."
     )
-    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares), "mean over these")
-    rows = [(str(size), *map(_difference, records(peer, num_paths=size))) for size in design.num_paths]
+    header = (
+        "logged trajectories",
+        *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares),
+        "mean over these",
+    )
+    rows = [(str(size), *map(_difference, records(peer, num_trajectories=size))) for size in design.num_trajectories]
     return Listing("Learned, or planned with fitted laws", caption, header, {"": rows})
 
 

@@ -25,18 +25,18 @@ CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learne
 
 
 def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Section:
-    """Say whether learning earns more, and how few logged paths suffice."""
+    """Say whether learning earns more, and how few logged trajectories suffice."""
     figure1, table1 = tables["figure1"], tables["table1"]
     rule, planner = (claim(design, setting, figure1, table1, role) for role in BEST)
     # One sentence for both, which names the learned policy once.
     both = f"{rule.sentence[:-1]}; it {planner.asserted} {planner.rival}: {planner.verdict} ({planner.numbers})."
     on_planner = f"it {planner.found} {STRONGEST[1]}"
-    title = f"{_beats(design, figure1)}; learned from {design.table_num_paths} paths, {on_planner}"
+    title = f"{_beats(design, figure1)}; learned from {design.table_num_trajectories} trajectories, {on_planner}"
     return Section(
         "Reward against the size of the log",
         (
             both,
-            _how_few_paths(design, figure1),
+            _how_few_trajectories(design, figure1),
             peer_sentence(design, tables["peer"]),
             _what_of_laws(design, figure1),
             _verdicts(design, table1),
@@ -66,9 +66,9 @@ def claim(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, table1:
     """That the learned policy of Table 1 earns more than the baseline of a role, on the same episodes."""
     name = str(row_of(figure1, role=role)["policy"])
     row = row_of(table1, baseline=name, measure="reward")
-    earned = f"{amount(float(row[LEARNED.name]))} against {amount(float(row['other']))} a path"
+    earned = f"{amount(float(row[LEARNED.name]))} against {amount(float(row['other']))} a trajectory"
     return Claim(
-        f"The policy {learned_from(design.table_num_paths, design.table_cut_share)}",
+        f"The policy {learned_from(design.table_num_trajectories, design.table_cut_share)}",
         "earns more than",
         "earns less than",
         f"{ROLE_WORDS[role]} ({design.contenders[name].label})",
@@ -88,21 +88,21 @@ def _sufficient(design: RewardDesign, figure1: pd.DataFrame) -> dict[float, int 
     found: dict[float, int | None] = dict.fromkeys(design.cut_shares)
     for cut_share in found:
         rows = records(figure1, policy=LEARNED.name, cut_share=cut_share)
-        for row in sorted(rows, key=lambda row: -row["num_paths"]):
+        for row in sorted(rows, key=lambda row: -row["num_trajectories"]):
             if not float(row["gain_low"]) > 0:
                 break
-            found[cut_share] = int(row["num_paths"])
+            found[cut_share] = int(row["num_trajectories"])
     return found
 
 
-def _how_few_paths(design: RewardDesign, figure1: pd.DataFrame) -> str:
+def _how_few_trajectories(design: RewardDesign, figure1: pd.DataFrame) -> str:
     parts = []
     found = _sufficient(design, figure1)
     for size, shares in groupby(found, key=lambda cut_share: found[cut_share]):
-        enough = f"even {max(design.num_paths)} logged paths do not suffice"
+        enough = f"even {max(design.num_trajectories)} logged trajectories do not suffice"
         if size is not None:
-            smallest = ", the smallest log that was tried," if size == min(design.num_paths) else ""
-            enough = f"{size} logged paths{smallest} suffice"
+            smallest = ", the smallest log that was tried," if size == min(design.num_trajectories) else ""
+            enough = f"{size} logged trajectories{smallest} suffice"
         parts.append(f"{enough} where {listed([share_in_words(each) for each in shares], 'or')} of them are cut")
     return f"To earn more than the strongest heuristic, {listed(parts)} (paired differences, 95 % intervals above 0)."
 
@@ -113,7 +113,7 @@ def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
     if not sizes:
         return "The learned policy does not clearly beat the strongest heuristic"
     between = dict.fromkeys(str(size) for size in (min(sizes), max(sizes)))
-    start = f"The learned policy beats the strongest heuristic from {' to '.join(between)} logged paths on"
+    start = f"The learned policy beats the strongest heuristic from {' to '.join(between)} logged trajectories on"
     failed = [share_in_words(cut_share) for cut_share, size in found.items() if size is None]
     if failed:
         return f"{start}, but not clearly where {listed(failed, 'or')} were cut"
@@ -122,10 +122,10 @@ def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
 
 def _what_of_laws(design: RewardDesign, figure1: pd.DataFrame) -> str:
     """Say what is earned above the strongest heuristic by whom, with and without laws fitted to the same logs."""
-    sizes = dict.fromkeys((min(design.num_paths), max(design.num_paths)))
+    sizes = dict.fromkeys((min(design.num_trajectories), max(design.num_trajectories)))
 
     def gains(name: str) -> str:
-        rows = (row_of(figure1, policy=name, num_paths=size, cut_share=design.table_cut_share) for size in sizes)
+        rows = (row_of(figure1, policy=name, num_trajectories=size, cut_share=design.table_cut_share) for size in sizes)
         return " and ".join(estimated_in(row, GAIN) for row in rows)
 
     others = {FITTED_ONE_STEP.name: "Q₁ with laws fitted to the same log", LINEAR.name: "linear eq. 3 without laws"}
@@ -133,7 +133,7 @@ def _what_of_laws(design: RewardDesign, figure1: pd.DataFrame) -> str:
     said = [f"{words} {gains(name)}" for name, words in others.items() if name in design.contenders]
     return (
         f"Above the strongest heuristic, which knows the true laws, the learned policy earns {gains(LEARNED.name)} "
-        f"from {' and '.join(map(str, sizes))} paths, {share_in_words(design.table_cut_share)} of them cut; "
+        f"from {' and '.join(map(str, sizes))} trajectories, {share_in_words(design.table_cut_share)} of them cut; "
         f"{listed(said)}."
     )
 
@@ -167,21 +167,21 @@ def _caption(design: RewardDesign, setting: Setting) -> str:
         "evaluation episodes that all policies share; markers of one size stand side by side for legibility. Lines "
         "across learn nothing from logs and know the true laws; bold: the heuristic and the planner that were the "
         "strongest on other episodes. Broken curves: made of the logs that the policy is learned from, mean over the "
-        "proportions of cut paths; “laws fitted”: with the laws that it goes by. Q₁ looks one step ahead. A planner "
-        f"has so many simulations for each decision, whatever time they take, and {planned}plays some of the episodes: "
-        "it is reckoned from the paired difference on those. All rewards are by a control variate, which leaves their "
-        "means as they are: how far decisions fall short of a look one step ahead, plus what this is worth in the mean "
-        f"of {design.num_starts:,} tables. In brackets: the time of a decision on one core of this machine. Shaded: 95 "
-        "% intervals (Student’s t); of the lines across, for the two in bold. Cuts are independent of what happens on "
-        f"the table. Logs: half of the actions are those of a heuristic ({STRONGEST_RULE.label}), half are uniformly "
-        "random."
+        "proportions of cut trajectories; “laws fitted”: with the laws that it goes by. Q₁ looks one step ahead. A "
+        f"planner has so many simulations for each decision, whatever time they take, and {planned}plays some of the "
+        "episodes: it is reckoned from the paired difference on those. All rewards are by a control variate, which "
+        "leaves their means as they are: how far decisions fall short of a look one step ahead, plus what this is "
+        f"worth in the mean of {design.num_starts:,} tables. In brackets: the time of a decision on one core of this "
+        "machine. Shaded: 95 % intervals (Student’s t); of the lines across, for the two in bold. Cuts are independent "
+        f"of what happens on the table. Logs: half of the actions are those of a heuristic ({STRONGEST_RULE.label}), "
+        "half are uniformly random."
     )
 
 
 def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Header and rows of a table of sizes by proportions of cut paths."""
-    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
-    rows = [(str(size), *map(written, records(table, num_paths=size))) for size in design.num_paths]
+    """Header and rows of a table of sizes by proportions of cut trajectories."""
+    header = ("logged trajectories", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
+    rows = [(str(size), *map(written, records(table, num_trajectories=size))) for size in design.num_trajectories]
     return header, {"": rows}
 
 
@@ -191,11 +191,11 @@ def _numbers(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
 
 
 def _beside(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
-    """By size and proportion of cut paths: what each earns above the strongest heuristic."""
-    header = ("logged paths", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
+    """By size and proportion of cut trajectories: what each earns above the strongest heuristic."""
+    header = ("logged trajectories", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
     groups = {}
     for name in (LEARNED.name, design.peer.name, *design.beside_names):
-        rows = {size: records(where(figure1, policy=name, num_paths=size)) for size in design.num_paths}
+        rows = {size: records(where(figure1, policy=name, num_trajectories=size)) for size in design.num_trajectories}
         groups[design.contenders[name].label] = [
             (str(size), *(estimated_in(row, GAIN) for row in of_size if not pd.isna(row["cut_share"])))
             for size, of_size in rows.items()
@@ -207,12 +207,12 @@ def _beside(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
 def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> Listing:
     num_tested = int(table1["p_holm"].notna().sum())
     caption = (
-        f"The policy learned from {design.table_num_paths} paths, of which {share_in_words(design.table_cut_share)} "
-        "are cut in expectation, against each baseline: one-sided Wilcoxon signed-rank tests over the repetitions, on "
-        "the episodes that both played. Difference: learned − baseline, with its 95 % interval (not adjusted); of "
-        f"times, below 0 is better. Holm’s procedure adjusted the {num_tested} p-values together; α = "
-        f"{setting.alpha:g}. Not supported: the interval lies on the other side of 0. Decision times are medians on "
-        "one core of this machine, told beside; nothing else depends on them."
+        f"The policy learned from {design.table_num_trajectories} trajectories, of which "
+        f"{share_in_words(design.table_cut_share)} are cut in expectation, against each baseline: one-sided Wilcoxon "
+        "signed-rank tests over the repetitions, on the episodes that both played. Difference: learned − baseline, "
+        "with its 95 % interval (not adjusted); of times, below 0 is better. Holm’s procedure adjusted the "
+        f"{num_tested} p-values together; α = {setting.alpha:g}. Not supported: the interval lies on the other side of "
+        "0. Decision times are medians on one core of this machine, told beside; nothing else depends on them."
     )
     headings = {
         measure: f"{capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"

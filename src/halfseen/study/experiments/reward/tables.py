@@ -15,13 +15,13 @@ from halfseen.study.wording import is_reward
 from halfseen.tables.assisted.learner import MODEL
 
 MEASURES = {
-    "reward": "reward of a path",
-    "robot_s": "robot time until a path ends [s]",
+    "reward": "reward of a trajectory",
+    "robot_s": "robot time until a trajectory ends [s]",
     "decision_ms": "time of one decision [ms], measured on this machine",
 }
 """Measure → name for people; times of decisions are told and not tested, as they depend on the machine."""
 BEST = ("best_heuristic", "best_planner")
-KEYS, WORTH = ["num_paths", "cut_share"], ["effective_sample_size", "largest_weight", "by_laws"]
+KEYS, WORTH = ["num_trajectories", "cut_share"], ["effective_sample_size", "largest_weight", "by_laws"]
 
 
 def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
@@ -30,21 +30,21 @@ def tables_of(design: RewardDesign, setting: Setting, pieces: Pieces) -> Tables:
     Returns
     -------
     dict of pandas.DataFrame
-        ``figure1``: policy, num_paths, cut_share, repetitions, mean_reward, se, low, high; role, which marks the
+        ``figure1``: policy, num_trajectories, cut_share, repetitions, mean_reward, se, low, high; role, which marks the
         heuristic and the planner that were the strongest on other episodes; and gain, gain_se, gain_low, gain_high,
         the paired difference from that heuristic. All rewards are by the control variate. A planner plays only some of
         the episodes: its mean is what the policy of Table 1 earned on all, less the paired difference on those. Of what
         is made of logs there is a row for each log; and, but for the learned policy, one for each size with the mean
-        over all proportions of cut paths, where cut_share is null. What a planner with fitted laws earns is what the
-        learned policy did, less what that earned over it. Repetitions are those in which a policy played.
+        over all proportions of cut trajectories, where cut_share is null. What a planner with fitted laws earns is what
+        the learned policy did, less what that earned over it. Repetitions are those in which a policy played.
         ``table1``: baseline, measure, censored_q, other, p_value, p_holm, effect, supported, effect_low, effect_high,
-        num_episodes: one-sided paired tests that the learned policy is better (more reward, less time), on the
-        episodes that both played; the effect is censored_q − other.
-        ``peer``: num_paths, cut_share (null: the mean over all), p_value, p_holm, effect, supported, effect_low,
-        effect_high: two-sided tests of what the learned policy earns over the planner with laws fitted to the same log,
-        as `peer` reckons it; supported where they differ.
-        ``weights``: num_paths, cut_share, effective_sample_size, largest_weight: means over repetitions; and by_laws,
-        the share of logs that did not contradict the laws fitted to them, so that the policy is built on these.
+        num_episodes: one-sided paired tests that the learned policy is better (more reward, less time), on the episodes
+        that both played; the effect is censored_q − other. ``peer``: num_trajectories, cut_share (null: the mean over
+        all), p_value, p_holm, effect, supported, effect_low, effect_high: two-sided tests of what the learned policy
+        earns over the planner with laws fitted to the same log, as `peer` reckons it; supported where they differ.
+        ``weights``: num_trajectories, cut_share, effective_sample_size, largest_weight: means over repetitions; and
+        by_laws, the share of logs that did not contradict the laws fitted to them, so that the policy is built on
+        these.
     """
     weights = pd.DataFrame([row for piece in pieces.repetitions for row in piece["learned"]])
     weights = weights.assign(by_laws=(weights["basis"] == MODEL).astype(float))
@@ -81,14 +81,19 @@ def _figure1(design: RewardDesign, pieces: Pieces, chosen: dict[str, str]) -> pd
         rows += _rows_of(name, [*logs, *_means_by_size(logs)], _both(pieces, rule, "reward")[1])
     first = ["policy", *KEYS, "repetitions", "mean_reward", "se", "low", "high", "role"]
     table = pd.DataFrame(rows)
-    return table.loc[:, [*first, *table.columns.drop(first)]].astype({"num_paths": "Int64", "cut_share": "Float64"})
+    return table.loc[:, [*first, *table.columns.drop(first)]].astype(
+        {"num_trajectories": "Int64", "cut_share": "Float64"}
+    )
 
 
 def _means_by_size(logs: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """For each size the mean over all proportions of cut paths."""
-    of_size = {size: [row for row in logs if row["num_paths"] == size] for size in (row["num_paths"] for row in logs)}
+    """For each size the mean over all proportions of cut trajectories."""
+    of_size = {
+        size: [row for row in logs if row["num_trajectories"] == size]
+        for size in (row["num_trajectories"] for row in logs)
+    }
     return [
-        {"num_paths": size, "cut_share": None, "reward": np.mean([row["reward"] for row in rows], axis=0)}
+        {"num_trajectories": size, "cut_share": None, "reward": np.mean([row["reward"] for row in rows], axis=0)}
         for size, rows in of_size.items()
     ]
 
@@ -117,19 +122,19 @@ def _where_played(pieces: Pieces, name: str) -> Pieces:
 def _against_peer(pieces: Pieces) -> list[dict[str, Any]]:
     """By repetition: what learning earns over planning with laws fitted to the same log, and what that planning earns.
 
-    A row for each log, and for each size the mean over all proportions of cut paths.
+    A row for each log, and for each size the mean over all proportions of cut trajectories.
     """
     met, learned = ([piece[name] for piece in pieces.repetitions] for name in ("peer", "learned"))
     over = np.array([[row["over_peer"] for row in rows] for rows in met])
     reward = np.array([[row["reward"] for row in rows] for rows in learned]) - over
-    sizes = np.array([row["num_paths"] for row in met[0]])
+    sizes = np.array([row["num_trajectories"] for row in met[0]])
     logs: list[tuple[int, float | None, Any]] = [
-        (row["num_paths"], row["cut_share"], [k]) for k, row in enumerate(met[0])
+        (row["num_trajectories"], row["cut_share"], [k]) for k, row in enumerate(met[0])
     ]
     logs += [(size, None, sizes == size) for size in dict.fromkeys(sizes.tolist())]
     return [
         {
-            "num_paths": size,
+            "num_trajectories": size,
             "cut_share": share,
             "over": over[:, which].mean(axis=1),
             "reward": reward[:, which].mean(axis=1),

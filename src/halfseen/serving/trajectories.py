@@ -1,7 +1,7 @@
-"""What was decided becomes the next log: one path (trajectory) at a time, a stage a decision.
+"""What was decided becomes the next log: one trajectory (trajectory) at a time, a stage a decision.
 
-A decision begins a stage, and a path where none is in progress; a reward completes it; then comes the next decision, or
-the end. So the client is asked for no more than what `LogRecorder` is told, and that is what keeps it.
+A decision begins a stage, and a trajectory where none is in progress; a reward completes it; then comes the next
+decision, or the end. So the client is asked for no more than what `LogRecorder` is told, and that is what keeps it.
 """
 
 from collections.abc import Mapping
@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.recording.path_recorder import PathRecorder
 from halfseen.logs.recording.recorder import LogRecorder
+from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
 from halfseen.serving.refusal import Refusal
 
 STOPPED = "server stopped"
-"""Cause of the cut of a path that was in progress when the server stopped."""
+"""Cause of the cut of a trajectory that was in progress when the server stopped."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,9 +27,9 @@ class Begun:
     Parameters
     ----------
     covariates, objects
-        As `PathRecorder.begin_stage` takes them.
+        As `TrajectoryRecorder.begin_stage` takes them.
     columns
-        Of its path, if this is the first stage.
+        Of its trajectory, if this is the first stage.
     is_of_cloud
         Whether the objects are what a cloud shows.
     """
@@ -41,7 +41,7 @@ class Begun:
 
 
 class SoFar(NamedTuple):
-    """A path in progress, to go on from."""
+    """A trajectory in progress, to go on from."""
 
     logs: Logs
     """It alone, as whoever reads it later has it."""
@@ -51,16 +51,16 @@ class SoFar(NamedTuple):
     """Whether its last action held; None if nobody said."""
 
 
-class RecordedPaths:
-    """The paths of one cell, in a folder of logs.
+class RecordedTrajectories:
+    """The trajectories of one cell, in a folder of logs.
 
     Parameters
     ----------
     folder
         Where to, as `LogRecorder` takes it.
     is_of_tables
-        Whether stages are of tables: then what would break a rule of theirs is not recorded, and a path can be gone on
-        from.
+        Whether stages are of tables: then what would break a rule of theirs is not recorded, and a trajectory can be
+        gone on from.
 
     Raises
     ------
@@ -72,14 +72,14 @@ class RecordedPaths:
         self._recorder = LogRecorder(folder, check=self._check_table if is_of_tables else None)
         self._is_of_tables = is_of_tables
         self._checked: Logs | None = None
-        self._path: PathRecorder | None = None
+        self._trajectory: TrajectoryRecorder | None = None
         self._num_begun = 0
         self._is_waiting = False
         self._begun = Begun()
         self._decided: dict[str, Any] = {}
         self._held: bool | None = None
 
-    def __enter__(self) -> "RecordedPaths":
+    def __enter__(self) -> "RecordedTrajectories":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
@@ -96,40 +96,42 @@ class RecordedPaths:
         Raises
         ------
         Refusal
-            The stage before has no reward yet, or the path goes on in another form than it began.
+            The stage before has no reward yet, or the trajectory goes on in another form than it began.
         """
         self._check_rewarded()
         if is_of_cloud and not self._is_of_tables:
             raise Refusal(
                 409, "recording began with a policy that is not of tables; serve this one into another folder"
             )
-        if self._path is not None and self._begun.is_of_cloud != is_of_cloud:
+        if self._trajectory is not None and self._begun.is_of_cloud != is_of_cloud:
             began, other = ("a cloud", "JSON") if self._begun.is_of_cloud else ("JSON", "a cloud")
             raise Refusal(409, f"{self._where}: it came as {began}, and now {other}; give one form from end to end")
         return self._num_begun + 1
 
     def _check_rewarded(self) -> None:
         if self._is_waiting:
-            raise Refusal(409, f"{self._where}: it has no reward yet; POST it to /reward, or the path's end to /end")
+            raise Refusal(
+                409, f"{self._where}: it has no reward yet; POST it to /reward, or the trajectory's end to /end"
+            )
 
     @property
     def so_far(self) -> SoFar | None:
-        """The path of tables in progress; None where none is."""
-        if self._path is None or self._checked is None or self._begun.objects is None:
+        """The trajectory of tables in progress; None where none is."""
+        if self._trajectory is None or self._checked is None or self._begun.objects is None:
             return None
         return SoFar(self._checked, self._begun.objects, self._held)
 
     @property
     def facts(self) -> dict[str, Any]:
-        """Where it stands, for a client that has forgotten it: the path, its last stage, and what is waited for.
+        """Where it stands, for a client that has forgotten it: the trajectory, its last stage, and what is waited for.
 
         Where that is a reward, it is told for what: the answer may have been lost.
         """
-        told = {"path": self._path and self._path.name, "stage": self._num_begun}
+        told = {"trajectory": self._trajectory and self._trajectory.name, "stage": self._num_begun}
         return told | ({"waits_for": "reward", **self._decided} if self._is_waiting else {"waits_for": "decision"})
 
     def decided(self, begun: Begun, told: Mapping[str, Any]) -> Any:
-        """Begin a stage with what was seen and is done, and name its path.
+        """Begin a stage with what was seen and is done, and name its trajectory.
 
         Parameters
         ----------
@@ -147,21 +149,21 @@ class RecordedPaths:
         verb, target = told.get("verb", told["action"]), told.get("object")
         before = self._checked
         try:
-            path = self._path or self._recorder.begin_path(**begun.columns)
-            path.begin_stage(
+            trajectory = self._trajectory or self._recorder.begin_trajectory(**begun.columns)
+            trajectory.begin_stage(
                 begun.covariates, begun.objects, action=verb, object=target, probability=told["probability"]
             )
         except Exception as error:
-            self._checked, begun_path = before, self._recorder.path
-            if self._path is None and begun_path is not None and not begun_path.is_ended:
-                begun_path.cut(STOPPED)  # nothing is written of a path that has no stage yet
+            self._checked, begun_trajectory = before, self._recorder.trajectory
+            if self._trajectory is None and begun_trajectory is not None and not begun_trajectory.is_ended:
+                begun_trajectory.cut(STOPPED)  # nothing is written of a trajectory that has no stage yet
             if not isinstance(error, LogError):
                 raise
             raise Refusal(422, f"nothing is decided, for it could not be recorded: {error}") from error
         self._begun, self._held = begun, None
         self._decided = {name: told[name] for name in ("action", "object") if name in told}
-        self._path, self._num_begun, self._is_waiting = path, self._num_begun + 1, True
-        return path.name
+        self._trajectory, self._num_begun, self._is_waiting = trajectory, self._num_begun + 1, True
+        return trajectory.name
 
     def _check_table(self, logs: Logs) -> None:
         from halfseen.world.log_checks import checked_tables
@@ -175,20 +177,20 @@ class RecordedPaths:
         Parameters
         ----------
         reward, elapsed_s
-            As `PathRecorder.complete_stage` takes them.
+            As `TrajectoryRecorder.complete_stage` takes them.
         held
-            Of a path of clouds, whether the attempt held; None if nobody knows.
+            Of a trajectory of clouds, whether the attempt held; None if nobody knows.
 
         Raises
         ------
         Refusal
             No stage is in progress, or a value is none that a log takes.
         """
-        if self._path is None or not self._is_waiting:
+        if self._trajectory is None or not self._is_waiting:
             raise Refusal(409, "no stage waits for a reward; POST what is seen to /decide first")
         self._check_held(held)
         try:
-            self._path.complete_stage(reward, elapsed_s=elapsed_s)
+            self._trajectory.complete_stage(reward, elapsed_s=elapsed_s)
         except LogError as error:
             raise Refusal(422, str(error)) from error
         self._is_waiting, self._held = False, held
@@ -205,37 +207,41 @@ class RecordedPaths:
             raise Refusal(422, f"{self._where}: held is {held}, but {self._decided['action']} tries nothing")
 
     def ended(self, cause: str | None, elapsed_s: Any = None) -> dict[str, Any]:
-        """End the path in progress.
+        """End the trajectory in progress.
 
         Parameters
         ----------
         cause
             Why it was cut; None where it came to its own end.
         elapsed_s
-            As `PathRecorder.finish` takes it.
+            As `TrajectoryRecorder.finish` takes it.
 
         Raises
         ------
         Refusal
-            No path is in progress, its last stage has no reward, or a value is none that a log takes.
+            No trajectory is in progress, its last stage has no reward, or a value is none that a log takes.
         """
-        if self._path is None:
-            raise Refusal(409, "no path is in progress; POST what is seen to /decide, which begins one")
+        if self._trajectory is None:
+            raise Refusal(409, "no trajectory is in progress; POST what is seen to /decide, which begins one")
         if cause is None:
             self._check_rewarded()
         try:
             if cause is None:
-                self._path.finish(elapsed_s=elapsed_s)
+                self._trajectory.finish(elapsed_s=elapsed_s)
             else:
-                self._path.cut(cause, elapsed_s=elapsed_s)
+                self._trajectory.cut(cause, elapsed_s=elapsed_s)
         except LogError as error:
             raise Refusal(422, str(error)) from error
-        told = {"path": self._path.name, "stages": self._num_begun, "ending": "finished" if cause is None else "cut"}
-        self._path, self._checked, self._num_begun = None, None, 0
+        told = {
+            "trajectory": self._trajectory.name,
+            "stages": self._num_begun,
+            "ending": "finished" if cause is None else "cut",
+        }
+        self._trajectory, self._checked, self._num_begun = None, None, 0
         self._is_waiting = False
         return told
 
     @property
     def _where(self) -> str:
-        assert self._path is not None, "what waits has a path"
-        return f"path {self._path.name}, stage {self._num_begun}"
+        assert self._trajectory is not None, "what waits has a trajectory"
+        return f"trajectory {self._trajectory.name}, stage {self._num_begun}"

@@ -1,4 +1,4 @@
-"""A path (trajectory) that is being recorded, stage by stage."""
+"""A trajectory (trajectory) that is being recorded, stage by stage."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.journal.state import PathState, Recorded
+from halfseen.logs.journal.state import Recorded, TrajectoryState
 from halfseen.logs.journal.tables import CRASH
 from halfseen.logs.journal.values import Schema, checked_number, checked_robot, checked_text
 from halfseen.logs.journal.writer import JournalWriter
@@ -22,8 +22,8 @@ CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CR
 STILL_RUNNING_EVERY_S = 0.5
 
 
-class PathRecorder:
-    """A path that is being recorded; `LogRecorder.begin_path` makes it.
+class TrajectoryRecorder:
+    """A trajectory that is being recorded; `LogRecorder.begin_trajectory` makes it.
 
     Its clock is read from `time.monotonic`, and each stage then lasts until the next begins. Or it is given as
     ``elapsed_s``, always, and each stage then lasts as long as is said. That of several robots may stand still: where
@@ -42,21 +42,21 @@ class PathRecorder:
         self.name = name
         self._journal = journal
         self._columns = columns
-        self._path_schema = schema
+        self._trajectory_schema = schema
         self._check = check
-        self._number = 1 if known.path is None else known.path.number + 1
-        journal.known = replace(known, path=PathState(name, self._number))
+        self._number = 1 if known.trajectory is None else known.trajectory.number + 1
+        journal.known = replace(known, trajectory=TrajectoryState(name, self._number))
 
     @property
     def is_ended(self) -> bool:
         """Whether it is finished or cut."""
-        state = self._journal.known.path
+        state = self._journal.known.trajectory
         return state is None or state.number != self._number or state.is_ended
 
     @property
     def is_in_stage(self) -> bool:
         """Whether a stage is in progress."""
-        state = self._journal.known.path
+        state = self._journal.known.trajectory
         return state is not None and state.number == self._number and state.is_in_stage
 
     def begin_stage(
@@ -79,7 +79,8 @@ class PathRecorder:
             A list with a dict for each object that stood there, with its name as "object" and its covariates; None
             where stages have no objects.
         action
-            What is done, as a whole number or text. It may be left out only in a stage in which the path is then cut.
+            What is done, as a whole number or text. It may be left out only in a stage in which the trajectory is then
+            cut.
         object
             What it is done to, if anything.
         probability
@@ -97,10 +98,10 @@ class PathRecorder:
         where = self._where(state.stage + 1)
         if state.is_in_stage:
             raise LogError(f"{self._where(state.stage)}: it is in progress; complete_stage() it before the next begins")
-        schema = recorded.schema if state.stage else self._path_schema
+        schema = recorded.schema if state.stage else self._trajectory_schema
         chosen = {"robot": robot, "action": action, "object": object, "probability": probability}
         schema, seen = schema.with_stage(covariates or {}, objects, chosen, where)
-        event: dict[str, Any] = {"event": "stage", "path": self.name, "stage": state.stage + 1}
+        event: dict[str, Any] = {"event": "stage", "trajectory": self.name, "stage": state.stage + 1}
         clock = state.clock
         if state.stage == 0:
             clock = clock.started()
@@ -126,7 +127,7 @@ class PathRecorder:
         reward
             What it earned.
         elapsed_s
-            Time since the path began [s], where the recorder shall not read it from its own clock.
+            Time since the trajectory began [s], where the recorder shall not read it from its own clock.
         own_rewards
             What each of several robots brought, robot 0 first, for the columns 0_reward, 1_reward and so on; of the
             same robots in every stage of the folder.
@@ -141,7 +142,7 @@ class PathRecorder:
         where = self._where(state.stage)
         if not state.is_in_stage:
             what = "no stage has begun" if state.stage == 0 else f"stage {state.stage} is completed already"
-            raise LogError(f"path {shown(self.name)}: {what}; begin_stage() first")
+            raise LogError(f"trajectory {shown(self.name)}: {what}; begin_stage() first")
         if not state.has_action:
             raise LogError(f"{where}: it began without an action; a stage without one can only be cut")
         earned = checked_number(reward, "reward", where, "give the finite reward that it earned")
@@ -165,7 +166,7 @@ class PathRecorder:
         return [checked_number(each, f"{robot}_reward", where, remedy) for robot, each in enumerate(own_rewards)]
 
     def drop_out(self, robot: Any, cause: Any, *, elapsed_s: Any = None) -> None:
-        """Note that one of several robots dropped out alone; the path goes on without it.
+        """Note that one of several robots dropped out alone; the trajectory goes on without it.
 
         Tell it before the stage in which it happens is completed.
 
@@ -176,7 +177,7 @@ class PathRecorder:
         cause
             Why, as in `cut`.
         elapsed_s
-            Time since the path began [s], as in `complete_stage`.
+            Time since the trajectory began [s], as in `complete_stage`.
 
         Raises
         ------
@@ -198,9 +199,9 @@ class PathRecorder:
         self._write(event, self._journal.known, out, is_news=True)
 
     def still_running(self, *, elapsed_s: Any = None) -> None:
-        """Note that the path is in progress, at most twice a second; call it from the control loop.
+        """Note that the trajectory is in progress, at most twice a second; call it from the control loop.
 
-        After a crash the path is then known to have run until the last call, not only until its last stage began.
+        After a crash the trajectory is then known to have run until the last call, not only until its last stage began.
         Worth it where crashes are many and stages long: see `journal_tables`.
         """
         state, recorded = self._running(), self._journal.known
@@ -211,10 +212,10 @@ class PathRecorder:
         if at_s >= state.noted_s + STILL_RUNNING_EVERY_S:
             self._write({"event": "running", "at_s": at_s}, recorded, replace(runs, noted_s=at_s))
         else:
-            self._journal.known = replace(recorded, path=runs)
+            self._journal.known = replace(recorded, trajectory=runs)
 
     def finish(self, *, elapsed_s: Any = None) -> None:
-        """End the path where the task ended: it was finished, the table is cleared, the horizon is reached.
+        """End the trajectory where the task ended: it was finished, the table is cleared, the horizon is reached.
 
         Raises
         ------
@@ -224,13 +225,15 @@ class PathRecorder:
         state = self._running()
         if state.stage == 0 or state.is_in_stage:
             what = "it has no stage" if state.stage == 0 else f"stage {state.stage} is in progress"
-            raise LogError(f"path {shown(self.name)}: {what}; complete it before finish(), or cut() the path")
+            raise LogError(
+                f"trajectory {shown(self.name)}: {what}; complete it before finish(), or cut() the trajectory"
+            )
         where = self._where(state.stage)
         state.clock.check_units(state.clock.end_s(elapsed_s, where), where)
         self._end({"event": FINISHED}, state, elapsed_s)
 
     def cut(self, cause: Any, *, elapsed_s: Any = None) -> None:
-        """End the path where something outside the task ended it.
+        """End the trajectory where something outside the task ended it.
 
         Between two stages, the cut falls into the stage before: what that led to was not seen. If it was, begin the
         next stage with its covariates first. Before the first stage nothing was seen, and nothing is written.
@@ -240,7 +243,7 @@ class PathRecorder:
         cause
             Why: "operator", "emergency-stop", "time-out", "battery", "sensor-lost", "crash", or free text.
         elapsed_s
-            Time since the path began [s], as in `complete_stage`.
+            Time since the trajectory began [s], as in `complete_stage`.
 
         Raises
         ------
@@ -251,34 +254,38 @@ class PathRecorder:
         self._check_cause(cause)
         self._end({"event": CUT, "cause": cause}, state, elapsed_s)
 
-    def _end(self, event: dict[str, Any], state: PathState, elapsed_s: Any) -> None:
+    def _end(self, event: dict[str, Any], state: TrajectoryState, elapsed_s: Any) -> None:
         recorded, ended = self._journal.known, replace(state, is_ended=True, is_in_stage=False)
         if state.stage == 0:
-            self._journal.known = replace(recorded, path=ended)
+            self._journal.known = replace(recorded, trajectory=ended)
             return
         at_s = state.clock.end_s(elapsed_s, self._where(state.stage))
         self._write({**event, "at_s": at_s}, recorded, ended)
 
-    def _write(self, event: dict[str, Any], recorded: Recorded, state: PathState, *, is_news: bool = False) -> None:
-        """Write an event; where somebody reads the path as it grows, let them refuse one with news."""
+    def _write(
+        self, event: dict[str, Any], recorded: Recorded, state: TrajectoryState, *, is_news: bool = False
+    ) -> None:
+        """Write an event; where somebody reads the trajectory as it grows, let them refuse one with news."""
         if self._check is not None or recorded.schema.has_robot:
             state = replace(state, events=(*state.events, event))
             if is_news:
                 logs = log_so_far(state.events)
                 if self._check is not None:
                     self._check(logs)
-        self._journal.append(event, replace(recorded, path=state))
+        self._journal.append(event, replace(recorded, trajectory=state))
 
     def _check_cause(self, cause: Any) -> None:
         if not isinstance(cause, str) or not cause.strip():
-            raise LogError(f"path {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why")
-        checked_text(cause, f"path {shown(self.name)}", "cause")
+            raise LogError(
+                f"trajectory {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why"
+            )
+        checked_text(cause, f"trajectory {shown(self.name)}", "cause")
 
-    def _running(self) -> PathState:
-        state = self._journal.known.path
+    def _running(self) -> TrajectoryState:
+        state = self._journal.known.trajectory
         if state is None or self.is_ended:
-            raise LogError(f"path {shown(self.name)}: it has ended; begin another")
+            raise LogError(f"trajectory {shown(self.name)}: it has ended; begin another")
         return state
 
     def _where(self, stage: int) -> str:
-        return f"path {shown(self.name)}, stage {stage}"
+        return f"trajectory {shown(self.name)}, stage {stage}"

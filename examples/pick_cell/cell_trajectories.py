@@ -48,12 +48,12 @@ def logging_chances(parts: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]
     return chances
 
 
-def simulate(num_paths: int, seed: int, is_cut: bool = True, rate: float = RATE) -> Logs:
+def simulate(num_trajectories: int, seed: int, is_cut: bool = True, rate: float = RATE) -> Logs:
     """Log parts, all of them at once.
 
     Parameters
     ----------
-    num_paths
+    num_trajectories
         n.
     seed
         Of all draws.
@@ -63,15 +63,15 @@ def simulate(num_paths: int, seed: int, is_cut: bool = True, rate: float = RATE)
         Takes the place of RATE: cuts are more, or fewer.
     """
     rng = np.random.default_rng(seed)
-    path, clock, parts = np.arange(num_paths), np.zeros(num_paths), new_parts(num_paths, rng)
-    stages, paths = [], []
+    trajectory, clock, parts = np.arange(num_trajectories), np.zeros(num_trajectories), new_parts(num_trajectories, rng)
+    stages, trajectories = [], []
     for stage in range(1, HORIZON + 1):
         action, chance = draw_action(parts, stage, rng)
         outcome = attempt(parts, action, rng, rate)
-        is_seen = outcome.duration_s <= outcome.cut_s if is_cut else np.ones(len(path), dtype=bool)
+        is_seen = outcome.duration_s <= outcome.cut_s if is_cut else np.ones(len(trajectory), dtype=bool)
         end = clock + np.where(is_seen, outcome.duration_s, outcome.cut_s)
         rows = {
-            "path": path,
+            "trajectory": trajectory,
             "stage": stage,
             "elapsed_s": np.where(is_seen, end, np.nan),
             "action": np.array(ACTIONS_ALL, dtype=object)[action],
@@ -80,18 +80,20 @@ def simulate(num_paths: int, seed: int, is_cut: bool = True, rate: float = RATE)
         }
         stages.append(pd.concat([pd.DataFrame(rows), parts], axis=1))
         ends = ~is_seen | outcome.is_over | (stage == HORIZON)
-        cause = rng.choice(np.array(CAUSES, dtype=object), len(path), p=CAUSE_SHARES)
+        cause = rng.choice(np.array(CAUSES, dtype=object), len(trajectory), p=CAUSE_SHARES)
         cause[is_seen] = None
         ending = np.where(is_seen, "finished", "cut")
-        paths.append(pd.DataFrame({"path": path, "end_s": end, "ending": ending, "cause": cause})[ends])
+        trajectories.append(
+            pd.DataFrame({"trajectory": trajectory, "end_s": end, "ending": ending, "cause": cause})[ends]
+        )
         goes_on = ~ends
-        path, clock = path[goes_on], end[goes_on]
+        trajectory, clock = trajectory[goes_on], end[goes_on]
         parts = parts.assign(clutter=outcome.clutter).loc[goes_on].reset_index(drop=True)
-    tables: Any = (pd.concat(each, ignore_index=True) for each in (stages, paths))
+    tables: Any = (pd.concat(each, ignore_index=True) for each in (stages, trajectories))
     return Logs(*tables, reward_unit=REWARD_UNIT)
 
 
-def record(folder: Path, num_paths: int, seed: int) -> None:
+def record(folder: Path, num_trajectories: int, seed: int) -> None:
     """Log parts one by one with a recorder, stage by stage, and write what it holds into a folder for good.
 
     The clock is simulated, so the recorder is told of it; at a real cell it reads its own.
@@ -99,27 +101,27 @@ def record(folder: Path, num_paths: int, seed: int) -> None:
     rng = np.random.default_rng(seed)
     with TemporaryDirectory() as journal:
         with LogRecorder(journal, reward_unit=REWARD_UNIT) as recorder:
-            for _ in range(num_paths):
+            for _ in range(num_trajectories):
                 _record_one(recorder, rng)
         read_logs(journal).write(folder, overwrite=True)
 
 
 def _record_one(recorder: LogRecorder, rng: np.random.Generator) -> None:
-    part, clock_s, path = new_parts(1, rng), 0.0, recorder.begin_path()
+    part, clock_s, trajectory = new_parts(1, rng), 0.0, recorder.begin_trajectory()
     for stage in range(1, HORIZON + 1):
         action, chance = draw_action(part, stage, rng)
         seen = {name: float(part[name].iloc[0]) for name in COVARIATES}
-        path.begin_stage(covariates=seen, action=ACTIONS_ALL[action[0]], probability=float(chance[0]))
+        trajectory.begin_stage(covariates=seen, action=ACTIONS_ALL[action[0]], probability=float(chance[0]))
         outcome = attempt(part, action, rng)
         if outcome.cut_s[0] < outcome.duration_s[0]:
-            path.cut(str(rng.choice(CAUSES, p=CAUSE_SHARES)), elapsed_s=clock_s + float(outcome.cut_s[0]))
+            trajectory.cut(str(rng.choice(CAUSES, p=CAUSE_SHARES)), elapsed_s=clock_s + float(outcome.cut_s[0]))
             return
         clock_s += float(outcome.duration_s[0])
-        path.complete_stage(reward=float(outcome.reward[0]), elapsed_s=clock_s)
+        trajectory.complete_stage(reward=float(outcome.reward[0]), elapsed_s=clock_s)
         if outcome.is_over[0]:
             break
         part = part.assign(clutter=outcome.clutter)
-    path.finish()
+    trajectory.finish()
 
 
 def draw_action(

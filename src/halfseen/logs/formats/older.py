@@ -1,0 +1,124 @@
+"""Logs of version 1, in which a trajectory was a *path*: the table, its column, and the key in a journal."""
+
+import json
+import re
+import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from halfseen.logs import folder as parquet
+from halfseen.logs.formats import csv_folder
+from halfseen.logs.journal import lines, parts
+from halfseen.logs.logs import Logs
+from halfseen.logs.place import Place
+from halfseen.reading import TABLE, opened
+
+TODAY = {"path": "trajectory", "paths": "trajectories", "run_path": "run_trajectory"}
+"""What tables, columns and keys are called now, by their former names."""
+
+
+def is_older(folder: Place) -> bool:
+    """Whether a folder holds logs of version 1."""
+    files = [folder / "paths.parquet", folder / "paths.csv"]
+    return any(file.exists() for file in files) or (isinstance(folder, Path) and _is_older_journal(folder))
+
+
+def read_older(folder: Place) -> Logs:
+    """Read logs of version 1.
+
+    Parameters
+    ----------
+    folder
+        Parquet files, CSV files or a journal.
+
+    Raises
+    ------
+    LogError
+        As `read_logs` has it.
+    """
+    with _as_of_today(folder) as translated:
+        is_csv = (translated / "stages.csv").exists()
+        return csv_folder.read_csv(translated) if is_csv else Logs(**parquet.read_folder(translated))
+
+
+@contextmanager
+def _as_of_today(folder: Place) -> Iterator[Path]:
+    with TemporaryDirectory() as made:
+        # Messages name the folder as it is called.
+        translated = Path(made) / folder.name
+        translated.mkdir()
+        for file in folder.iterdir():
+            name = TODAY.get(file.stem, file.stem) + file.suffix
+            if file.suffix in _TRANSLATIONS:
+                _TRANSLATIONS[file.suffix](file, translated / name)
+        yield translated
+
+
+def _table(file: Place, to: Path) -> None:
+    with file.open("rb") as source:
+        opened = pq.ParquetFile(source)
+        names = [TODAY.get(name, name) for name in opened.schema_arrow.names]
+        schema = opened.read_row_group(0).rename_columns(names).schema if opened.num_row_groups else None
+        with pq.ParquetWriter(to, schema or opened.schema_arrow) as writer:
+            for number in range(opened.num_row_groups):
+                writer.write_table(opened.read_row_group(number).rename_columns(names))
+
+
+def _manifest(file: Place, to: Path) -> None:
+    manifest = json.loads(file.read_text(encoding="utf-8"))
+    counted = {"rows": manifest.get("rows"), "tables": manifest.get("tables")}
+    renamed: dict[str, Any] = {key: _renamed(value) for key, value in counted.items() if value is not None}
+    version = {parquet.FORMAT: parquet.VERSION, csv_folder.FORMAT: csv_folder.VERSION}.get(str(manifest.get("format")))
+    to.write_text(json.dumps(manifest | renamed | {"version": version}), encoding="utf-8")
+
+
+def _cells(file: Place, to: Path) -> None:
+    heading, *rows = file.read_bytes().split(b"\n", 1)
+    names = re.sub(r'(?<![^,"])(path|run_path)(?![^,"\r])', lambda found: TODAY[found[1]], heading.decode("utf-8-sig"))
+    to.write_bytes(b"\n".join([names.encode(), *rows]))
+
+
+def _journal(file: Place, to: Path) -> None:
+    """Chain the lines anew; those that did not check do not check again."""
+    above: int | None = 0
+    checksum: int | None = 0
+    with file.open("rb") as source, to.open("wb") as target:
+        for line in source:
+            body, stated = line[12:-2], line[2:10]
+            begins = next((begin for begin in (above, 0) if _follows(body, begin, stated)), None)
+            if begins is None:
+                above = checksum = int(stated, 16) if re.fullmatch(rb"[0-9a-f]{8}", stated) else None
+                target.write(line)
+                continue
+            event: dict[str, Any] = {str(TODAY.get(key, key)): value for key, value in json.loads(body).items()}
+            event |= {"version": lines.VERSION} if event["event"] == "journal" else {}
+            written, checksum = lines.journal_line(event, checksum if begins == above and checksum is not None else 0)
+            above = int(stated, 16)
+            target.write(written)
+
+
+def _follows(body: bytes, begin: int | None, stated: bytes) -> bool:
+    return begin is not None and b"%08x" % zlib.crc32(body, begin) == stated
+
+
+def _renamed(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    return {TODAY.get(key, key): _renamed(inner) for key, inner in value.items()}
+
+
+_TRANSLATIONS = {".parquet": _table, ".json": _manifest, ".csv": _cells, ".jsonl": _journal}
+
+
+def _is_older_journal(folder: Path) -> bool:
+    first = next(iter(parts.journal_parts(folder)), None)
+    if first is None:
+        return False
+    header, _ = lines.journal_line(lines.OLDER, 0)
+    with opened(first, TABLE) as file:
+        return file.readline(len(header)) == header
