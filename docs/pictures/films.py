@@ -38,10 +38,8 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     load_mujoco()
 
     from halfseen.cell.campaign import Conditions
-    from halfseen.cell.clearing import Moment
-    from halfseen.cell.episode import play
+    from halfseen.cell.episode import Moment, play, play_team
     from halfseen.cell.film import Film
-    from halfseen.cell.several.team_episode import play_team
     from halfseen.cli.arms import robot_for, stations_for
     from halfseen.cli.cell_policies import policy_of, team_policy_of
     from halfseen.cli.cell_run import belief_of

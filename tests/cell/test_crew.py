@@ -4,12 +4,21 @@ import numpy as np
 import pytest
 from cells import HOMES, LEFT, RIGHT, ROBOTS, SLIM, live_pair, over, standing
 
-from halfseen.cell.commands import Grip, Move, Reserve, Rest
-from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.executor import DEADLOCK, Crew
+from halfseen.cell.live_cell import (
+    EMERGENCY_STOP,
+    Grip,
+    Guard,
+    LiveCell,
+    Move,
+    Reserve,
+    Rest,
+    StoppedError,
+    Stops,
+    largest_force_n,
+)
 from halfseen.cell.model import cell_model
-from halfseen.cell.several.crew import DEADLOCK, Crew
-from halfseen.cell.several.touches import Touches
-from halfseen.cell.stops import EMERGENCY_STOP, Guard, StoppedError, Stops, largest_force_n
+from halfseen.cell.space import Touches
 
 
 @pytest.fixture

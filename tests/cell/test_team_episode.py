@@ -8,17 +8,13 @@ import pytest
 from cells import FULL_CAMERA, two_arm_cell
 
 from halfseen.arrays import record
-from halfseen.cell.account import Account
-from halfseen.cell.attempt import Attempt
-from halfseen.cell.clearing import PAUSE_S
-from halfseen.cell.commands import Rest
-from halfseen.cell.luck import luck_of_washing
+from halfseen.cell.episode import PAUSE_S, TeamRun, play_team
+from halfseen.cell.fetching import Attempt
+from halfseen.cell.live_cell import SENSOR_LOST, Rest, Stops
 from halfseen.cell.memory import Trial
-from halfseen.cell.several.pair import PAIR
-from halfseen.cell.several.team_episode import TeamRun, play_team
-from halfseen.cell.several.team_table import TeamTable
-from halfseen.cell.stops import SENSOR_LOST, Stops
-from halfseen.cell.table_state import Belief, no_grip
+from halfseen.cell.model import PAIR
+from halfseen.cell.rewards import Account, luck_of_washing
+from halfseen.cell.table_state import Belief, TeamTable, no_grip
 from halfseen.cell.workcell import Workcell
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs

@@ -20,26 +20,21 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.cell.account import Run
-    from halfseen.cell.arm import JACO_2, Arm, Joint, Motor
+    from halfseen.cell.arm import JACO_2, Arm, Joint, Motor, SerialArm
     from halfseen.cell.arm_file import ArmFile
+    from halfseen.cell.calibration.calibrate import LiftAtRandom
+    from halfseen.cell.camera import Eye, Look
     from halfseen.cell.campaign import Campaign, Conditions
-    from halfseen.cell.contacts import Contacts
-    from halfseen.cell.episode import play
+    from halfseen.cell.episode import TeamRun, play, play_team
     from halfseen.cell.grasps import Grasp
-    from halfseen.cell.gripper import Gripper
+    from halfseen.cell.gripper import Contacts, Gripper
     from halfseen.cell.home import robot_of
     from halfseen.cell.kinematics import Kinematics
-    from halfseen.cell.live_cell import LiveCell
-    from halfseen.cell.looking import Eye, Look
+    from halfseen.cell.live_cell import LiveCell, Stops
     from halfseen.cell.memory import Memory
-    from halfseen.cell.model import Rack, Robot, Station, cell_model
-    from halfseen.cell.serial_arm import SerialArm
-    from halfseen.cell.several.pair import PAIR
-    from halfseen.cell.several.team_episode import TeamRun, play_team
-    from halfseen.cell.stops import Stops
+    from halfseen.cell.model import PAIR, Rack, Robot, Station, cell_model
+    from halfseen.cell.rewards import Run
     from halfseen.cell.table_state import Belief
-    from halfseen.cell.trying import LiftAtRandom
     from halfseen.cell.workcell import Workcell
 
 __all__ = [
@@ -81,32 +76,32 @@ __getattr__ = lazy_names(
         "JACO_2": "arm",
         "Arm": "arm",
         "ArmFile": "arm_file",
-        "Contacts": "contacts",
-        "Eye": "looking",
+        "Contacts": "gripper",
+        "Eye": "camera",
         "Gripper": "gripper",
         "Joint": "arm",
         "Kinematics": "kinematics",
         "LiveCell": "live_cell",
-        "Look": "looking",
+        "Look": "camera",
         "Motor": "arm",
         "Rack": "model",
         "Robot": "model",
         "Station": "model",
-        "SerialArm": "serial_arm",
+        "SerialArm": "arm",
         "cell_model": "model",
         "robot_of": "home",
         "Belief": "table_state",
         "Campaign": "campaign",
         "Conditions": "campaign",
         "Grasp": "grasps",
-        "LiftAtRandom": "trying",
+        "LiftAtRandom": "calibration.calibrate",
         "Memory": "memory",
-        "Run": "account",
-        "Stops": "stops",
+        "Run": "rewards",
+        "Stops": "live_cell",
         "Workcell": "workcell",
         "play": "episode",
-        "PAIR": "several.pair",
-        "TeamRun": "several.team_episode",
-        "play_team": "several.team_episode",
+        "PAIR": "model",
+        "TeamRun": "episode",
+        "play_team": "episode",
     },
 )

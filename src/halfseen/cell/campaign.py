@@ -19,13 +19,11 @@ from typing import Protocol
 
 import numpy as np
 
-from halfseen.cell.account import Run
-from halfseen.cell.camera_errors import Errors
-from halfseen.cell.clearing import Moment
-from halfseen.cell.episode import play
+from halfseen.cell.camera import Errors
+from halfseen.cell.episode import Moment, TeamRun, play, play_team
+from halfseen.cell.live_cell import Stops
 from halfseen.cell.model import Robot, Station
-from halfseen.cell.several.team_episode import TeamRun, play_team
-from halfseen.cell.stops import Stops
+from halfseen.cell.rewards import Run
 from halfseen.cell.table_state import Belief
 from halfseen.cell.workcell import Workcell
 from halfseen.errors import ArgumentError, LogError

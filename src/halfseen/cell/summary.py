@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import Rows
-from halfseen.cell.account import Run
-from halfseen.cell.several.team_episode import TeamRun
+from halfseen.cell.episode import TeamRun
+from halfseen.cell.rewards import Run
 from halfseen.censoring import censoring_weights
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.logs import Logs

@@ -49,10 +49,8 @@ def film(
     refuse_output(out, "a film", [".gif"], overwrite, [arm] if arm else [])
     start_opengl()
     from halfseen.cell.campaign import Conditions
-    from halfseen.cell.clearing import Moment
-    from halfseen.cell.episode import play
+    from halfseen.cell.episode import Moment, play, play_team
     from halfseen.cell.film import OF_TWO_ARMS, Film, Shot
-    from halfseen.cell.several.team_episode import play_team
     from halfseen.logs import LogRecorder
     from halfseen.world import random
 

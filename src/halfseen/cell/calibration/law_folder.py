@@ -1,20 +1,9 @@
-"""Laws on disk: numbers and text, so that loading one runs no code.
-
-::
-
-    FOLDER/
-      law.json          what was tried, how often, under which conditions; names and units of the numbers
-      law.safetensors   the numbers
-      law.sha256        digests of both
-      attempts/         the log that they were estimated from, if it is kept; and with it
-      held.svg, .png    how often attempts held, and what the law says of them
-      labels.svg, .png  what labels say by how much was in view
-      attempts-visible-only/  attempts of grasps that were planned from visible points alone, if there are some
-"""
+"""Laws on disk."""
 
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +11,23 @@ import numpy as np
 import safetensors.numpy
 from safetensors import SafetensorError
 
-from halfseen.cell.calibration.grasp_fit import NAMES, GraspFit
-from halfseen.cell.calibration.law import Law
-from halfseen.cell.calibration.time_fit import TimeFit
+from halfseen.cell.calibration.grasping import NAMES, GraspFit
+from halfseen.cell.calibration.law import Law, TimeFit
 from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.files import Kind, read_files, write_files
 from halfseen.policies.folder.json_values import plain
 from halfseen.reading import json_of
 from halfseen.world.seeing import PersistentSeeing
+
+
+def shipped_law() -> Path:
+    """Find its folder, to be read with `halfseen.cell.calibration.law_folder.read_law`.
+
+    It was made by ``halfseen cell calibrate --attempts 6000``; ``--from`` of its attempts makes it again.
+    """
+    return Path(str(files("halfseen.cell.calibration"))) / "shipped_law"
+
 
 ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
 LAW = Kind("law", "halfseen cell calibrate")
@@ -91,7 +88,7 @@ def write_law(
     numbers = safetensors.numpy.save(_arrays(law))
     beside: dict[str, Callable[[Path], None]] = {}
     if logs is not None:
-        from halfseen.cell.calibration.pictures import pictures_of
+        from halfseen.cell.calibration.figures import pictures_of
 
         beside = {ATTEMPTS: logs.write, **pictures_of(law, logs)}
     if contrast is not None:

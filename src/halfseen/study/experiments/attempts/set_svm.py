@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import Rows
-from halfseen.cell.calibration.trials import FACTS
+from halfseen.cell.calibration.attempts import FACTS
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.learning.svm.set_kernel import SetKernel
 from halfseen.shapes import Float

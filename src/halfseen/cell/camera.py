@@ -1,27 +1,27 @@
-"""Looks into the running cell: what the depth camera returns, less the robots, whose place is known.
-
-What never moves is seen once. Robots are then added by the rays that may meet them or their shadow, cups facet by
-facet.
-"""
+"""The depth camera over the running cell: what it returns, less robots and what they cut from view."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.ndimage import minimum_filter
+from scipy.spatial.transform import Rotation
 
 from halfseen.arrays import Image
 from halfseen.cell.live_cell import LiveCell
 from halfseen.perception.clouds import Cloud, Picture
+from halfseen.perception.view import View, perceive
 from halfseen.scene.camera import Camera
 from halfseen.scene.colours import colours
 from halfseen.scene.facets import Facets, mesh_facets
 from halfseen.scene.moving import Sight, with_facets, with_rays
 from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.stains import Surface
+from halfseen.scene.table import TABLE_TOP_M
 from halfseen.scene.view import IdealView, ideal_view
 from halfseen.scene.xtion import XTION, StructuredLight, sense
-from halfseen.shapes import Int
+from halfseen.shapes import Bool, Float, Int
 
 
 @dataclass(frozen=True)
@@ -97,3 +97,82 @@ class Eye:
     @cached_property
     def _cups(self) -> Facets:
         return mesh_facets(self.cell.model, (CUP_GROUP,))
+
+
+_BESIDE_PX = 3
+_BEHIND_M = 0.03
+"""An arm hides what is farther than this before it [m]: what it touches counts as cut."""
+
+
+def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]) -> tuple[View, Cloud]:
+    """Perceive what no arm cuts, nor what it holds.
+
+    Parameters
+    ----------
+    cloud
+        What the camera returned, without robots.
+    arms_m
+        Distance of robots along the optical axis [m]; infinite where there is none.
+    is_held
+        Which points of the cloud belong to what hands hold: it is no object on the table, and hides as arms do.
+
+    Returns
+    -------
+    View
+        What is seen whole.
+    Cloud
+        The cloud without the objects that are not, and without what is held.
+    """
+    held_m = np.where(is_held, cloud.points_m[:, 2], np.inf).reshape(arms_m.shape)
+    cloud = without(cloud, is_held)
+    view = perceive(cloud)
+    hiding_m = np.minimum(arms_m, held_m)
+    if not np.isfinite(hiding_m).any():
+        return view, cloud
+    nearest_m = minimum_filter(hiding_m, 2 * _BESIDE_PX + 1)
+    is_beside = nearest_m < view.image.depth_m + _BEHIND_M
+    cut = [seen.pixels for seen in view.objects if is_beside.ravel()[seen.pixels].any()]
+    if not cut:
+        return view, cloud
+    is_cut: Bool[np.ndarray, " n"] = np.zeros(len(cloud.points_m), dtype=bool)
+    is_cut[np.concatenate(cut)] = True
+    left = without(cloud, is_cut)
+    return perceive(left), left
+
+
+def without(cloud: Cloud, is_out: Bool[np.ndarray, " n"]) -> Cloud:
+    """Take points out of a cloud, as if nothing had returned there.
+
+    Parameters
+    ----------
+    cloud
+        What the camera returned.
+    is_out
+        Which of its points.
+    """
+    if not is_out.any():
+        return cloud
+    return replace(cloud, points_m=np.where(is_out[:, None], np.nan, cloud.points_m))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How far the robot's idea of where its camera is may err.
+
+    Parameters
+    ----------
+    position_m
+        Standard deviation along each axis [m].
+    angle_rad
+        Standard deviation about each axis [rad].
+    """
+
+    position_m: float = 0.004
+    angle_rad: float = float(np.deg2rad(0.5))
+
+    def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+        """Draw an error: a small motion of the world about the middle of the table."""
+        error, pivot_m = np.eye(4), np.array([0.0, 0.0, TABLE_TOP_M])
+        error[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3)).as_matrix()
+        error[:3, 3] = pivot_m - error[:3, :3] @ pivot_m + rng.normal(0.0, self.position_m, 3)
+        return error

@@ -1,10 +1,4 @@
-"""Arms that move together in one clock: each asks for the space of a way before it goes, and waits where it is taken.
-
-Where arms wait for one another in a ring, where all that are at something wait (for one another, or for one that is
-idle and does not go), or where one waits for too long, the one that came last and has a free way home is told to give
-way: what it then reserves is that way, and the others go on. One that is at home already gives up what it wanted. If
-neither helps, and nobody moves who could change that, the cell is stopped.
-"""
+"""K arms that move together in one clock."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -12,13 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.cell.commands import Activity, Grip, Move, Reserve, Rest
-from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.kinematics import Way
+from halfseen.cell.live_cell import Activity, Grip, LiveCell, Move, Reserve, Rest, StoppedError
 from halfseen.cell.model import Robot
-from halfseen.cell.motion import Way
-from halfseen.cell.several.reservations import Reservations
-from halfseen.cell.several.volumes import Space
-from halfseen.cell.stops import StoppedError
+from halfseen.cell.space import Reservations, Space
 
 DEADLOCK = "deadlock"
 """Cause of a cut: arms wait for one another, or for one that is idle, and none has a free way home."""
