@@ -1,16 +1,11 @@
 """The physical cell: arms that try what they planned from their own cloud.
 
-Read down: `contacts` (what holds in simulated contact) → `serial_arm` (what every arm is) → `arm`, or `chain` and
-`arm_file` (one of a table, or one of the user's file), `gripper` (what moves) → `cup_walls` (what is held) → `model`
-(room, cups, rack and arms as one MuJoCo model) → `kinematics` (which angles bring a hand to a place) → `home` (where
-any arm stands and waits) → `motion` (lines and schedules) → `commands` (what a robot is told) → `live_cell` (physics
-that goes on) → `looking`, `cut_by_arms` (the camera, the truth apart from it, and what an arm cuts from view) →
-`grasps`, `clearance` (where a hand could close, and what is in its way) → `planning` (how it gets there, or why not) →
-`fetching`, `racking`, `showing`, `attempt` (what is done with it, and what is told of that) → `facts`, `memory` (what
-the robot knows) → `camera_errors` (what it believes wrongly) → `stops` (what cuts) → `workcell` (all of that as one
-table and its robots) → `table_state` (what a policy decides in) → `truth`, `luck`, `account` (what it earns) →
-`clearing`, `episode` (one table to its end), `several` (the same with several arms) → `campaign` (many) → `summary`,
-`film`; `trying` → `calibration` (laws from what was tried).
+Read down: `gripper`, `arm` or `chain` and `arm_file`, `model` (what there is, as one MuJoCo model) → `kinematics`,
+`home` (angles of a hand) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes, and
+how it gets there) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the robot knows) →
+`workcell` (one table and its robots) → `table_state`, `rewards` (what a policy decides in, and what it earns) →
+`space`, `executor` (K arms in one clock) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
+`calibration` (laws from what was tried).
 
 MuJoCo loads when one of these names is asked for, never when this package is imported.
 """
@@ -25,7 +20,7 @@ if TYPE_CHECKING:
     from halfseen.cell.calibration.calibrate import LiftAtRandom
     from halfseen.cell.camera import Eye, Look
     from halfseen.cell.campaign import Campaign, Conditions
-    from halfseen.cell.episode import TeamRun, play, play_team
+    from halfseen.cell.episode import TeamRun, play
     from halfseen.cell.grasps import Grasp
     from halfseen.cell.gripper import Contacts, Gripper
     from halfseen.cell.home import robot_of
@@ -66,7 +61,6 @@ __all__ = [
     "Workcell",
     "cell_model",
     "play",
-    "play_team",
     "robot_of",
 ]
 
@@ -102,6 +96,5 @@ __getattr__ = lazy_names(
         "play": "episode",
         "PAIR": "model",
         "TeamRun": "episode",
-        "play_team": "episode",
     },
 )

@@ -1,4 +1,9 @@
-"""The depth camera over the running cell: what it returns, less robots and what they cut from view."""
+"""The depth camera over the running cell: what it returns, less the robots, whose place is known, and what they cut.
+
+What never moves is seen once; robots are added by the rays that may meet them or their shadow, cups facet by facet. An
+object of which an arm, or what it holds, hides a part would be completed to a wrong shape, and a stain behind it would
+count as looked for: it is left out of a look, and kept as it was.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

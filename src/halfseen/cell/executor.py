@@ -1,13 +1,17 @@
-"""K arms that move together in one clock."""
+"""K arms that move together in one clock: each asks for the space of a way before it goes, and waits where it is taken.
 
-from collections.abc import Sequence
+Where arms wait for one another in a ring, where all that are busy wait (for one another, or for an idle one that does
+not go), or where one waits for too long, the one that came last and has a free way home is told to give way: what it
+then reserves is that way, and the others go on. One that is at home already gives up what it wanted. If neither helps,
+and nobody moves who could change that, the cell is stopped. With K = 1 there is nobody to wait for.
+"""
+
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
-import numpy as np
-
-from halfseen.cell.kinematics import Way
-from halfseen.cell.live_cell import Activity, Grip, LiveCell, Move, Reserve, Rest, StoppedError
+from halfseen.cell.kinematics import Angles
+from halfseen.cell.live_cell import Activity, Command, Grip, LiveCell, Move, Reserve, Rest, StoppedError
 from halfseen.cell.model import Robot
 from halfseen.cell.space import Reservations, Space
 
@@ -18,20 +22,13 @@ _ASK_EVERY = 10
 """Ticks between two looks whether a space is free by now."""
 
 
-@dataclass(frozen=True)
-class Ended:
-    """What one arm has done.
-
-    Parameters
-    ----------
-    arm
-        Its number.
-    result
-        What came of it.
-    """
+class Ended(NamedTuple):
+    """What one arm has done."""
 
     arm: int
+    """Its number."""
     result: Any
+    """What its activity returned."""
 
 
 @dataclass
@@ -57,25 +54,35 @@ class Tally:
 
 
 @dataclass(eq=False)
+class _Request:
+    """A reservation that is not decided yet."""
+
+    command: Reserve
+    space: Space
+    since_s: float
+    blocked_by: tuple[int, ...] = ()
+    num_asked: int = 0
+
+
+@dataclass(eq=False)
 class _Worker:
-    """What one arm is at."""
+    """What one arm is doing."""
 
     activity: Activity[Any] | None = None
-    way: Way = field(default_factory=lambda: np.zeros((0, 0)))
-    at: int = 0
-    end: Any = None
+    way: Iterator[Angles] = field(default_factory=lambda: iter(()))
+    end: Angles | None = None
     ticks: int = 0
-    answer: bool | None = None
-    wanted: Reserve | None = None
-    space: Space | None = None
-    blocked_by: tuple[int, ...] = ()
-    since_s: float = 0.0
-    asked: int = 0
+    answer: Any = None
+    request: _Request | None = None
     reserved_s: float = 0.0
 
+    @property
+    def blocked_by(self) -> tuple[int, ...]:
+        return () if self.request is None else self.request.blocked_by
 
-class Crew:
-    """The arms of a cell.
+
+class Executor:
+    """Carries out the activities of the arms of a cell.
 
     Parameters
     ----------
@@ -96,77 +103,72 @@ class Crew:
         self._cell, self._robots, self._patience_s = cell, robots, patience_s
         self._reservations = Reservations(cell, robots)
         self._workers = [_Worker() for _ in robots]
-        self._told: set[int] = set()
+        self._steered: set[int] = set()
         self.tally = Tally()
 
     def begin(self, arm: int, activity: Activity[Any]) -> None:
-        """Let an arm that is idle begin something.
-
-        Parameters
-        ----------
-        arm
-            Its number.
-        activity
-            What it does.
-        """
+        """Let an idle arm begin an activity."""
         assert not self.is_busy(arm), "an arm does one thing at a time"
         self._workers[arm] = _Worker(activity)
 
     def is_busy(self, arm: int) -> bool:
-        """Whether an arm is at something."""
+        """Whether an arm has an activity."""
         return self._workers[arm].activity is not None
 
     def work(self, most_ticks: int | None = None) -> list[Ended]:
-        """Let time pass until an arm has done what it was at.
+        """Let time pass until an arm has ended its activity.
 
         Parameters
         ----------
         most_ticks
-            After which it stops all the same; None for never.
+            After which several arms stop all the same; None for never.
 
         Returns
         -------
         list of Ended
-            Who has, the lowest number first; none where no arm is at anything.
+            Who has, the lowest number first; none where no arm is busy.
 
         Raises
         ------
         StoppedError
-            Arms wait for one another, or for one that is idle, and none has a free way home; or what watches the cell
-            stopped it.
+            Arms wait for one another, or for one that is idle, and none has a free way home; or a watch stopped the
+            cell.
         """
+        if len(self._robots) == 1 and (activity := self._workers[0].activity) is not None:
+            self._workers[0] = _Worker()
+            return [Ended(0, self._cell.carry_out(self._robots[0], activity))]
         num_ticks = 0
         while any(worker.activity is not None for worker in self._workers) and num_ticks != most_ticks:
-            # Who was told before another arm's end broke a tick off is not told twice in it.
-            told = {arm: self._tick(arm) for arm in range(len(self._workers)) if arm not in self._told}
-            ended = [done for done in told.values() if done is not None]
-            self._told |= {arm for arm, done in told.items() if done is None}
-            if ended:
+            # An arm that was steered before the end of another broke a tick off is not steered twice in it.
+            ticked = {arm: self._tick(arm) for arm in range(len(self._workers)) if arm not in self._steered}
+            self._steered |= {arm for arm, ended in ticked.items() if ended is None}
+            if ended := [each for each in ticked.values() if each is not None]:
                 return ended
             if num_ticks % _ASK_EVERY == 0:
-                self._settle()
+                self._resolve_deadlocks()
             self._cell.wait(self._cell.tick_s)
-            self._told.clear()
+            self._steered.clear()
             num_ticks += 1
         return []
 
     def _tick(self, arm: int) -> Ended | None:
-        """Tell an arm's servos what to do in the next tick; whether it has nothing more to do."""
-        worker = self._workers[arm]
+        """Steer an arm's servos for the next tick; its result if its activity has ended."""
+        worker, robot = self._workers[arm], self._robots[arm]
         while worker.activity is not None:
-            if worker.at < len(worker.way):
-                self._go_on(arm, worker)
+            if (angles := next(worker.way, None)) is not None:
+                self._cell.steer(robot, angles)
+                self._reservations.advance(arm, angles)
                 return None
             if worker.end is not None:
-                self._cell.steer(self._robots[arm], worker.end)
+                self._cell.steer(robot, worker.end)
                 worker.end = None
             if worker.ticks > 0:
                 worker.ticks -= 1
                 return None
-            if worker.wanted is not None and not self._is_granted(arm, worker):
+            if worker.request is not None and not self._is_decided(arm, worker, worker.request):
                 return None
             try:
-                command = next(worker.activity) if worker.answer is None else worker.activity.send(worker.answer)
+                command = worker.activity.send(worker.answer)
             except StopIteration as stopped:
                 worker.activity = None
                 self._reservations.let_go(arm)
@@ -175,103 +177,87 @@ class Crew:
             self._take_up(arm, worker, command)
         return None
 
-    def _go_on(self, arm: int, worker: _Worker) -> None:
-        angles = worker.way[worker.at]
-        worker.at += 1
-        self._cell.steer(self._robots[arm], angles)
-        self._reservations.advance(arm, angles)
-
-    def _take_up(self, arm: int, worker: _Worker, command: Move | Grip | Rest | Reserve) -> None:
-        robot, tick_s = self._robots[arm], self._cell.tick_s
+    def _take_up(self, arm: int, worker: _Worker, command: Command) -> None:
+        robot, cell = self._robots[arm], self._cell
         match command:
             case Move():
-                worker.way = self._cell.commanded_rad(robot, command.way, command.speed)
-                worker.at, worker.end = 0, command.way[-1]
+                worker.way, worker.end = iter(cell.commanded_rad(robot, command.way, command.speed)), command.way[-1]
             case Grip():
-                self._cell.close(robot, command.opening_m)
-                worker.ticks = round(command.seconds / tick_s)
+                cell.close(robot, command.opening_m)
+                worker.ticks = round(command.seconds / cell.tick_s)
             case Rest():
-                worker.ticks = round(command.seconds / tick_s)
+                worker.ticks = round(command.seconds / cell.tick_s)
             case Reserve():
                 self._reservations.stand(arm)
-                worker.wanted, worker.blocked_by, worker.asked = command, (), 0
-                worker.since_s = self._cell.time_s
-                worker.space = self._reservations.space(arm, command.way, command.below_m)
+                space = self._reservations.space(arm, command.way, command.below_m)
+                worker.request = _Request(command, space, cell.time_s)
 
-    def _is_granted(self, arm: int, worker: _Worker) -> bool:
-        """Whether what an arm wanted is decided by now."""
-        wanted, space = worker.wanted, worker.space
-        assert wanted is not None, "it asked"
-        assert space is not None, "and so there is the space that it asked for"
-        worker.asked += 1
-        if (worker.asked - 1) % _ASK_EVERY:
+    def _is_decided(self, arm: int, worker: _Worker, request: _Request) -> bool:
+        """Whether a request is granted or refused by now; it is looked at every few ticks."""
+        request.num_asked += 1
+        if (request.num_asked - 1) % _ASK_EVERY:
             return False
-        is_first = worker.asked == 1
-        worker.blocked_by = self._reservations.in_the_way(arm, space)
-        if worker.blocked_by and wanted.is_patient:
-            self.tally.num_waits += is_first
+        request.blocked_by = self._reservations.in_the_way(arm, request.space)
+        if not request.blocked_by:
+            self._grant(arm, worker, request, request.space, answer=True)
+        elif request.command.is_patient:
+            self.tally.num_waits += request.num_asked == 1
             return False
-        if not worker.blocked_by:
-            self._grant(arm, worker, space, is_free=True)
         else:
-            worker.wanted, worker.answer = None, False
+            worker.request, worker.answer = None, False
         return True
 
-    def _grant(self, arm: int, worker: _Worker, space: Space, *, is_free: bool) -> None:
-        assert worker.wanted is not None, "it asked"
-        now_s = self._cell.time_s
-        self._reservations.reserve(arm, space, worker.wanted.below_m)
-        self.tally.waited_s += now_s - worker.since_s
-        worker.wanted, worker.answer, worker.blocked_by, worker.reserved_s = None, is_free, (), now_s
+    def _grant(self, arm: int, worker: _Worker, request: _Request, space: Space, *, answer: bool) -> None:
+        self._reservations.reserve(arm, space, request.command.below_m)
+        self.tally.waited_s += self._cell.time_s - request.since_s
+        worker.request, worker.answer, worker.reserved_s = None, answer, self._cell.time_s
 
-    def _settle(self) -> None:
+    def _resolve_deadlocks(self) -> None:
         """Notice a deadlock, and let one arm give way."""
         blocked = self._blocked()
         does_nobody_move = len(blocked) == sum(worker.activity is not None for worker in self._workers)
-        for_good = blocked if does_nobody_move else [arm for arm in blocked if self._waits_for_itself(arm)]
-        stuck = for_good or [arm for arm in blocked if self._is_impatient(arm)]
+        for_good = (
+            blocked if does_nobody_move else {k: each for k, each in blocked.items() if self._waits_for_itself(k)}
+        )
+        now_s = self._cell.time_s
+        stuck = for_good or {k: each for k, each in blocked.items() if now_s - each.since_s > self._patience_s}
         if not stuck:
             return
-        if self._one_goes_home(stuck) or self._those_at_home_give_up(stuck):
+        if self._send_one_home(stuck) or self._refuse_those_at_home(stuck):
             self.tally.num_deadlocks += 1
         elif for_good:
             raise StoppedError(DEADLOCK)
 
-    def _blocked(self) -> list[int]:
-        """Which arms wait for space that others have now: some may have left it since they asked."""
-        blocked = []
+    def _blocked(self) -> dict[int, _Request]:
+        """Requests for space that other arms have now, by arm: some may have left it since it was asked for."""
+        blocked = {}
         for arm, worker in enumerate(self._workers):
-            if worker.wanted is not None and worker.blocked_by:
-                assert worker.space is not None, "it asked"
-                worker.blocked_by = self._reservations.in_the_way(arm, worker.space)
-                blocked += [arm] if worker.blocked_by else []
+            if worker.request is not None and worker.request.blocked_by:
+                worker.request.blocked_by = self._reservations.in_the_way(arm, worker.request.space)
+                if worker.request.blocked_by:
+                    blocked[arm] = worker.request
         return blocked
 
-    def _one_goes_home(self, stuck: list[int]) -> bool:
+    def _send_one_home(self, stuck: dict[int, _Request]) -> bool:
         """Send home the arm that came last, of those whose way home is free; whether there is one."""
         for arm in sorted(stuck, key=lambda arm: -self._workers[arm].reserved_s):
-            worker = self._workers[arm]
-            assert worker.wanted is not None, "it is blocked"
-            if not len(worker.wanted.back):
+            request = stuck[arm]
+            if not len(request.command.back):
                 continue
-            back = self._reservations.space(arm, worker.wanted.back, worker.wanted.below_m)
+            back = self._reservations.space(arm, request.command.back, request.command.below_m)
             if not self._reservations.in_the_way(arm, back):
                 self.tally.num_gave_way += 1
-                self._grant(arm, worker, back, is_free=False)
+                self._grant(arm, self._workers[arm], request, back, answer=False)
                 return True
         return False
 
-    def _those_at_home_give_up(self, stuck: list[int]) -> bool:
-        """Refuse what arms wanted that have nothing to go back from; whether there are any."""
-        workers = [self._workers[arm] for arm in stuck]
-        at_home = [worker for worker in workers if worker.wanted is not None and not len(worker.wanted.back)]
-        for worker in at_home:
-            self.tally.waited_s += self._cell.time_s - worker.since_s
-            worker.wanted, worker.answer, worker.blocked_by = None, False, ()
+    def _refuse_those_at_home(self, stuck: dict[int, _Request]) -> bool:
+        """Refuse the requests of arms that have nothing to go back from; whether there are any."""
+        at_home = {arm: request for arm, request in stuck.items() if not len(request.command.back)}
+        for arm, request in at_home.items():
+            self.tally.waited_s += self._cell.time_s - request.since_s
+            self._workers[arm].request, self._workers[arm].answer = None, False
         return bool(at_home)
-
-    def _is_impatient(self, arm: int) -> bool:
-        return self._cell.time_s - self._workers[arm].since_s > self._patience_s
 
     def _waits_for_itself(self, arm: int) -> bool:
         """Whether those whom an arm waits for wait, directly or not, for it."""

@@ -1,4 +1,10 @@
-"""Grasps from the cloud alone: where a hand could close on an object, and what stands in its way."""
+"""Grasps from the cloud alone: where a hand could close, in coordinates of the table, and what is in its way.
+
+An object whose shape perception completed is taken by its rim (one finger inside), around it (both outside, from
+above), or across it where it lies. What is no vessel, and everything for a planner that trusts visible points only, is
+taken by the box around the points. On its way the open hand keeps clear of the points that are seen; where nothing is
+seen something may be: fingers in hidden space cost, the more of them the more.
+"""
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,8 @@
-"""The cell as it runs: commands to robots, physics that goes on while they move, and what stops it."""
+"""The cell as it runs: what robots are told to do, physics that goes on meanwhile, and what stops it.
+
+What a robot does is a generator of commands, an `Activity`: it reads the cell when it is asked for the next command,
+and learns whether the last was carried out. All but `Reserve` always are.
+"""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false

@@ -266,4 +266,8 @@ def _station(name: str, side: float, home_rad: tuple[float, ...]) -> Station:
 
 
 PAIR = (_station("left", -1.0, _LEFT_HOME_RAD), _station("right", 1.0, _RIGHT_HOME_RAD))
-"""Left and right, as the camera sees them."""
+"""Two arms at the two ends of the table, left and right as the camera sees them, each the other's mirror image.
+
+The camera looks along the table's short side, so that neither arm stands before it; each waits over its own rack, out
+of the way of the other, and reaches its own half of the table and a little more.
+"""

@@ -1,4 +1,14 @@
-"""What a table earns, by the truth: rewards, their luck, and episode statistics."""
+"""What a table earns, by the truth: rewards, their luck, and what else came of it.
+
+Rewards and luck are told when an attempt ends, and booked when its stage is completed: a stage that a cut left
+incomplete has earned nothing, in the log or here, and has had no luck either. Each of several robots has its own share,
+too: what it would have been paid had it been alone, that is the reward of its own attempts and, where it comes to its
+own end, that of what is dirty in its reach.
+
+Which cups are dirty is drawn, and that luck is most of what makes rewards differ from table to table. Where P(DIRTY) is
+calibrated its mean is 0 whatever decides (each term is the difference of an outcome from its expectation given all that
+was seen before), so that a mean without it is the same mean, better known: a control variate [Burch2018]_.
+"""
 
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
@@ -32,38 +42,22 @@ class Truth:
         self.is_dirty, self.is_racked = is_dirty, np.zeros(len(is_dirty), dtype=bool)
         self._stood = self._upright(cell) > _TOPPLED_COSINE
 
-    @property
-    def num_dirty_left(self) -> int:
-        """Dirty cups that are not in the rack."""
-        return int(self._is_left.sum())
-
-    def num_dirty_left_to(self, cell: Workcell, arm: int) -> int:
-        """Count those of them that are within the reach of an arm, whoever holds them and even where they fell."""
-        station = cell.stations[arm]
-        apart_m = np.linalg.norm(self._places_m(cell)[:, :2] - station.robot.base_m[:2], axis=1)
-        return int((self._is_left & (apart_m <= station.reach_m)).sum())
-
-    @property
-    def _is_left(self) -> Bool[np.ndarray, " N"]:
-        return self.is_dirty & ~self.is_racked
+    def num_dirty_left(self, cell: Workcell, arm: int | None = None) -> int:
+        """Count dirty cups that are not in the rack; of an arm those in its reach, even where they are held or fell."""
+        is_left = self.is_dirty & ~self.is_racked
+        if arm is not None:
+            station = cell.stations[arm]
+            apart_m = np.linalg.norm(self._places_m(cell)[:, :2] - station.robot.base_m[:2], axis=1)
+            is_left &= apart_m <= station.reach_m
+        return int(is_left.sum())
 
     def newly_racked(self, cell: Workcell, arm: int | None = None) -> list[bool]:
-        """Of the cups that came into the rack since it was asked last, whether each is dirty.
-
-        Parameters
-        ----------
-        cell
-            The cell.
-        arm
-            Whose rack is looked at; None for all.
-        """
+        """Whether each cup that came into the rack (of an arm; None for all) since it was asked last is dirty."""
         stations = cell.stations if arm is None else (cell.stations[arm],)
-        places_m = self._places_m(cell)
-        now = np.array([any(each.rack.holds(place) for each in stations) for place in places_m], dtype=bool)
+        now = np.array([any(each.rack.holds(place) for each in stations) for place in self._places_m(cell)], dtype=bool)
         if arm is not None:
             now |= self.is_racked
-        new = now & ~self.is_racked
-        self.is_racked = now
+        new, self.is_racked = now & ~self.is_racked, now
         return self.is_dirty[new].tolist()
 
     def add_to(self, rows: list[dict[str, Any]], cell: Workcell) -> None:
@@ -142,8 +136,8 @@ class Run:
     reward
         Sum of the rewards of the stages that were completed, as the log has them [-].
     luck
-        Part of it that was the luck of which cups were dirty (`luck`): of the table as it looked at first, and of what
-        was washed in those same stages [-].
+        Part of it that was the luck of which cups were dirty: of the table as it looked at first, and of what was
+        washed in those same stages [-].
     seconds
         On the cell's clock [s].
     verbs, failures
@@ -176,6 +170,28 @@ class Run:
         return bool(self.verbs)
 
 
+@dataclass
+class TeamRun(Run):
+    """What came of one table that several arms cleared.
+
+    Attributes
+    ----------
+    num_collisions
+        How often arms, or what they held, touched.
+    num_waits, num_deadlocks, num_gave_way, waited_s
+        How they got along, as `halfseen.cell.executor.Tally` has it.
+    busy_s
+        For how long each arm was at WASH or LIFT [s].
+    """
+
+    num_collisions: int = 0
+    num_waits: int = 0
+    num_deadlocks: int = 0
+    num_gave_way: int = 0
+    waited_s: float = 0.0
+    busy_s: list[float] = field(default_factory=list)
+
+
 class Paid(NamedTuple):
     """What a stage earned."""
 
@@ -185,7 +201,7 @@ class Paid(NamedTuple):
     """What each of several robots would have been paid had it been alone [-]; empty for one."""
 
 
-class Account:
+class EpisodeStatistics:
     """Books what a table earns.
 
     Parameters
@@ -217,12 +233,12 @@ class Account:
         is_dirty = self.truth.is_dirty
         self.run.luck += luck_of_table(int(is_dirty.sum()), len(is_dirty), chances, self._config)
 
-    def decide(self, verb: str) -> None:
+    def count_verb(self, verb: str) -> None:
         """Count a decision."""
-        _count(self.run.verbs, verb)
+        self.run.verbs[verb] = self.run.verbs.get(verb, 0) + 1
 
     def end(self, attempt: Attempt, verb: int, chance: float, seconds: float, arm: int = 0) -> None:
-        """Tell what an attempt earned that has ended.
+        """Book an attempt that has ended.
 
         Parameters
         ----------
@@ -238,38 +254,29 @@ class Account:
             Whose it was.
         """
         if not attempt.is_held:
-            _count(self.run.failures, attempt.reason.split(":")[0].split(";")[0])
-        reward = self._reward_of_lift(seconds) if verb == Verb.LIFT else self._reward_of_wash(chance, arm)
+            reason = attempt.reason.split(":")[0].split(";")[0]
+            self.run.failures[reason] = self.run.failures.get(reason, 0) + 1
+        reward = float(self._config.reward_lift_per_s) * seconds if verb == Verb.LIFT else self._washed(chance, arm)
         self._reward += reward
         self._own[arm] += reward
 
-    def _reward_of_lift(self, seconds: float) -> float:
-        return float(self._config.reward_lift_per_s) * seconds
-
-    def _reward_of_wash(self, chance: float, arm: int) -> float:
+    def _washed(self, chance: float, arm: int) -> float:
         config = self._config
-        washed = self.truth.newly_racked(self._cell, arm if len(self._cell.stations) > 1 else None)
+        washed = self.truth.newly_racked(self._cell, arm if len(self._own) > 1 else None)
         self._luck += luck_of_washing(washed, chance, config)
         earned = [float(config.reward_wash_dirty if dirty else config.reward_wash_clean) for dirty in washed]
         return sum(earned) if earned else float(config.reward_wash_failed)
 
     def leave(self, arm: int) -> None:
-        """Tell that a robot has come to its own end: what is left dirty in its reach is its share; once is enough."""
+        """Book that a robot has come to its own end: what is left dirty in its reach is its share; once is enough."""
         if arm in self._at_work:
             self._at_work.remove(arm)
-            left = self.truth.num_dirty_left_to(self._cell, arm)
-            self._own[arm] += float(self._config.reward_dirty_left) * left
+            self._own[arm] += float(self._config.reward_dirty_left) * self.truth.num_dirty_left(self._cell, arm)
 
     def pay(self, *, is_over: bool) -> Paid:
-        """Book what was earned since it was asked last, as a stage is completed.
-
-        Parameters
-        ----------
-        is_over
-            Whether that is the last: then what is left dirty is paid for.
-        """
+        """Complete a stage: what was earned since the last; of the last of all what is left dirty is paid for, too."""
         if is_over:
-            self._reward += float(self._config.reward_dirty_left) * self.truth.num_dirty_left
+            self._reward += float(self._config.reward_dirty_left) * self.truth.num_dirty_left(self._cell)
             for arm in tuple(self._at_work):
                 self.leave(arm)
         self.run.reward += self._reward
@@ -277,7 +284,3 @@ class Account:
         paid = Paid(self._reward, self._own if len(self._own) > 1 else [])
         self._reward, self._luck, self._own = 0.0, 0.0, [0.0 for _ in self._own]
         return paid
-
-
-def _count(counts: dict[str, int], name: str) -> None:
-    counts[name] = counts.get(name, 0) + 1

@@ -1,7 +1,7 @@
-"""From what is known in a cell to the state that a policy decides in, and to the rows of a log."""
+"""From what is known in a cell of K arms to the state that a policy decides in, and to the rows of a log."""
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -23,10 +23,11 @@ from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace
 
 MOST_OBJECTS = 12
 """States are padded to so many objects, among which whoever explores draws; tables with more are padded to more."""
+_MOVED_M = 0.03
 
 
 class Belief(NamedTuple):
-    """What the robot believes of the world: it makes chances of what it was told."""
+    """What the robot believes of the world: it makes chances of what looks and attempts say."""
 
     config: WorldConfig
     """Prior, law of seeing, horizon."""
@@ -40,7 +41,7 @@ def no_grip(facts: Facts) -> float:
 
 
 def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
-    """Give the state of the table as the robot knows it.
+    """Give the state of the table as one robot knows it.
 
     Parameters
     ----------
@@ -52,34 +53,31 @@ def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
         Actions left, the next one included.
     """
     objects, horizon = memory.objects, belief.config.horizon
-    size = max(MOST_OBJECTS, len(objects))
-    hides = np.zeros((size, size), dtype=np.float32)
-    hides[: len(objects), : len(objects)] = memory.hides
+    num_more = max(MOST_OBJECTS - len(objects), 0)
     tried = [(k, trial.occlusion, trial.is_held) for k, known in enumerate(objects) for trial in known.trials]
     empty = [(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
     target, occluded, succeeded = zip(*tried[:horizon], *empty, strict=True)
-    told = [_told(known, belief.config) for known in objects]
+    evidence = [_evidence(known, belief.config) for known in objects]
 
     def padded(values: list[Any], kind: Any) -> np.ndarray:
-        return np.array([*values, *[0] * (size - len(values))], dtype=kind)
+        return np.pad(np.array(values, dtype=kind), (0, num_more))
 
-    leaves = {
-        "hides": hides,
-        "is_object": padded([True] * len(objects), bool),
-        "grip": padded([belief.grip(known.facts) for known in objects], np.float32),
-        "is_on_table": padded([not known.is_gone for known in objects], bool),
-        "log_odds": padded([log_odds for log_odds, _ in told], np.float32),
-        "seen": padded([seen for _, seen in told], np.float32),
-        "lifts": padded([known.lifts for known in objects], np.int32),
-        "attempt_object": np.array(target, dtype=np.int32),
-        "attempt_occlusion": np.array(occluded, dtype=np.float32),
-        "attempt_succeeded": np.array(succeeded, dtype=bool),
-        "steps_to_go": np.int32(steps_to_go),
-    }
-    return TableState(**leaves)
+    return TableState(
+        hides=np.pad(memory.hides.astype(np.float32), (0, num_more)),
+        is_object=padded([True] * len(objects), bool),
+        grip=padded([belief.grip(known.facts) for known in objects], np.float32),
+        is_on_table=padded([not known.is_gone for known in objects], bool),
+        log_odds=padded([log_odds for log_odds, _ in evidence], np.float32),
+        seen=padded([seen for _, seen in evidence], np.float32),
+        lifts=padded([known.lifts for known in objects], np.int32),
+        attempt_object=np.array(target, dtype=np.int32),
+        attempt_occlusion=np.array(occluded, dtype=np.float32),
+        attempt_succeeded=np.array(succeeded, dtype=bool),
+        steps_to_go=np.int32(steps_to_go),
+    )
 
 
-def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
+def _evidence(known: Known, config: WorldConfig) -> tuple[float, float]:
     """Log-odds of DIRTY given all labels, and how much of the object counts as seen."""
     law, seen = known_seeing(config), 0.0
     log_odds = float(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
@@ -93,7 +91,7 @@ def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
 
 
 def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
-    """Rows of a log for the objects: what a policy saw, what looks and attempts told, and what may make it hard.
+    """Rows of a log for the objects: what a policy saw, what looks and attempts said, and what may make it hard.
 
     Parameters
     ----------
@@ -107,8 +105,8 @@ def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
 
 
 def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str, Any]:
-    held, hidden_by = [trial.is_held for trial in known.trials], memory.hides[number]
-    log_odds, seen = _told(known, belief.config)
+    held = [trial.is_held for trial in known.trials]
+    log_odds, seen = _evidence(known, belief.config)
     return {
         "object": number,
         "location": DISHWASHER if known.is_racked else LOST if known.is_lost else TABLE,
@@ -119,7 +117,7 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
         "successes": sum(held),
         "failures": len(held) - sum(held),
         "lifts": known.lifts,
-        "hidden_by": hidden_by.tolist(),
+        "hidden_by": memory.hides[number].tolist(),
         "attempt_occlusions": [trial.occlusion for trial in known.trials],
         "attempt_succeeded": held,
         "attempt_s": [trial.duration_s for trial in known.trials],
@@ -130,23 +128,20 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
     }
 
 
-_MOVED_M = 0.03
-
-
 @dataclass
-class Doing:
-    """What one arm is at.
+class ArmStatus:
+    """What one arm is doing.
 
     Attributes
     ----------
+    decisions_to_go
+        How many it may still make.
     verb, target
-        Of it; None where it is free.
+        What it does; None where it is free.
     begun_s
         When it began, on the cell's clock [s].
     is_parked
         Whether it does nothing more.
-    decisions_to_go
-        How many it may still make.
     chance
         P(DIRTY) of the target when it was decided.
     """
@@ -170,15 +165,14 @@ class Doing:
 
     @property
     def words(self) -> str:
-        """What it is at, as a log has it."""
+        """What it does, as a log has it."""
         if self.verb is None:
             return PARKED if self.is_parked else FREE
         return VERB_NAMES[self.verb] + (f" {self.target}" if self.verb in TARGETED else "")
 
 
-@dataclass
-class TeamTable:
-    """The arms of a cell at one table, as its states have them.
+class CellState:
+    """The table and the arms of a cell, as its states and its log have them.
 
     Parameters
     ----------
@@ -189,17 +183,16 @@ class TeamTable:
 
     Attributes
     ----------
-    doing
-        What each arm is at.
+    arms
+        What each arm is doing.
     """
 
-    cell: Workcell
-    belief: Belief
-    doing: list[Doing] = field(init=False)
-    _too_far: dict[tuple[int, int], Vector] = field(default_factory=dict, init=False)
-
-    def __post_init__(self) -> None:
-        self.doing = [Doing(self.belief.config.horizon) for _ in self.cell.stations]
+    def __init__(self, cell: Workcell, belief: Belief) -> None:
+        horizon, num_arms = belief.config.horizon, len(cell.stations)
+        self.cell, self.arms = cell, [ArmStatus(horizon) for _ in range(num_arms)]
+        # A state has room for the attempts of all arms.
+        self._belief = belief._replace(config=replace(belief.config, horizon=horizon * num_arms))
+        self._too_far: dict[tuple[int, int], Vector] = {}
 
     def learn(self, arm: int, number: int, attempt: Attempt) -> None:
         """Learn from an attempt what an arm does not reach.
@@ -219,14 +212,10 @@ class TeamTable:
         if attempt.kind is not None:
             self._too_far.clear()
         if attempt.is_too_far:
-            self._too_far[arm, number] = self._objects[number].middle_m
-
-    @property
-    def _objects(self) -> list[Known]:
-        return self.cell.memory.objects
+            self._too_far[arm, number] = self.cell.memory.objects[number].middle_m
 
     def state(self, decider: int, decisions_to_go: int) -> TableState:
-        """Give what an arm decides in.
+        """Give the state that an arm decides in.
 
         Parameters
         ----------
@@ -235,11 +224,31 @@ class TeamTable:
         decisions_to_go
             Of all arms together, this one included.
         """
-        table = state_of(self.cell.memory, self.belief, decisions_to_go)
-        size, num = table.num_objects, len(self._objects)
-        reached, near = np.zeros((len(self.doing), size), dtype=bool), np.zeros((size, size), dtype=bool)
-        reached[:, :num], near[:num, :num] = self.is_in_reach(), self.is_near()
+        table = state_of(self.cell.memory, self._belief, decisions_to_go)
+        if len(self.arms) == 1:
+            return table
+        num_more = table.num_objects - len(self.cell.memory.objects)
+        reached, near = np.pad(self.is_in_reach(), ((0, 0), (0, num_more))), np.pad(self.is_near(), (0, num_more))
         return replace(table, robots=self._robots(), workspace=Workspace(reached, near), decider=np.int32(decider))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Rows of a log for the objects; of several arms, with who reaches them, what is near, and who tried them."""
+        rows = rows_of(self.cell.memory, self._belief)
+        if len(self.arms) > 1:
+            reached, near = self.is_in_reach(), self.is_near()
+            for number, (row, known) in enumerate(zip(rows, self.cell.memory.objects, strict=True)):
+                row["reached_by"] = np.flatnonzero(reached[:, number]).tolist()
+                row["near"] = np.flatnonzero(near[number]).tolist()
+                row[ATTEMPT_BY] = [trial.arm for trial in known.trials]
+        return rows
+
+    def columns(self) -> dict[str, Any]:
+        """What a stage of the log holds of several arms, as `halfseen.world.logs` has it."""
+        columns: dict[str, Any] = {}
+        for number, arm in enumerate(self.arms if len(self.arms) > 1 else ()):
+            columns |= {f"{number}_does": arm.words, f"{number}_since_s": self._since_s(arm)}
+            columns[f"{number}_decisions_to_go"] = arm.decisions_to_go
+        return columns
 
     def is_in_reach(self) -> Bool[np.ndarray, "K N"]:
         """Which objects each arm reaches."""
@@ -247,7 +256,7 @@ class TeamTable:
         apart_m = np.linalg.norm(self._places_m()[None] - bases_m[:, None], axis=-1)
         reached = apart_m <= np.array([station.reach_m for station in self.cell.stations])[:, None]
         for (arm, number), place_m in self._too_far.items():
-            if np.linalg.norm(self._objects[number].middle_m - place_m) < _MOVED_M:
+            if np.linalg.norm(self.cell.memory.objects[number].middle_m - place_m) < _MOVED_M:
                 reached[arm, number] = False
         return reached
 
@@ -257,45 +266,23 @@ class TeamTable:
         return np.linalg.norm(places_m[:, None] - places_m[None], axis=-1) < CLEARANCE_M
 
     def _places_m(self) -> np.ndarray:
-        return np.array([known.middle_m[:2] for known in self._objects]).reshape(-1, 2)
+        return np.array([known.middle_m[:2] for known in self.cell.memory.objects]).reshape(-1, 2)
 
     def _robots(self) -> Robots:
-        def each(values: list[Any], kind: Any) -> Any:
-            return np.array(values, dtype=kind)
-
-        doing = self.doing
+        arms = self.arms
         return Robots(
-            is_busy=each([one.verb is not None for one in doing], bool),
-            is_parked=each([one.is_parked for one in doing], bool),
-            verb=each([one.verb or 0 for one in doing], np.int32),
-            target=each([one.target for one in doing], np.int32),
-            since_s=each([self._since_s(one) for one in doing], np.float32),
-            decisions_to_go=each([one.decisions_to_go for one in doing], np.int32),
+            is_busy=np.array([arm.verb is not None for arm in arms]),
+            is_parked=np.array([arm.is_parked for arm in arms]),
+            verb=np.array([arm.verb or 0 for arm in arms], dtype=np.int32),
+            target=np.array([arm.target for arm in arms], dtype=np.int32),
+            since_s=np.array([self._since_s(arm) for arm in arms], dtype=np.float32),
+            decisions_to_go=np.array([arm.decisions_to_go for arm in arms], dtype=np.int32),
         )
 
-    def _since_s(self, one: Doing) -> float:
-        return 0.0 if one.verb is None else self.cell.cell.time_s - one.begun_s
-
-    def columns(self) -> dict[str, Any]:
-        """What a stage of the log holds of the arms, as `halfseen.world.logs` has it."""
-        told: dict[str, Any] = {}
-        for arm, one in enumerate(self.doing):
-            told |= {f"{arm}_does": one.words, f"{arm}_since_s": self._since_s(one)}
-            told[f"{arm}_decisions_to_go"] = one.decisions_to_go
-        return told
-
-    def add_to(self, rows: list[dict[str, Any]]) -> None:
-        """Add to the rows of the objects who reaches them, what is near, and who tried them."""
-        reached, near = self.is_in_reach(), self.is_near()
-        for number, row in enumerate(rows):
-            row["reached_by"] = np.flatnonzero(reached[:, number]).tolist()
-            row["near"] = np.flatnonzero(near[number]).tolist()
-            row[ATTEMPT_BY] = [trial.arm for trial in self._objects[number].trials]
-
-    def name(self, arm: int) -> str:
-        """What an arm is called."""
-        return self.cell.stations[arm].robot.name
+    def _since_s(self, arm: ArmStatus) -> float:
+        return 0.0 if arm.verb is None else self.cell.cell.time_s - arm.begun_s
 
     def in_words(self) -> str:
-        """What all arms are at, for people."""
-        return "; ".join(f"{self.name(arm)}: {one.words}" for arm, one in enumerate(self.doing))
+        """What all arms are doing, for people."""
+        names = [station.robot.name for station in self.cell.stations]
+        return "; ".join(f"{name}: {arm.words}" for name, arm in zip(names, self.arms, strict=True))

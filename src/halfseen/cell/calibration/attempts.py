@@ -1,4 +1,12 @@
-"""From the log of a cell to what its laws are fitted to: attempts, labels, and shares that held."""
+"""From the log of a cell to what its laws are fitted to: attempts, labels, and shares of attempts that held.
+
+Attempts of one table are alike. With weights w, outcomes y, predictions q and tables g, the share that held is
+p = Σ w y / Σ w. Its standard error is that of p − Σ w q / Σ w, a ratio, by the sums of its residuals over tables;
+predictions leave less to chance. So few attempts miss that intervals by a normal law would leave [0, 1]: the interval
+is Wilson's [Wilson1927]_ for as many independent attempts as would give that standard error [KornGraubard1998]_, and
+never for more than there are tables where all, or none, held. Less the mean prediction, it is the interval of the
+difference.
+"""
 
 from dataclasses import fields
 from typing import NamedTuple

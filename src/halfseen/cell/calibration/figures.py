@@ -47,9 +47,9 @@ def held_shares(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Panels:
     Parameters
     ----------
     theta
-        Estimates of `halfseen.cell.calibration.grasp_fit.NAMES`.
+        Estimates of `halfseen.cell.calibration.grasping.NAMES`.
     trials
-        As `halfseen.cell.calibration.trials.trials` gives them.
+        As `halfseen.cell.calibration.attempts.trials` gives them.
     """
     decided = checked_attempts(trials)
     said, met = held_given_past(theta, trials)[decided.row], trials.iloc[decided.row]
@@ -150,7 +150,7 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
     Parameters
     ----------
     rows
-        Objects that are dirty, or that are clean, as `halfseen.cell.calibration.trials.glances` gives them.
+        Objects that are dirty, or that are clean, as `halfseen.cell.calibration.attempts.glances` gives them.
     seeing
         Its views are the ends of the groups.
     """
@@ -188,7 +188,7 @@ def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
     seeing
         The curves.
     glances
-        What they were fitted to, as `halfseen.cell.calibration.trials.glances` gives it.
+        What they were fitted to, as `halfseen.cell.calibration.attempts.glances` gives it.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 4.6))
     top = write_title(figure, LABELS_TITLE)

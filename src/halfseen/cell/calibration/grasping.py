@@ -86,7 +86,7 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     Parameters
     ----------
     trials
-        As `halfseen.cell.calibration.trials.trials` gives them.
+        As `halfseen.cell.calibration.attempts.trials` gives them.
     censoring
         As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
 
@@ -194,9 +194,9 @@ def held_given_past(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Flo
     Parameters
     ----------
     theta
-        Estimates of `halfseen.cell.calibration.grasp_fit.NAMES`.
+        Estimates of `halfseen.cell.calibration.grasping.NAMES`.
     trials
-        As `halfseen.cell.calibration.trials.trials` gives them, with all past attempts at each object. What became of
+        As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object. What became of
         an attempt is read for later ones alone; one that was cut tells them nothing.
     """
     logits = (design(trials) @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
@@ -219,7 +219,7 @@ def held_share(theta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n 
     theta
         As in `held_given_past`.
     covariates
-        As `halfseen.cell.calibration.grasp_fit.design` gives them.
+        As `halfseen.cell.calibration.grasping.design` gives them.
     """
     logits = (covariates @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
     return expit(logits) @ (_MANY_WEIGHTS / _MANY_WEIGHTS.sum())

@@ -1,4 +1,10 @@
-"""The laws of a cell, as they were estimated, and the world that takes them."""
+"""The laws of a cell, estimated from what it tried: of grasping, of times, of seeing; and a world under them.
+
+Times of attempts are lognormal, for those that hold and those that miss. An object tells what it is at some share V of
+its surface: a stain is found when so much has been in view, or never. What is known of V is an interval, from what had
+been seen before the label that said DIRTY to what was seen with it; or that V lies beyond all that was seen. The curve
+P(V ≤ v) is a straight line between knots; its steps maximise the likelihood, found by self-consistency [Turnbull1976]_.
+"""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -46,7 +52,7 @@ def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
     Parameters
     ----------
     trials
-        As `halfseen.cell.calibration.trials.trials` gives them; attempts that found nothing to try count for the rest
+        As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
         alone.
     censoring
         As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
@@ -83,7 +89,7 @@ def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
     Parameters
     ----------
     glances
-        One row an object, as `trials.glances` gives them.
+        One row an object, as `attempts.glances` gives them.
 
     Raises
     ------
@@ -108,7 +114,7 @@ def intervals(rows: pd.DataFrame) -> list[Interval]:
     Parameters
     ----------
     rows
-        With `trials.GLANCES`.
+        With `attempts.GLANCES`.
     """
     columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
     return [_interval(zip(*each, strict=True)) for each in zip(*columns, strict=True)]

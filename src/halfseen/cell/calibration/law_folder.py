@@ -1,4 +1,16 @@
-"""Laws on disk."""
+"""Laws on disk: numbers and text, so that loading one runs no code.
+
+::
+
+    FOLDER/
+      law.json          what was tried, how often, under which conditions; names and units of the numbers
+      law.safetensors   the numbers
+      law.sha256        digests of both
+      attempts/         the log that they were estimated from, if it is kept; and with it
+      held.svg, .png    how often attempts held, and what the law says of them
+      labels.svg, .png  what labels say by how much was in view
+      attempts-visible-only/  attempts of grasps that were planned from visible points alone, if there are some
+"""
 
 import json
 from collections.abc import Callable, Mapping

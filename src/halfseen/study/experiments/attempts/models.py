@@ -26,7 +26,7 @@ def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows
     model
         One of `design.MODEL_NAMES`.
     learned
-        Attempts, as `halfseen.cell.calibration.trials.trials` gives them; decided ones weigh 1/Ĝ.
+        Attempts, as `halfseen.cell.calibration.attempts.trials` gives them; decided ones weigh 1/Ĝ.
     held_out
         Attempts at other tables, those before each at the same object among them.
     """
