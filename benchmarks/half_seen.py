@@ -28,9 +28,8 @@ import pandas as pd
 from scipy.special import expit
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import read_law
-from halfseen.cell.calibration.shipped import shipped_law
-from halfseen.cell.looking import Eye
+from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.camera import Eye
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Workcell

@@ -31,8 +31,7 @@ import numpy as np
 from scipy import stats
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import read_law
-from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.cell.tables_seen import tables_seen
 from halfseen.learning import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy

@@ -27,10 +27,9 @@ import numpy as np
 from rules.of_arms import InTurn, WashEverything
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import read_law
-from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.cell.campaign import Campaign, Conditions, working_folder
-from halfseen.cell.several.pair import PAIR
+from halfseen.cell.model import PAIR
 from halfseen.cell.table_state import Belief
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.named import HEURISTICS

@@ -19,7 +19,7 @@ from tqdm import tqdm
 
 from halfseen.cell.campaign import Conditions
 from halfseen.cell.memory import Known
-from halfseen.cell.truth import Truth
+from halfseen.cell.rewards import Truth
 from halfseen.cell.workcell import Workcell
 
 MOST_FAILURES = 3

@@ -38,10 +38,8 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     load_mujoco()
 
     from halfseen.cell.campaign import Conditions
-    from halfseen.cell.clearing import Moment
-    from halfseen.cell.episode import play
+    from halfseen.cell.episode import Moment, play
     from halfseen.cell.film import Film
-    from halfseen.cell.several.team_episode import play_team
     from halfseen.cli.arms import robot_for, stations_for
     from halfseen.cli.cell_policies import policy_of, team_policy_of
     from halfseen.cli.cell_run import belief_of
@@ -62,13 +60,9 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
         trajectory = recorder.begin_trajectory(table)
         key = random.fold_in(random.key_of(seed), table)
-        if stations:
-            team = team_policy_of(policy, 0.0, belief.config, num_arms)
-            run = play_team(cell, is_dirty, team, belief, trajectory, key, on_decision=follow)
-        else:
-            run = play(
-                cell, is_dirty, policy_of(policy, 0.0, belief.config), belief, trajectory, key, on_decision=follow
-            )
+        config = belief.config
+        rule = team_policy_of(policy, 0.0, config, num_arms) if stations else policy_of(policy, 0.0, config)
+        run = play(cell, is_dirty, rule, belief, trajectory, key, on_decision=follow)
     told = f"{run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     # What another arm decides a moment later is in no picture of its own.
     return [*(row for row in rows if row["words"] in taken.captions), {"stage": 0, "words": told}]

@@ -7,9 +7,8 @@ from pictures.picture import Picture
 
 
 def _draw() -> bytes:
-    from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law
-    from halfseen.cell.calibration.pictures import pictures_of
-    from halfseen.cell.calibration.shipped import shipped_law
+    from halfseen.cell.calibration.figures import pictures_of
+    from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, shipped_law
     from halfseen.logs import read_logs
 
     with TemporaryDirectory() as folder:

@@ -6,8 +6,7 @@ import pytest
 from half_seen import LOGS, beside_truth, fresh, groups, washed
 from scipy.special import logit
 
-from halfseen.cell.calibration.law_folder import read_law
-from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.cell.table_state import Belief
 from halfseen.logs import read_logs
 

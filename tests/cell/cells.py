@@ -4,7 +4,7 @@ import numpy as np
 
 from halfseen.cell import LiveCell, Robot, cell_model
 from halfseen.cell.grasps import hand_axes
-from halfseen.cell.several.pair import PAIR
+from halfseen.cell.model import PAIR
 from halfseen.cell.workcell import Workcell
 from halfseen.scene.camera import Camera, look_at
 from halfseen.scene.cups import Cup

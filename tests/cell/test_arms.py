@@ -10,9 +10,9 @@ from cells import CUP, DOWN_AXES, ROBOT, WORLD_FROM_TABLE, standing
 
 from halfseen.cell import ArmFile, Gripper, LiveCell, Robot, SerialArm, cell_model, robot_of
 from halfseen.cell.arm import JACO_2
-from halfseen.cell.contacts import ROBOT as CONTACTS
 from halfseen.cell.fetching import come, feels, pick_up
 from halfseen.cell.grasps import Grasp
+from halfseen.cell.gripper import ROBOT as CONTACTS
 from halfseen.cell.home import STANDS_M
 from halfseen.cell.kinematics import Kinematics
 from halfseen.cell.planning import beginnings, plan

@@ -13,13 +13,10 @@ from scipy.stats import binomtest, norm
 
 from attempt_logs import TRUTH as TRUTH_OF_LOGS
 from attempt_logs import attempt_log
-from halfseen.cell.calibration.clustered_share import clustered_share, wilson
-from halfseen.cell.calibration.grasp_fit import CENTRES, SCALES, design, fit_grasping
-from halfseen.cell.calibration.held_given_past import held_given_past, held_share
-from halfseen.cell.calibration.labels_figure import Count, counted
-from halfseen.cell.calibration.seeing_fit import VIEWS, found_by, intervals
-from halfseen.cell.calibration.time_fit import fit_times
-from halfseen.cell.calibration.trials import trials
+from halfseen.cell.calibration.attempts import clustered_share, trials, wilson
+from halfseen.cell.calibration.figures import Count, counted
+from halfseen.cell.calibration.grasping import CENTRES, SCALES, design, fit_grasping, held_given_past, held_share
+from halfseen.cell.calibration.law import VIEWS, fit_times, found_by, intervals
 from halfseen.perception.labels import FACING_SHARE
 from halfseen.world.seeing import PersistentSeeing
 

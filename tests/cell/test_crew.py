@@ -4,12 +4,21 @@ import numpy as np
 import pytest
 from cells import HOMES, LEFT, RIGHT, ROBOTS, SLIM, live_pair, over, standing
 
-from halfseen.cell.commands import Grip, Move, Reserve, Rest
-from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.executor import DEADLOCK, Executor
+from halfseen.cell.live_cell import (
+    EMERGENCY_STOP,
+    Grip,
+    Guard,
+    LiveCell,
+    Move,
+    Reserve,
+    Rest,
+    StoppedError,
+    Stops,
+    largest_force_n,
+)
 from halfseen.cell.model import cell_model
-from halfseen.cell.several.crew import DEADLOCK, Crew
-from halfseen.cell.several.touches import Touches
-from halfseen.cell.stops import EMERGENCY_STOP, Guard, StoppedError, Stops, largest_force_n
+from halfseen.cell.space import Touches
 
 
 @pytest.fixture
@@ -31,7 +40,7 @@ def at(cell, arm, x_m, z_m=0.98):
 
 def begun(cell, *activities, patience_s=60.0):
     """A crew whose arms have begun their activities."""
-    crew = Crew(cell, ROBOTS, patience_s=patience_s)
+    crew = Executor(cell, ROBOTS, patience_s=patience_s)
     for arm, activity in enumerate(activities):
         crew.begin(arm, activity)
     return crew
@@ -94,7 +103,7 @@ def crossing(cell, arm, near_m, far_m, has_home=True):
 
 
 def test_an_arm_loses_no_time_where_another_ends_again_and_again(cell):
-    crew, begun_s, ends = Crew(cell, ROBOTS), cell.time_s, []
+    crew, begun_s, ends = Executor(cell, ROBOTS), cell.time_s, []
     crew.begin(0, resting(50 * cell.tick_s))
     while not ends or ends[-1] != 0:
         if not crew.is_busy(1):

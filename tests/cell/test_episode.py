@@ -7,16 +7,15 @@ import pytest
 from cells import CAMERA, TWO_CUPS, TWO_POSES, one_arm_cell, standing
 
 from halfseen.arrays import record
-from halfseen.cell.camera_errors import Errors
+from halfseen.cell.calibration.calibrate import LiftAtRandom
+from halfseen.cell.camera import Errors
 from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
-from halfseen.cell.clearing import NOTHING_SEEN
-from halfseen.cell.episode import play
+from halfseen.cell.episode import NOTHING_SEEN, play
 from halfseen.cell.facts import Facts
+from halfseen.cell.live_cell import EMERGENCY_STOP, SENSOR_LOST, TIME_OUT, StoppedError, Stops
 from halfseen.cell.memory import MORE_IN_VIEW, Glance, Known, Memory
-from halfseen.cell.stops import EMERGENCY_STOP, SENSOR_LOST, TIME_OUT, StoppedError, Stops
 from halfseen.cell.summary import scenes_of, summarised
 from halfseen.cell.table_state import MOST_OBJECTS, Belief, no_grip, state_of
-from halfseen.cell.trying import LiftAtRandom
 from halfseen.cell.workcell import Workcell
 from halfseen.errors import ArgumentError, LogError, SceneError
 from halfseen.logs import LogRecorder, read_logs

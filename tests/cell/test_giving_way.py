@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from cells import CAMERA, FULL_CAMERA, LEFT, SLIM, two_arm_cell
 
-from halfseen.cell.commands import Grip, Move, Reserve, Rest
-from halfseen.cell.several.volumes import Outline
+from halfseen.cell.live_cell import Grip, Move, Reserve, Rest
+from halfseen.cell.space import Outline
 from halfseen.scene.stains import draw_surface
 from halfseen.scene.table import TABLE_TOP_M
 

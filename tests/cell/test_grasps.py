@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from halfseen.cell import Gripper
-from halfseen.cell.clearance import Surroundings, ranked
-from halfseen.cell.grasps import CLEARANCE_M, FLOOR_M, GRASPING, Grasp, hand_axes, tips_m
+from halfseen.cell.grasps import CLEARANCE_M, FLOOR_M, GRASPING, Grasp, Surroundings, hand_axes, ranked, tips_m
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.perception.view import SeenObject
 

@@ -9,13 +9,10 @@ import pytest
 from scipy.special import expit
 
 from attempt_logs import attempt_log
+from halfseen.cell.calibration.attempts import occlusion_bins, shares_by, trials
 from halfseen.cell.calibration.calibrate import HORIZON, law_of
-from halfseen.cell.calibration.clustered_share import shares_by
-from halfseen.cell.calibration.held_figure import held_shares
-from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, read_law, write_law
-from halfseen.cell.calibration.occlusion_bins import occlusion_bins
-from halfseen.cell.calibration.shipped import shipped_law
-from halfseen.cell.calibration.trials import trials
+from halfseen.cell.calibration.figures import held_shares
+from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, read_law, shipped_law, write_law
 from halfseen.cell.facts import Facts
 from halfseen.cell.tables_seen import look_again, tables_seen
 from halfseen.cli.scenes import scenes_of

@@ -13,12 +13,11 @@ import pytest
 from cells import CAMERA, DOWN_AXES, HOMES, LEFT, MUG, ROBOT, one_arm_cell, over, standing, two_arm_cell
 
 from halfseen.cell import Eye, LiveCell, cell_model
-from halfseen.cell.cut_by_arms import perceived_whole
+from halfseen.cell.camera import perceived_whole
 from halfseen.cell.grasps import Grasp
-from halfseen.cell.memory import Memory
+from halfseen.cell.memory import Memory, has_vanished
 from halfseen.cell.planning import Plan
 from halfseen.cell.table_state import Belief, no_grip, rows_of, state_of
-from halfseen.cell.vanishing import has_vanished
 from halfseen.perception import perceive
 from halfseen.scene import Camera, Cup, Pose, Surface, random_table, read_table
 from halfseen.scene.camera import look_at

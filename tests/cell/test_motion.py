@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from cells import CUP, DOWN, DOWN_AXES, HOME, MUG, ROBOT, WORLD_FROM_TABLE, standing
 
+from halfseen.cell.fetching import NUM_SIDES, SHOWN_AT_M, is_in_hand, turned
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.gripper import Gripper
-from halfseen.cell.kinematics import NEAR_M, Kinematics
+from halfseen.cell.kinematics import NEAR_M, Kinematics, line, schedule
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import SLOT_M, Rack, Robot, cell_model
-from halfseen.cell.motion import line, schedule
 from halfseen.cell.planning import plan
-from halfseen.cell.showing import NUM_SIDES, SHOWN_AT_M, is_in_hand, turned
 from halfseen.errors import PlanError, SceneError
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import UNSEEN_GROUP

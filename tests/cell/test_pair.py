@@ -9,10 +9,9 @@ import pytest
 from cells import HOMES, LEFT, ROBOTS, live_pair
 from scipy.spatial.transform import Rotation
 
-from halfseen.cell.kinematics import Kinematics
-from halfseen.cell.motion import line
-from halfseen.cell.several.pair import PAIR
-from halfseen.cell.several.volumes import MARGIN_M, Outline
+from halfseen.cell.kinematics import Kinematics, line
+from halfseen.cell.model import PAIR
+from halfseen.cell.space import MARGIN_M, Outline
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M

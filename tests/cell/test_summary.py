@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from halfseen.cell import summary
-from halfseen.cell.account import Run
-from halfseen.cell.luck import luck_of_table, luck_of_washing
+from halfseen.cell.rewards import Run, luck_of_table, luck_of_washing
 from halfseen.cell.summary import EPISODES_OF_A_PLANNER, EPISODES_PER_TABLE, summarised
 from halfseen.logs import Logs
 from halfseen.planners import POMDPPolicy

@@ -8,17 +8,13 @@ import pytest
 from cells import FULL_CAMERA, two_arm_cell
 
 from halfseen.arrays import record
-from halfseen.cell.account import Account
-from halfseen.cell.attempt import Attempt
-from halfseen.cell.clearing import PAUSE_S
-from halfseen.cell.commands import Rest
-from halfseen.cell.luck import luck_of_washing
+from halfseen.cell.episode import PAUSE_S, TeamRun, play
+from halfseen.cell.fetching import Attempt
+from halfseen.cell.live_cell import SENSOR_LOST, Rest, Stops
 from halfseen.cell.memory import Trial
-from halfseen.cell.several.pair import PAIR
-from halfseen.cell.several.team_episode import TeamRun, play_team
-from halfseen.cell.several.team_table import TeamTable
-from halfseen.cell.stops import SENSOR_LOST, Stops
-from halfseen.cell.table_state import Belief, no_grip
+from halfseen.cell.model import PAIR
+from halfseen.cell.rewards import EpisodeStatistics, luck_of_washing
+from halfseen.cell.table_state import Belief, CellState, no_grip
 from halfseen.cell.workcell import Workcell
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
@@ -51,7 +47,7 @@ def played(cell, folder, policy: Policy = TEAM, on_decision=lambda _: None):
     is_dirty = np.ones(cell.table.num_cups, dtype=bool)
     with LogRecorder(folder / "log") as recorder:
         trajectory = recorder.begin_trajectory(0)
-        run = play_team(cell, is_dirty, policy, BELIEF, trajectory, random.key_of(0), on_decision=on_decision)
+        run = play(cell, is_dirty, policy, BELIEF, trajectory, random.key_of(0), on_decision=on_decision)
     return run, read_logs(folder / "log")
 
 
@@ -141,7 +137,7 @@ def test_a_lift_costs_an_arm_of_two_what_it_costs_one_that_is_agent_view(tmp_pat
 
 
 def test_reward_and_luck_are_booked_together_when_a_stage_is_completed(monkeypatch):
-    account = Account(TeamRun(), two_arm_cell((-0.26, 0.0), (0.26, 0.0)), np.ones(2, dtype=bool), CONFIG)
+    account = EpisodeStatistics(TeamRun(), two_arm_cell((-0.26, 0.0), (0.26, 0.0)), np.ones(2, dtype=bool), CONFIG)
     account.end(Attempt(False, 1.0, "rim", "the hand closed on nothing"), Verb.WASH, 0.5, 1.0, 0)
     assert (account.run.reward, account.run.luck) == (0.0, 0.0)
     monkeypatch.setattr(account.truth, "newly_racked", lambda *_: [True])
@@ -213,7 +209,7 @@ def test_places_tell_who_reaches_an_object_and_which_are_too_near_and_trying_tel
     places = (-0.30, 0.0), (-0.02, 0.0), (0.30, 0.0), (0.24, 0.09)
     cell = two_arm_cell(*places)
     cell.look()
-    table, known = TeamTable(cell, BELIEF), cell.memory.objects
+    table, known = CellState(cell, BELIEF), cell.memory.objects
     middles_m = np.array([each.middle_m for each in known])
     left, middle, right, beside = (int(np.linalg.norm(middles_m[:, :2] - at, axis=1).argmin()) for at in places)
     usual, near = table.is_in_reach(), table.is_near()

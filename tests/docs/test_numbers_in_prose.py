@@ -8,8 +8,7 @@ import runpy
 import pandas as pd
 import pytest
 
-from halfseen.cell.calibration.law_folder import ATTEMPTS, VISIBLE_ONLY, read_law
-from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.law_folder import ATTEMPTS, VISIBLE_ONLY, read_law, shipped_law
 from halfseen.cli.cell_calibrate import calibrate
 from halfseen.logs import read_logs
 from pictures.intervals import INTERVALS

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from halfseen.cell.calibration.law_folder import read_law
-from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.planners import POMDPPolicy, information_relaxation_bound, solve_table, solve_team
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy

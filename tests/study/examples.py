@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from attempt_logs import attempt_log
-from halfseen.cell.calibration.trials import trials
+from halfseen.cell.calibration.attempts import trials
 from halfseen.study.experiment import Pieces, Section, Setting
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.attempts import Attempts

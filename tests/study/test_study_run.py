@@ -10,7 +10,7 @@ import pytest
 from tiny import SETTING, TINY
 
 from axe import PAGES, faults_of, in_browser
-from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.law_folder import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.laws import under
 from halfseen.study.run import run_study, without_laws

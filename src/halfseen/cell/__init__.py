@@ -1,16 +1,11 @@
 """The physical cell: arms that try what they planned from their own cloud.
 
-Read down: `contacts` (what holds in simulated contact) → `serial_arm` (what every arm is) → `arm`, or `chain` and
-`arm_file` (one of a table, or one of the user's file), `gripper` (what moves) → `cup_walls` (what is held) → `model`
-(room, cups, rack and arms as one MuJoCo model) → `kinematics` (which angles bring a hand to a place) → `home` (where
-any arm stands and waits) → `motion` (lines and schedules) → `commands` (what a robot is told) → `live_cell` (physics
-that goes on) → `looking`, `cut_by_arms` (the camera, the truth apart from it, and what an arm cuts from view) →
-`grasps`, `clearance` (where a hand could close, and what is in its way) → `planning` (how it gets there, or why not) →
-`fetching`, `racking`, `showing`, `attempt` (what is done with it, and what is told of that) → `facts`, `memory` (what
-the robot knows) → `camera_errors` (what it believes wrongly) → `stops` (what cuts) → `workcell` (all of that as one
-table and its robots) → `table_state` (what a policy decides in) → `truth`, `luck`, `account` (what it earns) →
-`clearing`, `episode` (one table to its end), `several` (the same with several arms) → `campaign` (many) → `summary`,
-`film`; `trying` → `calibration` (laws from what was tried).
+Read down: `gripper`, `arm` or `chain` and `arm_file`, `model` (what there is, as one MuJoCo model) → `kinematics`,
+`home` (angles of a hand) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes, and
+how it gets there) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the robot knows) →
+`workcell` (one table and its robots) → `table_state`, `rewards` (what a policy decides in, and what it earns) →
+`space`, `executor` (K arms in one clock) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
+`calibration` (laws from what was tried).
 
 MuJoCo loads when one of these names is asked for, never when this package is imported.
 """
@@ -20,26 +15,21 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.cell.account import Run
-    from halfseen.cell.arm import JACO_2, Arm, Joint, Motor
+    from halfseen.cell.arm import JACO_2, Arm, Joint, Motor, SerialArm
     from halfseen.cell.arm_file import ArmFile
+    from halfseen.cell.calibration.calibrate import LiftAtRandom
+    from halfseen.cell.camera import Eye, Look
     from halfseen.cell.campaign import Campaign, Conditions
-    from halfseen.cell.contacts import Contacts
-    from halfseen.cell.episode import play
+    from halfseen.cell.episode import TeamRun, play
     from halfseen.cell.grasps import Grasp
-    from halfseen.cell.gripper import Gripper
+    from halfseen.cell.gripper import Contacts, Gripper
     from halfseen.cell.home import robot_of
     from halfseen.cell.kinematics import Kinematics
-    from halfseen.cell.live_cell import LiveCell
-    from halfseen.cell.looking import Eye, Look
+    from halfseen.cell.live_cell import LiveCell, Stops
     from halfseen.cell.memory import Memory
-    from halfseen.cell.model import Rack, Robot, Station, cell_model
-    from halfseen.cell.serial_arm import SerialArm
-    from halfseen.cell.several.pair import PAIR
-    from halfseen.cell.several.team_episode import TeamRun, play_team
-    from halfseen.cell.stops import Stops
+    from halfseen.cell.model import PAIR, Rack, Robot, Station, cell_model
+    from halfseen.cell.rewards import Run
     from halfseen.cell.table_state import Belief
-    from halfseen.cell.trying import LiftAtRandom
     from halfseen.cell.workcell import Workcell
 
 __all__ = [
@@ -71,7 +61,6 @@ __all__ = [
     "Workcell",
     "cell_model",
     "play",
-    "play_team",
     "robot_of",
 ]
 
@@ -81,32 +70,31 @@ __getattr__ = lazy_names(
         "JACO_2": "arm",
         "Arm": "arm",
         "ArmFile": "arm_file",
-        "Contacts": "contacts",
-        "Eye": "looking",
+        "Contacts": "gripper",
+        "Eye": "camera",
         "Gripper": "gripper",
         "Joint": "arm",
         "Kinematics": "kinematics",
         "LiveCell": "live_cell",
-        "Look": "looking",
+        "Look": "camera",
         "Motor": "arm",
         "Rack": "model",
         "Robot": "model",
         "Station": "model",
-        "SerialArm": "serial_arm",
+        "SerialArm": "arm",
         "cell_model": "model",
         "robot_of": "home",
         "Belief": "table_state",
         "Campaign": "campaign",
         "Conditions": "campaign",
         "Grasp": "grasps",
-        "LiftAtRandom": "trying",
+        "LiftAtRandom": "calibration.calibrate",
         "Memory": "memory",
-        "Run": "account",
-        "Stops": "stops",
+        "Run": "rewards",
+        "Stops": "live_cell",
         "Workcell": "workcell",
         "play": "episode",
-        "PAIR": "several.pair",
-        "TeamRun": "several.team_episode",
-        "play_team": "several.team_episode",
+        "PAIR": "model",
+        "TeamRun": "episode",
     },
 )

@@ -9,15 +9,51 @@ tilted by α_i. The frame after the last joint is the *flange*, whose z points o
 
 from dataclasses import dataclass
 from math import cos, pi, radians, sin
-from typing import Any
+from typing import Any, Protocol, runtime_checkable
 
 import mujoco
 import numpy as np
 
-from halfseen.cell.contacts import ROBOT
-from halfseen.cell.serial_arm import LEAST_JOINTS, require_finite, require_positive
+from halfseen.cell.gripper import ROBOT, require_finite, require_positive
 from halfseen.errors import SceneError
 from halfseen.shapes import Float
+
+LEAST_JOINTS = 5
+"""With fewer an arm reaches places, but cannot point its hand there."""
+
+
+@runtime_checkable
+class SerialArm(Protocol):
+    """An arm that a `Robot` can have."""
+
+    @property
+    def name(self) -> str:
+        """What it is."""
+        ...
+
+    @property
+    def num_joints(self) -> int:
+        """Number of joints."""
+        ...
+
+    @property
+    def speeds_rad_s(self) -> Float[np.ndarray, " J"]:
+        """Largest speed of each joint [rad/s]."""
+        ...
+
+    @property
+    def search_rad(self) -> Float[np.ndarray, "J 2"]:
+        """Least and largest angle of each joint at which a search for angles begins [rad]."""
+        ...
+
+    def spec(self) -> mujoco.MjSpec:
+        """Build the arm alone.
+
+        Its joints and their position servos are both called ``joint_1``, ``joint_2``, …, from the base on; a site
+        ``flange`` has its z out of the arm; and its geoms carry the bits of `halfseen.cell.gripper.ROBOT`.
+        """
+        ...
+
 
 _GREY = (0.25, 0.25, 0.28, 1.0)
 

@@ -18,7 +18,7 @@ import mujoco
 import numpy as np
 
 from halfseen.cell.chain import Chain, find_chain
-from halfseen.cell.contacts import ROBOT
+from halfseen.cell.gripper import ROBOT
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.shapes import Float

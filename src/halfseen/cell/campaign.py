@@ -19,13 +19,11 @@ from typing import Protocol
 
 import numpy as np
 
-from halfseen.cell.account import Run
-from halfseen.cell.camera_errors import Errors
-from halfseen.cell.clearing import Moment
-from halfseen.cell.episode import play
+from halfseen.cell.camera import Errors
+from halfseen.cell.episode import Moment, TeamRun, play
+from halfseen.cell.live_cell import Stops
 from halfseen.cell.model import Robot, Station
-from halfseen.cell.several.team_episode import TeamRun, play_team
-from halfseen.cell.stops import Stops
+from halfseen.cell.rewards import Run
 from halfseen.cell.table_state import Belief
 from halfseen.cell.workcell import Workcell
 from halfseen.errors import ArgumentError, LogError
@@ -112,16 +110,6 @@ Follow = Callable[[int, Workcell], Follower]
 """Given the number of a table and its cell, before anything happens, who follows it."""
 
 
-class _Nobody:
-    """Follows nothing."""
-
-    def decided(self, moment: Moment) -> None:
-        """Nothing is done."""
-
-    def ended(self, run: Run) -> None:
-        """Nothing is done."""
-
-
 @dataclass(frozen=True)
 class Campaign:
     """A policy at work on many tables.
@@ -129,7 +117,7 @@ class Campaign:
     Parameters
     ----------
     policy, belief, tells_truth
-        As for `play`; as for `play_team` where the conditions have stations.
+        As for `play`.
     conditions
         What the tables are like.
     seed
@@ -200,11 +188,19 @@ class Campaign:
         with LogRecorder(place) as recorder:
             trajectory = recorder.begin_trajectory(index, dirty_share=float(self.belief.config.dirty_share))
             key = random.fold_in(random.key_of(self.seed), index)
-            follower = _Nobody() if self.follow is None else self.follow(index, cell)
-            clear = partial(play_team if self.conditions.stations else play, cell, is_dirty)
-            told = {"tells_truth": self.tells_truth, "on_decision": follower.decided}
-            run = clear(self.policy, self.belief, trajectory, key, **told)
-        follower.ended(run)
+            follower = None if self.follow is None else self.follow(index, cell)
+            run = play(
+                cell,
+                is_dirty,
+                self.policy,
+                self.belief,
+                trajectory,
+                key,
+                tells_truth=self.tells_truth,
+                on_decision=(lambda _: None) if follower is None else follower.decided,
+            )
+        if follower is not None:
+            follower.ended(run)
         write_file(place / RUN_FILE, json.dumps(asdict(run), indent=1))
         return run
 
@@ -294,8 +290,8 @@ def _is_over(place: Path) -> bool:
 
 def _run_of(place: Path) -> Run:
     try:
-        told = json_of(read_text(place / RUN_FILE))
-        return TeamRun(**told) if "num_collisions" in told else Run(**told)
+        run = json_of(read_text(place / RUN_FILE))
+        return TeamRun(**run) if "num_collisions" in run else Run(**run)
     except (ValueError, TypeError) as error:
         raise LogError(
             f"{place / RUN_FILE}: it tells of no run ({error}); remove {place}, and it is made again"

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import mujoco
 
-from halfseen.cell.serial_arm import LEAST_JOINTS
+from halfseen.cell.arm import LEAST_JOINTS
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose
 

@@ -1,19 +1,53 @@
-"""One table, from the first look to its end, by one robot: what came of it, and its trajectory in a log."""
+"""One table from the first look to its end, by K arms: look, decide, record, carry out, and book.
+
+Each arm decides when it is free, while the others go on; with K = 1 there is nobody to wait for.
+"""
 
 from collections.abc import Callable
+from dataclasses import asdict, replace
+from typing import Any, NamedTuple
 
 import numpy as np
+from scipy.special import expit
 
-from halfseen.cell.account import Account, Run
-from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
-from halfseen.cell.table_state import Belief, rows_of, state_of
+from halfseen.cell.executor import Ended, Executor
+from halfseen.cell.fetching import Attempt
+from halfseen.cell.live_cell import Activity, Rest, StoppedError
+from halfseen.cell.rewards import EpisodeStatistics, Run, TeamRun
+from halfseen.cell.space import Touches
+from halfseen.cell.table_state import Belief, CellState
 from halfseen.cell.workcell import Workcell
 from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
-from halfseen.world.actions import Verb
+from halfseen.world import random
+from halfseen.world.actions import TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb
 from halfseen.world.policy import Policy
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
+
+PAUSE_S = 0.5
+"""What a look and a decision take on the cell's clock [s]."""
+NOTHING_SEEN = "nothing-seen"
+"""Cause of a cut: no object is in view, so that there is nothing to decide."""
+
+
+class Moment(NamedTuple):
+    """A decision, and what it was made from."""
+
+    stage: int
+    """From 1."""
+    state: TableState
+    """The table as the robot knows it."""
+    action: int
+    """What is done, as `ActionSpace` has it; one beyond it is WAIT."""
+    words: str
+    """The same, for people."""
+    key: Key
+    """What the policy drew from."""
+    arm: int = 0
+    """Number of the robot that does it."""
+    of_team: str | None = None
+    """Which robot does what, where there are several."""
 
 
 def play(
@@ -27,7 +61,9 @@ def play(
     tells_truth: bool = False,
     on_decision: Callable[[Moment], None] = lambda _: None,
 ) -> Run:
-    """Let a policy clear a table, and record it.
+    """Let a policy clear a table with all arms of a cell, and record it.
+
+    The camera looks before every decision, and leaves out what an arm cuts.
 
     Parameters
     ----------
@@ -36,9 +72,9 @@ def play(
     is_dirty
         The truth of each cup.
     policy
-        What decides.
+        What decides: of several arms, for the one that is free.
     belief
-        What the robot believes of the world; its rewards are those that are earned.
+        What the robot believes of the world; its rewards are those that are earned, its horizon that of each arm.
     trajectory
         What is recorded; it is ended, finished or cut.
     key
@@ -51,49 +87,143 @@ def play(
     Returns
     -------
     Run
-        What came of it.
+        What came of it; a `TeamRun` of several arms.
     """
-    account = Account(Run(), cell, is_dirty, belief.config)
-    shift = _OneRobot(cell, account, belief)
-    return cleared(shift, policy, trajectory, key, tells_truth=tells_truth, on_decision=on_decision)
+    begin_s, episode = cell.cell.time_s, _Episode(cell, is_dirty, belief)
+    statistics = episode.statistics
+    try:
+        for step in range(episode.num_decisions):
+            state, rows = episode.look(step)
+            if tells_truth:
+                statistics.truth.add_to(rows, cell)
+            drawn_from, actions, arm = random.fold_in(key, step), ActionSpace(state.num_objects), episode.decider
+            decision = policy.decide(state, drawn_from)
+            action, chance = int(decision.action), float(decision.probability)
+            verb, target = int(actions.verb(action)), int(actions.target(action))
+            trajectory.begin_stage(
+                episode.state.columns(),
+                rows,
+                VERB_NAMES[verb],
+                target if verb in TARGETED else None,
+                None if np.isnan(chance) else chance,  # a planner cannot say it
+                arm if episode.is_team else None,
+            )
+            words, of_team = episode.begin(arm, verb, target, rows)
+            on_decision(Moment(step + 1, state, action, words, drawn_from, arm, of_team))
+            is_over = episode.go_on() or step + 1 == episode.num_decisions
+            reward, of_robots = statistics.pay(is_over=is_over)
+            trajectory.complete_stage(reward, elapsed_s=cell.cell.time_s - begin_s, own_rewards=of_robots)
+            if is_over:
+                break
+        trajectory.finish(elapsed_s=cell.cell.time_s - begin_s)
+    except StoppedError as stopped:
+        statistics.run.cause = str(stopped)
+        trajectory.cut(str(stopped), elapsed_s=cell.cell.time_s - begin_s)
+    return episode.run(cell.cell.time_s - begin_s)
 
 
-class _OneRobot(Shift):
-    """A robot that has the table for itself."""
+class _Episode:
+    """The arms at a table: each decides when it is free."""
 
-    def __init__(self, cell: Workcell, account: Account, belief: Belief) -> None:
-        super().__init__(cell, account, belief.config.horizon)
-        self._belief = belief
-        self._verb, self._target, self._chance = Verb.FINISH, 0, 0.0
-
-    def look(self, step: int) -> None:
-        self.cell.cell.wait(PAUSE_S)
-        self.cell.look()
-
-    def known(self, step: int) -> tuple[TableState, list[Row]]:
-        memory = self.cell.memory
-        return state_of(memory, self._belief, self.num_decisions - step), rows_of(memory, self._belief)
+    def __init__(self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], belief: Belief) -> None:
+        robots = [station.robot for station in cell.stations]
+        self.cell, self.is_team, self._config = cell, len(robots) > 1, belief.config
+        self.num_decisions = belief.config.horizon * len(robots)
+        self.state, self._executor = CellState(cell, belief), Executor(cell.cell, robots)
+        run = TeamRun(busy_s=[0.0] * len(robots)) if self.is_team else Run()
+        self.statistics = EpisodeStatistics(run, cell, is_dirty, belief.config)
+        self._touches = Touches(cell.cell, robots)
+        if self.is_team:
+            cell.cell.watches.append(self._touches)
 
     @property
-    def decider(self) -> None:
-        return None
+    def decider(self) -> int:
+        """The arm that decides."""
+        return next(number for number, arm in enumerate(self.state.arms) if arm.is_free)
 
-    def covariates(self) -> Row:
-        return {}
+    def look(self, step: int) -> tuple[TableState, list[dict[str, Any]]]:
+        """Look at the table before a decision: the state that is decided in, and its objects as a log has them."""
+        # Later looks of several take their time at the end of what came before: the other arms go on meanwhile.
+        if step == 0 or not self.is_team:
+            self.cell.cell.wait(PAUSE_S)
+        self.cell.look()
+        if not self.cell.memory.objects:
+            raise StoppedError(NOTHING_SEEN)
+        rows = self.state.rows()
+        if step == 0:
+            self.statistics.see(expit([row["log_odds"] for row in rows]))
+        return self.state.state(self.decider, self.num_decisions - step), rows
 
-    def begin(self, chosen: Chosen, rows: list[Row]) -> Told:
-        self._verb, self._target = Verb(chosen.verb), chosen.target
-        if self._verb is Verb.FINISH:
-            return Told("FINISH: nothing is worth another step")
-        self._chance, hidden = float(chances_of(rows)[self._target]), rows[self._target]["occlusion"]
-        what = f"{self._verb.name} object {self._target}"
-        return Told(f"{what}: dirty with probability {self._chance:.2f}, {hidden:.0%} hidden")
+    def begin(self, number: int, verb: int, target: int, rows: list[dict[str, Any]]) -> tuple[str, str | None]:
+        """Let an arm begin what was decided, before any time passes; what that is in words, and of which arm."""
+        arm, now_s = self.state.arms[number], self.cell.cell.time_s
+        arm.verb, arm.target, arm.begun_s = verb, target if verb in TARGETED else 0, now_s
+        arm.decisions_to_go -= 1
+        self.statistics.count_verb(VERB_NAMES[verb])
+        if verb in TARGETED:
+            arm.chance = float(expit(rows[target]["log_odds"]))
+        if verb != WAIT:
+            self._executor.begin(number, self._activity(number, verb, target))
+        if self.is_team:
+            return self.state.in_words(), f"{self.cell.stations[number].robot.name}: {arm.words}"
+        if verb == Verb.FINISH:
+            return "FINISH: nothing is worth another step", None
+        hidden = rows[target]["occlusion"]
+        return f"{VERB_NAMES[verb]} object {target}: dirty with probability {arm.chance:.2f}, {hidden:.0%} hidden", None
+
+    def _activity(self, number: int, verb: int, target: int) -> Activity[tuple[Attempt, float] | None]:
+        """Carry out a verb; the attempt, and what it took [s]."""
+        if verb == Verb.FINISH:
+            yield Rest(float(self._config.transport_s))
+            return None
+        begin_s, work = self.cell.cell.time_s, self.cell.washing if verb == Verb.WASH else self.cell.lifting
+        attempt = yield from work(target, number)
+        seconds = self.cell.cell.time_s - begin_s
+        if self.is_team:
+            yield Rest(PAUSE_S)
+        return attempt, seconds
 
     def go_on(self) -> bool:
-        cell, begin_s = self.cell, self.cell.cell.time_s
-        if self._verb is Verb.FINISH:
-            cell.cell.wait(float(self._belief.config.transport_s))
-            return True
-        attempt = cell.wash(self._target) if self._verb is Verb.WASH else cell.lift(self._target)
-        self.account.end(attempt, self._verb, self._chance, cell.cell.time_s - begin_s)
-        return self.account.truth.is_cleared(cell)
+        """Let time pass until an arm decides again; whether the table is over instead."""
+        # Where another arm is free, too, no time passes: a log takes an arm to be at its object until it decides again.
+        while not self.statistics.truth.is_cleared(self.cell):
+            if any(arm.is_free for arm in self.state.arms):
+                return False
+            if not self._work():
+                return True
+        # It is over when the last arm is home.
+        while self._work():
+            pass
+        return True
+
+    def _work(self) -> bool:
+        """Let time pass until an arm has ended what it did; whether one has."""
+        ended = self._executor.work()
+        for each in ended:
+            self._end(each)
+        return bool(ended)
+
+    def _end(self, ended: Ended) -> None:
+        arm = self.state.arms[ended.arm]
+        if ended.result is None:
+            arm.is_parked = True
+        else:
+            attempt, seconds = ended.result
+            if isinstance(self.statistics.run, TeamRun):
+                self.statistics.run.busy_s[ended.arm] += self.cell.cell.time_s - arm.begun_s
+            self.state.learn(ended.arm, arm.target, attempt)
+            assert arm.verb is not None, "it was busy"
+            self.statistics.end(attempt, arm.verb, arm.chance, seconds, ended.arm)
+        for other in self.state.arms:
+            if other is arm or other.verb == WAIT:
+                other.verb = None
+        for number, each in enumerate(self.state.arms):
+            if each.is_done:
+                self.statistics.leave(number)
+
+    def run(self, seconds: float) -> Run:
+        """What came of it."""
+        run = replace(self.statistics.run, seconds=seconds, **self.statistics.truth.counts(self.cell))
+        if not isinstance(run, TeamRun):
+            return run
+        return replace(run, num_collisions=self._touches.num_collisions, **asdict(self._executor.tally))

@@ -1,15 +1,47 @@
-"""Fetching in physics: open, hover, come, close, lift; and how it is put back or away."""
+"""Activities of an arm: fetch an object, turn it before the camera, put it back or into the rack."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from halfseen.cell.commands import Activity, Grip, Move, Rest
-from halfseen.cell.grasps import Grasp
-from halfseen.cell.kinematics import Angles
-from halfseen.cell.live_cell import LiveCell
+from halfseen.arrays import Points
+from halfseen.cell.grasps import UP, Grasp
+from halfseen.cell.kinematics import Angles, Kinematics, Way, line
+from halfseen.cell.live_cell import Activity, Grip, LiveCell, Move, Reserve, Rest
 from halfseen.cell.model import Robot
-from halfseen.cell.motion import Way
-from halfseen.cell.planning import Plan
-from halfseen.shapes import Float
+from halfseen.cell.planning import Plan, beginnings
+from halfseen.errors import PlanError
+from halfseen.perception.clouds import Vector
+from halfseen.scene.poses import Pose, from_matrix
+from halfseen.shapes import Bool, Float
+
+
+@dataclass(frozen=True)
+class Attempt:
+    """How an attempt went, as the robot tells it.
+
+    Parameters
+    ----------
+    is_held
+        Whether the hand held something when it was lifted, and, of what was to be washed, put it into the rack.
+    duration_s
+        From the decision until that was known [s].
+    kind
+        Of the grasp; None where there was none to try.
+    reason
+        Why it did not hold; empty where it did.
+    is_too_far
+        Whether the robot reaches no grasp of it.
+    """
+
+    is_held: bool
+    duration_s: float
+    kind: str | None
+    reason: str = ""
+    is_too_far: bool = False
+
 
 _COMING, _LIFTING, _PUTTING = 0.6, 0.9, 0.9  # shares of the joints' speeds
 _PRESSED_M = {"rim": -0.020}
@@ -107,3 +139,155 @@ def with_home(cell: LiveCell, robot: Robot, way: Way) -> Float[np.ndarray, "home
 def home_from(cell: LiveCell, robot: Robot, here_rad: Angles) -> Angles:
     """Angles where the robot waits, at the turn that is nearest to some angles."""
     return cell.kinematics[robot.name].nearest_turn(np.array(robot.home_rad), here_rad)
+
+
+SHOWN_AT_M = (0.0, 0.05, 1.02)
+"""Where the hand holds it, in the world [m]: in the picture, above everything on the table."""
+NUM_SIDES = 2
+_MOVING = 1.0  # share of the joints' speeds
+_BESIDE_M, _BARE_M, _SLACK_M = 0.11, 0.08, 0.015
+"""What is held lies so near to the point between the pads, to the sides and up; its shape errs by the last."""
+
+
+def turned(
+    cell: LiveCell, robot: Robot, plan: Plan, rng: np.random.Generator, on_side: Callable[[int], None]
+) -> Activity[bool]:
+    """Turn what was lifted before the camera, stop at each side, and bring it back to where it was lifted to.
+
+    Parameters
+    ----------
+    cell, robot, plan, rng
+        As for `halfseen.cell.fetching.put_away`.
+    on_side
+        Called whenever a side is shown, with how many were shown before; those out of reach are left out.
+
+    Returns
+    -------
+    bool
+        Whether it was not told to give way to another robot; if so, it has the way back to where the object stood.
+    """
+    kinematics, num_shown = cell.kinematics[robot.name], 0
+    back = with_home(cell, robot, plan.way_back)
+    for side in range(NUM_SIDES):
+        angles = _facing(kinematics, plan, 2 * np.pi * side / NUM_SIDES, cell.angles_rad(robot), rng)
+        if angles is not None:
+            if not (yield Reserve(np.stack([angles, plan.lift[-1]]), back, below_m=plan.below_m)):
+                yield Move(plan.lift[-1:], _MOVING)
+                return False
+            yield Move(angles[None], _MOVING)
+            on_side(num_shown)
+            num_shown += 1
+    yield Move(plan.lift[-1:], _MOVING)
+    return True
+
+
+def _facing(
+    kinematics: Kinematics, plan: Plan, turn_rad: float, here: Angles, rng: np.random.Generator
+) -> Angles | None:
+    hand = np.eye(4)
+    hand[:3, :3] = Rotation.from_rotvec(turn_rad * UP).as_matrix() @ plan.held.rotation
+    hand[:3, 3] = SHOWN_AT_M
+    return kinematics.solve_from(from_matrix(hand), beginnings(kinematics, here, rng), here)
+
+
+def is_in_hand(points_m: Points, hand: Pose, plan: Plan) -> Bool[np.ndarray, " n"]:
+    """Which points belong to what a hand holds.
+
+    Parameters
+    ----------
+    points_m
+        Points of the world that are no robot; NaN where nothing returned [m].
+    hand
+        Pose of the point between the pads.
+    plan
+        How it was fetched: as it stood on the table, it reaches as far below the hand as that was above the table.
+    """
+    apart_m: Float[np.ndarray, "n 3"] = points_m - np.array(hand.position_m)
+    below_m = float(plan.grasp.middle_m[2]) + _SLACK_M
+    with np.errstate(invalid="ignore"):
+        is_beside = (np.abs(apart_m[:, :2]) < _BESIDE_M).all(axis=1)
+        return is_beside & (apart_m[:, 2] < _BARE_M) & (apart_m[:, 2] > -below_m)
+
+
+_ABOVE_M = 0.16  # over where it is put down, what is held passes over the rim and what stands there already
+_DROP_M = 0.010
+_NUM_TURNS = 8
+_CARRYING, _RACKING = 1.0, 0.7  # shares of the joints' speeds
+
+
+class GaveWayError(PlanError):
+    """A robot that held something was told to give way."""
+
+
+def put_away(
+    cell: LiveCell, robot: Robot, plan: Plan, middle_m: Vector, slot_m: Vector, rng: np.random.Generator
+) -> Activity[None]:
+    """Put what was lifted into a slot of the rack, and go home.
+
+    Parameters
+    ----------
+    cell
+        The running cell.
+    robot
+        Who holds it.
+    plan
+        How it was fetched.
+    middle_m
+        Where its middle was before, in the world [m].
+    slot_m
+        Where to, on the floor of the rack [m].
+    rng
+        Draws where the search for angles begins.
+
+    Raises
+    ------
+    PlanError
+        The slot is out of reach with the hand as it holds.
+    GaveWayError
+        It was told to give way to another robot, and has the way back to where the object stood.
+    """
+    kinematics = cell.kinematics[robot.name]
+    here = plan.lift[-1]
+    begins = beginnings(kinematics, here, rng)
+    over, down = _ways(kinematics, plan, middle_m - np.array(plan.held.position_m), slot_m, begins)
+    into = with_home(cell, robot, np.concatenate([over[None], down, down[-2::-1], over[None]]))
+    if not (yield Reserve(into, with_home(cell, robot, plan.way_back), below_m=plan.below_m)):
+        raise GaveWayError("another arm stood between it and the rack, so it gave way")
+    yield Move(over[None], _CARRYING)
+    yield Move(down, _RACKING)
+    yield Grip(plan.grasp.opening_m, seconds=0.4)
+    yield Move(np.concatenate([down[-2::-1], over[None]]), _RACKING)
+    yield from go_home(cell, robot)
+
+
+def _ways(
+    kinematics: Kinematics, plan: Plan, beside_m: Vector, slot_m: Vector, begins: list[Angles]
+) -> tuple[Angles, Way]:
+    """Angles over a slot, and the way down: of the turns of the hand the one that is nearest."""
+    above_table_m = plan.grasp.middle_m[2]
+    found = []
+    for turn_rad in 2 * np.pi * np.arange(_NUM_TURNS) / _NUM_TURNS:
+        about = Rotation.from_rotvec(turn_rad * UP).as_matrix()
+        hand = np.eye(4)
+        hand[:3, :3] = about @ plan.held.rotation
+        # What is held stood on the table: it stands in the rack when the hand is as far above its floor.
+        hand[:3, 3] = slot_m - (about @ beside_m) * [1.0, 1.0, 0.0] + (above_table_m + _DROP_M) * UP
+        way = _down(kinematics, from_matrix(hand), begins)
+        if way is not None:
+            found.append(way)
+    if not found:
+        x_m, y_m, z_m = slot_m
+        raise PlanError(f"the rack's slot at ({x_m:.3f}, {y_m:.3f}, {z_m:.3f}) m is out of reach as the hand holds")
+    return min(found, key=lambda way: float(np.abs(way[0] - begins[0]).max()))
+
+
+def _down(kinematics: Kinematics, standing: Pose, begins: list[Angles]) -> tuple[Angles, Way] | None:
+    x_m, y_m, z_m = standing.position_m
+    above = Pose((x_m, y_m, z_m + _ABOVE_M), standing.quaternion)
+    over = kinematics.solve_from(above, begins, begins[0])
+    if over is None:
+        return None
+    try:
+        return over, line(kinematics, over, above, np.array(standing.position_m))
+    except PlanError:
+        return None

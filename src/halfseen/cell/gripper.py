@@ -1,18 +1,108 @@
-"""A parallel gripper of boxes: two fingers that slide apart, each with a soft pad at its tip.
+"""What holds a cup in simulation: contact values, a parallel gripper of boxes, and the walls of hollow cups.
 
-Its frame is the flange's: z points out of the palm, y is the closing axis. The site ``tcp`` lies between the pads.
+The values were found by trial: with them a cup that is gripped around stays where the pads hold it, slippery or not.
+They are a simulation's, not a material's. The gripper's frame is the flange's: z points out of the palm, y is the
+closing axis; the site ``tcp`` lies between the pads. A cup meets tables and other cups by its convex hull, which no
+finger could reach into: only robots meet the boxes around it.
 """
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Iterable
 from dataclasses import dataclass, fields
+from itertools import pairwise
+from math import pi
+from typing import Any
 
 import mujoco
+import numpy as np
 
-from halfseen.cell.contacts import ROBOT, Contacts
-from halfseen.cell.serial_arm import require_positive
 from halfseen.errors import SceneError
+from halfseen.scene.cups import Cup, handle_bow
+from halfseen.scene.rays import ROBOT_GROUP, UNSEEN_GROUP
+
+
+def require_positive(what: str, part: object, names: Iterable[str]) -> None:
+    """Refuse a part with a number that is not positive and finite.
+
+    Parameters
+    ----------
+    what
+        The part, as messages call it.
+    part
+        What has the numbers.
+    names
+        Of the numbers.
+
+    Raises
+    ------
+    SceneError
+        One of them, or one of its components, is not.
+    """
+    for name in names:
+        value = getattr(part, name)
+        if not all(0 < number < np.inf for number in np.atleast_1d(value)):
+            raise SceneError(f"{what}: {name} is {value}; give a positive number")
+
+
+def require_finite(what: str, part: object, names: Iterable[str]) -> None:
+    """Refuse a part with a number that is not finite, as `require_positive` refuses those that are not positive."""
+    for name in names:
+        if not np.isfinite(getattr(part, name)):
+            raise SceneError(f"{what}: {name} is {getattr(part, name)}; give a finite number")
+
+
+FURNITURE, WALLS, OBSTACLES, FIRST_ROBOT = 1, 2, 4, 8
+"""Contact bits: cups' hulls and furniture meet on the first; robots meet cups' walls and furniture on the next two, and
+one another on one for each robot, from the last on."""
+
+ROBOT: dict[str, Any] = {"contype": 0, "conaffinity": WALLS | OBSTACLES, "group": ROBOT_GROUP}
+"""A robot's geoms meet what shows itself to robots, and nothing of their own; cameras tell them from cups."""
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """Values of the solver and of the contact of pads and cups.
+
+    Parameters
+    ----------
+    timestep_s
+        Length of a step [s].
+    friction_to_normal
+        How much stiffer friction is than the normal force (``impratio``) [-]: what is held does not creep out.
+    pad_stiffness
+        Time constant [s] and damping ratio [-] of a pad.
+    pad_impedance
+        Of a pad: least, largest [-], and the depth over which it grows [m].
+    pad_friction
+        Of pads on cups: sliding [-], spinning [m] and rolling [m].
+    """
+
+    timestep_s: float = 0.002
+    friction_to_normal: float = 10.0
+    pad_stiffness: tuple[float, float] = (0.008, 1.0)
+    pad_impedance: tuple[float, float, float] = (0.9, 0.97, 0.001)
+    pad_friction: tuple[float, float, float] = (0.9, 0.01, 0.0002)
+
+    def solve(self, spec: mujoco.MjSpec) -> None:
+        """Set a model's solver; what rests sleeps, and costs nothing."""
+        spec.option.timestep = self.timestep_s
+        spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+        spec.option.impratio = self.friction_to_normal
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.option.enableflags |= int(mujoco.mjtEnableBit.mjENBL_SLEEP)
+
+    def of_pad(self, friction: float | None = None) -> dict[str, Any]:
+        """Contact of a pad, or of a cup's wall with its own sliding friction [-], as a geom takes it."""
+        sliding = self.pad_friction[0] if friction is None else friction
+        return {
+            "condim": 4,
+            "friction": [sliding, *self.pad_friction[1:]],
+            "solref": list(self.pad_stiffness),
+            "solimp": [*self.pad_impedance, 0.5, 2],
+        }
+
 
 _DARK, _GREY, _BLACK = (0.15, 0.15, 0.17, 1.0), (0.6, 0.6, 0.65, 1.0), (0.1, 0.1, 0.1, 1.0)
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
@@ -126,3 +216,66 @@ class Gripper:
 
 _SIDES = {"left": 1, "right": -1}
 """Sign of the closing axis on which a finger opens."""
+
+
+NUM_WALLS = 16
+_NUM_HANDLE_PARTS = 5
+
+
+def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: float | None = None) -> None:
+    """Add walls, a bottom and a handle to the body of a cup; they weigh nothing.
+
+    Parameters
+    ----------
+    body
+        Of the cup, in its frame.
+    cup
+        Its dimensions.
+    contacts
+        How pads meet it.
+    friction
+        Sliding friction on pads [-]; None for that of `contacts`.
+    """
+    shared: dict[str, Any] = {
+        "mass": 0,
+        "contype": WALLS,
+        "conaffinity": 0,
+        "group": UNSEEN_GROUP,
+        "priority": 2,
+        **contacts.of_pad(friction),
+    }
+    for angle_rad in 2 * pi * (np.arange(NUM_WALLS) + 0.5) / NUM_WALLS:
+        _add_wall(body, cup, angle_rad, shared)
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        size=[cup.base_radius_m, 0.5 * cup.bottom_m, 0],
+        pos=[0, 0, 0.5 * cup.bottom_m],
+        **shared,
+    )
+    if cup.handle_m > 0:
+        _add_handle(body, cup, shared)
+
+
+def _add_wall(body: mujoco.MjsBody, cup: Cup, angle_rad: float, shared: dict[str, Any]) -> None:
+    """A box as wide as its share of the circumference, leaning as the cup widens."""
+    radial = np.array([np.cos(angle_rad), np.sin(angle_rad), 0.0])
+    around = np.array([-np.sin(angle_rad), np.cos(angle_rad), 0.0])
+    up = (cup.rim_radius_m - cup.base_radius_m) / cup.height_m * radial + [0.0, 0.0, 1.0]
+    up /= np.linalg.norm(up)
+    out, middle_m = np.cross(around, up), cup.radius_at(0.5 * cup.height_m)
+    quaternion = np.zeros(4)
+    mujoco.mju_mat2Quat(quaternion, np.stack([out, around, up], axis=1).ravel())
+    length_m = np.hypot(cup.height_m, cup.rim_radius_m - cup.base_radius_m)
+    body.add_geom(
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        size=[0.5 * cup.wall_m, middle_m * np.tan(pi / NUM_WALLS), 0.5 * length_m],
+        pos=list(radial * middle_m + [0.0, 0.0, 0.5 * cup.height_m] - 0.5 * cup.wall_m * out),
+        quat=list(quaternion),
+        **shared,
+    )
+
+
+def _add_handle(body: mujoco.MjsBody, cup: Cup, shared: dict[str, Any]) -> None:
+    bow_m, radius_m = handle_bow(cup, _NUM_HANDLE_PARTS + 1)
+    for begin_m, end_m in pairwise(bow_m):
+        body.add_geom(type=mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=[*begin_m, *end_m], size=[radius_m, 0, 0], **shared)

@@ -16,11 +16,10 @@ from math import cos, pi, sin
 import mujoco
 import numpy as np
 
+from halfseen.cell.arm import SerialArm
 from halfseen.cell.gripper import Gripper
-from halfseen.cell.kinematics import Angles, Kinematics
+from halfseen.cell.kinematics import Angles, Kinematics, line
 from halfseen.cell.model import Robot, cell_model
-from halfseen.cell.motion import line
-from halfseen.cell.serial_arm import SerialArm
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M

@@ -1,20 +1,105 @@
-"""The cell as it runs: physics that goes on while robots move, grip and wait."""
+"""The cell as it runs: what robots are told to do, physics that goes on meanwhile, and what stops it.
+
+What a robot does is a generator of commands, an `Activity`: it reads the cell when it is asked for the next command,
+and learns whether the last was carried out. All but `Reserve` always are.
+"""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from typing import TypeAlias, TypeVar
 
 import mujoco
 import numpy as np
 
-from halfseen.cell.commands import Activity, Command, Grip, Move, Rest, Result
-from halfseen.cell.kinematics import Angles, Kinematics
+from halfseen.cell.kinematics import Angles, Kinematics, Way, schedule
 from halfseen.cell.model import Robot
-from halfseen.cell.motion import Way, schedule
 from halfseen.scene.poses import Pose
 from halfseen.scene.room import cup_name
 from halfseen.shapes import Float
+
+Result = TypeVar("Result")
+
+
+@dataclass(frozen=True, eq=False)
+class Move:
+    """Move along a way, from rest to rest.
+
+    Parameters
+    ----------
+    way
+        Angles to go through.
+    speed
+        Share of the joints' largest speeds.
+    """
+
+    way: Way
+    speed: float = 1.0
+
+
+@dataclass(frozen=True)
+class Grip:
+    """Open or close the hand.
+
+    Parameters
+    ----------
+    opening_m
+        Between its pads [m]; below 0 it presses.
+    seconds
+        What it takes [s].
+    """
+
+    opening_m: float
+    seconds: float = 0.5
+
+
+@dataclass(frozen=True)
+class Rest:
+    """Let time pass.
+
+    Parameters
+    ----------
+    seconds
+        How much [s].
+    """
+
+    seconds: float
+
+
+def _nowhere() -> Way:
+    return np.zeros((0, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class Reserve:
+    """Have the space of a way for oneself before it is gone; who works alone has it at once.
+
+    Parameters
+    ----------
+    way
+        Angles to go through, of all moves until the next reservation.
+    back
+        The way home instead, for who is told to give way: it is then reserved, and the answer is False; none where
+        there is nothing to go back to.
+    is_patient
+        Whether to wait until the space is free; else it is only tried.
+    below_m
+        How far below the hand what it holds reaches [m]; 0 where it holds nothing.
+    """
+
+    way: Float[np.ndarray, "going J"]
+    back: Float[np.ndarray, "returning _"] = field(default_factory=_nowhere)
+    is_patient: bool = True
+    below_m: float = 0.0
+
+
+Command: TypeAlias = Move | Grip | Rest | Reserve
+Activity: TypeAlias = Generator[Command, bool, Result]
+"""What a robot does: commands, and at last what came of them."""
+
 
 NUM_STEPS = 5
 """Steps of physics between two commands to the servos: a hundredth of a second."""
@@ -153,3 +238,89 @@ class LiveCell:
         """Tell the fingers how far to be apart [m]."""
         for name in robot.slide_names:
             self.data.actuator(name).ctrl = 0.5 * opening_m
+
+
+TIME_OUT, EMERGENCY_STOP, SENSOR_LOST = "time-out", "emergency-stop", "sensor-lost"
+
+
+class StoppedError(Exception):
+    """The cell was stopped; its argument is the cause."""
+
+
+@dataclass(frozen=True)
+class Stops:
+    """When the cell stops.
+
+    Parameters
+    ----------
+    limit_s
+        Longest time of an attempt, until it is known whether it holds [s].
+    force_n
+        Largest force of a contact of the robot [N].
+    camera_lost_per_s
+        Rate at which the camera is lost [1/s].
+    """
+
+    limit_s: float = 9.5
+    force_n: float = 100.0
+    camera_lost_per_s: float = 1 / 400
+
+
+class Guard:
+    """Watches a running cell and stops it; a `halfseen.cell.live_cell.Watch`.
+
+    Parameters
+    ----------
+    stops
+        When.
+    now_s
+        The cell's clock [s].
+    rng
+        Draws when the camera is lost.
+    """
+
+    def __init__(self, stops: Stops, now_s: float, rng: np.random.Generator) -> None:
+        self.stops = stops
+        self._begun_s: list[float] = []
+        self._lost_s = now_s + float(rng.exponential()) / stops.camera_lost_per_s if stops.camera_lost_per_s else np.inf
+
+    @contextmanager
+    def timing(self, begun_s: float) -> Iterator[None]:
+        """Time an attempt that began at some time [s]; several robots may be at one each."""
+        self._begun_s.append(begun_s)
+        yield
+        self._begun_s.remove(begun_s)
+
+    def __call__(self, cell: LiveCell) -> None:
+        """Look whether something stops it.
+
+        Raises
+        ------
+        StoppedError
+            With the cause.
+        """
+        if cell.time_s > self._lost_s:
+            raise StoppedError(SENSOR_LOST)
+        if any(cell.time_s - begun_s > self.stops.limit_s for begun_s in self._begun_s):
+            raise StoppedError(TIME_OUT)
+        if largest_force_n(cell) > self.stops.force_n:
+            raise StoppedError(EMERGENCY_STOP)
+
+
+def largest_force_n(cell: LiveCell) -> float:
+    """Largest force of a contact of a robot with anything: a cup, furniture, or another robot [N].
+
+    Parameters
+    ----------
+    cell
+        The running cell.
+    """
+    model, data = cell.model, cell.data
+    if not data.ncon:
+        return 0.0
+    is_robot = model.geom_bodyid[data.contact.geom] > cell.num_cups
+    force, largest = np.zeros(6), 0.0
+    for contact in np.flatnonzero(is_robot.any(axis=1)).tolist():
+        mujoco.mj_contactForce(model, data, contact, force)
+        largest = max(largest, float(np.linalg.norm(force[:3])))
+    return largest

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from halfseen.cell.grasps import Grasp
-from halfseen.cell.kinematics import Angles, Kinematics
-from halfseen.cell.motion import Way, line
+from halfseen.cell.kinematics import Angles, Kinematics, Way, line
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose, from_matrix
 from halfseen.shapes import Float

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import Rows
-from halfseen.cell.account import Run
-from halfseen.cell.several.team_episode import TeamRun
+from halfseen.cell.episode import TeamRun
+from halfseen.cell.rewards import Run
 from halfseen.censoring import censoring_weights
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.logs import Logs
@@ -43,7 +43,7 @@ class Summary:
     predicted
         What the simulated world gives for the same tables, as they looked at first; None for several arms.
     luck
-        How much of the reward was the luck of which cups were dirty (`luck`): near 0 where P(DIRTY) is calibrated; None
+        How much of the reward was the luck of which cups were dirty: near 0 where P(DIRTY) is calibrated; None
         as `reward`.
     without_luck
         Reward without that luck, which is better known; None as `reward`.

@@ -1,25 +1,33 @@
-"""From what a robot knows of its table to the state that a policy decides in, and to the rows of a log."""
+"""From what is known in a cell of K arms to the state that a policy decides in, and to the rows of a log."""
 
 from collections.abc import Callable
-from dataclasses import asdict
+from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from halfseen.cell.facts import Facts
+from halfseen.cell.fetching import Attempt
 from halfseen.cell.memory import Known, Memory
+from halfseen.cell.workcell import Workcell
+from halfseen.perception.clouds import Vector
 from halfseen.planners.belief import known_seeing
+from halfseen.shapes import Bool
+from halfseen.world.actions import TARGETED, VERB_NAMES
 from halfseen.world.config import WorldConfig
-from halfseen.world.log_checks import DISHWASHER, LOST, PLACE_COLUMNS, TABLE
+from halfseen.world.log_checks import ATTEMPT_BY, DISHWASHER, LOST, PLACE_COLUMNS, TABLE
+from halfseen.world.log_rows import FREE, PARKED
+from halfseen.world.robots import CLEARANCE_M
 from halfseen.world.seeing import label_evidence
-from halfseen.world.state import NO_ATTEMPT, TableState
+from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace
 
 MOST_OBJECTS = 12
 """States are padded to so many objects, among which whoever explores draws; tables with more are padded to more."""
+_MOVED_M = 0.03
 
 
 class Belief(NamedTuple):
-    """What the robot believes of the world: it makes chances of what it was told."""
+    """What the robot believes of the world: it makes chances of what looks and attempts say."""
 
     config: WorldConfig
     """Prior, law of seeing, horizon."""
@@ -33,7 +41,7 @@ def no_grip(facts: Facts) -> float:
 
 
 def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
-    """Give the state of the table as the robot knows it.
+    """Give the state of the table as one robot knows it.
 
     Parameters
     ----------
@@ -45,34 +53,31 @@ def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
         Actions left, the next one included.
     """
     objects, horizon = memory.objects, belief.config.horizon
-    size = max(MOST_OBJECTS, len(objects))
-    hides = np.zeros((size, size), dtype=np.float32)
-    hides[: len(objects), : len(objects)] = memory.hides
+    num_more = max(MOST_OBJECTS - len(objects), 0)
     tried = [(k, trial.occlusion, trial.is_held) for k, known in enumerate(objects) for trial in known.trials]
     empty = [(NO_ATTEMPT, 0.0, False)] * (horizon - len(tried))
     target, occluded, succeeded = zip(*tried[:horizon], *empty, strict=True)
-    told = [_told(known, belief.config) for known in objects]
+    evidence = [_evidence(known, belief.config) for known in objects]
 
     def padded(values: list[Any], kind: Any) -> np.ndarray:
-        return np.array([*values, *[0] * (size - len(values))], dtype=kind)
+        return np.pad(np.array(values, dtype=kind), (0, num_more))
 
-    leaves = {
-        "hides": hides,
-        "is_object": padded([True] * len(objects), bool),
-        "grip": padded([belief.grip(known.facts) for known in objects], np.float32),
-        "is_on_table": padded([not known.is_gone for known in objects], bool),
-        "log_odds": padded([log_odds for log_odds, _ in told], np.float32),
-        "seen": padded([seen for _, seen in told], np.float32),
-        "lifts": padded([known.lifts for known in objects], np.int32),
-        "attempt_object": np.array(target, dtype=np.int32),
-        "attempt_occlusion": np.array(occluded, dtype=np.float32),
-        "attempt_succeeded": np.array(succeeded, dtype=bool),
-        "steps_to_go": np.int32(steps_to_go),
-    }
-    return TableState(**leaves)
+    return TableState(
+        hides=np.pad(memory.hides.astype(np.float32), (0, num_more)),
+        is_object=padded([True] * len(objects), bool),
+        grip=padded([belief.grip(known.facts) for known in objects], np.float32),
+        is_on_table=padded([not known.is_gone for known in objects], bool),
+        log_odds=padded([log_odds for log_odds, _ in evidence], np.float32),
+        seen=padded([seen for _, seen in evidence], np.float32),
+        lifts=padded([known.lifts for known in objects], np.int32),
+        attempt_object=np.array(target, dtype=np.int32),
+        attempt_occlusion=np.array(occluded, dtype=np.float32),
+        attempt_succeeded=np.array(succeeded, dtype=bool),
+        steps_to_go=np.int32(steps_to_go),
+    )
 
 
-def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
+def _evidence(known: Known, config: WorldConfig) -> tuple[float, float]:
     """Log-odds of DIRTY given all labels, and how much of the object counts as seen."""
     law, seen = known_seeing(config), 0.0
     log_odds = float(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
@@ -86,7 +91,7 @@ def _told(known: Known, config: WorldConfig) -> tuple[float, float]:
 
 
 def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
-    """Rows of a log for the objects: what a policy saw, what looks and attempts told, and what may make it hard.
+    """Rows of a log for the objects: what a policy saw, what looks and attempts said, and what may make it hard.
 
     Parameters
     ----------
@@ -100,8 +105,8 @@ def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
 
 
 def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str, Any]:
-    held, hidden_by = [trial.is_held for trial in known.trials], memory.hides[number]
-    log_odds, seen = _told(known, belief.config)
+    held = [trial.is_held for trial in known.trials]
+    log_odds, seen = _evidence(known, belief.config)
     return {
         "object": number,
         "location": DISHWASHER if known.is_racked else LOST if known.is_lost else TABLE,
@@ -112,7 +117,7 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
         "successes": sum(held),
         "failures": len(held) - sum(held),
         "lifts": known.lifts,
-        "hidden_by": hidden_by.tolist(),
+        "hidden_by": memory.hides[number].tolist(),
         "attempt_occlusions": [trial.occlusion for trial in known.trials],
         "attempt_succeeded": held,
         "attempt_s": [trial.duration_s for trial in known.trials],
@@ -121,3 +126,163 @@ def _row(number: int, known: Known, memory: Memory, belief: Belief) -> dict[str,
         "glance_dirty": [glance.says_dirty for glance in known.glances],
         **asdict(known.facts),
     }
+
+
+@dataclass
+class ArmStatus:
+    """What one arm is doing.
+
+    Attributes
+    ----------
+    decisions_to_go
+        How many it may still make.
+    verb, target
+        What it does; None where it is free.
+    begun_s
+        When it began, on the cell's clock [s].
+    is_parked
+        Whether it does nothing more.
+    chance
+        P(DIRTY) of the target when it was decided.
+    """
+
+    decisions_to_go: int
+    verb: int | None = None
+    target: int = 0
+    begun_s: float = 0.0
+    is_parked: bool = False
+    chance: float = 0.0
+
+    @property
+    def is_free(self) -> bool:
+        """Whether it is to decide."""
+        return self.verb is None and not self.is_parked and self.decisions_to_go > 0
+
+    @property
+    def is_done(self) -> bool:
+        """Whether it has come to its own end."""
+        return self.verb is None and (self.is_parked or self.decisions_to_go == 0)
+
+    @property
+    def words(self) -> str:
+        """What it does, as a log has it."""
+        if self.verb is None:
+            return PARKED if self.is_parked else FREE
+        return VERB_NAMES[self.verb] + (f" {self.target}" if self.verb in TARGETED else "")
+
+
+class CellState:
+    """The table and the arms of a cell, as its states and its log have them.
+
+    Parameters
+    ----------
+    cell
+        The cell.
+    belief
+        What is believed of the world; its horizon is counted in decisions of each arm.
+
+    Attributes
+    ----------
+    arms
+        What each arm is doing.
+    """
+
+    def __init__(self, cell: Workcell, belief: Belief) -> None:
+        horizon, num_arms = belief.config.horizon, len(cell.stations)
+        self.cell, self.arms = cell, [ArmStatus(horizon) for _ in range(num_arms)]
+        # A state has room for the attempts of all arms.
+        self._belief = belief._replace(config=replace(belief.config, horizon=horizon * num_arms))
+        self._too_far: dict[tuple[int, int], Vector] = {}
+
+    def learn(self, arm: int, number: int, attempt: Attempt) -> None:
+        """Learn from an attempt what an arm does not reach.
+
+        That it found no grasp within its reach is remembered for as long as the object stays where it is and nothing
+        changes on the table: an arm that was there, and has left, may have been in the way, or has moved what was.
+
+        Parameters
+        ----------
+        arm
+            Whose it was.
+        number
+            Of its object.
+        attempt
+            How it went.
+        """
+        if attempt.kind is not None:
+            self._too_far.clear()
+        if attempt.is_too_far:
+            self._too_far[arm, number] = self.cell.memory.objects[number].middle_m
+
+    def state(self, decider: int, decisions_to_go: int) -> TableState:
+        """Give the state that an arm decides in.
+
+        Parameters
+        ----------
+        decider
+            Its number.
+        decisions_to_go
+            Of all arms together, this one included.
+        """
+        table = state_of(self.cell.memory, self._belief, decisions_to_go)
+        if len(self.arms) == 1:
+            return table
+        num_more = table.num_objects - len(self.cell.memory.objects)
+        reached, near = np.pad(self.is_in_reach(), ((0, 0), (0, num_more))), np.pad(self.is_near(), (0, num_more))
+        return replace(table, robots=self._robots(), workspace=Workspace(reached, near), decider=np.int32(decider))
+
+    def rows(self) -> list[dict[str, Any]]:
+        """Rows of a log for the objects; of several arms, with who reaches them, what is near, and who tried them."""
+        rows = rows_of(self.cell.memory, self._belief)
+        if len(self.arms) > 1:
+            reached, near = self.is_in_reach(), self.is_near()
+            for number, (row, known) in enumerate(zip(rows, self.cell.memory.objects, strict=True)):
+                row["reached_by"] = np.flatnonzero(reached[:, number]).tolist()
+                row["near"] = np.flatnonzero(near[number]).tolist()
+                row[ATTEMPT_BY] = [trial.arm for trial in known.trials]
+        return rows
+
+    def columns(self) -> dict[str, Any]:
+        """What a stage of the log holds of several arms, as `halfseen.world.logs` has it."""
+        columns: dict[str, Any] = {}
+        for number, arm in enumerate(self.arms if len(self.arms) > 1 else ()):
+            columns |= {f"{number}_does": arm.words, f"{number}_since_s": self._since_s(arm)}
+            columns[f"{number}_decisions_to_go"] = arm.decisions_to_go
+        return columns
+
+    def is_in_reach(self) -> Bool[np.ndarray, "K N"]:
+        """Which objects each arm reaches."""
+        bases_m = np.array([station.robot.base_m[:2] for station in self.cell.stations])
+        apart_m = np.linalg.norm(self._places_m()[None] - bases_m[:, None], axis=-1)
+        reached = apart_m <= np.array([station.reach_m for station in self.cell.stations])[:, None]
+        for (arm, number), place_m in self._too_far.items():
+            if np.linalg.norm(self.cell.memory.objects[number].middle_m - place_m) < _MOVED_M:
+                reached[arm, number] = False
+        return reached
+
+    def is_near(self) -> Bool[np.ndarray, "N N"]:
+        """Which objects are too near to one another for two arms at once."""
+        places_m = self._places_m()
+        return np.linalg.norm(places_m[:, None] - places_m[None], axis=-1) < CLEARANCE_M
+
+    def _places_m(self) -> np.ndarray:
+        return np.array([known.middle_m[:2] for known in self.cell.memory.objects]).reshape(-1, 2)
+
+    def _robots(self) -> Robots:
+        arms = self.arms
+        return Robots(
+            is_busy=np.array([arm.verb is not None for arm in arms]),
+            is_parked=np.array([arm.is_parked for arm in arms]),
+            verb=np.array([arm.verb or 0 for arm in arms], dtype=np.int32),
+            target=np.array([arm.target for arm in arms], dtype=np.int32),
+            since_s=np.array([self._since_s(arm) for arm in arms], dtype=np.float32),
+            decisions_to_go=np.array([arm.decisions_to_go for arm in arms], dtype=np.int32),
+        )
+
+    def _since_s(self, arm: ArmStatus) -> float:
+        return 0.0 if arm.verb is None else self.cell.cell.time_s - arm.begun_s
+
+    def in_words(self) -> str:
+        """What all arms are doing, for people."""
+        names = [station.robot.name for station in self.cell.stations]
+        return "; ".join(f"{name}: {arm.words}" for name, arm in zip(names, self.arms, strict=True))

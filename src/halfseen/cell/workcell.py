@@ -15,21 +15,26 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Image
-from halfseen.cell.attempt import Attempt
-from halfseen.cell.camera_errors import Errors
-from halfseen.cell.clearance import ranked, surroundings
-from halfseen.cell.commands import Activity, Reserve
-from halfseen.cell.cut_by_arms import perceived_whole
-from halfseen.cell.fetching import come, draw_back, feels, open_hand, pick_up, put_down, with_home
-from halfseen.cell.grasps import GRASPING
-from halfseen.cell.live_cell import LiveCell
-from halfseen.cell.looking import Eye
+from halfseen.cell.camera import Errors, Eye, perceived_whole
+from halfseen.cell.fetching import (
+    Attempt,
+    GaveWayError,
+    come,
+    draw_back,
+    feels,
+    is_in_hand,
+    open_hand,
+    pick_up,
+    put_away,
+    put_down,
+    turned,
+    with_home,
+)
+from halfseen.cell.grasps import GRASPING, ranked, surroundings
+from halfseen.cell.live_cell import Activity, Guard, LiveCell, Reserve, Stops
 from halfseen.cell.memory import Known, Memory, Trial
 from halfseen.cell.model import Rack, Robot, Station, cell_model
 from halfseen.cell.planning import OutOfReachError, Plan, plans
-from halfseen.cell.racking import GaveWayError, put_away
-from halfseen.cell.showing import is_in_hand, turned
-from halfseen.cell.stops import Guard, Stops
 from halfseen.errors import PlanError, SceneError
 from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.labels import Labeller, StainCounter

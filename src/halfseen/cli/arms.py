@@ -53,7 +53,7 @@ def stations_for(num_arms: int, arm: Path | None) -> "tuple[Station, ...]":
     """
     if num_arms == 1:
         return ()
-    from halfseen.cell.several.pair import PAIR
+    from halfseen.cell.model import PAIR
     from halfseen.errors import ArgumentError
 
     if arm is not None:

@@ -49,10 +49,8 @@ def film(
     refuse_output(out, "a film", [".gif"], overwrite, [arm] if arm else [])
     start_opengl()
     from halfseen.cell.campaign import Conditions
-    from halfseen.cell.clearing import Moment
-    from halfseen.cell.episode import play
+    from halfseen.cell.episode import Moment, play
     from halfseen.cell.film import OF_TWO_ARMS, Film, Shot
-    from halfseen.cell.several.team_episode import play_team
     from halfseen.logs import LogRecorder
     from halfseen.world import random
 
@@ -72,12 +70,10 @@ def film(
 
         with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
             trajectory = recorder.begin_trajectory(table)
-            if stations:
-                team = team_policy_of(name, 0.0, belief.config, num_arms)
-                run = play_team(cell, is_dirty, team, belief, trajectory, key, on_decision=follow)
-            else:
-                policy = policy_of(name, 0.0, belief.config)
-                run = play(cell, is_dirty, policy, belief, trajectory, key, on_decision=follow)
+            policy = (
+                team_policy_of(name, 0.0, belief.config, num_arms) if stations else policy_of(name, 0.0, belief.config)
+            )
+            run = play(cell, is_dirty, policy, belief, trajectory, key, on_decision=follow)
         bar.reach(num_stages)
         bar.begin("draw", 0)
         taken.write(out, cell)

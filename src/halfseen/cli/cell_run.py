@@ -79,7 +79,7 @@ def run(
     """
     load_mujoco()
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
-    from halfseen.cell.stops import Stops
+    from halfseen.cell.live_cell import Stops
     from halfseen.cell.summary import summarised
     from halfseen.logs.folder import MANIFEST
     from halfseen.workers import Workers

@@ -43,7 +43,7 @@ def law_folder(name: str, beside: Path | None = None) -> Path | None:
     """
     if name == ASSUMED:
         return None
-    from halfseen.cell.calibration.shipped import shipped_law
+    from halfseen.cell.calibration.law_folder import shipped_law
     from halfseen.errors import ArgumentError
 
     if name == SHIPPED:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from halfseen.cell.calibration.shipped import shipped_law
+from halfseen.cell.calibration.law_folder import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.pages.drawing import inline_svg
 from halfseen.pages.html import rendered

@@ -6,10 +6,10 @@ from typing import Any, cast
 
 import numpy as np
 
-from halfseen.cell.account import Run
-from halfseen.cell.clearing import Moment
+from halfseen.cell.episode import Moment
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.planning import Plan
+from halfseen.cell.rewards import Run
 from halfseen.cell.workcell import Workcell
 from halfseen.policies.table_decider import TableDecider
 from halfseen.tables.explain import Grounds, table_grounds

@@ -1,24 +1,163 @@
-"""The laws of a cell, as they were estimated, and the world that takes them."""
+"""The laws of a cell, estimated from what it tried: of grasping, of times, of seeing; and a world under them.
 
-from collections.abc import Sequence
+Times of attempts are lognormal, for those that hold and those that miss. An object tells what it is at some share V of
+its surface: a stain is found when so much has been in view, or never. What is known of V is an interval, from what had
+been seen before the label that said DIRTY to what was seen with it; or that V lies beyond all that was seen. The curve
+P(V ≤ v) is a straight line between knots; its steps maximise the likelihood, found by self-consistency [Turnbull1976]_.
+"""
+
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, replace
 from math import exp
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 
 from halfseen.arrays import Rows
-from halfseen.cell.calibration.grasp_fit import CENTRES, NAMES, SCALES, GraspFit, fit_grasping
-from halfseen.cell.calibration.seeing_fit import fit_seeing
-from halfseen.cell.calibration.time_fit import TimeFit, fit_times
-from halfseen.cell.calibration.trials import FACTS, glances, trials
+from halfseen.cell.calibration.attempts import FACTS, glances, trials
+from halfseen.cell.calibration.grasping import CENTRES, NAMES, SCALES, GraspFit, fit_grasping
 from halfseen.cell.facts import Facts, facts_of
+from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.perception.labels import FACING_SHARE
 from halfseen.perception.view import View
+from halfseen.shapes import Float
+from halfseen.tables.grasp.inputs import checked_attempts
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import FittedGrasping
 from halfseen.world.scene import Scene
-from halfseen.world.seeing import PersistentSeeing
+from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
+
+FEWEST_MISSES = 5
+"""With fewer, a miss is taken to last as long as an attempt that holds."""
+
+
+class TimeFit(NamedTuple):
+    """Numbers of the durations."""
+
+    log_held_s: float
+    """Mean logarithm of the duration of an attempt that holds [log s]."""
+    log_missed_s: float
+    """Likewise of one that misses [log s]."""
+    log_std: float
+    """Standard deviation of both."""
+    rest_s: float
+    """Mean time of what follows an attempt, until the next decision [s]."""
+
+
+def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
+    """Fit the durations, each attempt weighted for those that were cut.
+
+    Parameters
+    ----------
+    trials
+        As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
+        alone.
+    censoring
+        As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
+    """
+    decided = checked_attempts(trials, censoring)
+    rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
+    attempt_s, watched_s = (rows[name].to_numpy(dtype=np.float64) for name in ("attempt_s", "time_s"))
+    is_tried = attempt_s > 0.0
+    weight, held = decided.weight[is_tried], decided.succeeded[is_tried]
+    log_s = np.log(attempt_s[is_tried])
+    means = [float(np.average(log_s[which], weights=weight[which])) for which in _groups(held)]
+    spread = log_s - np.where(held, *means)
+    rest_s = float(np.average(watched_s - attempt_s, weights=decided.weight))
+    return TimeFit(means[0], means[1], float(np.sqrt(np.average(spread**2, weights=weight))), rest_s)
+
+
+def _groups(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    missed = ~held
+    every = np.ones_like(held)
+    return (held if held.any() else every), (missed if missed.sum() >= FEWEST_MISSES else every)
+
+
+VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SHARE, 1.0)
+"""Shares of the surface at which curves are fitted: quarters of what a look on the table shows, and all."""
+_NUM_STEPS, _SMALLEST_CHANGE = 2000, 1e-10
+
+Interval = tuple[float, float]
+"""An object told after the first share had been seen, and by the second; infinite where it never did."""
+
+
+def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
+    """Fit both curves.
+
+    Parameters
+    ----------
+    glances
+        One row an object, as `attempts.glances` gives them.
+
+    Raises
+    ------
+    LogError
+        No object is dirty, or none is clean.
+    """
+    curves = []
+    for is_dirty in (True, False):
+        rows = pd.DataFrame(glances[glances["is_dirty"] == is_dirty])
+        if rows.empty:
+            kind = "dirty" if is_dirty else "clean"
+            raise LogError(
+                f"objects: none of {len(glances)} is {kind}; labels are calibrated on dirty and on clean ones"
+            )
+        curves.append(tuple(found_by(intervals(rows)).tolist()))
+    return PersistentSeeing(FACING_SHARE, VIEWS, curves[0], curves[1])
+
+
+def intervals(rows: pd.DataFrame) -> list[Interval]:
+    """What each object tells of the share at which it told.
+
+    Parameters
+    ----------
+    rows
+        With `attempts.GLANCES`.
+    """
+    columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
+    return [_interval(zip(*each, strict=True)) for each in zip(*columns, strict=True)]
+
+
+def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
+    seen = 0.0
+    for occlusion, is_held, says_dirty in labels:
+        shown = 1.0 if is_held else FACING_SHARE * (1.0 - occlusion)
+        # What shows no more than was seen before is no news: it repeats itself, or errs by noise.
+        if shown <= seen + SAME_VIEW:
+            continue
+        if says_dirty:
+            return seen, shown
+        seen = shown
+    return seen, np.inf
+
+
+def found_by(told: list[Interval]) -> Float[np.ndarray, " knots"]:
+    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood.
+
+    Parameters
+    ----------
+    told
+        One interval an object.
+    """
+    knots = np.array([0.0, *VIEWS])
+    low, high = np.array(told, dtype=np.float64).reshape(-1, 2).T
+    # How much of each piece an interval holds; the last column is "never".
+    begins, ends = np.maximum(knots[:-1], low[:, None]), np.minimum(knots[1:], high[:, None])
+    inside = np.clip(ends - begins, 0.0, None) / np.diff(knots)
+    share = np.column_stack([inside, np.isinf(high)])
+    share = share[share.sum(axis=1) > 0]
+    mass = np.full(share.shape[1], 1.0 / share.shape[1])
+    for _ in range(_NUM_STEPS):
+        weight = share * mass
+        after = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)
+        is_settled = np.abs(after - mass).max() < _SMALLEST_CHANGE
+        mass = after
+        if is_settled:
+            break
+    return np.minimum(np.cumsum(mass[:-1]), 1.0)
+
 
 _NUM_GRIPS, _DIGITS = 100, 6
 _CURVES = ("sensitivity", "false_alarms")

@@ -15,6 +15,7 @@
 import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -22,15 +23,23 @@ import numpy as np
 import safetensors.numpy
 from safetensors import SafetensorError
 
-from halfseen.cell.calibration.grasp_fit import NAMES, GraspFit
-from halfseen.cell.calibration.law import Law
-from halfseen.cell.calibration.time_fit import TimeFit
+from halfseen.cell.calibration.grasping import NAMES, GraspFit
+from halfseen.cell.calibration.law import Law, TimeFit
 from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.files import Kind, read_files, write_files
 from halfseen.policies.folder.json_values import plain
 from halfseen.reading import json_of
 from halfseen.world.seeing import PersistentSeeing
+
+
+def shipped_law() -> Path:
+    """Find its folder, to be read with `halfseen.cell.calibration.law_folder.read_law`.
+
+    It was made by ``halfseen cell calibrate --attempts 6000``; ``--from`` of its attempts makes it again.
+    """
+    return Path(str(files("halfseen.cell.calibration"))) / "shipped_law"
+
 
 ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
 LAW = Kind("law", "halfseen cell calibrate")
@@ -91,7 +100,7 @@ def write_law(
     numbers = safetensors.numpy.save(_arrays(law))
     beside: dict[str, Callable[[Path], None]] = {}
     if logs is not None:
-        from halfseen.cell.calibration.pictures import pictures_of
+        from halfseen.cell.calibration.figures import pictures_of
 
         beside = {ATTEMPTS: logs.write, **pictures_of(law, logs)}
     if contrast is not None:

@@ -7,8 +7,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import Rows
-from halfseen.cell.calibration.clustered_share import Share, shares_by
-from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_bins
+from halfseen.cell.calibration.attempts import OCCLUSION_EDGES, Share, occlusion_bins, shares_by
 from halfseen.shapes import Float, Int
 from halfseen.study.experiment import PieceOf
 from halfseen.study.experiments.attempts.design import MODEL_NAMES, NUM_PREDICTION_BINS

@@ -7,9 +7,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import Rows
-from halfseen.cell.calibration.grasp_fit import fit_grasping
-from halfseen.cell.calibration.held_given_past import held_given_past
-from halfseen.cell.calibration.trials import FACTS
+from halfseen.cell.calibration.attempts import FACTS
+from halfseen.cell.calibration.grasping import fit_grasping, held_given_past
 from halfseen.study.experiments.attempts.design import BETA, LAW, RATE, SVM, SVM_FACTS, SVM_SET, SVMS
 from halfseen.study.experiments.attempts.set_svm import said_by_set_svm
 from halfseen.tables.grasp.beta_grasp import BetaGrasp
@@ -27,7 +26,7 @@ def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows
     model
         One of `design.MODEL_NAMES`.
     learned
-        Attempts, as `halfseen.cell.calibration.trials.trials` gives them; decided ones weigh 1/Ĝ.
+        Attempts, as `halfseen.cell.calibration.attempts.trials` gives them; decided ones weigh 1/Ĝ.
     held_out
         Attempts at other tables, those before each at the same object among them.
     """

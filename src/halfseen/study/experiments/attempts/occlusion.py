@@ -8,10 +8,8 @@ import pandas as pd
 from scipy import stats
 from scipy.special import expit, logit
 
-from halfseen.cell.calibration.clustered_share import shares_by
-from halfseen.cell.calibration.grasp_fit import NAMES, GraspFit
-from halfseen.cell.calibration.held_given_past import held_share
-from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_bins
+from halfseen.cell.calibration.attempts import OCCLUSION_EDGES, occlusion_bins, shares_by
+from halfseen.cell.calibration.grasping import NAMES, GraspFit, held_share
 from halfseen.shapes import Float
 from halfseen.study.experiments.attempts.sources import Source, fit_of, frame_of
 from halfseen.study.statistics import LEVEL

@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import Rows
-from halfseen.cell.calibration.trials import FACTS
+from halfseen.cell.calibration.attempts import FACTS
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.learning.svm.set_kernel import SetKernel
 from halfseen.shapes import Float
@@ -32,7 +32,7 @@ def said_by_set_svm(learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
     Parameters
     ----------
     learned, held_out
-        As `halfseen.cell.calibration.trials.trials` gives them, with all past attempts at each object.
+        As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object.
     """
     decided = checked_attempts(learned)
     values = learned.iloc[decided.row][list(SEEN)].to_numpy(dtype=np.float64)

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from halfseen.cell.calibration.attempts import FACTS, trials
 from halfseen.cell.calibration.calibrate import HORIZON
-from halfseen.cell.calibration.grasp_fit import GraspFit, fit_grasping
-from halfseen.cell.calibration.trials import FACTS, trials
+from halfseen.cell.calibration.grasping import GraspFit, fit_grasping
 from halfseen.logs import read_logs
 
 COLUMNS = (

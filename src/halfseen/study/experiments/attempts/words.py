@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.cell.calibration.grasp_fit import SCALES
+from halfseen.cell.calibration.grasping import SCALES
 from halfseen.pages.numbers import amount, estimated, interval, p_value, percent
 from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.study.experiment import Row, Tables

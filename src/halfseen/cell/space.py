@@ -1,8 +1,9 @@
-"""The space that an arm takes, as spheres: where it is, and along a way."""
+"""The space that arms take, as spheres; who has reserved which; and arms that touch all the same."""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
@@ -10,9 +11,9 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
-from halfseen.cell.kinematics import Angles
+from halfseen.cell.kinematics import Angles, Way
+from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import Robot
-from halfseen.cell.motion import Way
 from halfseen.shapes import Bool, Float
 
 MARGIN_M = 0.04
@@ -151,3 +152,129 @@ def _line(half_m: float) -> Float[np.ndarray, " n"]:
     if half_m < 0.5 * _PART_M:
         return np.zeros(1)
     return np.linspace(-half_m, half_m, 1 + int(np.ceil(2 * half_m / _SPACING_M)))
+
+
+class Reservations:
+    """The spaces that arms have reserved in a cell.
+
+    Parameters
+    ----------
+    cell
+        The running cell.
+    robots
+        The arms in it.
+    """
+
+    def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:
+        self._cell, self._robots = cell, robots
+        self._outlines = [Outline(cell.model, robot) for robot in robots]
+        self._reserved: list[Space | None] = [None for _ in robots]
+        self._passed = [0 for _ in robots]
+        self._below_m = [0.0 for _ in robots]
+
+    def space(self, arm: int, way: Way, below_m: float) -> Space:
+        """Space of a way from where an arm is; `way` and `below_m` are those of `Outline.along`."""
+        return self._outlines[arm].along(self._cell.angles_rad(self._robots[arm]), way, below_m)
+
+    def taken(self, arm: int) -> Space:
+        """What an arm has: where it is, and what is left of its way."""
+        here_rad = self._cell.angles_rad(self._robots[arm])
+        here = self._outlines[arm].along(here_rad, np.zeros((0, len(here_rad))), self._below_m[arm])
+        reserved = self._reserved[arm]
+        # It may be a place behind where its servos are told to be.
+        return here if reserved is None else here.joined(reserved.after(max(self._passed[arm] - 1, 0)))
+
+    def in_the_way(self, arm: int, space: Space) -> tuple[int, ...]:
+        """Which other arms have space that one would need."""
+        others = (other for other in range(len(self._robots)) if other != arm)
+        return tuple(other for other in others if self.taken(other).meets(space))
+
+    def reserve(self, arm: int, space: Space, below_m: float) -> None:
+        """Give an arm the space of a way, instead of what it had."""
+        self._reserved[arm], self._passed[arm], self._below_m[arm] = space, 0, below_m
+
+    def let_go(self, arm: int) -> None:
+        """Take from an arm all but where it is."""
+        self._reserved[arm], self._below_m[arm] = None, 0.0
+
+    def stand(self, arm: int) -> None:
+        """Take from an arm its way; what it holds stays."""
+        self._reserved[arm] = None
+
+    def advance(self, arm: int, angles_rad: Angles) -> None:
+        """Free what lies behind an arm, once its servos are told to be somewhere on its way."""
+        reserved = self._reserved[arm]
+        if reserved is None:
+            return
+        places, at = reserved.places_rad, self._passed[arm]
+        while at + 1 < len(places) and _apart(places[at + 1], angles_rad) <= _apart(places[at], angles_rad):
+            at += 1
+        self._passed[arm] = at
+
+
+def _apart(place: Angles, angles_rad: Angles) -> float:
+    return float(np.abs(place - angles_rad).max())
+
+
+_FREE = -1
+
+
+class Touches:
+    """Counts collisions of arms in a running cell; a `halfseen.cell.live_cell.Watch`.
+
+    A collision is a contact of two arms, of an arm with what another holds, or of what two of them hold, and lasts for
+    as long as they go on touching. What an arm holds is what both its fingers touch.
+
+    Parameters
+    ----------
+    cell
+        The running cell.
+    robots
+        The arms in it.
+
+    Attributes
+    ----------
+    num_collisions
+        So far.
+    begun_s
+        When each began, on the cell's clock [s].
+    """
+
+    def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:
+        model = cell.model
+        self._arm_of_body = np.full(model.nbody, _FREE)
+        self._fingers: list[tuple[int, int]] = []
+        for number, robot in enumerate(robots):
+            for body in range(model.nbody):
+                if model.body(body).name.startswith(robot.of("")):
+                    self._arm_of_body[body] = number
+            left, right = (model.body(robot.of(f"gripper/finger_{side}")).id for side in ("left", "right"))
+            self._fingers.append((left, right))
+        self._touching: frozenset[tuple[int, int]] = frozenset()
+        self.begun_s: list[float] = []
+
+    @property
+    def num_collisions(self) -> int:
+        """How many there were."""
+        return len(self.begun_s)
+
+    def __call__(self, cell: LiveCell) -> None:
+        """Look whether arms touch."""
+        now = self._pairs(cell)
+        self.begun_s += [cell.time_s] * len(now - self._touching)
+        self._touching = now
+
+    def _pairs(self, cell: LiveCell) -> frozenset[tuple[int, int]]:
+        if not cell.data.ncon:
+            return frozenset()
+        bodies = cell.model.geom_bodyid[cell.data.contact.geom]
+        owner = self._arm_of_body.copy()
+        for number, fingers in enumerate(self._fingers):
+            by_finger = [set(bodies[(bodies == finger).any(axis=1)].ravel().tolist()) for finger in fingers]
+            for body in by_finger[0] & by_finger[1]:
+                if 0 < body <= cell.num_cups:
+                    owner[body] = number
+        first, second = owner[bodies].T
+        is_met = (first != second) & (first != _FREE) & (second != _FREE)
+        pairs = np.sort(np.stack([first[is_met], second[is_met]], axis=1), axis=1)
+        return frozenset((int(one), int(other)) for one, other in pairs)

@@ -6,6 +6,12 @@ For attempts i of object g, with covariates x_i and weights w_i ∝ δ_i / Ĝ(ti
 
 the integral by Gauss–Hermite quadrature, plus a weak normal prior. An attempt that was cut weighs nothing, and stands
 for by those that were seen. Standard errors are robust, tables being the clusters [LiangZeger1986]_.
+
+The offset of an object is never seen, but its past attempts j tell of it. With φ the standard normal density,
+
+    P(held | x, past) = ∫ expit(x·β + σz) Π_j expit(±(x_j·β + σz)) φ(z) dz / ∫ Π_j expit(±(x_j·β + σz)) φ(z) dz,
+
+both integrals at the same nodes.
 """
 
 from dataclasses import dataclass
@@ -14,9 +20,9 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 from scipy.optimize import minimize
-from scipy.special import expit, log_expit, logsumexp
+from scipy.special import expit, log_expit, logsumexp, softmax
 
-from halfseen.cell.calibration.trials import FACTS
+from halfseen.cell.calibration.attempts import FACTS
 from halfseen.errors import LogError
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp.inputs import checked_attempts
@@ -80,7 +86,7 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     Parameters
     ----------
     trials
-        As `halfseen.cell.calibration.trials.trials` gives them.
+        As `halfseen.cell.calibration.attempts.trials` gives them.
     censoring
         As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
 
@@ -176,3 +182,44 @@ def _posterior(
     value = 0.5 * float(shift @ shift) - float(found.sum())
     gradient = shift / _PRIOR_STD - scores.sum(axis=0)
     return value, gradient, np.diag(_PRIOR_STD**-2) - (curved - scores.T @ scores), scores
+
+
+_MANY_NODES, _MANY_WEIGHTS = np.polynomial.hermite_e.hermegauss(41)
+# More nodes than the fit has: at a few of them alone is what an object with many attempts has left of its offset.
+
+
+def held_given_past(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Float[np.ndarray, " n"]:
+    """Predict each attempt from those before it at the same object.
+
+    Parameters
+    ----------
+    theta
+        Estimates of `halfseen.cell.calibration.grasping.NAMES`.
+    trials
+        As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object. What became of
+        an attempt is read for later ones alone; one that was cut tells them nothing.
+    """
+    logits = (design(trials) @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
+    is_decided = trials["succeeded"].notna().to_numpy()
+    is_held = trials["succeeded"].isin([True]).to_numpy()
+    sign = np.where(is_held, 1.0, -1.0)[:, None]
+    told = pd.DataFrame(np.where(is_decided[:, None], log_expit(sign * logits), 0.0))
+    order = np.argsort(trials["stage"].to_numpy(), kind="stable")
+    in_turn = told.iloc[order]
+    objects = trials["object"].to_numpy()[order]
+    before = (in_turn.groupby(objects).cumsum() - in_turn).sort_index().to_numpy()
+    return np.sum(softmax(before + np.log(_MANY_WEIGHTS), axis=1) * expit(logits), axis=1)
+
+
+def held_share(theta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+    """P(held) at the first attempt: the offset integrated out.
+
+    Parameters
+    ----------
+    theta
+        As in `held_given_past`.
+    covariates
+        As `halfseen.cell.calibration.grasping.design` gives them.
+    """
+    logits = (covariates @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
+    return expit(logits) @ (_MANY_WEIGHTS / _MANY_WEIGHTS.sum())

@@ -1,0 +1,244 @@
+"""The pictures beside the numbers of a law."""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from halfseen.arrays import Rows
+from halfseen.cell.calibration.attempts import (
+    OCCLUSION_EDGES,
+    Share,
+    glances,
+    occlusion_bins,
+    shares_by,
+    trials,
+    wilson,
+)
+from halfseen.cell.calibration.calibrate import HORIZON
+from halfseen.cell.calibration.grasping import held_given_past
+from halfseen.cell.calibration.law import Law
+from halfseen.logs import Logs
+from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, draw_bars, draw_grid, named_curves, write_legend, write_title
+from halfseen.pages.drawing import drawn
+from halfseen.pages.palette import BLUE, RED
+from halfseen.shapes import Float, Int
+from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
+
+HELD_TITLE = "How often attempts held, and what the law that was fitted to them says"
+PARTS = 3
+"""Groups of attempts by width and by room, about alike in number."""
+_HELD_APART = 0.12
+Panels = Mapping[str, Mapping[str, Share]]
+"""Shares by the name of their group, by what they are grouped by."""
+
+
+def held_shares(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Panels:
+    """Count what held and sum what the law says, given past attempts; attempts weigh 1/Ĝ.
+
+    Parameters
+    ----------
+    theta
+        Estimates of `halfseen.cell.calibration.grasping.NAMES`.
+    trials
+        As `halfseen.cell.calibration.attempts.trials` gives them.
+    """
+    decided = checked_attempts(trials)
+    said, met = held_given_past(theta, trials)[decided.row], trials.iloc[decided.row]
+    tables = pd.factorize(met["trajectory"])[0].astype(np.int64)
+    occlusion, is_lying, width_m, room_m = (
+        met[name].to_numpy(dtype=np.float64) for name in ("occlusion", "is_lying", "width_m", "room_m")
+    )
+    of_occlusion = [f"{low:g}–{high:g}" for low, high in pairwise(OCCLUSION_EDGES.tolist())]
+    groups = {
+        "hidden share": (occlusion_bins(occlusion), of_occlusion),
+        "pose": (is_lying.astype(np.int64), ["standing", "lying"]),
+        "width [cm]": _parts(100.0 * width_m),
+        "room beside it [cm]": _parts(100.0 * room_m),
+    }
+    return {
+        by: {names[k]: share for k, share in shares_by(of, decided.succeeded, said, decided.weight, tables).items()}
+        for by, (of, names) in groups.items()
+    }
+
+
+def draw_held(panels: Panels) -> Figure:
+    """Draw a panel for each grouping.
+
+    Parameters
+    ----------
+    panels
+        As `held_shares` gives them.
+    """
+    figure = Figure(figsize=(WIDTH_INCHES, 4.0))
+    top = write_title(figure, HELD_TITLE)
+    ratios = [max(len(shares), 2.5) for shares in panels.values()]
+    grid = figure.add_gridspec(
+        1, len(panels), left=0.065, right=0.99, bottom=0.23, top=top - 0.20, wspace=0.08, width_ratios=ratios
+    )
+    axes = grid.subplots(sharey=True, squeeze=False)[0]
+    for one, (by, shares) in zip(axes, panels.items(), strict=True):
+        _draw_panel(one, by, shares)
+    axes[0].yaxis.set_major_formatter(PercentFormatter(1.0, 0))
+    write_legend(figure, named_curves(axes[0]), top - 0.02)
+    return figure
+
+
+def _draw_panel(axes: Axes, by: str, shares: Mapping[str, Share]) -> None:
+    across = np.arange(len(shares), dtype=np.float64)
+    held = np.array([(each.held, each.low, each.high) for each in shares.values()])
+    name = "held, with its 95 % interval (clustered by table)"
+    draw_bars(axes, across - _HELD_APART, held, color=BLUE, marker="o", linestyle="none", label=name)
+    said = [each.predicted for each in shares.values()]
+    axes.plot(
+        across + _HELD_APART,
+        said,
+        color=RED,
+        marker="D",
+        linestyle="none",
+        label="what the law says, given past attempts",
+    )
+    names = [f"{name}\n{each.num_attempts:,}" for name, each in shares.items()]
+    axes.set_xticks(across, names, fontsize=8.0)
+    axes.set_xlim(-0.5, len(shares) - 0.5)
+    draw_grid(axes)
+    axes.set_xlabel(f"{by};\nattempts")
+    axes.set_title(f"by {by.split(' [')[0]}", **PANEL_TITLE)
+
+
+def _parts(values: Rows) -> tuple[Int[np.ndarray, " n"], list[str]]:
+    """Groups about alike in number, and the values that each spans."""
+    edges = np.unique(np.quantile(values, np.linspace(0.0, 1.0, PARTS + 1)))
+    names = [f"{low:.1f}–{high:.1f}" for low, high in pairwise(edges.tolist())]
+    return np.searchsorted(edges[1:-1], values, side="right").astype(np.int64), names or [f"{edges[0]:.1f}"]
+
+
+LABELS_TITLE = "What labels say by how much of an object has been in view"
+_LABELS_APART = 0.004
+LINES = {
+    True: ("sensitivity", "dirty objects that were found", BLUE, "o", 1),
+    False: ("false_alarms", "clean objects that were taken for dirty", RED, "s", -1),
+}
+"""Of dirty objects and of clean ones: the curve, its name, how it is drawn, and on which side of a place."""
+
+
+class Count(NamedTuple):
+    """Objects that were seen to about the same share."""
+
+    view: float
+    """Mean share of their surface."""
+    told: int
+    """Those whose label said DIRTY."""
+    seen: int
+    """All of them."""
+
+
+def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
+    """Count the objects whose first label said DIRTY, by the share that it showed; and those that had by being held.
+
+    Whatever a later look shows depends on what was done before; the first does not, and which objects are lifted is
+    drawn at random. So these shares estimate the curve with nothing assumed between its knots.
+
+    Parameters
+    ----------
+    rows
+        Objects that are dirty, or that are clean, as `halfseen.cell.calibration.attempts.glances` gives them.
+    seeing
+        Its views are the ends of the groups.
+    """
+    columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
+    told = [
+        [(float(occlusion), bool(held), bool(dirty)) for occlusion, held, dirty in zip(*each, strict=True)]
+        for each in zip(*columns, strict=True)
+    ]
+    firsts = [(float(seeing.facing) * (1.0 - label[0][0]), label[0][2]) for label in told if label and not label[0][1]]
+    knots = [-np.inf, *(float(view) for view in seeing.views)]
+    groups = [
+        [each for each in firsts if low + SAME_VIEW < each[0] <= high + SAME_VIEW] for low, high in pairwise(knots)
+    ]
+    groups.append([(1.0, _by_being_held(labels)) for labels in told if any(held for _, held, _ in labels)])
+    return [
+        Count(float(np.mean([view for view, _ in group])), sum(dirty for _, dirty in group), len(group))
+        for group in groups
+        if group
+    ]
+
+
+def _by_being_held(labels: Iterable[tuple[float, bool, bool]]) -> bool:
+    """Whether an object had told when it was first seen in the hand."""
+    for _, is_held, says_dirty in labels:
+        if says_dirty or is_held:
+            return says_dirty
+    return False
+
+
+def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
+    """Draw both curves, and what was counted.
+
+    Parameters
+    ----------
+    seeing
+        The curves.
+    glances
+        What they were fitted to, as `halfseen.cell.calibration.attempts.glances` gives it.
+    """
+    figure = Figure(figsize=(WIDTH_INCHES, 4.6))
+    top = write_title(figure, LABELS_TITLE)
+    axes = figure.add_axes((0.065, 0.12, 0.92, top - 0.18))
+    for is_dirty in LINES:
+        _draw_curve(axes, seeing, pd.DataFrame(glances[glances["is_dirty"] == is_dirty]), is_dirty)
+    axes.set_xlim(0.0, 1.06)
+    axes.set_ylim(0.0, 1.0)
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_formatter(PercentFormatter(1.0, 0))
+    draw_grid(axes)
+    axes.legend(loc="upper left", frameon=False)
+    axes.set_xlabel(
+        "share of its surface that was in view; marks: told/seen at the first label, and when held, 95 % intervals",
+    )
+    return figure
+
+
+def _draw_curve(axes: Axes, seeing: PersistentSeeing, rows: pd.DataFrame, is_dirty: bool) -> None:
+    name, words, colour, marker, side = LINES[is_dirty]
+    views, curve = ([0.0, *map(float, values)] for values in (seeing.views, getattr(seeing, name)))
+    axes.plot(views, curve, color=colour, label=words)
+    counts = counted(rows, seeing)
+    across = np.array([count.view for count in counts]) + side * _LABELS_APART
+    shares = [count.told / count.seen for count in counts]
+    ends = [(share, *wilson(share, float(count.seen))) for share, count in zip(shares, counts, strict=True)]
+    draw_bars(axes, across, np.array(ends).reshape(-1, 3), color=colour, marker=marker, linestyle="none")
+    for place, (*_, high), count in zip(across, ends, counts, strict=True):
+        offset: Any = {"textcoords": "offset points", "xytext": (-4.0 * side, 3.0)}
+        text = f"{count.told:,}/{count.seen:,}"
+        axes.annotate(text, (place, high), ha="right", color=colour, fontsize=8.0, **offset)
+
+
+KINDS = ("svg", "png")
+
+
+def pictures_of(law: Law, logs: Logs) -> Mapping[str, Callable[[Path], None]]:
+    """Give what writes each picture, by the name of its file.
+
+    Parameters
+    ----------
+    law
+        What was estimated.
+    logs
+        What it was estimated from.
+    """
+    panels = held_shares(law.grasp.estimate, trials(logs, HORIZON))
+    figures = {"held": partial(draw_held, panels), "labels": partial(draw_labels, law.seeing, glances(logs))}
+    return {f"{name}.{kind}": partial(_write, draw, kind) for name, draw in figures.items() for kind in KINDS}
+
+
+def _write(draw: Callable[[], Figure], kind: str, file: Path) -> None:
+    file.write_bytes(drawn(draw, kind))

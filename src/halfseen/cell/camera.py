@@ -1,0 +1,183 @@
+"""The depth camera over the running cell: what it returns, less the robots, whose place is known, and what they cut.
+
+What never moves is seen once; robots are added by the rays that may meet them or their shadow, cups facet by facet. An
+object of which an arm, or what it holds, hides a part would be completed to a wrong shape, and a stain behind it would
+count as looked for: it is left out of a look, and kept as it was.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.ndimage import minimum_filter
+from scipy.spatial.transform import Rotation
+
+from halfseen.arrays import Image
+from halfseen.cell.live_cell import LiveCell
+from halfseen.perception.clouds import Cloud, Picture
+from halfseen.perception.view import View, perceive
+from halfseen.scene.camera import Camera
+from halfseen.scene.colours import colours
+from halfseen.scene.facets import Facets, mesh_facets
+from halfseen.scene.moving import Sight, with_facets, with_rays
+from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
+from halfseen.scene.stains import Surface
+from halfseen.scene.table import TABLE_TOP_M
+from halfseen.scene.view import IdealView, ideal_view
+from halfseen.scene.xtion import XTION, StructuredLight, sense
+from halfseen.shapes import Bool, Float, Int
+
+
+@dataclass(frozen=True)
+class Look:
+    """What was seen, and apart from it what was there.
+
+    Parameters
+    ----------
+    cloud
+        What the camera returns.
+    labels
+        The truth, for scoring alone: cup of each pixel; −1 where there is none.
+    robots_m
+        Distance of robots along the optical axis, whose place is known [m]; infinite where there is none.
+    """
+
+    cloud: Cloud
+    labels: Int[np.ndarray, "H W"]
+    robots_m: Image
+
+
+class Eye:
+    """A depth camera over a cell.
+
+    Parameters
+    ----------
+    cell
+        The running cell.
+    camera
+        Where it is seen from.
+    sensor
+        What senses.
+    surfaces
+        What is on the walls of each cup, for clouds with colour; None for clouds without.
+    """
+
+    def __init__(
+        self,
+        cell: LiveCell,
+        camera: Camera,
+        sensor: StructuredLight = XTION,
+        surfaces: Sequence[Surface] | None = None,
+    ) -> None:
+        self.cell, self.camera, self.sensor, self.surfaces = cell, camera, sensor, surfaces
+
+    def look(self, rng: np.random.Generator) -> Look:
+        """Look at the cell as it is now; `rng` makes the sensor's noise."""
+        view = self.view()
+        is_robot = view.body > self.cell.num_cups
+        depth_m = sense(view, self.camera.focal_px[0], rng, self.sensor)
+        picture = self._picture(view, rng)
+        cloud = Cloud.from_depth(np.where(is_robot, np.nan, depth_m), self.camera.intrinsics, "look", picture)
+        return Look(cloud, np.where(is_robot, -1, view.labels), np.where(is_robot, view.depth_m, np.inf))
+
+    def _picture(self, view: IdealView, rng: np.random.Generator) -> Picture | None:
+        if self.surfaces is None:
+            return None
+        poses = [self.cell.cup(index) for index in range(self.cell.num_cups)]
+        return colours(view, self.camera, self.surfaces, poses, rng)
+
+    def view(self) -> IdealView:
+        """See the cell as it is now, without noise."""
+        sight = Sight(self.cell.model, self.cell.data, self.camera, self.sensor.baseline_m)
+        no_cups = with_rays(self._empty, sight, (FURNITURE_GROUP,), (ROBOT_GROUP,))
+        return with_facets(no_cups, sight, (FURNITURE_GROUP, ROBOT_GROUP), self._cups, CUP_GROUP)
+
+    @cached_property
+    def _empty(self) -> IdealView:
+        """The view of what never moves."""
+        cell = self.cell
+        return ideal_view(cell.model, self.camera, self.sensor.baseline_m, cell.data, (FURNITURE_GROUP,))
+
+    @cached_property
+    def _cups(self) -> Facets:
+        return mesh_facets(self.cell.model, (CUP_GROUP,))
+
+
+_BESIDE_PX = 3
+_BEHIND_M = 0.03
+"""An arm hides what is farther than this before it [m]: what it touches counts as cut."""
+
+
+def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]) -> tuple[View, Cloud]:
+    """Perceive what no arm cuts, nor what it holds.
+
+    Parameters
+    ----------
+    cloud
+        What the camera returned, without robots.
+    arms_m
+        Distance of robots along the optical axis [m]; infinite where there is none.
+    is_held
+        Which points of the cloud belong to what hands hold: it is no object on the table, and hides as arms do.
+
+    Returns
+    -------
+    View
+        What is seen whole.
+    Cloud
+        The cloud without the objects that are not, and without what is held.
+    """
+    held_m = np.where(is_held, cloud.points_m[:, 2], np.inf).reshape(arms_m.shape)
+    cloud = without(cloud, is_held)
+    view = perceive(cloud)
+    hiding_m = np.minimum(arms_m, held_m)
+    if not np.isfinite(hiding_m).any():
+        return view, cloud
+    nearest_m = minimum_filter(hiding_m, 2 * _BESIDE_PX + 1)
+    is_beside = nearest_m < view.image.depth_m + _BEHIND_M
+    cut = [seen.pixels for seen in view.objects if is_beside.ravel()[seen.pixels].any()]
+    if not cut:
+        return view, cloud
+    is_cut: Bool[np.ndarray, " n"] = np.zeros(len(cloud.points_m), dtype=bool)
+    is_cut[np.concatenate(cut)] = True
+    left = without(cloud, is_cut)
+    return perceive(left), left
+
+
+def without(cloud: Cloud, is_out: Bool[np.ndarray, " n"]) -> Cloud:
+    """Take points out of a cloud, as if nothing had returned there.
+
+    Parameters
+    ----------
+    cloud
+        What the camera returned.
+    is_out
+        Which of its points.
+    """
+    if not is_out.any():
+        return cloud
+    return replace(cloud, points_m=np.where(is_out[:, None], np.nan, cloud.points_m))
+
+
+@dataclass(frozen=True)
+class Errors:
+    """How far the robot's idea of where its camera is may err.
+
+    Parameters
+    ----------
+    position_m
+        Standard deviation along each axis [m].
+    angle_rad
+        Standard deviation about each axis [rad].
+    """
+
+    position_m: float = 0.004
+    angle_rad: float = float(np.deg2rad(0.5))
+
+    def draw(self, rng: np.random.Generator) -> Float[np.ndarray, "4 4"]:
+        """Draw an error: a small motion of the world about the middle of the table."""
+        error, pivot_m = np.eye(4), np.array([0.0, 0.0, TABLE_TOP_M])
+        error[:3, :3] = Rotation.from_rotvec(rng.normal(0.0, self.angle_rad, 3)).as_matrix()
+        error[:3, 3] = pivot_m - error[:3, :3] @ pivot_m + rng.normal(0.0, self.position_m, 3)
+        return error
