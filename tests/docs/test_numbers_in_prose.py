@@ -10,7 +10,7 @@ import pytest
 
 from halfseen.cell.calibration.law_folder import ATTEMPTS, VISIBLE_ONLY, read_law
 from halfseen.cell.calibration.shipped import shipped_law
-from halfseen.cli.cell_calibrate import calibrate
+from halfseen.cli.cell import calibrate
 from halfseen.logs import read_logs
 from pictures.intervals import INTERVALS
 from pictures.picture import NUMBERS, ROOT

@@ -71,12 +71,7 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
     target = _target(dataset_id)
     episodes = list(episodes_of(logs, schema))
     stepless = [asdict(each) for each in episodes if not len(each.actions)]
-    metadata = {
-        "version": VERSION,
-        **asdict(schema),
-        "reward_unit": logs.reward_unit,
-        "without_steps": stepless,
-    }
+    metadata = {"version": VERSION, **asdict(schema), "reward_unit": logs.reward_unit, "without_steps": stepless}
     with placed(target) as fresh, _datasets_in(fresh), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Minari misses an author, a licence and an environment
         _create(minari, dataset_id, schema, [each for each in episodes if len(each.actions)], metadata)

@@ -268,13 +268,7 @@ def observed_columns(place: str, columns: Columns) -> dict[str, Shaped[np.ndarra
 def numbers_of(
     place: str, name: str, values: Shaped[np.ndarray, "N ..."], role: str = "clock"
 ) -> Float[np.ndarray, " N"]:
-    """Bring rewards, flags or times into numbers, one each step; true counts 1.
-
-    Raises
-    ------
-    ArgumentError
-        They are no single numbers.
-    """
+    """Bring rewards, flags or times into numbers, one each step; true counts 1, and anything else is refused."""
     flat = _flat(values)
     if flat.ndim != 1 or flat.dtype.kind not in "biuf":
         raise ArgumentError(
