@@ -188,9 +188,9 @@ def learn(
         if exploration is not None and judged is not None:
             notes += _write_exploration(exploration, judged)
     of_library = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
-    notes = [*choice.notes, *notes, *learner.unseen_, *of_library]
-    actions = plain(shares.reset_index().to_dict("records"))
-    report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
+    report = {"policy": str(out), "logs": str(logs), **read_policy(out).record}
+    report["actions"] = plain(shares.reset_index().to_dict("records"))
+    report["notes"] = [*choice.notes, *notes, *learner.unseen_, *of_library]
     say(json.dumps(report, indent=2) if is_json else "\n".join(_lines(report)))
 
 
@@ -241,8 +241,7 @@ def _prior_law(name: str | None) -> Any:
     from halfseen.cli.inputs import law_of
     from halfseen.world import WorldConfig
 
-    law = law_of(name)
-    return WorldConfig() if law is None else law.config()
+    return WorldConfig() if (law := law_of(name)) is None else law.config()
 
 
 def _targets(chosen: dict[str, Any]) -> "Targets | str":
@@ -252,10 +251,9 @@ def _targets(chosen: dict[str, Any]) -> "Targets | str":
     usual: Any = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
     options_of = ("censoring_by", "censoring_covariates", "truncate_at", "augmented")
     given: Any = {name: chosen.pop(option) for name, option in zip(usual, options_of, strict=True)}
-    model = chosen.pop("censoring")
-    if model == "auto":  # what is said of weights asks for weights
-        return "auto" if given == usual else named_targets(**given)
-    return named_targets(model, **given)
+    if (model := chosen.pop("censoring")) != "auto":
+        return named_targets(model, **given)
+    return "auto" if given == usual else named_targets(**given)  # what is said of weights asks for weights
 
 
 def _lines(report: Mapping[str, Any]) -> list[str]:
