@@ -31,7 +31,7 @@ def _made_by(*commands: str) -> bytes:
 
 def _played(policy: str, seed: int, num_arms: int) -> Table:
     """What the filmed arms decide, in words, and what that earns: the film without its pictures."""
-    from halfseen.cli.opengl import GL, load_mujoco
+    from halfseen.cli.cell import GL, load_mujoco
 
     # It is loaded once, and what is drawn after this needs a way to draw.
     os.environ.setdefault(GL, "egl")
@@ -40,10 +40,9 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.episode import Moment, play
     from halfseen.cell.film import Film
-    from halfseen.cli.arms import robot_for, stations_for
-    from halfseen.cli.cell_policies import policy_of, team_policy_of
-    from halfseen.cli.cell_run import belief_of
-    from halfseen.cli.laws import SHIPPED
+    from halfseen.cli.cell_policies import belief_of, policy_of, team_policy_of
+    from halfseen.cli.inputs import robot_for, stations_for
+    from halfseen.cli.options import SHIPPED
     from halfseen.logs import LogRecorder
 
     table, rows, taken = 0, [], Film()

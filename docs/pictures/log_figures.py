@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import CUT
-from halfseen.logs.formats.episodes import TRUNCATED, Episode, logs_of_episodes
+from halfseen.logs.formats.steps import TRUNCATED, Episode, logs_of_episodes
 from halfseen.pages.palette import BLUE, GREEN, INK, ORANGE, PINK, RED, SKY, SOFT
 from pictures.guide_pages import names_after
 from pictures.picture import ROOT, plot
@@ -69,7 +69,7 @@ def draw_steps() -> Figure:
     actions, rewards = np.array(["look", "pick", "look"]), np.array([-0.1, 5.0, -0.1])
     for row, has_last in enumerate((True, False)):
         seen = np.arange(1.0, 4.0 + has_last)
-        episode = Episode(0, {"x": seen}, actions, rewards, np.arange(1.0, 4.0), CUT, TRUNCATED, has_last)
+        episode = Episode(0, {"x": seen}, actions, rewards, np.arange(1.0, 4.0), (CUT, TRUNCATED), has_last)
         stages = logs_of_episodes("three steps", [episode]).stages
         top = 2.6 * row
         for number, x in enumerate(seen.tolist()):

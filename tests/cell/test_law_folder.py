@@ -15,7 +15,7 @@ from halfseen.cell.calibration.figures import held_shares
 from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, read_law, shipped_law, write_law
 from halfseen.cell.facts import Facts
 from halfseen.cell.tables_seen import look_again, tables_seen
-from halfseen.cli.scenes import scenes_of
+from halfseen.cli.inputs import scenes_of
 from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder.files import write_files

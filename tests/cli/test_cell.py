@@ -12,8 +12,8 @@ from click.testing import CliRunner
 
 from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, shipped_law, write_law
 from halfseen.cell.campaign import WHAT_FILE
-from halfseen.cli.arms import robot_for
 from halfseen.cli.cell_run import run
+from halfseen.cli.inputs import robot_for
 from halfseen.logs import read_logs
 from text_arms import SIX
 

@@ -13,7 +13,7 @@ import click
 import pytest
 
 from halfseen.cli import VERBS, halfseen, messages
-from halfseen.cli.extras import EXTRAS, HELD, remedy
+from halfseen.cli.messages import EXTRAS, HELD, remedy
 from halfseen.errors import HalfseenWarning
 from halfseen.installation import command_for
 from halfseen.logs import Logs

@@ -7,7 +7,7 @@ import pytest
 import shell
 
 from halfseen.arrays import mapped
-from halfseen.cli.learned_lines import verdict_lines
+from halfseen.cli.learn import verdict_lines
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import HeldOutVerdict, held_out
 from halfseen.learning import CensoredQLearner

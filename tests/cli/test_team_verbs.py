@@ -9,7 +9,7 @@ from shell import BEHIND, LEFT, RIGHT, TABLE, run
 
 from halfseen.cell.calibration.law_folder import read_law, shipped_law, write_law
 from halfseen.cli.cell_policies import team_policy_of
-from halfseen.cli.team import read_robots
+from halfseen.cli.inputs import read_robots
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from halfseen.cell.calibration.law_folder import ATTEMPTS, VISIBLE_ONLY, read_law, shipped_law
-from halfseen.cli.cell_calibrate import calibrate
+from halfseen.cli.cell import calibrate
 from halfseen.logs import read_logs
 from pictures.intervals import INTERVALS
 from pictures.picture import NUMBERS, ROOT

@@ -11,7 +11,7 @@ from PIL import Image, ImageSequence
 
 from halfseen.cell import film
 from halfseen.cli import VERBS
-from halfseen.cli.extras import EXTRAS
+from halfseen.cli.messages import EXTRAS
 from halfseen.pages.drawing import drawn
 from pictures import way_of_the_data
 from pictures.films import FILMS

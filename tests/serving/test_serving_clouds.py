@@ -19,7 +19,7 @@ from click.testing import CliRunner
 from drawn_tables import EYE_M, Can, draw
 from halfseen.arrays import mapped
 from halfseen.cli.act import act
-from halfseen.cli.laws import law_of
+from halfseen.cli.inputs import law_of
 from halfseen.evaluation import evaluate
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs

@@ -1,4 +1,4 @@
-"""The command line: one file a command, and heavy imports only inside a command."""
+"""The command line: one file a verb or family of verbs, and heavy imports only inside a command."""
 
 import gc
 import os
@@ -8,10 +8,8 @@ from typing import Any
 
 import click
 
-from halfseen.cli.extras import remedy
-from halfseen.cli.messages import tell_error, tell_warning
-from halfseen.cli.unforeseen import unforeseen
-from halfseen.cli.verb_group import VerbGroup
+from halfseen.cli.group import VerbGroup
+from halfseen.cli.messages import remedy, tell_error, tell_warning, unexpected
 from halfseen.errors import HalfseenError, HalfseenWarning
 from halfseen.suggestions import did_you_mean
 
@@ -31,9 +29,11 @@ VERBS = {
     "cell": "Let a simulated arm work in physics: calibrate its laws, or run a policy.",
     "study": "Regenerate the study: its figures, tables and report.",
 }
+MODULES = {"export": "act", "inspect": "report", "record": "serve"}
+"""Where a verb is that has no module of its own name."""
 
 
-def _tell_version(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
+def _show_version(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
     if is_asked and not ctx.resilient_parsing:
         from halfseen.installation import version
 
@@ -41,11 +41,9 @@ def _tell_version(ctx: click.Context, _: click.Parameter, is_asked: bool) -> Non
         ctx.exit()
 
 
-@click.group(
-    cls=VerbGroup, verbs=VERBS, modules="halfseen.cli.", context_settings={"help_option_names": ["-h", "--help"]}
-)
+@click.group(cls=VerbGroup, verbs=VERBS, modules=MODULES, context_settings={"help_option_names": ["-h", "--help"]})
 @click.option(
-    "--version", is_flag=True, expose_value=False, is_eager=True, callback=_tell_version, help="Show the version."
+    "--version", is_flag=True, expose_value=False, is_eager=True, callback=_show_version, help="Show the version."
 )
 def halfseen() -> None:
     """Learn when to pick, when to look and when to stop, from cut logs and half-hidden views."""
@@ -61,27 +59,30 @@ def main() -> None:
         with warnings.catch_warnings():
             _say_in_one_line()
             halfseen(standalone_mode=False)
-    except HalfseenError as error:
-        _refuse(str(error))
     except click.exceptions.NoArgsIsHelpError as error:
         click.echo(error.format_message())
-    except click.NoSuchOption as error:
-        _refuse(_of_option(error))
-    except click.ClickException as error:
-        _refuse(error.format_message())
-    except ModuleNotFoundError as error:
-        told = remedy(error, next((word for word in sys.argv[1:] if word in VERBS), None))
-        if told is None:
-            raise
-        _refuse(told)
     except (click.Abort, KeyboardInterrupt):
         click.echo("halfseen: stopped", err=True)
         sys.exit(130)
-    except (OSError, MemoryError, RecursionError, RuntimeError) as error:
-        told = unforeseen(error)
-        if told is None:
+    except Exception as error:
+        refusal = _refusal(error)
+        if refusal is None:
             raise
-        _refuse(told)
+        tell_error(refusal)
+        sys.exit(2)
+
+
+def _refusal(error: Exception) -> str | None:
+    """What a command is refused for; None for a defect."""
+    if isinstance(error, HalfseenError):
+        return str(error)
+    if isinstance(error, click.NoSuchOption):
+        return _of_option(error)
+    if isinstance(error, click.ClickException):
+        return error.format_message()
+    if isinstance(error, ModuleNotFoundError):
+        return remedy(error, next((word for word in sys.argv[1:] if word in VERBS), None))
+    return unexpected(error)
 
 
 def _say_in_one_line() -> None:
@@ -106,8 +107,3 @@ def _of_option(error: click.NoSuchOption) -> str:
     known = [name for param in params for name in (*param.opts, *param.secondary_opts) if name.startswith("--")]
     ending = did_you_mean(error.option_name, known) or "; --help lists those that there are"
     return f"there is no option {error.option_name}{ending}"
-
-
-def _refuse(message: str) -> None:
-    tell_error(message)
-    sys.exit(2)

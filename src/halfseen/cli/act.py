@@ -1,17 +1,17 @@
-"""``halfseen act``: the decision of a policy for what is seen now, and the reason."""
+"""``halfseen act``: the decision of a policy for what is seen now, and the reason; ``halfseen export``: it as ONNX."""
 
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.columns import aligned
-from halfseen.cli.laws import SHIPPED, law_of, law_option
-from halfseen.cli.messages import say
-from halfseen.cli.output_files import refuse_output
+from halfseen.cli.inputs import law_of, refuse_output
+from halfseen.cli.messages import aligned, say
+from halfseen.cli.options import SHIPPED
 
 if TYPE_CHECKING:
     from halfseen.policies import Decision
@@ -23,32 +23,18 @@ UNKNOWN = "How sure this is nobody knows: the policy was learned without pessimi
 @click.command(epilog="Example: halfseen act policy table.pcd --history logs")
 @click.argument("policy", type=options.PATH)
 @click.argument("cloud", type=options.PATH)
-@click.option("--history", type=options.PATH, help="Of a table: logs whose last trajectory is the one so far.")
-@click.option(
-    "--stage",
-    type=click.IntRange(1, options.MOST_STAGES),
-    help="Stage to decide, from 1; by default as the input says, or 1.",
+@options.path("--history", told="Of a table: logs whose last trajectory is the one so far.")
+@options.whole(
+    "--stage", least=1, most=options.MOST_STAGES, told="Stage to decide, from 1; by default as the input says, or 1."
 )
 @options.labels
-@law_option(None, f"Of a table, where it is {SHIPPED} by default. ")
-@click.option("--picture", type=options.PATH, help="Draw the decision into this .png or .svg file.")
+@options.law(None, f"Of a table, where it is {SHIPPED} by default. ")
+@options.path("--picture", told="Draw the decision into this .png or .svg file.")
 @options.overwrite("a picture that is")
-@click.option("--extrapolate", is_flag=True, help="Decide even far outside what the logs showed, with a warning.")
+@options.extrapolate
 @options.as_json
 @options.unused_seed
-def act(
-    policy: Path,
-    cloud: Path,
-    history: Path | None,
-    stage: int | None,
-    labels: Path | None,
-    law: str | None,
-    picture: Path | None,
-    overwrite: bool,
-    extrapolate: bool,
-    as_json: bool,
-    seed: int,
-) -> None:
+def act(policy: Path, cloud: Path, history: Path | None, labels: Path | None, law: str | None, **chosen: Any) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why, and how sure that is.
 
     For a policy of tables, CLOUD is a point cloud as `halfseen look` takes; if it has colour, what looks dirty counts.
@@ -68,8 +54,9 @@ def act(
     from halfseen.policies.observations import read_observation
     from halfseen.policies.of_team import UNDECIDED, refuse_team
 
-    if picture is not None:
-        refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
+    how = SimpleNamespace(**chosen)
+    if how.picture is not None:
+        refuse_output(how.picture, "a picture", PICTURES, how.overwrite, [cloud, *([labels] if labels else [])])
     stored = read_policy(policy)
     refuse_team(stored, UNDECIDED, policy)
     counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
@@ -83,36 +70,60 @@ def act(
     if stored.is_table:
         from halfseen.policies.table_observation import read_table
 
-        table = read_table(stored, cloud, history, stage, labels, known)
-    observation = table.present if table else read_observation(stored, cloud, history, stage, labels)
-    seen = getattr(observation, "seen", "")  # of tables only
-    decision = decider_of(stored, extrapolates=extrapolate).decide(observation)
+        table = read_table(stored, cloud, history, how.stage, labels, known)
+    observation = table.present if table else read_observation(stored, cloud, history, how.stage, labels)
+    decision = decider_of(stored, extrapolates=how.extrapolate).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))
     where = {"stage": observation.stage, "horizon": stored.horizon}
-    if picture is not None:
+    if how.picture is not None:
         from halfseen.pages.decision_picture import draw_decision
 
-        draw_decision(decision, picture, view=table.view if table else None, **where)
+        draw_decision(decision, how.picture, view=table.view if table else None, **where)
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
-    if seen:
-        report["seen"] = seen
+    seen = getattr(observation, "seen", "")  # of tables only
+    report |= {"seen": seen} if seen else {}
     lines = _lines(decision, seen, table.other_things if table else "", **where)
-    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
+    say(json.dumps(report, indent=2, allow_nan=False) if how.as_json else "\n".join(lines))
 
 
 def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horizon: int) -> list[str]:
-    known = sorted(((name, q) for name, q in decision.q_values.items() if q is not None), key=lambda one: -one[1])
-    others = [f"warning: {one}" for one in decision.warnings if one == other_things]
-    warnings = [f"warning: {one}" for one in decision.warnings if one != other_things]
-    header = ["action", "value", *(["95 % interval", "best"] if decision.intervals else [])]
-    rows = [header, *([name, f"{q:+.2f}", *_how_sure(decision, name)] for name, q in known)]
-    unknown = [] if decision.intervals else [UNKNOWN]
-    told = [*others, decision.reason, *([seen] if seen else []), *warnings]
-    return [*told, "", f"stage {stage} of {horizon}", *aligned(rows, left=(0,)), *unknown]
+    warnings = [f"warning: {one}" for one in decision.warnings]
+    first = [one for one in warnings if one == f"warning: {other_things}"]
+    last = [one for one in warnings if one not in first]
+    known = {name: q for name, q in decision.q_values.items() if q is not None}
+    rows = [["action", "value", *(["95 % interval", "best"] if decision.intervals else [])]]
+    for name in sorted(known, key=lambda name: -known[name]):
+        rows.append([name, f"{known[name]:+.2f}"])
+        if decision.intervals:
+            low, high = decision.intervals[name]
+            rows[-1] += [f"{low:+.2f} to {high:+.2f}", f"{decision.chance_best[name]:.0%}"]
+    words = [*first, decision.reason, *([seen] if seen else []), *last, "", f"stage {stage} of {horizon}"]
+    return [*words, *aligned(rows), *([] if decision.intervals else [UNKNOWN])]
 
 
-def _how_sure(decision: "Decision", name: str) -> list[str]:
-    if not decision.intervals:
-        return []
-    low, high = decision.intervals[name]
-    return [f"{low:+.2f} to {high:+.2f}", f"{decision.chance_best[name]:.0%}"]
+@click.command(epilog="Example: halfseen export policy --onnx policy.onnx")
+@click.argument("policy", type=options.PATH)
+@options.path("--onnx", required=True, metavar="FILE", told="Write an ONNX model: an .onnx file.")
+@options.whole("--objects", least=1, most=100, told="Most objects of a table; by default as in the log.")
+@options.overwrite("a file that is")
+@options.unused_seed
+def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed: int) -> None:
+    """Write the policy in the folder POLICY as an ONNX model. Needs the extra onnx.
+
+    Of named actions, it takes covariates, (n, features) in double precision, and the stage, from 1; it gives scores,
+    (n, actions), and the number of the best action.
+
+    Of tables, it takes the fields of TableState as halfseen.world describes them, for a fixed number of objects; it
+    gives scores, one for each action, and the number of the best.
+
+    Names of actions and covariates are in its metadata. It refuses nothing: what lies far outside the logs is for the
+    controller to look at.
+    """
+    from halfseen.policies import read_policy
+    from halfseen.policies.onnx_model import onnx_model
+    from halfseen.writing import write_file
+
+    refuse_output(onnx, "an ONNX model", (".onnx",), overwrite, [policy])
+    model = onnx_model(read_policy(policy), objects)
+    write_file(onnx, model)
+    click.echo(f"{onnx}: {len(model):,} bytes")

@@ -1,9 +1,34 @@
-"""``halfseen cell``: the physical cell in simulation."""
+"""``halfseen cell``: the physical cell in simulation; ``calibrate``: its attempts, and the laws that they tell.
+
+MuJoCo's way to draw is needed by filming and nothing else: most machines that run this have no screen.
+"""
+
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# pyright: reportAttributeAccessIssue=false
+
+import json
+import os
+import warnings
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import click
 
-from halfseen.cli.verb_group import VerbGroup
+from halfseen.cli import options
+from halfseen.cli.group import VerbGroup
+from halfseen.cli.inputs import robot_for
+from halfseen.cli.messages import say
+from halfseen.progress import Progress
 
+if TYPE_CHECKING:
+    from halfseen.cell.calibration.law import Law
+    from halfseen.logs import Logs
+    from halfseen.workers import Workers
+
+GL = "MUJOCO_GL"
 COMMANDS = {
     "calibrate": "Let the cell try, and estimate its laws of grasping and seeing from that.",
     "run": "Let a policy clear fresh tables in physics, and record it.",
@@ -14,8 +39,143 @@ COMMANDS = {
 @click.group(
     cls=VerbGroup,
     verbs=COMMANDS,
-    modules="halfseen.cli.cell_",
+    modules={"calibrate": "cell", "run": "cell_run", "film": "cell_run"},
     epilog="Example: halfseen cell run --policy policy --tables 50 --out logs",
 )
 def cell() -> None:
     """Let a simulated arm work in physics: look, decide, grasp, and look again."""
+
+
+def load_mujoco() -> None:
+    """Load MuJoCo for its physics; a way to draw that does not exist is then no matter."""
+    try:
+        import mujoco
+    except RuntimeError:
+        os.environ[GL] = "disable"
+        import mujoco  # noqa: F401
+
+
+def start_opengl() -> None:
+    """Load MuJoCo with a way to draw.
+
+    Raises
+    ------
+    ArgumentError
+        There is none.
+    """
+    from halfseen.errors import ArgumentError
+
+    os.environ.setdefault(GL, "egl")
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            import mujoco
+
+            with mujoco.Renderer(mujoco.MjSpec().compile(), 32, 32):
+                pass
+    except Exception as error:  # whatever a missing or broken OpenGL raises
+        raise ArgumentError(
+            f"no picture can be drawn here: OpenGL does not start with {GL}={os.environ[GL]} "
+            f"({(str(error).splitlines() or [type(error).__name__])[0][:120]}); set {GL} to egl, osmesa or glfw and "
+            "install its library, or film on another machine"
+        ) from error
+
+
+@click.command(epilog="Example: halfseen cell calibrate --attempts 6000 --out law")
+@options.path("--out", required=True, told="Folder that the law is written to.")
+@options.whole("--attempts", least=50, most=options.MOST_EPISODES, default=6000, told="Attempts to begin.")
+@options.whole(
+    "--visible-only",
+    least=0,
+    most=options.MOST_EPISODES,
+    default=0,
+    told="Attempts to begin on the same tables with grasps that are planned from visible points alone, as a contrast.",
+)
+@options.path("--from", "given", told="Fit the attempts of a law's folder, or of logs, again, and try nothing.")
+@options.arm
+@options.workers
+@options.seed("law")
+@options.as_json
+@options.overwrite("a law that is")
+def calibrate(out: Path, given: Path | None, arm: Path | None, workers: "Workers", **chosen: Any) -> None:
+    """Let the cell lift what stands on fresh tables, at random, and estimate its laws from that.
+
+    Tables are cut by what cuts a cell: an attempt that takes too long, an emergency stop, a lost camera. The folder
+    holds the law and its attempts. A run that was stopped goes on where it was, if it is called again.
+    """
+    load_mujoco()
+    from halfseen.cell.calibration.calibrate import attempts_of, law_of
+    from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, read_law, write_law
+    from halfseen.cell.campaign import Conditions, working_folder
+    from halfseen.errors import ArgumentError
+    from halfseen.logs import read_logs
+    from halfseen.policies.folder import check_target
+
+    how = SimpleNamespace(**chosen)
+    refuse = partial(check_target, out, how.overwrite, LAW)
+    refuse()
+    if given is not None and arm is not None:
+        raise ArgumentError(f"--arm is {arm}, but {given} holds attempts of some arm already; leave it out")
+    robot, arm_name = robot_for(arm, how.flange, how.joints)
+    origin: dict[str, Any] = {"seed": how.seed, "arm": arm_name}
+
+    def fitted(logs: "Logs", contrast: "Logs | None") -> dict[str, Any]:
+        law = law_of(logs)
+        record = {**origin, "log": str(logs.summary())}
+        write_law(law, out, record, logs=logs, contrast=contrast, overwrite=how.overwrite)
+        return _report_of(law, logs) | origin
+
+    if given is not None:
+        # A log does not say how it was made; the folder of a law does.
+        is_law, beside = (given / ATTEMPTS).is_dir(), given / VISIBLE_ONLY
+        record = read_law(given).record if is_law else {}
+        origin = {name: record[name] for name in origin if name in record}
+        contrast = read_logs(beside) if beside.is_dir() else None
+        report = fitted(read_logs(given / ATTEMPTS if is_law else given), contrast)
+    else:
+        # What was recorded goes when the law is written, not before: attempts take hours.
+        what = f"calibrate, seed {how.seed}" + (f", arm {arm_name}" if arm else "")
+        with (
+            working_folder(out, what, refuse) as folder,
+            Progress(how.attempts + how.visible_only, "calibrate", "attempts") as bar,
+            workers.ready() as pool,
+        ):
+            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=how.seed, pool=pool)
+            logs = try_on(how.attempts, folder=folder, conditions=conditions, on_table=bar.update)
+            contrast = None
+            if how.visible_only:
+                conditions = replace(conditions, grasping="visible-only")
+                contrast = try_on(
+                    how.visible_only, folder=folder / VISIBLE_ONLY, conditions=conditions, on_table=bar.update
+                )
+            report = fitted(logs, contrast)
+    say(json.dumps(report, indent=2, allow_nan=False) if how.as_json else "\n".join(_lines(out, report)))
+
+
+def _report_of(law: "Law", logs: "Logs") -> dict[str, Any]:
+    """What is printed."""
+    errors = law.grasp.standard_error.tolist()
+    return {
+        "attempts": {"decided": law.grasp.num_decided, "cut": law.grasp.num_cut},
+        "held": {
+            name: {"estimate": value, "standard_error": error}
+            for (name, value), error in zip(law.coefficients.items(), errors, strict=True)
+        },
+        "time": law.time._asdict(),
+        "seeing": {name: list(getattr(law.seeing, name)) for name in ("views", "sensitivity", "false_alarms")},
+        "log": str(logs.summary()),
+    }
+
+
+def _lines(out: Path, report: dict[str, Any]) -> list[str]:
+    attempts, seeing = report["attempts"], report["seeing"]
+    held = [(name, each["estimate"], each["standard_error"]) for name, each in report["held"].items()]
+    shares = {"surface seen": "views", "dirty, found by then": "sensitivity", "clean, taken for dirty": "false_alarms"}
+    return [
+        f"{out}: {report['log']}",
+        f"{attempts['decided']} attempts decided, {attempts['cut']} cut",
+        "",
+        f"{'log-odds of holding':<24}{'estimate':>9}{'± se':>8}",
+        *(f"{name:<24}{estimate:>+9.2f}{error:>8.2f}" for name, estimate, error in held),
+        "",
+        *(f"{words:<24}" + "".join(f"{share:>8.1%}" for share in seeing[name]) for words, name in shares.items()),
+    ]

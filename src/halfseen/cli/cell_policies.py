@@ -1,4 +1,4 @@
-"""``--policy`` of a cell: who decides there, by a name or a folder, for one arm or for several."""
+"""``--policy`` of a cell: who decides there, by a name or a folder, and what an arm believes under a law."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -6,10 +6,13 @@ from typing import TYPE_CHECKING
 
 import click
 
+from halfseen.cli.inputs import law_folder
+from halfseen.cli.messages import tell_warning
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
+    from halfseen.cell.table_state import Belief
     from halfseen.policies.folder import StoredPolicy
     from halfseen.world import Policy, WorldConfig
 
@@ -23,16 +26,7 @@ policy_option = click.option(
 
 
 def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy":
-    """Find the policy of one arm.
-
-    Parameters
-    ----------
-    name
-        One of `NAMES`, or a folder.
-    random_share
-        Probability that a step takes an action uniformly at random instead.
-    config
-        The world that the arm believes in.
+    """Find the policy of one arm, by one of `NAMES` or a folder; a share of its steps is uniformly random instead.
 
     Raises
     ------
@@ -59,7 +53,7 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
 
 
 def team_policy_of(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "Policy":
-    """Find the policy of several arms, whose seconds cost nothing; parameters and errors as in `policy_of`."""
+    """Find the policy of several arms, whose seconds cost nothing; errors as in `policy_of`."""
     from halfseen.errors import PolicyError
 
     if name in NAMES:
@@ -89,3 +83,20 @@ def _stored(folder: str) -> "StoredPolicy":
         there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
         raise PolicyError(f"--policy {folder}: {there}{did_you_mean(folder, NAMES)}")
     return read_policy(folder)
+
+
+def belief_of(name: str, arm_name: str) -> "Belief":
+    """What a robot with this arm believes under the law of a name."""
+    from halfseen.cell.arm import JACO_2
+    from halfseen.cell.calibration.law_folder import read_law
+    from halfseen.cell.table_state import Belief, no_grip
+    from halfseen.world import WorldConfig
+
+    folder = law_folder(name)
+    if folder is None:
+        return Belief(WorldConfig(), no_grip)
+    stored = read_law(folder)
+    if (its := stored.record.get("arm", JACO_2.name)) != arm_name:
+        tell_warning(f"{folder}: the law is of the arm {its}, and works here for {arm_name}")
+    law = stored.law
+    return Belief(law.config(), law.grip)

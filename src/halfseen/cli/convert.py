@@ -4,9 +4,10 @@ import json
 import os
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, nullcontext
 from dataclasses import asdict
+from functools import partial
 from itertools import permutations
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,11 +15,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.clouds_of_bags import read_bags
 from halfseen.cli.messages import say
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
+    import numpy as np
+
     from halfseen.logs import Logs
 
 CSV, MINARI, SQL = "csv:", "minari:", "sql:"
@@ -30,6 +32,7 @@ OPTIONS_OF = {
     ("clock", "step_s", "truncated"): ("minari", "lerobot", "steps", "hdf5"),
 }
 """Which kinds of sources take an option."""
+STEPS = "Of others' steps:"
 
 
 def _print_template(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
@@ -60,10 +63,8 @@ recorded are left out.
 @click.command(help=HELP, epilog="Example: halfseen convert recording.mcap --mapping cell.toml --out logs")
 @click.argument("sources", metavar="SOURCE...", nargs=-1, required=True)
 @click.option("--out", "target", required=True, help="FOLDER of Parquet, csv:FOLDER, or minari:NAME-v0.")
-@click.option(
-    "--check", "is_check", is_flag=True, help="Only say what --out cannot hold; status 1 if anything is lost."
-)
-@click.option("--mapping", type=options.PATH, help="Of a bag: which topic carries what; of sql: the SELECTs (TOML).")
+@options.flag("--check", "is_check", told="Only say what --out cannot hold; status 1 if anything is lost.")
+@options.path("--mapping", told="Of a bag: which topic carries what; of sql: the SELECTs (TOML).")
 @click.option(
     "--mapping-template",
     is_flag=True,
@@ -72,22 +73,20 @@ recorded are left out.
     callback=_print_template,
     help="Print a mapping file to start from.",
 )
-@click.option("--clouds", type=options.PATH, help="Of a bag: write each stage's cloud there as .pcd.")
-@click.option("--see", is_flag=True, help="Of a bag: what each stage's cloud shows becomes its objects.")
+@options.path("--clouds", told="Of a bag: write each stage's cloud there as .pcd.")
+@options.flag("--see", told="Of a bag: what each stage's cloud shows becomes its objects.")
 @click.option("--stages", metavar="SELECT", help="Of sql: the rows that are the stages, by the columns of a log.")
 @click.option("--trajectories", metavar="SELECT", help="Of sql: the rows that are the trajectories.")
 @click.option("--objects", metavar="SELECT", help="Of sql: the rows that are the objects, if there are any.")
-@click.option("--action", metavar="NAME", help="Of others' steps: the column that holds the action.")
-@click.option("--reward", metavar="NAME", help="Of others' steps: the column that holds the reward.")
-@click.option("--done", metavar="NAME", help="Of others' steps: the column that is true where an episode terminated.")
-@click.option(
-    "--clock", metavar="NAME", help="Of others' steps: the column (Minari: the info) that holds the time [s]."
-)
-@click.option("--step-s", type=float, help="Of others' steps: how long a step lasts [s].")
-@click.option(
+@click.option("--action", metavar="NAME", help=f"{STEPS} the column that holds the action.")
+@click.option("--reward", metavar="NAME", help=f"{STEPS} the column that holds the reward.")
+@click.option("--done", metavar="NAME", help=f"{STEPS} the column that is true where an episode terminated.")
+@click.option("--clock", metavar="NAME", help=f"{STEPS} the column (Minari: the info) that holds the time [s].")
+@click.option("--step-s", type=float, help=f"{STEPS} how long a step lasts [s].")
+@options.word(
     "--truncated",
-    type=options.Choice(["cut", "finished"]),
-    help="Of others' steps: what an episode is that did not terminate; by default cut.",
+    of=["cut", "finished"],
+    told=f"{STEPS} what an episode is that did not terminate; by default cut.",
 )
 @options.unused_seed
 @options.as_json
@@ -143,21 +142,23 @@ def _kept_and_lost(logs: "Logs", target: str) -> dict[str, Any]:
     """What does not come back from a target, and what nobody but halfseen finds in it."""
     from halfseen.logs.formats import losses, seen_by_halfseen_alone
 
-    form = next((kind for prefix, kind in ((CSV, "csv"), (MINARI, "minari")) if target.startswith(prefix)), "parquet")
+    form = "csv" if target.startswith(CSV) else "minari" if target.startswith(MINARI) else "parquet"
     lost = losses(logs, form)
-    is_written = not any(loss.is_refused for loss in lost)
-    hidden = seen_by_halfseen_alone(logs) if form == "minari" and is_written else []
-    return {"losses": [{**asdict(loss), "sentence": str(loss)} for loss in lost], "for_halfseen_alone": hidden}
+    has_notes = form == "minari" and not any(loss.is_refused for loss in lost)
+    return {
+        "losses": [{**asdict(loss), "sentence": str(loss)} for loss in lost],
+        "for_halfseen_alone": seen_by_halfseen_alone(logs) if has_notes else [],
+    }
 
 
 def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
     """Write a report for people."""
     lost = [f"- {loss['sentence']}" for loss in report["losses"]]
     hidden = report["for_halfseen_alone"]
-    told = [f"{report['target']}: {report['sentence']}"]
-    told += ["It would not be written whole:" if is_check else "What is lost:", *lost] if lost else []
-    told += ["Nothing would be lost."] if is_check and not lost else []
-    return told + ([f"Kept as notes that halfseen alone reads: {', '.join(hidden)}."] if hidden else [])
+    lines = [f"{report['target']}: {report['sentence']}"]
+    lines += ["It would not be written whole:" if is_check else "What is lost:", *lost] if lost else []
+    lines += ["Nothing would be lost."] if is_check and not lost else []
+    return lines + ([f"Kept as notes that halfseen alone reads: {', '.join(hidden)}."] if hidden else [])
 
 
 def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
@@ -181,12 +182,10 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
         raise ArgumentError(f"--out is {target}; several folders become one of Parquet files: give a FOLDER")
     with Progress(2 * len(sources), "convert", "folders") as bar:
         done = compact(sources, target, on_progress=bar.update)
-    left_out = f"; {done.num_running} still being recorded left out" if done.num_running else ""
-    told = (
-        f"{done.num_trajectories} trajectories with {done.num_stages} stages from {done.num_folders} folders{left_out}"
-    )
-    report = {"sources": list(sources), "target": target, "sentence": told, **done._asdict()}
-    say(json.dumps(report, indent=2) if as_json else f"{target}: {told}")
+    words = f"{done.num_trajectories} trajectories with {done.num_stages} stages from {done.num_folders} folders"
+    words += f"; {done.num_running} still being recorded left out" if done.num_running else ""
+    report = {"sources": list(sources), "target": target, "sentence": words, **done._asdict()}
+    say(json.dumps(report, indent=2) if as_json else f"{target}: {words}")
 
 
 def _kind(source: str) -> str:
@@ -222,7 +221,7 @@ def _kind(source: str) -> str:
 
 def _step_files(path: Path) -> list[Path]:
     """The files of a step table: itself, or those that lie in a folder that is no log."""
-    from halfseen.logs.formats.arrow_tables import TABLE_FILES
+    from halfseen.logs.formats.step_tables import TABLE_FILES
 
     if not path.is_dir():
         return [path] if path.suffix in TABLE_FILES else []
@@ -264,26 +263,21 @@ def _read(kind: str, source: str, clouds: Path | None, **chosen: Any) -> "Logs":
     from halfseen.logs import formats, read_logs
     from halfseen.logs.place import place_of
 
-    if kind == "csv":
-        return formats.read_csv(source)
-    if kind == "parquet":
-        return read_logs(source)
-    if kind == "older":
-        return formats.read_older(place_of(source))
-    if kind == "bag":
-        return read_bags(_bags(Path(source)), chosen["mapping"], chosen["see"], clouds)
-    if kind == "sql":
-        return _read_sql(source.removeprefix(SQL), **chosen)
-    timed: dict[str, Any] = {name: chosen[name] for name in ("clock", "step_s")}
+    timed: dict[str, Any] = {"clock": chosen["clock"], "step_s": chosen["step_s"]}
     timed["truncated"] = chosen["truncated"] or "cut"
-    if kind == "minari":
-        return formats.read_minari(source.removeprefix(MINARI), **timed)
-    rules = formats.StepRules(**{name: chosen[name] for name in ("action", "reward", "done")}, **timed)
-    if kind == "lerobot":
-        return formats.read_lerobot(source, rules)
-    if kind == "hdf5":
-        return formats.read_step_arrays(source, rules)
-    return formats.read_steps(_step_files(Path(source)), rules)
+    named = {name: chosen[name] for name in ("action", "reward", "done")}
+    readers: dict[str, Callable[[], Logs]] = {
+        "parquet": lambda: read_logs(source),
+        "csv": lambda: formats.read_csv(source),
+        "older": lambda: formats.read_older(place_of(source)),
+        "bag": lambda: _read_bags(_bags(Path(source)), chosen["mapping"], chosen["see"], clouds),
+        "sql": lambda: _read_sql(source.removeprefix(SQL), **chosen),
+        "minari": lambda: formats.read_minari(source.removeprefix(MINARI), **timed),
+        "lerobot": lambda: formats.read_lerobot(source, formats.StepRules(**named, **timed)),
+        "hdf5": lambda: formats.read_step_arrays(source, formats.StepRules(**named, **timed)),
+        "steps": lambda: formats.read_steps(_step_files(Path(source)), formats.StepRules(**named, **timed)),
+    }
+    return readers[kind]()
 
 
 def _read_sql(
@@ -305,6 +299,50 @@ def _read_sql(
             "a database needs --stages and --trajectories, a SELECT each, or a --mapping FILE that has both"
         )
     return read_sql(url, Queries(stages, trajectories, objects))
+
+
+def _read_bags(bags: list[Path], mapping: Path, see: bool, clouds: Path | None) -> "Logs":
+    """Read bags; each cloud of a stage is seen as objects, if that is asked for, and written to a folder, if any."""
+    from halfseen.logs.formats import read_bag
+
+    with Progress(None, "convert", "clouds") as bar:
+
+        def counted(work: Callable[..., Any]) -> Callable[..., Any]:
+            def count(*cloud: Any) -> Any:
+                bar.update()
+                return work(*cloud)
+
+            return count
+
+        keep = None if clouds is None else counted(partial(_kept, clouds))
+        return read_bag(bags, mapping, see=counted(_see) if see else None, keep=keep)
+
+
+def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:
+    """Write a cloud; its file is called like it."""
+    from halfseen.perception import Cloud, write_pcd
+
+    write_pcd(Cloud(points_m, shape if shape[0] > 1 else None, name=name), folder / f"{name}.pcd")
+    return f"{name}.pcd"
+
+
+def _see(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> dict[str, list[Any]]:
+    """Objects that a cloud shows, as columns; numbered anew in each cloud, the largest first."""
+    import numpy as np
+
+    from halfseen.perception import Cloud, perceive
+
+    view = perceive(Cloud(points_m, shape if shape[0] > 1 else None, name=name))
+    centroids = np.array([seen.centroid_m for seen in view.objects]).reshape(-1, 3)
+    return {
+        "object": [seen.id for seen in view.objects],
+        "occlusion": [seen.occlusion for seen in view.objects],
+        **{f"{axis}_m": centroids[:, k].tolist() for k, axis in enumerate("xyz")},
+        "height_m": [seen.height_m for seen in view.objects],
+        "is_upright": [seen.is_upright for seen in view.objects],
+        "num_points": [seen.num_points for seen in view.objects],
+        "hidden_by": view.hides.tolist(),
+    }
 
 
 def _shown(source: str) -> str:

@@ -2,7 +2,7 @@
 
 import json
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,16 +10,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.columns import aligned
-from halfseen.cli.laws import ASSUMED, law_of, law_option
-from halfseen.cli.messages import say
-from halfseen.cli.scenes import scenes_of
-from halfseen.cli.team import read_robots, team_option
-from halfseen.cli.workers import worker_options
+from halfseen.cli.inputs import law_of, read_robots, scenes_of
+from halfseen.cli.messages import aligned, say
+from halfseen.cli.options import ASSUMED
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
-    from halfseen.evaluation.simulation import WorldComparison
     from halfseen.policies.folder import StoredPolicy
     from halfseen.workers import Workers
     from halfseen.world import Team
@@ -31,15 +27,13 @@ WORK = {"start": 1, "evaluate": 4}
 @click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
 @click.argument("policy", type=options.PATH)
 @click.argument("clouds", type=options.PATH, nargs=-1)
-@click.option("--logs", type=options.PATH, help="Folder of logs that another policy made.")
+@options.path("--logs", told="Folder of logs that another policy made.")
 @options.against
-@click.option("--world", "in_world", is_flag=True, help="Play the tables of CLOUDS in the simulated world instead.")
-@law_option(None, f"Of --world, where it is {ASSUMED} by default. ")
-@team_option("Of --world: ")
+@options.flag("--world", "in_world", told="Play the tables of CLOUDS in the simulated world instead.")
+@options.law(None, f"Of --world, where it is {ASSUMED} by default. ")
+@options.team("Of --world: ")
 @options.policys_censoring
-@click.option(
-    "--censoring-by", type=options.CLOCKS, help="Clock of the cuts, as in learn; by default the policy's own."
-)
+@options.word("--censoring-by", of=options.CLOCKS, told="Clock of the cuts, as in learn; by default the policy's own.")
 @options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default the policy's own.")
 @click.option(
     "--augmented/--simple",
@@ -56,30 +50,12 @@ WORK = {"start": 1, "evaluate": 4}
     show_default=True,
     help="Level of the intervals.",
 )
-@click.option(
-    "--episodes",
-    type=click.IntRange(2, options.MOST_EPISODES),
-    default=10_000,
-    show_default=True,
-    help="Of --world: how many to play.",
-)
-@worker_options
+@options.whole("--episodes", least=2, most=options.MOST_EPISODES, default=10_000, told="Of --world: how many to play.")
+@options.workers
 @options.seed("numbers")
 @options.as_json
 def evaluate(
-    policy: Path,
-    clouds: tuple[Path, ...],
-    logs: Path | None,
-    against: tuple[str, ...],
-    in_world: bool,
-    law: str | None,
-    team: Path | None,
-    level: float,
-    episodes: int,
-    seed: int,
-    as_json: bool,
-    workers: "Workers",
-    **chosen: Any,
+    policy: Path, clouds: tuple[Path, ...], logs: Path | None, law: str | None, team: Path | None, **how: Any
 ) -> None:
     """Say what the policy in the folder POLICY is worth before it runs.
 
@@ -92,6 +68,7 @@ def evaluate(
     from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy
 
+    in_world = how.pop("in_world")
     if in_world == (logs is not None):
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
     if clouds and not in_world:
@@ -100,17 +77,18 @@ def evaluate(
         raise ArgumentError(f"--law is {law}, a law of the world that --world plays, and --logs is given; leave it out")
     if team is not None and not in_world:
         raise ArgumentError(f"--team is {team}, robots of the world that --world plays; leave it out")
-    if against and in_world:
+    if how["against"] and in_world:
         raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
-    stored, trust = read_policy(policy), options.trusted(chosen)
+    stored, seed, is_json = read_policy(policy), how.pop("seed"), how.pop("as_json")
+    how["trust"] = options.trusted(how)
+    level, episodes = how.pop("level"), how.pop("episodes")
     if logs is None:
         robots = _team_for(stored, policy, team)
         report, lines = _by_world(stored, robots, clouds, law or ASSUMED, episodes, seed, level)
     else:
-        asked: Any = {"against": list(against) or None, "trust": trust, "workers": workers}
-        report, lines = _by_logs(stored, logs, seed, level, **asked, **chosen)
+        report, lines = _by_logs(stored, logs, seed, level, **how)
     report = {"policy": str(policy), "seed": seed, **report}
-    say(json.dumps(report, indent=2) if as_json else "\n".join(lines))
+    say(json.dumps(report, indent=2) if is_json else "\n".join(lines))
 
 
 def _by_logs(
@@ -119,7 +97,7 @@ def _by_logs(
     seed: int,
     level: float,
     *,
-    against: list[str] | None,
+    against: tuple[str, ...],
     propensity: str,
     trust: tuple[str, ...],
     workers: "Workers",
@@ -137,27 +115,19 @@ def _by_logs(
         logs = read_logs(folder)
         bar.begin("evaluate", WORK["start"])
         spec = specification_of(stored, logs, **chosen)
-        settings: Any = {
-            "trust": trust,
-            "against": against,
-            "propensity": propensity,
-            "level": level,
-            "random_state": seed,
-        }
-        settings["workers"] = workers
+        settings: Any = {"trust": trust, "against": list(against) or None, "propensity": propensity}
+        settings |= {"level": level, "random_state": seed, "workers": workers}
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
-        is_own = log_digest(logs) == stored.record["log"].get("sha256")
-        promise = None if is_own else stored.record.get("promise")
-        kept = (
-            None if promise is None else kept_promise(promise, logs, *earned_here(stored.policy, logs, spec.q, answer))
-        )
-    notes = [*answer.notes, *(str(one.message) for one in caught if issubclass(one.category, HalfseenWarning))]
-    if is_own:
-        notes.insert(
-            0, "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
-        )
-    report = {"logs": str(folder), "propensity": propensity, "is_learned_from_these_logs": is_own}
-    report |= {
+        is_own, kept = log_digest(logs) == stored.record["log"].get("sha256"), None
+        if not is_own and (promise := stored.record.get("promise")) is not None:
+            kept = kept_promise(promise, logs, *earned_here(stored.policy, logs, spec.q, answer))
+    flattered = "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
+    of_library = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
+    notes = [*([flattered] if is_own else []), *answer.notes, *of_library]
+    report = {
+        "logs": str(folder),
+        "propensity": propensity,
+        "is_learned_from_these_logs": is_own,
         **spec.as_dict(),
         "kept": None if kept is None else asdict(kept),
         "sentence": answer.sentence,
@@ -170,22 +140,16 @@ def _by_logs(
 
 
 def _team_for(stored: "StoredPolicy", policy: Path, file: Path | None) -> "Team | None":
-    """The robots that are to play a policy; None for one alone.
-
-    Raises
-    ------
-    ArgumentError
-        The file holds no team, or there is none where the policy needs one.
-    PolicyError
-        The policy decides for another number of robots.
-    """
+    """The robots that are to play a policy; None for one alone."""
     from halfseen.errors import ArgumentError, PolicyError
 
     team, wanted = read_robots(file), stored.num_robots
     if team is None:
         if wanted is not None:
-            told = f"{policy}: it decides for a team of {wanted}, and nobody says which robots"
-            raise ArgumentError(f"{told}; give the file of those that made its logs by --team")
+            raise ArgumentError(
+                f"{policy}: it decides for a team of {wanted}, and nobody says which robots; give the file of those "
+                "that made its logs by --team"
+            )
         return None
     found = len(team.robots)
     if wanted is None:
@@ -223,8 +187,7 @@ def _by_world(
         law, config = law_of(name), WorldConfig(horizon=stored.horizon // num_robots)
         scenes = scenes_of(clouds, law)
         config = config if law is None else law.config(config)
-        played: Callable[[int], object] = bar.update
-        how: Any = {"episodes": episodes, "seed": seed, "level": level, "on_progress": played}
+        how: Any = {"episodes": episodes, "seed": seed, "level": level, "on_progress": bar.update}
         believed = config if team is None else team.config(config)
         rules = {each.label: named_policy(each.name, believed, is_team=team is not None) for each in HEURISTICS}
         answer, beside = compare_in_world(stored.policy, rules, scenes, config, team=team, **how)
@@ -235,18 +198,13 @@ def _by_world(
     )
     report = {"tables": [scene.name for scene in scenes], "episodes": episodes, "sentence": sentence, **asdict(answer)}
     report["comparisons"] = [asdict(each) for each in beside]
-    report |= {} if team is None else {"robots": [robot.name for robot in team.robots]}
-    by = "" if team is None else f", by {num_robots} robots ({', '.join(robot.name for robot in team.robots)})"
-    return report, [
-        sentence,
-        "",
-        f"{episodes} episodes on {len(scenes)} tables of the simulated world{by}; the same for the heuristics:",
-        "",
-        *aligned([("against", "value", "difference", "interval"), *(_beside(each) for each in beside)]),
-    ]
-
-
-def _beside(comparison: "WorldComparison") -> tuple[str, str, str, str]:
-    more = comparison.difference
-    interval = f"{more.low:+.3g} to {more.high:+.3g}"
-    return comparison.opponent, f"{comparison.value.value:.3g}", f"{more.value:+.3g}", interval
+    robots = [] if team is None else [robot.name for robot in team.robots]
+    report |= {"robots": robots} if robots else {}
+    by = f", by {num_robots} robots ({', '.join(robots)})" if robots else ""
+    rows = [("against", "value", "difference", "interval")]
+    for each in beside:
+        more = each.difference
+        interval = f"{more.low:+.3g} to {more.high:+.3g}"
+        rows.append((each.opponent, f"{each.value.value:.3g}", f"{more.value:+.3g}", interval))
+    played = f"{episodes} episodes on {len(scenes)} tables of the simulated world{by}; the same for the heuristics:"
+    return report, [sentence, "", played, "", *aligned(rows)]

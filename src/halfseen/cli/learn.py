@@ -2,7 +2,7 @@
 
 import json
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +10,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.learned_lines import lines_of
-from halfseen.cli.messages import say
-from halfseen.cli.workers import worker_options
+from halfseen.cli.messages import aligned, say
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
-    from halfseen.evaluation.exploring import Region
     from halfseen.evaluation.held_out import HeldOutVerdict
     from halfseen.learning.q_learner import CensoredQLearner
     from halfseen.learning.targets import Targets
@@ -27,6 +24,11 @@ CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 NOTHING_TO_TRY = "that is known of named actions and covariates, where the policy seldom does what LOGS do"
 START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1
 """What each step takes of the time, roughly."""
+_BASES = {
+    "model": "one step ahead under laws fitted to the log, and by simulation what that misses",
+    "rule": "worth of a WASH; it never LIFTs",
+}
+"""What Q is where laws help, by what the policy is built on."""
 
 
 class _Or(click.ParamType):
@@ -41,50 +43,41 @@ class _Or(click.ParamType):
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
 @click.argument("logs", type=options.PLACE)
-@click.option("--out", type=options.PATH, required=True, help="Folder that the policy is written to.")
+@options.path("--out", required=True, told="Folder that the policy is written to.")
 @options.names(
     "--covariates", "Columns of the stages to look at, as x1,x2; by default numbers and text of few categories."
 )
-@click.option(
-    "--q-function",
-    type=options.Choice(["auto", "linear", "quadratic", "kernel", "smooth"]),
-    default="auto",
-    show_default=True,
-    help="What Q may be.",
+@options.word(
+    "--q-function", of=["auto", "linear", "quadratic", "kernel", "smooth"], default="auto", told="What Q may be."
 )
-@click.option(
+@options.word(
     "--censoring",
-    type=options.Choice(CENSORING),
+    of=CENSORING,
     default="auto",
-    show_default=True,
-    help="What stands for what cuts took away: a model of the cuts for weights, or imputation.",
+    told="What stands for what cuts took away: a model of the cuts for weights, or imputation.",
 )
-@click.option(
+@options.word(
     "--censoring-by",
-    type=options.CLOCKS,
+    of=options.CLOCKS,
     default="trajectory",
-    show_default=True,
-    help="Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).",
+    told="Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).",
 )
 @options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default all that the model takes.")
-@click.option("--augmented", is_flag=True, help="Doubly robust: right if the censoring model or the regression is.")
-@click.option(
-    "--stages",
-    type=options.Choice(["auto", "separate", "pooled"]),
-    default="auto",
-    show_default=True,
-    help="One Q a stage, or one for all by steps to go.",
+@options.flag("--augmented", told="Doubly robust: right if the censoring model or the regression is.")
+@options.word(
+    "--stages", of=["auto", "separate", "pooled"], default="auto", told="One Q a stage, or one for all by steps to go."
 )
-@click.option(
+@options.whole(
     "--horizon",
-    type=click.IntRange(1, options.MOST_STAGES),
-    help="Stages after which a trajectory ends by itself; by default those of the longest, for a table at least 10. "
+    least=1,
+    most=options.MOST_STAGES,
+    told="Stages after which a trajectory ends by itself; by default those of the longest, for a table at least 10. "
     "Of a team, decisions of each robot; by default what the log says.",
 )
-@click.option(
+@options.word(
     "--grasp",
-    type=options.Choice(["auto", "laplace", "beta"]),
-    help="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
+    of=["auto", "laplace", "beta"],
+    told="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
     "default the log decides.",
 )
 @click.option(
@@ -124,36 +117,25 @@ class _Or(click.ParamType):
     help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
     "long.",
 )
-@click.option(
+@options.word(
     "--trust",
     "trusted",
-    type=options.Choice(["vouched", "best"]),
+    of=["vouched", "best"],
     default="vouched",
-    show_default=True,
-    help="Which policy is written: the one for whose gain LOGS can vouch most, or the best guess.",
+    told="Which policy is written: the one for whose gain LOGS can vouch most, or the best guess.",
 )
-@click.option(
+@options.path(
     "--exploration",
-    type=options.PATH,
     metavar="FILE",
-    help="Write which actions to try more often, and where, for `halfseen serve --explore FILE`, as CSV.",
+    told="Write which actions to try more often, and where, for `halfseen serve --explore FILE`, as CSV.",
 )
 @options.trust
-@worker_options
+@options.workers
 @options.seed("policy")
 @options.overwrite("a policy that is")
 @options.as_json
 def learn(
-    logs: str | Path,
-    out: Path,
-    in_passes: bool | None,
-    has_verdict: bool,
-    trusted: str,
-    exploration: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    workers: "Workers",
-    **chosen: Any,
+    logs: str | Path, out: Path, has_verdict: bool, exploration: Path | None, workers: "Workers", **chosen: Any
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
@@ -172,11 +154,12 @@ def learn(
     """
     from halfseen.policies.folder.files import check_target
 
+    overwrite, is_json, written = (chosen.pop(name) for name in ("overwrite", "as_json", "trusted"))
     check_target(out, overwrite)
     if exploration is not None:
         _check_exploration(exploration, has_verdict, overwrite)
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
-    with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as told:
+    with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as caught:
         from halfseen.errors import HalfseenWarning
         from halfseen.learning.caution import more_cautious_learner
         from halfseen.logs.stream import opened, parts_of
@@ -187,15 +170,15 @@ def learn(
 
         warnings.simplefilter("always", HalfseenWarning)
         targets, seed, trust = _targets(chosen), chosen.pop("seed"), options.trusted(chosen)
-        log = opened(logs, in_passes)
+        log = opened(logs, chosen.pop("in_passes"))
         prior = _prior_law(chosen.pop("prior_law"))
         choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **chosen)
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "look", LEARN)
-        judged, not_all = _judged(learner, log, seed, bar, trust, workers) if has_verdict else (None, ())
+        judged, notes = _judged(learner, log, seed, bar, trust, workers) if has_verdict else (None, [])
         if judged is not None:
-            judged = judged.of_best if trusted == "best" else judged
+            judged = judged.of_best if written == "best" else judged
             learner = more_cautious_learner(learner, judged.caution)
         bar.reach(total - LOOK)
         bar.begin("look", 0)
@@ -203,41 +186,29 @@ def learn(
         kept = None if judged is None else judged.as_dict()
         write_policy(learner, log, out, overwrite=overwrite, verdict=kept)
         if exploration is not None and judged is not None:
-            _write_exploration(exploration, judged.exploration.regions)
-    is_empty = exploration is not None and judged is not None and not judged.exploration.regions
-    notes = [
-        *choice.notes,
-        *not_all,
-        *([f"{exploration} names nothing to try; {NOTHING_TO_TRY}"] if is_empty else []),
-        *learner.unseen_,
-        *(str(one.message) for one in told if issubclass(one.category, HalfseenWarning)),
-    ]
-    actions = plain(shares.reset_index().to_dict("records"))
-    report = {"policy": str(out), "logs": str(logs), **read_policy(out).record, "actions": actions, "notes": notes}
-    say(json.dumps(report, indent=2) if as_json else "\n".join(lines_of(report)))
+            notes += _write_exploration(exploration, judged)
+    of_library = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
+    report = {"policy": str(out), "logs": str(logs), **read_policy(out).record}
+    report["actions"] = plain(shares.reset_index().to_dict("records"))
+    report["notes"] = [*choice.notes, *notes, *learner.unseen_, *of_library]
+    say(json.dumps(report, indent=2) if is_json else "\n".join(_lines(report)))
 
 
 def _judged(
-    learner: "CensoredQLearner",
-    log: "Logs | LogStream",
-    seed: int,
-    bar: Progress,
-    trust: tuple[str, ...],
-    workers: "Workers",
-) -> tuple["HeldOutVerdict", tuple[str, ...]]:
+    learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress, trust: tuple[str, ...], workers: Any
+) -> tuple["HeldOutVerdict", list[str]]:
     """Judge this way of learning by the log; with a note if only a sample was judged."""
-    # What judges takes longer to load than all that learns.
     from halfseen.evaluation.held_out import MOST_JUDGED, NUM_FOLDS, held_out_verdict
     from halfseen.learning.streaming import sample_of
     from halfseen.logs import Logs
 
     judging = log if isinstance(log, Logs) else sample_of(log, seed, MOST_JUDGED)
-    told = partial(bar.update, FOLDS / NUM_FOLDS)
-    verdict = held_out_verdict(learner, judging, on_progress=told, trust=trust, workers=workers)
+    shown = partial(bar.update, FOLDS / NUM_FOLDS)
+    verdict = held_out_verdict(learner, judging, on_progress=shown, trust=trust, workers=workers)
     if judging.num_trajectories == log.num_trajectories:
-        return verdict, ()
-    told = f"{judging.num_trajectories:,} of the {log.num_trajectories:,} trajectories, drawn at random"
-    return verdict, (f"the verdict is of policies learned from {told}",)
+        return verdict, []
+    part = f"{judging.num_trajectories:,} of the {log.num_trajectories:,} trajectories, drawn at random"
+    return verdict, [f"the verdict is of policies learned from {part}"]
 
 
 def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
@@ -252,38 +223,128 @@ def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
         refuse_taken(file, False, None, "table")
 
 
-def _write_exploration(file: Path, regions: "Sequence[Region]") -> None:
+def _write_exploration(file: Path, judged: "HeldOutVerdict") -> list[str]:
+    """Write what to try; with a note where that is nothing."""
     from halfseen.policies.exploration_table import as_csv
     from halfseen.writing import write_file
 
-    each = [region.conditions for region in regions], [region.action for region in regions]
-    write_file(file, as_csv(*each, [region.wanted for region in regions]).encode())
+    regions = judged.exploration.regions
+    columns = ([getattr(region, name) for region in regions] for name in ("conditions", "action", "wanted"))
+    write_file(file, as_csv(*columns).encode())
+    return [] if regions else [f"{file} names nothing to try; {NOTHING_TO_TRY}"]
 
 
 def _prior_law(name: str | None) -> Any:
     """The world of a law that is named; None where none is."""
     if name is None:
         return None
-    from halfseen.cli.laws import law_of
+    from halfseen.cli.inputs import law_of
     from halfseen.world import WorldConfig
 
-    law = law_of(name)
-    return WorldConfig() if law is None else law.config()
+    return WorldConfig() if (law := law_of(name)) is None else law.config()
 
 
 def _targets(chosen: dict[str, Any]) -> "Targets | str":
     """What stands for what cuts took away, taken from the options that say it; auto where none does."""
     from halfseen.learning.targets import named_targets
 
-    model = chosen.pop("censoring")
-    given = {
-        "by": chosen.pop("censoring_by"),
-        "covariates": chosen.pop("censoring_covariates"),
-        "truncate_at": chosen.pop("truncate_at"),
-        "is_doubly_robust": chosen.pop("augmented"),
-    }
-    if model != "auto":
+    usual: Any = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
+    options_of = ("censoring_by", "censoring_covariates", "truncate_at", "augmented")
+    given: Any = {name: chosen.pop(option) for name, option in zip(usual, options_of, strict=True)}
+    if (model := chosen.pop("censoring")) != "auto":
         return named_targets(model, **given)
-    # What is said of weights asks for weights.
-    plain = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
-    return "auto" if given == plain else named_targets(**given)
+    return "auto" if given == usual else named_targets(**given)  # what is said of weights asks for weights
+
+
+def _lines(report: Mapping[str, Any]) -> list[str]:
+    """Say what a policy looks at, what was chosen, what it would do, and the verdict."""
+    weights, schema = report["diagnostics"]["weights"], report["schema"]
+    positivity = report["diagnostics"]["positivity"]["text"].splitlines()[0]
+    num_robots = schema.get("num_robots")
+    next_logs = "--logs OTHER_LOGS; the ones learned from would flatter it" if num_robots is None else ""
+    rows = [
+        ("looks at", _looks_at(report["kind"], schema)),
+        *_q_rows(report, schema),
+        *(("chosen", sentence) for sentence in report["chosen"]),
+        (
+            "weights",
+            f"{weights['num_seen']} stages, with an effective sample size of "
+            f"{weights['effective_sample_size']:.1f}; the largest weight is {weights['largest_weight']:.3g}",
+        ),
+        ("positivity", positivity),
+        *(("warning", one) for one in report["warnings"] if one != positivity),
+        *(("note", note) for note in report["notes"]),
+    ]
+    return [
+        f"{report['policy']}: learned from {report['log']['sentence']}",
+        "",
+        *(f"{name:<12}{text}" for name, text in rows),
+        "",
+        *_action_lines(report["actions"]),
+        "",
+        *([*verdict_lines(report["verdict"]), ""] if report["verdict"] else []),
+        f"Next: halfseen evaluate {report['policy']} {next_logs or '--world --team ROBOTS'}",
+    ]
+
+
+def _q_rows(report: Mapping[str, Any], schema: Mapping[str, Any]) -> list[tuple[str, str]]:
+    learner, num_robots = report["learner"], schema.get("num_robots")
+    horizon = f"horizon {schema['horizon']}"
+    if num_robots is not None:
+        horizon += f", {schema['horizon'] // num_robots} decisions of each robot"
+    if "basis" in schema:
+        return [("Q", f"{_BASES[schema['basis']]}, {horizon}")]
+    cuts = learner["censoring"]
+    by = f", by {learner['censoring_by']}" if cuts in options.WEIGHTING else ""
+    pessimism = (
+        f"Q is lowered by {learner['pessimism']:.2g} times its standard error, less where the logs do as much, so that "
+        "nothing is chosen on the word of few stages"
+    )
+    return [
+        ("Q", f"{learner['q_function']}, stages {learner['stages']}, {horizon}"),
+        *([("pessimism", pessimism)] if learner["pessimism"] else []),
+        ("cuts", f"{cuts}{by}{', augmented' if learner['augmented'] else ''}"),
+        ("λ", _regs(**report["reg"])),
+    ]
+
+
+def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
+    """The verdict, what is claimed, and where it cannot be said, what to try."""
+    lines, tried = [verdict["sentence"], *verdict["claims"]], verdict["exploration"]
+    if verdict["verdict"] != "cannot be said" or not tried["regions"]:
+        return lines
+    rows = [("try", "where", "now", "then", "of the variance")]
+    for region in tried["regions"]:
+        where = ", ".join(f"{name} {condition}" for name, condition in region["conditions"].items()) or "everywhere"
+        now, then, part = (f"{region[name]:.0%}" for name in ("now", "wanted", "part"))
+        rows.append((region["action"], where, now, then, part))
+    hint = (
+        f"Or try more often what says most: from as many trajectories the interval would be {tried['narrower']:.1f} "
+        "times narrower (for `halfseen serve --explore FILE`, which --exploration FILE writes)."
+    )
+    return [*lines, hint, "", *aligned(rows, left=(0, 1))]
+
+
+def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:
+    if kind.startswith("team"):
+        return f"tables of {schema['num_robots']} robots, and what each is at; it decides for whichever is free"
+    return "tables" if kind.startswith("table") else ", ".join(schema["covariates"]) or "nothing but the stage"
+
+
+def _regs(values: Sequence[Sequence[float]], rows: str, columns: Sequence[str]) -> str:
+    flat = sorted(value for row in values for value in row)
+    if flat[0] == flat[-1]:
+        return f"{flat[0]:.3g}"
+    each = "stage" if rows == "stage" else f"number of {rows}"
+    return f"{flat[0]:.3g} to {flat[-1]:.3g}, chosen for each {each}{' and action' if len(columns) > 1 else ''}"
+
+
+def _action_lines(stages: Sequence[Mapping[str, Any]]) -> list[str]:
+    """How often the policy takes each action, and how often the one that was logged."""
+    names = list(stages[0]["shares"])
+    rows = [["stage", "states", *names, "as logged"]]
+    for row in stages:
+        shares = [f"{row['shares'][name]:.0%}" for name in names]
+        as_logged = "" if row["as_logged"] is None else f"{row['as_logged']:.0%}"
+        rows.append([str(row["stage"]), str(row["num_states"]), *shares, as_logged])
+    return aligned(rows, left=())

@@ -1,33 +1,34 @@
-"""halfseen look: what a depth camera sees on a table, who hides whom, and what looks dirty."""
+"""``halfseen look``: what a depth camera sees on a table, who hides whom, and what looks dirty."""
 
 import json
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.columns import aligned
-from halfseen.cli.look_at_many import clouds_in, look_at_many
-from halfseen.cli.messages import say
-from halfseen.cli.output_files import refuse_output
-from halfseen.cli.view_facts import as_json, with_objects
-from halfseen.cli.workers import worker_options
+from halfseen.cli.inputs import refuse_output
+from halfseen.cli.messages import aligned, say, tell_error
+from halfseen.progress import Progress
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from halfseen.perception import Label, View
     from halfseen.workers import Workers
+
+HEAD = ["cloud", "objects", "upright", "lying", "cut", "half hidden", "most hidden"]
+ENDINGS = (".pcd", ".ply", ".npz")
+"""Of clouds that are looked for in a folder."""
 
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
 @click.argument("clouds", nargs=-1, required=True, type=options.PATH)
-@click.option("--json", "is_json", is_flag=True, help="Print JSON, for programs.")
-@click.option("--picture", type=options.PATH, help="Draw what is seen into this PNG file; of one cloud.")
+@options.flag("--json", "is_json", told="Print JSON, for programs.")
+@options.path("--picture", told="Draw what is seen into this PNG file; of one cloud.")
 @options.overwrite("a picture that is")
 @options.labels
-@worker_options
+@options.workers
 def look(
     clouds: tuple[Path, ...],
     is_json: bool,
@@ -53,7 +54,7 @@ def look(
     if picture is not None or labels is not None:
         option, value = ("--picture", picture) if picture is not None else ("--labels", labels)
         raise ArgumentError(f"{option} {value}: it is of one cloud, and there are several; look at that cloud alone")
-    look_at_many(clouds_in(clouds), workers, is_json)
+    _look_at_many(_clouds_in(clouds), workers, is_json)
 
 
 def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | None) -> None:
@@ -62,20 +63,20 @@ def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | No
     from halfseen.perception.picture import draw, sentence
 
     seen = read_cloud(cloud)
-    view = with_objects(perceive(seen), cloud)
-    told = labels_of(view, seen, labels)
+    view = _with_objects(perceive(seen), cloud)
+    found = labels_of(view, seen, labels)
     if picture is not None:
         draw(view, picture)
     if is_json:
-        say(json.dumps(as_json(view, told)))
+        say(json.dumps(_facts(view, found)))
         return
     say(sentence(view))
     if view.num_cut:
         say(f"Left out: {view.num_cut} that the image border cuts.")
-    say("\n".join(["", *_table(view, told)]))
+    say("\n".join(["", *_table(view, found)]))
 
 
-def _table(view: "View", told: "Sequence[Label] | None") -> list[str]:
+def _table(view: "View", found: "Sequence[Label] | None") -> list[str]:
     header = ["object", "x [m]", "y [m]", "z [m]", "height [m]", "pose", "points", "hidden", "hidden by"]
     rows = [header]
     for seen in view.objects:
@@ -85,8 +86,101 @@ def _table(view: "View", told: "Sequence[Label] | None") -> list[str]:
         pose = "upright" if seen.is_upright else "lying"
         numbers = [f"{x:.3f}", f"{y:.3f}", f"{z:.3f}", f"{seen.height_m:.3f}"]
         rows.append([str(seen.id), *numbers, pose, str(seen.num_points), f"{seen.occlusion:.2f}", by or "-"])
-    if told is not None:
-        labels = [("in view", "label"), *((f"{label.share_in_view:.2f}", label.word) for label in told)]
+    if found is not None:
+        labels = [("in view", "label"), *((f"{label.share_in_view:.2f}", label.word) for label in found)]
         rows = [[*row, *label] for row, label in zip(rows, labels, strict=True)]
     left = ("pose", "hidden by", "label")
     return aligned(rows, left=tuple(rows[0].index(name) for name in left if name in rows[0]))
+
+
+def _clouds_in(places: Sequence[Path]) -> list[Path]:
+    """Clouds, and all those of folders, by name."""
+    from halfseen.errors import ArgumentError
+
+    found = []
+    for place in places:
+        those = [place]
+        if place.is_dir():
+            those = sorted(each for each in place.iterdir() if each.suffix.lower() in ENDINGS)
+            if not those:
+                raise ArgumentError(f"{place}: no cloud in it ends in {', '.join(ENDINGS)}; name another folder")
+        found += those
+    return found
+
+
+def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> None:
+    """Look at clouds and print what was seen, in their order; then refuse those that could not be looked at."""
+    from halfseen.errors import CloudError
+
+    with Progress(len(clouds), "look", "clouds") as bar, workers.ready_if_worth() as pool:
+        found: dict[int, Any] = {}
+        for number, of_cloud in pool.each(partial(_seen_in, _named_facts if is_json else _row), clouds):
+            found[number] = of_cloud
+            bar.update()
+    in_order = [found[number] for number in range(len(clouds))]
+    seen = [each for each in in_order if not isinstance(each, CloudError)]
+    refused = [each for each in in_order if isinstance(each, CloudError)]
+    if is_json:
+        say(json.dumps(seen))
+    elif seen:
+        say("\n".join(aligned([HEAD, *seen])))
+    for error in refused[:-1]:
+        tell_error(str(error))
+    if refused:
+        raise refused[-1]
+
+
+def _seen_in(look: "Callable[[View, Path], Any]", cloud: Path) -> Any:
+    """Look at a cloud; an error is given back, so that it stops none of the others."""
+    from halfseen.errors import CloudError
+    from halfseen.perception import perceive, read_cloud
+
+    try:
+        return look(_with_objects(perceive(read_cloud(cloud)), cloud), cloud)
+    except CloudError as error:
+        return error
+
+
+def _named_facts(view: "View", cloud: Path) -> dict[str, Any]:
+    return {"cloud": str(cloud), **_facts(view, None)}
+
+
+def _row(view: "View", cloud: Path) -> list[str]:
+    hidden = [each.occlusion for each in view.objects]
+    num_upright = sum(each.is_upright for each in view.objects)
+    counts = [len(hidden), num_upright, len(hidden) - num_upright, view.num_cut, sum(each >= 0.5 for each in hidden)]
+    return [str(cloud), *map(str, counts), f"{max(hidden):.2f}"]
+
+
+def _with_objects(view: "View", cloud: Path) -> "View":
+    """Refuse a view without objects."""
+    from halfseen.errors import CloudError
+
+    if not view.objects:
+        cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
+        raise CloudError(f"{cloud}: no objects on the table{cut}; put the table with its objects whole into the view")
+    return view
+
+
+def _facts(view: "View", found: "Sequence[Label] | None") -> dict[str, Any]:
+    """Say for programs what stands on the table, and what looks dirty."""
+    labels = [{}] * len(view.objects)
+    if found is not None:
+        labels = [{"label": label.word, "share_in_view": label.share_in_view} for label in found]
+    return {
+        "table": {"normal": view.table.normal.tolist(), "offset_m": view.table.offset_m},
+        "objects": [
+            {
+                "id": seen.id,
+                "centroid_m": seen.centroid_m.tolist(),
+                "place_m": seen.solid.middle_m.tolist(),
+                "height_m": seen.height_m,
+                "occlusion": seen.occlusion,
+                "num_points": seen.num_points,
+                "is_upright": seen.is_upright,
+                **label,
+            }
+            for seen, label in zip(view.objects, labels, strict=True)
+        ],
+        "hides": view.hides.tolist(),
+    }

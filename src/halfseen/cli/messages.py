@@ -1,11 +1,14 @@
 """What is said: answers on stdout, errors and warnings in one line each on stderr.
 
-Where a person reads it, the first word of such a line is in colour. Names and values of a log command no terminal.
+Where a person reads it, the first word of such a line is in colour. Names and values of a log command no terminal. What
+nobody foresaw has a line, too: the system refused, memory is short, input is too deep, or a library is not there.
 """
 
+import errno
 import os
 import re
 import sys
+from collections.abc import Collection, Sequence
 
 import click
 
@@ -14,6 +17,44 @@ _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u206
 MOST_TOLD = 1200
 """Characters of a line; of a longer one, which quotes a value, its middle is left out."""
 
+EXTRAS = {
+    "perception": ("lzf", "matplotlib", "plyfile", "pypcd4", "skimage"),
+    "scene": ("mujoco",),
+    "study": ("jinja2",),
+    "watch": ("viser",),
+    "onnx": ("onnx",),
+    "serve": ("starlette", "uvicorn"),
+    "gym": ("gymnasium",),
+    "jax": ("jax",),
+    "pettingzoo": ("pettingzoo",),
+    "minari": ("minari",),
+    "hdf5": ("h5py",),
+    "mcap": ("mcap", "mcap_protobuf"),
+    "ros": ("rosbags",),
+    "sql": ("sqlalchemy",),
+    "ray": ("ray",),
+    "dask": ("distributed",),
+    "stores": ("upath",),
+}
+"""Libraries that some verbs need, by the extra that brings them."""
+HELD = {"scene": ("perception",), "study": ("scene", "perception"), "watch": ("scene", "perception")}
+"""What an extra holds of others."""
+OF_VERB = {"cell": "scene", "report": "study", "study": "study", "watch": "watch"}
+"""Extras of the verbs that need one which holds others: it is told at once, not one after the other."""
+_REMEDIES = {
+    errno.EACCES: "ask for the right to it, or name another",
+    errno.EPERM: "ask for the right to it, or name another",
+    errno.EROFS: "name a place that can be written",
+    errno.ENOSPC: "make room, or name another place",
+    errno.EDQUOT: "make room, or name another place",
+    errno.ENOENT: "check the name",
+    errno.ENOTDIR: "name a place whose parents are folders",
+    errno.EISDIR: "name a file",
+    errno.ENAMETOOLONG: "give a shorter name",
+    errno.ELOOP: "mend the link",
+    errno.EMFILE: "raise the limit of open files (ulimit -n)",
+}
+
 
 def say(message: str) -> None:
     """Answer on stdout."""
@@ -21,13 +62,7 @@ def say(message: str) -> None:
 
 
 def printable(text: str) -> str:
-    r"""Write what moves the cursor, colours, turns the direction or is no character as ``\x1b``, and the like.
-
-    Parameters
-    ----------
-    text
-        Of any number of lines.
-    """
+    r"""Write what moves the cursor, colours, turns the direction or is no character as ``\x1b``, and the like."""
     return _UNPRINTABLE.sub(lambda found: found[0].encode("unicode_escape").decode(), text)
 
 
@@ -59,3 +94,48 @@ def _tell(message: str, colour: str) -> None:
         click.echo(headed(message, colour), err=True)
     else:  # A bar that is being shown steps aside.
         bars.tqdm.write(headed(message, colour), file=sys.stderr)
+
+
+def aligned(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
+    """Pad cells to the width of their column: those of the columns in `left` to the left, others to the right."""
+    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
+    return [
+        "  ".join(
+            cell.ljust(width) if k in left else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ).rstrip()
+        for row in rows
+    ]
+
+
+def unexpected(error: BaseException) -> str | None:
+    """Say what went wrong, where, and what to do; None for what is a defect of halfseen."""
+    if isinstance(error, OSError):
+        return _of_system(error)
+    if isinstance(error, MemoryError) or "RESOURCE_EXHAUSTED" in str(error)[:200]:
+        asked = (str(error).splitlines() or [""])[0][:200]
+        return f"memory does not suffice{f' ({asked})' if asked else ''}; give less at once, or more memory"
+    if isinstance(error, RecursionError):
+        return "something in the input is nested too deeply to be read; write it with fewer levels"
+    return None
+
+
+def _of_system(error: OSError) -> str:
+    names = [os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
+    where = f"{' → '.join(names)}: " if names else ""
+    reason = (error.strerror or str(error) or type(error).__name__).splitlines()[0][:200]
+    remedy = _REMEDIES.get(error.errno or 0, "check the place, and that it can be read and written")
+    return f"{where}{reason[:1].lower()}{reason[1:]}; {remedy}"
+
+
+def remedy(error: ModuleNotFoundError, verb: str | None = None) -> str | None:
+    """Say how to install what an import in a verb misses; None where no extra brings it."""
+    library = (error.name or "").partition(".")[0]
+    extra = next((name for name, libraries in EXTRAS.items() if library in libraries), None)
+    if extra is None:
+        return None
+    from halfseen.installation import command_for
+
+    whole = OF_VERB.get(verb or "")
+    wanted = whole if whole is not None and extra in HELD.get(whole, ()) else extra
+    return f"{library} is not installed, and this command needs it; run: {command_for(wanted)}"

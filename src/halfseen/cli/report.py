@@ -1,20 +1,137 @@
-"""``halfseen report``: one page about a log, and about a policy that is judged by it."""
+"""``halfseen inspect``: what logs hold and what looks wrong; ``halfseen report``: one page of them and of a policy."""
 
 import json
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from string import Formatter
 from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import say
-from halfseen.cli.workers import worker_options
+from halfseen.cli.messages import aligned, say
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
     from halfseen.workers import Workers
+
+Row = Mapping[str, Any]
+
+MOST_ROWS = 20
+CUTS = {
+    "cause of cut": "{cause}",
+    "trajectories": "{num_trajectories}",
+    "share": "{share:.0%}",
+    "first [s]": "{earliest_s:.3g}",
+    "median [s]": "{median_s:.3g}",
+    "last [s]": "{latest_s:.3g}",
+    "in stages": "{first_stage} to {last_stage}",
+}
+"""Columns of a table, and the form of their cells."""
+ACTIONS = {
+    "action": "{action}",
+    "stages": "{num_stages}",
+    "share": "{share:.0%}",
+    "median [s]": "{median_s:.3g}",
+    "mean reward": "{mean_reward:.3g}",
+    "least probability": "{smallest_probability:.2g}",
+}
+STAGES = {
+    "stage": "{stage}",
+    "begun": "{num_begun}",
+    "completed": "{num_completed}",
+    "cut": "{num_cut}",
+    "5 % [s]": "{duration_5_s:.3g}",
+    "median [s]": "{median_s:.3g}",
+    "95 % [s]": "{duration_95_s:.3g}",
+    "effective sample size": "{effective_sample_size:.1f}",
+    "largest weight": "{largest_weight:.2f}",
+}
+
+
+@click.command(epilog="Example: halfseen inspect logs --json")
+@click.argument("logs", type=options.PATH)
+@options.flag("--json", "as_json", told="Print one JSON object for programs, with every row.")
+@options.unused_seed
+def inspect(logs: Path, as_json: bool, seed: int) -> None:
+    """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
+
+    LOGS may be finished, or what a recorder has written so far, torn by a crash or at work. What breaks no rule and
+    looks wrong all the same is told first.
+
+    The effective sample size tells how many equally weighted stages would say as much as those that were seen, once
+    each stands for those that were cut.
+    """
+    with Progress(2, "start") as bar:
+        from halfseen.logs import read_logs
+        from halfseen.report.log_findings import log_findings, positivity_of
+
+        read = read_logs(logs)
+        bar.begin("look at the log")
+        report = log_findings(read, positivity_of(read))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+
+
+def _lines(report: dict[str, Any]) -> list[str]:
+    """Write a report for people: one sentence, what looks wrong, then the numbers."""
+    words = [doubt["sentence"] for doubt in report["suspicions"]]
+    doubts = [f"- {word[0].upper()}{word[1:]}{'' if word.endswith('?') else '.'}" for word in words]
+    stages = [row | weight for row, weight in zip(report["clock"], report["weights"], strict=True)]
+    tables = [_facts(report), _table(CUTS, report["cuts"]), _actions(report["choices"]), _table(STAGES, stages)]
+    body = [line for table in tables if table for line in ["", *table]]
+    return [
+        report["sentence"],
+        *(["What looks wrong:", *doubts] if doubts else ["Nothing looks wrong."]),
+        *body,
+        "",
+        "Positivity: what the weights rest on",
+        *report["positivity"]["text"].splitlines(),
+    ]
+
+
+def _facts(report: dict[str, Any]) -> list[str]:
+    rows = [
+        ("share cut", f"{report['cut_share']:.1%}"),
+        ("trajectories end", f"{report['shortest_s']:.4g} s to {report['longest_s']:.4g} s after they begin"),
+        ("stages", f"{report['num_stages']}, of which {report['num_completed']} completed"),
+        ("robots", _robots(report["robots"])),
+        ("covariates", ", ".join(report["covariates"])),
+        ("objects", str(report["num_objects"] or "none")),
+        ("covariates of objects", ", ".join(report["object_covariates"])),
+        ("known of trajectories", ", ".join(report["trajectory_columns"])),
+    ]
+    known = [(name, text) for name, text in rows if text]
+    width = max(len(name) for name, _ in known) + 2
+    return [f"{name:<{width}}{text}" for name, text in known]
+
+
+def _robots(rows: Sequence[Row]) -> str:
+    """How many there are, and the share of the decisions that each made."""
+    shares = [f"{row['robot']} made {row['share']:.0%}" for row in rows]
+    return f"{len(rows)}, of whose decisions {', '.join(shares)}" if rows else ""
+
+
+def _actions(choices: Sequence[Row]) -> list[str]:
+    is_known = bool(choices) and choices[0]["mean_probability"] is not None
+    return _table(ACTIONS if is_known else {name: ACTIONS[name] for name in list(ACTIONS)[:-1]}, choices)
+
+
+def _table(columns: Mapping[str, str], rows: Sequence[Row]) -> list[str]:
+    """Write rows under the names of columns, each cell in its form; empty where there are no rows."""
+    if not rows:
+        return []
+    cells = [[_Form().format(form, **row) for form in columns.values()] for row in rows[:MOST_ROWS]]
+    left_out = len(rows) - MOST_ROWS
+    return [*aligned([list(columns), *cells]), *([f"and {left_out} more (--json has all)"] if left_out > 0 else [])]
+
+
+class _Form(Formatter):
+    """Writes a dash for what is missing."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        return "-" if value is None else super().format_field(value, format_spec)
+
 
 WORK = {"start": 10, "evaluate": 25, "look at the policy": 1, "learn again": 18, "look at the log": 1, "draw": 8}
 """What each step takes of the time, roughly."""
@@ -25,23 +142,23 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
 @click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
 @click.argument("logs", type=options.PATH)
 @click.argument("policy", type=options.PATH, required=False)
-@click.option("--out", type=options.PATH, default=Path("report.html"), show_default=True, help="The page.")
+@options.path("--out", default=Path("report.html"), show_default=True, told="The page.")
 @options.against
 @options.policys_censoring
 @options.propensity
 @options.policys_truncation
-@click.option(
+@options.whole(
     "--replicates",
-    type=click.IntRange(2, options.MOST_REPLICATES),
+    least=2,
+    most=options.MOST_REPLICATES,
     default=100,
-    show_default=True,
-    help="Draws of trajectories behind the bands around Q.",
+    told="Draws of trajectories behind the bands around Q.",
 )
 @click.option("--unit", help="What rewards are counted in, such as parts; by default what the logs say.")
-@worker_options
+@options.workers
 @options.seed("page")
 @options.overwrite("a page that is")
-@click.option("--json", "as_json", is_flag=True, help="Print the numbers behind the page as one JSON object.")
+@options.flag("--json", "as_json", told="Print the numbers behind the page as one JSON object.")
 def report(
     logs: Path,
     policy: Path | None,
@@ -78,19 +195,17 @@ def report(
         command = _command(logs, policy, {"against": against, "unit": unit, **chosen, "seed": seed})
         stored, log = None if policy is None else read_policy(policy), read_logs(logs)
         log = log if unit is None else log.in_unit(unit)
-        num_replicates = chosen.pop("replicates")
-        told: dict[str, Any] = {"against": list(against) or None, "num_replicates": num_replicates, "workers": workers}
+        how: dict[str, Any] = {"num_replicates": chosen.pop("replicates"), "workers": workers, **chosen}
 
         def begin(step: str) -> None:
             bar.begin(step, WORK[bar.what])
 
-        findings = find(stored, log, seed=seed, on_progress=begin, **told, **chosen)
+        findings = find(stored, log, seed=seed, against=list(against) or None, on_progress=begin, **how)
         begin("draw")
         write_page(page_of(findings, command), out, overwrite=overwrite)
     if as_json:
-        folders = {"logs": str(logs)} | ({} if policy is None else {"policy_folder": str(policy)})
-        numbers = {"page": str(out), **folders, **findings.as_dict()}
-        say(json.dumps(numbers, indent=2, allow_nan=False))
+        folders = {"page": str(out), "logs": str(logs)} | ({} if policy is None else {"policy_folder": str(policy)})
+        say(json.dumps(folders | findings.as_dict(), indent=2, allow_nan=False))
         return
     say(f"{answer_of(findings)}\nThe page: {out}")
 

@@ -1,16 +1,20 @@
-"""``halfseen serve``: a policy that answers over HTTP, and records what it decides."""
+"""``halfseen serve``: a policy that answers over HTTP; ``halfseen record``: what a program says, line by line."""
 
+import sys
+from collections.abc import Callable
 from contextlib import nullcontext
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, BinaryIO
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.laws import SHIPPED, law_of, law_option
-from halfseen.cli.watch import port_option
+from halfseen.cli.inputs import law_of
+from halfseen.cli.options import SHIPPED
 
 if TYPE_CHECKING:
+    from halfseen.logs import LogRecorder
     from halfseen.policies.exploration_table import ExplorationTable
 
 TOKEN = "HALFSEEN_TOKEN"
@@ -34,9 +38,9 @@ class _ShareOrTable(click.ParamType):
 @click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")
 @click.argument("policy", type=options.PATH)
 @click.option("--host", default=HERE, show_default=True, help="Address to answer at; any other needs a token.")
-@port_option
+@options.port
 @click.option("--token", envvar=TOKEN, help=f"That each request must bring; better in the environment, as {TOKEN}.")
-@click.option("--record", type=options.PATH, metavar="LOGS", help="Record what is decided into this folder of logs.")
+@options.path("--record", metavar="LOGS", told="Record what is decided into this folder of logs.")
 @click.option(
     "--explore",
     type=_ShareOrTable(),
@@ -45,19 +49,11 @@ class _ShareOrTable(click.ParamType):
     help="Share of decisions that are drawn at random among the actions that are possible; or a CSV table of what to "
     "try where, as `halfseen learn --exploration` writes.",
 )
-@law_option(None, f"Of clouds of a table, where it is {SHIPPED} by default. ")
-@click.option("--extrapolate", is_flag=True, help="Decide even far outside what the logs showed, with a warning.")
+@options.law(None, f"Of clouds of a table, where it is {SHIPPED} by default. ")
+@options.extrapolate
 @options.seed("draws of --explore")
 def serve(
-    policy: Path,
-    host: str,
-    port: int,
-    token: str | None,
-    record: Path | None,
-    explore: float | Path,
-    law: str | None,
-    extrapolate: bool,
-    seed: int,
+    policy: Path, host: str, port: int, token: str | None, record: Path | None, explore: float | Path, **chosen: Any
 ) -> None:
     """Answer what `halfseen act` answers, over HTTP, by the policy in the folder POLICY. Needs the extra serve.
 
@@ -79,16 +75,16 @@ def serve(
 
     _check_token(host, token)
     # A folder of logs is begun only where there is something to record.
-    served = Served(policy, extrapolates=extrapolate)
+    served = Served(policy, extrapolates=chosen["extrapolate"])
     if served.service.counts_views:
-        served.law = law_of(law or SHIPPED)
+        served.law = law_of(chosen["law"] or SHIPPED)
     is_table = served.service.stored.is_table
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
         nullcontext() if record is None else RecordedTrajectories(record, is_of_tables=is_table) as trajectories,
     ):
-        served.answering = Answering(epsilon, table, np.random.default_rng(seed), trajectories)
+        served.answering = Answering(epsilon, table, np.random.default_rng(chosen["seed"]), trajectories)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
         answer(app_of(served, token), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
@@ -115,3 +111,80 @@ def _check_token(host: str, token: str | None) -> None:
         raise ArgumentError(
             f"--host is {host}, which others may reach; give a --token, or set {TOKEN}, that requests must bring"
         )
+
+
+@click.command(epilog="Example: halfseen record --out logs < calls.jsonl")
+@click.argument("source", type=options.PATH, required=False)
+@options.path("--out", required=True, told="Folder of logs; one that was recorded is gone on with.")
+@click.option(
+    "--listen",
+    metavar="PORT|SOCKET",
+    help="Take lines from a port of this machine (0 for any), or from a Unix socket: a file.",
+)
+@options.word(
+    "--fsync",
+    of=["never", "trajectory", "stage", "event"],
+    default="never",
+    told="How often to wait for the disk, so that a loss of power takes no more than that.",
+)
+@options.whole(
+    "--part-mb",
+    least=1,
+    most=10**6,
+    default=256,
+    told="Size from which on a trajectory begins in another file of OUT [MB].",
+)
+@click.option("--reward-unit", help="What rewards are counted in, such as parts.")
+@options.unused_seed
+def record(
+    source: Path | None, out: Path, listen: str | None, fsync: str, part_mb: int, reward_unit: str | None, seed: int
+) -> None:
+    """Record what JSON lines say, each answered by one; lines come from SOURCE, or from standard input.
+
+    \b
+    {"call": "begin_trajectory", "name": 1, "columns": {"cell": "left"}}
+    {"call": "begin_stage", "covariates": {"x": 0.3}, "action": "PICK", "probability": 0.5}
+    {"call": "complete_stage", "reward": 1.0, "elapsed_s": 2.5}
+    {"call": "finish"}
+
+    \b
+    begin_stage also takes "objects", "object" and "robot"; complete_stage "own_rewards".
+    More calls: still_running; drop_out with "robot" and "cause"; cut with "cause".
+    Without "elapsed_s" [s] the clock of this machine is read.
+
+    Where lines end, a trajectory in progress is cut with the cause input-ended. A line that is refused harms none after
+    it.
+    """  # noqa: D301
+    from halfseen.errors import ArgumentError
+    from halfseen.logs import LogRecorder
+    from halfseen.logs.recording.line_protocol import record_lines
+
+    if source is not None and listen is not None:
+        raise ArgumentError("SOURCE and --listen are both given; lines come from one of them")
+    recorder_of = partial(LogRecorder, out, fsync=fsync, reward_unit=reward_unit, part_bytes=part_mb * 10**6)
+    if listen is not None:
+        _record_clients(recorder_of, int(listen) if listen.isdecimal() else Path(listen))
+        return
+    with nullcontext(sys.stdin.buffer) if source is None else _lines_of(source) as lines, recorder_of() as recorder:
+        record_lines(recorder, lines, click.echo)
+
+
+def _lines_of(source: Path) -> BinaryIO:
+    from halfseen.errors import ArgumentError
+    from halfseen.reading import NUMBERS, opened, reason_of
+
+    try:
+        return opened(source, NUMBERS)
+    except OSError as error:
+        raise ArgumentError(
+            f"{source}: it cannot be read ({reason_of(error)}); give a file of JSON lines, or none for standard input"
+        ) from error
+
+
+def _record_clients(recorder_of: Callable[[], "LogRecorder"], address: int | Path) -> None:
+    from halfseen.logs.recording.line_socket import HOST, listening, record_clients
+
+    with listening(address) as listener, recorder_of() as recorder:
+        where = f"{HOST}:{listener.getsockname()[1]}" if isinstance(address, int) else address
+        click.echo(f"{where}  (Ctrl+C ends)")
+        record_clients(recorder, listener)

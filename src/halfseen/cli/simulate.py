@@ -3,20 +3,15 @@
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.laws import ASSUMED, law_of, law_option
+from halfseen.cli.inputs import law_of, num_scenes, read_robots, scenes_of
 from halfseen.cli.messages import say
-from halfseen.cli.scenes import num_scenes, scenes_of
-from halfseen.cli.team import read_robots, team_option
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
-
-if TYPE_CHECKING:
-    from halfseen.world import Team, WorldConfig
 
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
@@ -26,56 +21,30 @@ _START, _TABLE = 4, 2
 
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
 @click.argument("clouds", type=options.PATH, nargs=-1)
-@click.option("--out", type=options.PATH, required=True, help="Folder that the logs are written to.")
-@click.option(
-    "--episodes",
-    type=click.IntRange(1, options.MOST_EPISODES),
-    default=1000,
-    show_default=True,
-    help="Number of trajectories.",
+@options.path("--out", required=True, told="Folder that the logs are written to.")
+@options.whole("--episodes", least=1, most=options.MOST_EPISODES, default=1000, told="Number of trajectories.")
+@options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", told="Who decides.")
+@options.share(
+    "--random-share", default=0.5, told="Probability that a step takes an action uniformly at random instead."
 )
-@click.option(
-    "--policy",
-    type=options.Choice([UNIFORM, *HEURISTICS]),
-    default="history-penalty",
-    show_default=True,
-    help="Who decides.",
+@options.share(
+    "--cut-share", default=0.33, max_open=True, told="Proportion of the trajectories that is cut, in expectation."
 )
-@click.option(
-    "--random-share",
-    type=click.FloatRange(0.0, 1.0),
-    default=0.5,
-    show_default=True,
-    help="Probability that a step takes an action uniformly at random instead.",
-)
-@click.option(
-    "--cut-share",
-    type=click.FloatRange(0.0, 1.0, max_open=True),
-    default=0.33,
-    show_default=True,
-    help="Proportion of the trajectories that is cut, in expectation.",
-)
-@click.option("--cut-kind", type=options.Choice(CUT_KINDS), default="independent", show_default=True, help="What cuts.")
-@click.option(
+@options.word("--cut-kind", of=CUT_KINDS, default="independent", told="What cuts.")
+@options.whole(
     "--horizon",
-    type=click.IntRange(1, options.MOST_STAGES),
+    least=1,
+    most=options.MOST_STAGES,
     default=_HORIZON,
-    show_default=True,
-    help="Steps of a trajectory; of a team, of each robot.",
+    told="Steps of a trajectory; of a team, of each robot.",
 )
-@team_option()
-@law_option(ASSUMED)
+@options.team()
+@options.law(options.ASSUMED)
 @options.seed("logs")
 @options.as_json
 @options.overwrite("logs that are")
 def simulate(
-    clouds: tuple[Path, ...],
-    out: Path,
-    team: Path | None,
-    seed: int,
-    as_json: bool,
-    overwrite: bool,
-    **chosen: Any,
+    clouds: tuple[Path, ...], out: Path, team: Path | None, seed: int, as_json: bool, overwrite: bool, **chosen: Any
 ) -> None:
     """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
@@ -93,7 +62,7 @@ def simulate(
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
     num_clouds = num_scenes(clouds)
     with Progress(_START + num_clouds * (1 + _TABLE), "start") as bar:
-        from halfseen.world import WorldConfig
+        from halfseen.world import TableWorld, WorldConfig
 
         robots = read_robots(team)
         law, config = law_of(chosen["law"]), WorldConfig(horizon=chosen["horizon"])
@@ -101,7 +70,8 @@ def simulate(
         scenes = scenes_of(clouds, law, on_each=bar.update)
         bar.begin("simulate", 0)
         config = config if law is None else law.config(config)
-        world, logger = _world_and_logger(robots, config, chosen["policy"], chosen["random_share"])
+        world = TableWorld.of(robots, config)
+        logger = named_policy(chosen["policy"], world.played_config, chosen["random_share"])
         logs = world.simulate(scenes, logger, chosen["episodes"], seed, chosen["cut_share"], chosen["cut_kind"])
         logs.write(out, overwrite=overwrite)
     report = {"folder": str(out), "sentence": str(logs.summary()), **asdict(logs.summary())}
@@ -109,14 +79,6 @@ def simulate(
     if robots is not None:
         report |= {"team": str(team), "robots": [robot.name for robot in robots.robots]}
     say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
-
-
-def _world_and_logger(team: "Team | None", config: "WorldConfig", name: str, random_share: float) -> tuple[Any, Any]:
-    """The world of one robot or of a team, and the policy of a name that decides in it."""
-    from halfseen.world import TableWorld
-
-    world = TableWorld.of(team, config)
-    return world, named_policy(name, world.played_config, random_share)
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

@@ -4,24 +4,31 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.laws import SHIPPED, law_of, law_option
+from halfseen.cli.inputs import law_of, refuse_output
 from halfseen.cli.messages import say
-from halfseen.cli.output_files import refuse_output
+from halfseen.cli.options import SHIPPED
 
 if TYPE_CHECKING:
     from halfseen.watch import Watched
 
 Shows = Callable[["Watched"], None]
 
-port_option = click.option(
-    "--port", type=click.IntRange(0, 65535), default=8080, show_default=True, help="Of this machine; 0 for any."
-)
 FORMS = (".html", ".gif")
+OF_KINDS = {
+    "policy": ("cloud", "logs"),
+    "history": ("cloud",),
+    "labels": ("cloud",),
+    "law": ("cloud",),
+    "clouds": ("logs",),
+    "trajectory": ("logs",),
+}
+"""Kinds of sources that an option is of."""
 
 
 def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int, int] | None:
@@ -37,41 +44,27 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 
 @click.command(epilog="Example: halfseen watch table.pcd --policy policy")
 @click.argument("source", type=options.PATH)
-@click.option("--policy", type=options.PATH, help="Of a cloud or of logs: the folder of a policy of tables.")
-@click.option("--history", type=options.PATH, help="Of a cloud: logs whose last trajectory is the one so far.")
+@options.path("--policy", told="Of a cloud or of logs: the folder of a policy of tables.")
+@options.path("--history", told="Of a cloud: logs whose last trajectory is the one so far.")
 @options.labels
-@law_option(None, f"Of a cloud, where it is {SHIPPED} by default. ")
-@click.option("--clouds", type=options.PATH, help="Of logs: folder with the cloud of each stage.")
-@click.option(
+@options.law(None, f"Of a cloud, where it is {SHIPPED} by default. ")
+@options.path("--clouds", told="Of logs: folder with the cloud of each stage.")
+@options.whole(
     "--trajectory",
-    "number",
-    type=click.IntRange(1, options.MOST_EPISODES),
-    help="Of logs: which trajectory, from 1; by default the first.",
+    least=1,
+    most=options.MOST_EPISODES,
+    told="Of logs: which trajectory, from 1; by default the first.",
 )
 @click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
-@click.option(
+@options.path(
     "--export",
-    type=options.PATH,
     multiple=True,
-    help="Write it to a file instead, once or more: .html, which opens without a server, or .gif.",
+    told="Write it to a file instead, once or more: .html, which opens without a server, or .gif.",
 )
 @options.overwrite("a file of --export that is")
-@port_option
+@options.port
 @options.unused_seed
-def watch(
-    source: Path,
-    policy: Path | None,
-    history: Path | None,
-    labels: Path | None,
-    law: str | None,
-    clouds: Path | None,
-    number: int | None,
-    stages: tuple[int, int] | None,
-    export: tuple[Path, ...],
-    overwrite: bool,
-    port: int,
-    seed: int,
-) -> None:
+def watch(source: Path, **chosen: Any) -> None:
     """Show in the browser what was seen and decided, in 3-D, and why. Nothing leaves this machine.
 
     SOURCE is a point cloud as `halfseen look` takes it, with --policy for what is decided there; a recording, as
@@ -80,23 +73,15 @@ def watch(
     from halfseen.errors import ArgumentError
     from halfseen.watch.recording import MARKER
 
-    for file in export:
-        refuse_output(file, "an exported run", FORMS, overwrite, [source])
+    given = SimpleNamespace(**chosen)
+    for file in given.export:
+        refuse_output(file, "an exported run", FORMS, given.overwrite, [source])
     if not source.exists():
         raise ArgumentError(f"{source}: no such file or folder; give a cloud, a recording or a folder of logs")
-    is_recording, is_logs = (source / MARKER).is_file(), source.is_dir()
-    kind = "recording" if is_recording else "logs" if is_logs else "cloud"
-    given = {
-        "--policy": (policy, ("cloud", "logs")),
-        "--history": (history, ("cloud",)),
-        "--labels": (labels, ("cloud",)),
-        "--law": (law, ("cloud",)),
-        "--clouds": (clouds, ("logs",)),
-        "--trajectory": (number, ("logs",)),
-    }
-    for option, (value, kinds) in given.items():
-        if value is not None and kind not in kinds:
-            raise ArgumentError(f"{option} is of {' or '.join(kinds)}, and {source} is a {kind}; leave it out")
+    kind = "recording" if (source / MARKER).is_file() else "logs" if source.is_dir() else "cloud"
+    for name, kinds in OF_KINDS.items():
+        if chosen[name] is not None and kind not in kinds:
+            raise ArgumentError(f"--{name} is of {' or '.join(kinds)}, and {source} is a {kind}; leave it out")
 
     def work(show: Shows) -> None:
         if kind == "recording":
@@ -104,14 +89,15 @@ def watch(
 
             show(read_recording(source))
         elif kind == "logs":
-            _show_logs(source, clouds, number, policy, show)
+            _show_logs(source, given.clouds, given.trajectory, given.policy, show)
         else:
-            _show_cloud(source, policy, history, labels, law, show)
+            _show_cloud(source, given.policy, given.history, given.labels, given.law, show)
 
-    if export:
-        _exported(export, partial(_of_stages, stages, work))
+    shown = partial(_of_stages, given.stages, work)
+    if given.export:
+        _exported(given.export, shown)
     else:
-        _served(port, partial(_of_stages, stages, work))
+        _served(given.port, shown)
 
 
 def _of_stages(span: tuple[int, int] | None, work: Callable[[Shows], None], show: Shows) -> None:
@@ -134,14 +120,12 @@ def _served(port: int, work: Callable[[Shows], None]) -> None:
     from halfseen.watch.page import served
 
     with served(port) as page:
-        is_told = False
+        urls = [page.url]
 
         def show(watched: "Watched") -> None:
-            nonlocal is_told
             page.show(watched)
-            if not is_told:
-                say(f"{page.url}  (Ctrl+C ends)")
-            is_told = True
+            if urls:
+                say(f"{urls.pop()}  (Ctrl+C ends)")
 
         work(show)
         page.wait()

@@ -1,14 +1,19 @@
-"""What a column is, told in words that fit into JSON, and its cells as text that come back as they were."""
+"""What a column is, in words that fit into JSON; its cells as text that come back as they were; what a form loses.
+
+What `losses` does not name comes back equal, to the last type and bit.
+"""
 
 import json
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import pandas as pd
 import pyarrow as pa
 
-from halfseen.errors import LogError
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, check_levels
 
 ColumnType: TypeAlias = str | Mapping[str, Any]
@@ -20,6 +25,7 @@ _TIMES = {str(pa.date32()): pa.date32()}
 # Whole numbers that may be null, as pandas calls them; text of pandas' own has a name that no type of Arrow has.
 _NULLABLE = re.compile(r"U?Int(8|16|32|64)|Float(32|64)|boolean")
 _PANDAS_TEXT = "String"
+PARQUET, CSV, MINARI = "parquet", "csv", "minari"
 
 
 def column_type(table: str, frame: pd.DataFrame, column: str) -> ColumnType:
@@ -173,3 +179,83 @@ def list_type(cells: list[str]) -> str | None:
         return type_name(pa.array([list_of(cell) for cell in cells]).type)
     except (ValueError, pa.ArrowException):
         return None
+
+
+@dataclass(frozen=True)
+class Loss:
+    """Something that does not come back as it is.
+
+    Parameters
+    ----------
+    table
+        Where it is.
+    column
+        Which column; None for the whole table.
+    trouble
+        What becomes of it.
+    is_refused
+        Whether the log is not written because of it; if not, the values come back and something else is lost.
+    """
+
+    table: str
+    column: str | None
+    trouble: str
+    is_refused: bool
+
+    def __str__(self) -> str:
+        return f"{self.table}: {'' if self.column is None else f'column {self.column!r} '}{self.trouble}"
+
+
+def losses(logs: Logs, form: str) -> list[Loss]:
+    """Find out what of a log does not come back from a form.
+
+    Parameters
+    ----------
+    logs
+        What would be written.
+    form
+        "parquet", "csv" or "minari".
+
+    Raises
+    ------
+    ArgumentError
+        The form is unknown.
+    """
+    if form not in (PARQUET, CSV, MINARI):
+        raise ArgumentError(f"form {form!r}: it is none of {PARQUET}, {CSV}, {MINARI}; choose one")
+    if form == PARQUET:
+        return []
+    columns = [(table, column) for table, frame in logs.tables.items() for column in frame.columns]
+    as_text = (_lost_as_text(table, logs.tables[table], column) for table, column in columns)
+    found = [loss for loss in as_text if loss is not None]
+    if form == CSV:
+        trouble = "has a name that is not one line; rename it"
+        found += [Loss(table, column, trouble, True) for table, column in columns if len(column.splitlines()) != 1]
+    if form == MINARI and not logs.stages["elapsed_s"].notna().to_numpy().any():
+        trouble = "none was completed, so that Minari would have no step; record longer, or write Parquet"
+        found.append(Loss("stages", None, trouble, is_refused=True))
+    return found
+
+
+def refuse_lost(logs: Logs, form: str) -> None:
+    """Refuse a log of which something cannot be written in a form; all of it is named.
+
+    Raises
+    ------
+    LogError
+        There is such.
+    """
+    found = [str(loss) for loss in losses(logs, form) if loss.is_refused]
+    if found:
+        raise LogError("; ".join(found))
+
+
+def _lost_as_text(table: str, frame: pd.DataFrame, column: str) -> Loss | None:
+    try:
+        column_type(table, frame, column)
+    except LogError as error:
+        return Loss(table, column, str(error).partition(f"column {column!r} ")[2], is_refused=True)
+    dtype: Any = frame[column].dtype
+    if isinstance(dtype, pd.ArrowDtype):
+        return Loss(table, column, f"comes back as pandas keeps such values, not as {dtype}", is_refused=False)
+    return None

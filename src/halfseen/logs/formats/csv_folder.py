@@ -34,8 +34,15 @@ import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError, within
 from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
-from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, list_type
-from halfseen.logs.formats.losses import CSV, refuse_lost
+from halfseen.logs.formats.column_types import (
+    CSV,
+    ColumnType,
+    as_cells,
+    column_types,
+    from_texts,
+    list_type,
+    refuse_lost,
+)
 from halfseen.logs.logs import Logs
 from halfseen.logs.place import converting
 from halfseen.logs.refusal import shown

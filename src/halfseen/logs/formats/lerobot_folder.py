@@ -22,22 +22,25 @@ import pyarrow as pa
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import FINISHED
-from halfseen.logs.formats.arrow_tables import as_array, names_in, read_tables
-from halfseen.logs.formats.episodes import StepColumns, StepRules, even_ends, logs_of_episodes, refuse_early
-from halfseen.logs.formats.step_values import (
+from halfseen.logs.formats.step_tables import as_array, parquet_file, read_tables, whole_table
+from halfseen.logs.formats.steps import (
     Columns,
-    actions_of,
+    Ending,
+    StepRules,
+    Steps,
+    begins_of,
+    even_ends,
     flags_of,
-    observed_columns,
+    logs_of_episodes,
+    numbers_of,
+    refuse_early,
     require,
-    rewards_of,
-    times_of,
     warn,
 )
 from halfseen.logs.logs import Logs
 from halfseen.logs.refusal import shown
 from halfseen.reading import json_of, read_text, reason_of
-from halfseen.shapes import Float, Int, Shaped
+from halfseen.shapes import Float, Int
 
 INFO = Path("meta") / "info.json"
 VERSION = "v3"
@@ -73,21 +76,24 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
         A file is missing or broken, files of two datasets are mixed, or the log breaks an invariant.
     """
     folder, rules = Path(folder), StepRules() if rules is None else rules
-    place, info = str(folder), _info(folder / INFO)
+    place, data, info = str(folder), str(folder / "data"), _info(folder / INFO)
     action, reward = rules.action or "action", rules.reward or "next.reward"
     columns = _columns(folder, info["features"], {"action": action, "reward": reward, **rules.named})
-    begins = _begins(folder, columns[EPISODE])
-    _check_counts(folder, info, columns[EPISODE], begins)
-    steps = StepColumns(
-        observed_columns(place, _seen(folder, columns)),
-        actions_of(place, action, columns[action]),
-        rewards_of(place, reward, columns[reward]),
-    )
+    episode = columns[EPISODE]
+    if episode.dtype.kind not in "iu" or episode.ndim != 1:
+        raise LogError(f"{data}: {EPISODE} holds {episode.dtype}, no whole numbers; copy the dataset again")
+    begins = begins_of(data, "frames", episode, "copy the dataset again")
+    _check_counts(folder, info, episode, begins)
+    seen = {name: values for name, values in columns.items() if name.startswith(SEEN)}
+    tasks = folder / "meta" / "tasks.parquet"
+    if TASK_INDEX in columns and tasks.exists():
+        seen["task"] = _tasks(tasks, columns[TASK_INDEX])
+    steps = Steps(place, columns, seen, action, reward)
     endings = _endings(place, columns, rules, begins)
     ends_s = _ends(place, columns, float(info["fps"]), rules, begins)
-    names = columns[EPISODE][begins[:-1]].tolist()
     rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
-    return logs_of_episodes(place, [steps.episode(*each) for each in zip(names, rows, ends_s, endings, strict=True)])
+    each = zip(episode[begins[:-1]].tolist(), rows, ends_s, endings, strict=True)
+    return logs_of_episodes(place, [steps.episode(*one) for one in each])
 
 
 def _info(file: Path) -> dict[str, Any]:
@@ -112,9 +118,9 @@ def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> d
     """Read what is wanted of the data, and tell what is passed over."""
     files = _files(folder, "data")
     pictures = [name for name, feature in features.items() if feature.get("dtype") in _PICTURES]
-    there = [name for name in names_in(files[0]) if name not in pictures]
-    for role, name in {**named, "number of each episode": EPISODE}.items():
-        require(str(folder), there, name, role)
+    with whole_table(files[0]):
+        there = [str(name) for name in parquet_file(files[0]).schema_arrow.names if name not in pictures]
+    require(str(folder), there, {**named, "number of each episode": EPISODE})
     seen = [name for name in there if name.startswith(SEEN)]
     known = dict.fromkeys([*seen, *named.values(), EPISODE, TIMESTAMP, TASK_INDEX, *DONE])
     wanted = [name for name in known if name in there]
@@ -131,20 +137,6 @@ def _files(folder: Path, below: str) -> list[Path]:
     if not files:
         raise LogError(f"{folder / below}: there is no chunk-*/file-*.parquet; copy the whole dataset again")
     return files
-
-
-def _begins(folder: Path, episode: Shaped[np.ndarray, "N ..."]) -> Int[np.ndarray, " E1"]:
-    """Rows in which episodes begin, and the number of rows."""
-    if episode.dtype.kind not in "iu" or episode.ndim != 1:
-        raise LogError(f"{folder / 'data'}: {EPISODE} holds {episode.dtype}, no whole numbers; copy the dataset again")
-    at = np.append(0, np.flatnonzero(episode[1:] != episode[:-1]) + 1) if len(episode) else np.zeros(0, np.int64)
-    names, counts = np.unique(episode[at], return_counts=True)
-    if (counts > 1).any():
-        raise LogError(
-            f"{folder / 'data'}: the frames of episode {names[np.argmax(counts > 1)]} do not stand together; copy the "
-            "dataset again"
-        )
-    return np.append(at, len(episode)).astype(np.int64)
 
 
 def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begins: np.ndarray) -> None:
@@ -165,9 +157,7 @@ def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begin
         )
 
 
-def _endings(
-    place: str, columns: Columns, rules: StepRules, begins: Int[np.ndarray, " E1"]
-) -> list[tuple[str, str | None]]:
+def _endings(place: str, columns: Columns, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> list[Ending]:
     """Ending and cause of each episode."""
     told = [name for name in ((rules.done,) if rules.done else DONE) if name in columns]
     if not told:
@@ -195,13 +185,13 @@ def _ends(
         if rules.step_s is None and TIMESTAMP in columns:
             _check_stamps(place, columns, fps, begins)
         return [even_ends(end - begin, step_s) for begin, end in bounds]
-    times_s = times_of(place, rules.clock, columns[rules.clock])
+    times_s = numbers_of(place, rules.clock, columns[rules.clock])
     return [np.append(times_s[begin + 1 : end], times_s[end - 1] + step_s) - times_s[begin] for begin, end in bounds]
 
 
 def _check_stamps(place: str, columns: Columns, fps: float, begins: Int[np.ndarray, " E1"]) -> None:
     """Refuse to count frames where the time stamps tell otherwise."""
-    stamps = times_of(place, TIMESTAMP, columns[TIMESTAMP])
+    stamps = numbers_of(place, TIMESTAMP, columns[TIMESTAMP])
     first = np.repeat(begins[:-1], np.diff(begins))
     counted = (np.arange(len(stamps)) - first) / fps
     wrong = ~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps)
@@ -212,14 +202,6 @@ def _check_stamps(place: str, columns: Columns, fps: float, begins: Int[np.ndarr
             f"{stamps[row]:g} s, and by {fps:g} frames a second it is {counted[row]:g} s; name {TIMESTAMP} as clock, "
             "or give step_s"
         )
-
-
-def _seen(folder: Path, columns: Columns) -> dict[str, np.ndarray]:
-    seen = {name: values for name, values in columns.items() if name.startswith(SEEN)}
-    file = folder / "meta" / "tasks.parquet"
-    if TASK_INDEX in columns and file.exists():
-        seen["task"] = _tasks(file, columns[TASK_INDEX])
-    return seen
 
 
 def _tasks(file: Path, numbers: np.ndarray) -> np.ndarray:

@@ -6,6 +6,7 @@ nested dicts, lists and plain values.
 
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import replace
+from functools import cache, partial
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -28,11 +29,14 @@ class Channel(NamedTuple):
         Type of its messages.
     key
         What tells it from the others of its bag.
+    decode
+        Makes a message of bytes; of broken ones it raises nearly anything.
     """
 
     topic: str
     kind: str
     key: Any
+    decode: Callable[[bytes], Any]
 
 
 class Recorded(NamedTuple):
@@ -55,28 +59,15 @@ class Recorded(NamedTuple):
 
 
 class McapFiles:
-    """Messages of MCAP files that follow one another.
-
-    Parameters
-    ----------
-    files
-        Of a bag.
-
-    Raises
-    ------
-    Exception
-        A file is broken; the library of MCAP raises nearly anything.
-    """
+    """Messages of MCAP files that follow one another; a broken file raises nearly anything."""
 
     def __init__(self, files: Sequence[Path]) -> None:
         extra("mcap", "mcap")
         self._files = files
-        self._decoders: dict[Any, Callable[[bytes], Any]] = {}
-        self._schemas: dict[tuple[int, int], tuple[Any, str]] = {}
-        self.channels = [channel for number in range(len(files)) for channel in self._channels_of(number)]
+        self.channels = [channel for number, file in enumerate(files) for channel in _channels(number, file)]
 
     def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
-        """Read the messages of some channels in the order of the files; a broken one raises nearly anything."""
+        """Read the messages of some channels in the order of the files."""
         wanted = {channel.key: channel for channel in channels}
         message = extra("mcap.records", "mcap").Message
         for number, file in enumerate(self._files):
@@ -85,20 +76,14 @@ class McapFiles:
                     channel = wanted[number, record.channel_id]
                     yield Recorded(channel, record.log_time, record.publish_time, record.data)
 
-    def decoded(self, message: Recorded) -> Any:
-        """Decode a message; one that is broken raises nearly anything."""
-        key = message.channel.key
-        if key not in self._decoders:
-            self._decoders[key] = _decoder(*self._schemas[key])
-        return self._decoders[key](message.content)
 
-    def _channels_of(self, number: int) -> Iterator[Channel]:
-        schemas, channels = _described(self._files[number])
-        for channel in channels.values():
-            schema = schemas.get(channel.schema_id)
-            key = number, channel.id
-            self._schemas[key] = schema, channel.message_encoding
-            yield Channel(channel.topic, channel.message_encoding if schema is None else schema.name, key)
+def _channels(number: int, file: Path) -> Iterator[Channel]:
+    schemas, channels = _described(file)
+    for channel in channels.values():
+        schema, encoding = schemas.get(channel.schema_id), channel.message_encoding
+        decoder = cache(partial(_decoder, schema, encoding))
+        kind = encoding if schema is None else schema.name
+        yield Channel(channel.topic, kind, (number, channel.id), lambda content, made=decoder: made()(content))
 
 
 def _described(file: Path) -> tuple[dict[int, Any], dict[int, Any]]:

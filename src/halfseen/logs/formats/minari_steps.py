@@ -41,8 +41,8 @@ _PANDAS_NAMES = {"float": "float32", "double": "float64"}
 
 
 @dataclass(frozen=True)
-class Steps:
-    """A trajectory as the steps of an episode.
+class StoredEpisode:
+    """A trajectory as an episode of T steps.
 
     Parameters
     ----------
@@ -106,48 +106,43 @@ def _is_exact(values: Any) -> bool:
     """Whether float64 carries the numbers of a column to the last bit."""
     if not pd.api.types.is_numeric_dtype(values.dtype):
         return False
-    return not pd.api.types.is_integer_dtype(values.dtype) or bool(
-        values.between(-_LARGEST_EXACT, _LARGEST_EXACT).all()
-    )
+    is_whole = pd.api.types.is_integer_dtype(values.dtype)
+    return not is_whole or bool(values.between(-_LARGEST_EXACT, _LARGEST_EXACT).all())
 
 
-def steps_of(logs: Logs, schema: Schema) -> Iterator[Steps]:
-    """Turn each trajectory into steps, in the order of the trajectories."""
-    stages = logs.stages
+def episodes_of(logs: Logs, schema: Schema) -> Iterator[StoredEpisode]:
+    """Turn each trajectory into an episode, in the order of the trajectories."""
+    stages, kinds = logs.stages, schema.types["stages"]
     covariates = stages[schema.observations].to_numpy(dtype=np.float64)
-    is_completed = stages["elapsed_s"].notna().to_numpy()
-    kinds = schema.types["stages"]
+    elapsed_s, rewards = stages["elapsed_s"].to_numpy(), stages["reward"].to_numpy()
     in_steps = {*_IN_STEPS, *schema.observations}
-    action_texts = texts(stages["action"], kinds["action"])
-    rest = _rows({name: texts(stages[name], kind) for name, kind in kinds.items() if name not in in_steps})
-    objects = _objects_by_stage(logs, schema)
-    trajectory_rows = _rows(
-        {name: texts(logs.trajectories[name], kind) for name, kind in schema.types["trajectories"].items()}
-    )
+    actions = texts(stages["action"], kinds["action"])
     index_of = {name: index for index, name in enumerate(schema.actions)}
+    rest = _rows(stages, {name: kind for name, kind in kinds.items() if name not in in_steps})
+    objects = None if logs.objects is None else _objects_by_stage(logs, schema)
+    trajectories = _rows(logs.trajectories, schema.types["trajectories"])
     first = np.flatnonzero(stages["stage"].to_numpy() == 1)
-    for trajectory, begin, end in zip(trajectory_rows, first, np.append(first[1:], len(stages)), strict=True):
+    for trajectory, begin, end in zip(trajectories, first, np.append(first[1:], len(stages)), strict=True):
         rows = np.arange(begin, end)
-        done = rows[is_completed[rows]]
-        carried: list[dict[str, Any]] = [{"cells": rest[row]} for row in rows]
-        if not is_completed[end - 1]:
-            carried[-1]["action"] = action_texts[end - 1]
-        for row, stage in zip(rows, carried, strict=True):
-            if objects is not None:
-                stage["objects"] = objects[row]
+        done = rows[~np.isnan(elapsed_s[rows])]
         is_over = len(done) == len(rows)
-        yield Steps(
+        carried: list[dict[str, Any]] = [{"cells": rest[row]} for row in rows]
+        if not is_over:
+            carried[-1]["action"] = actions[end - 1]
+        if objects is not None:
+            carried = [{**stage, "objects": objects[row]} for row, stage in zip(rows, carried, strict=True)]
+        yield StoredEpisode(
             trajectory=trajectory,
             observations=covariates[np.append(rows, rows[-1:])] if is_over else covariates[rows],
-            actions=np.array([index_of[str(action_texts[row])] for row in done], dtype=np.int64),
-            rewards=stages["reward"].to_numpy()[done],
-            clock_s=np.concatenate(([0.0], stages["elapsed_s"].to_numpy()[done])),
+            actions=np.array([index_of[str(actions[row])] for row in done], dtype=np.int64),
+            rewards=rewards[done],
+            clock_s=np.append(0.0, elapsed_s[done]),
             stages=[*carried, {}] if is_over else carried,
         )
 
 
-def logs_of(episodes: list[Steps], schema: Schema) -> Logs:
-    """Put trajectories together again; the inverse of `steps_of`."""
+def logs_of(episodes: list[StoredEpisode], schema: Schema) -> Logs:
+    """Put trajectories together again; the inverse of `episodes_of`."""
     columns: dict[str, list[Any]] = {name: [] for name in schema.types["stages"]}
     numbers: dict[str, list[float]] = {name: [] for name in ("elapsed_s", "reward", *schema.observations)}
     objects: list[Cells] = []
@@ -156,21 +151,15 @@ def logs_of(episodes: list[Steps], schema: Schema) -> Logs:
         for t, stage in enumerate(episode.stages):
             if not stage:
                 continue
-            is_completed = t < len(episode.actions)
-            action = schema.actions[episode.actions[t]] if is_completed else stage.get("action")
-            own = {"trajectory": episode.trajectory["trajectory"], "stage": str(t + 1), "action": action}
-            for name, cell in {**stage["cells"], **own}.items():
+            done = t < len(episode.actions)
+            key = {"trajectory": episode.trajectory["trajectory"], "stage": str(t + 1)}
+            action = schema.actions[episode.actions[t]] if done else stage.get("action")
+            for name, cell in {**stage["cells"], **key, "action": action}.items():
                 columns[name].append(cell)
-            values = [
-                episode.clock_s[t + 1] if is_completed else np.nan,
-                episode.rewards[t] if is_completed else np.nan,
-                *episode.observations[t],
-            ]
-            for name, value in zip(numbers, values, strict=True):
+            outcome = (episode.clock_s[t + 1], episode.rewards[t]) if done else (np.nan, np.nan)
+            for name, value in zip(numbers, (*outcome, *episode.observations[t]), strict=True):
                 numbers[name].append(value)
-            objects += [
-                {**cells, "trajectory": own["trajectory"], "stage": own["stage"]} for cells in stage.get("objects", [])
-            ]
+            objects += [{**cells, **key} for cells in stage.get("objects", [])]
     stages = {
         name: _typed_numbers(numbers[name], kind) if name in numbers else from_texts(columns[name], kind)
         for name, kind in schema.types["stages"].items()
@@ -182,28 +171,34 @@ def logs_of(episodes: list[Steps], schema: Schema) -> Logs:
     )
 
 
-def _rows(columns: dict[str, list[str | None]]) -> list[Cells]:
-    if not columns:
-        return []
-    return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
+def seen_by_halfseen_alone(logs: Logs) -> list[str]:
+    """Name what Minari keeps only as notes that no other program reads."""
+    steps = {*_IN_STEPS, *schema_of(logs).observations}
+    carried = {"stages": steps, "trajectories": {"trajectory", "ending", "end_s"}}
+    notes = [
+        f"{table}.{column}"
+        for table, names in carried.items()
+        for column in logs.tables[table]
+        if column not in names and len(logs.tables[table][column].dropna())
+    ]
+    return notes + (["objects"] if logs.objects is not None else [])
 
 
-def _objects_by_stage(logs: Logs, schema: Schema) -> list[list[Cells]] | None:
-    if logs.objects is None:
-        return None
-    cells = {name: texts(logs.objects[name], kind) for name, kind in schema.types["objects"].items()}
-    keys = zip(cells.pop("trajectory"), cells.pop("stage"), strict=True)
+def _rows(table: pd.DataFrame, types: dict[str, ColumnType]) -> list[Cells]:
+    columns = [texts(table[name], kind) for name, kind in types.items()]
+    return [dict(zip(types, cells, strict=True)) for cells in zip(*columns, strict=True)] or [{} for _ in table.index]
+
+
+def _objects_by_stage(logs: Logs, schema: Schema) -> list[list[Cells]]:
     by_stage: dict[tuple[str | None, str | None], list[Cells]] = {}
-    for key, row in zip(keys, _rows(cells), strict=True):
-        by_stage.setdefault(key, []).append(row)
-    kinds = schema.types["stages"]
-    stages = zip(
-        texts(logs.stages["trajectory"], kinds["trajectory"]), texts(logs.stages["stage"], kinds["stage"]), strict=True
-    )
-    return [by_stage[key] for key in stages]
+    assert logs.objects is not None
+    for row in _rows(logs.objects, schema.types["objects"]):
+        by_stage.setdefault((row.pop("trajectory"), row.pop("stage")), []).append(row)
+    keys = [texts(logs.stages[name], schema.types["stages"][name]) for name in ("trajectory", "stage")]
+    return [by_stage[key] for key in zip(*keys, strict=True)]
 
 
-def _check_lengths(episode: Steps) -> None:
+def _check_lengths(episode: StoredEpisode) -> None:
     counts = len(episode.observations), len(episode.clock_s), len(episode.stages)
     if set(counts) != {len(episode.actions) + 1}:
         raise LogError(
@@ -214,11 +209,10 @@ def _check_lengths(episode: Steps) -> None:
 
 def _typed_numbers(values: list[float], kind: ColumnType) -> pd.Series:
     """Numbers of a column in its own type; null where NaN."""
-    column = pd.Series(values, dtype="float64")
     if not isinstance(kind, str):
         raise LogError(f"the type {kind!r} is none of numbers; write the dataset again")
     dtype: Any = _PANDAS_NAMES.get(kind, kind)
-    return column.astype(dtype)
+    return pd.Series(values, dtype="float64").astype(dtype)
 
 
 def _frame(rows: list[Cells], types: dict[str, ColumnType]) -> pd.DataFrame:

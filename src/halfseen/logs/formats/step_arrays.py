@@ -14,22 +14,23 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import HalfseenError, LogError
+from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.formats.episodes import StepColumns, StepRules, even_ends, logs_of_episodes, step_of
-from halfseen.logs.formats.extras import extra
-from halfseen.logs.formats.step_values import (
+from halfseen.logs.formats.extras import extra, refused
+from halfseen.logs.formats.steps import (
     Columns,
-    actions_of,
+    StepRules,
+    Steps,
+    even_ends,
     flags_of,
+    logs_of_episodes,
+    numbers_of,
     observed_columns,
     require,
-    rewards_of,
-    times_of,
     warn,
 )
 from halfseen.logs.logs import Logs
-from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, reason_of
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked
 from halfseen.shapes import Bool
 
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
@@ -70,28 +71,18 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     columns = _arrays(file, named)
     is_terminal = flags_of(place, named["done"], columns[named["done"]])
     is_timeout = _timeouts(place, columns, len(is_terminal))
-    steps = StepColumns(
-        observed_columns(place, _below(columns, SEEN)),
-        actions_of(place, named["action"], columns[named["action"]]),
-        rewards_of(place, named["reward"], columns[named["reward"]]),
-    )
+    steps = Steps(place, columns, _below(columns, SEEN), named["action"], named["reward"])
     following = _following(place, columns, steps.observed)
-    step_s = step_of(place, rules)
-    times_s = None if rules.clock is None else times_of(place, rules.clock, columns[rules.clock])
+    step_s = rules.step_in(place)
+    times_s = None if rules.clock is None else numbers_of(place, rules.clock, columns[rules.clock])
     episodes = []
     ends = np.flatnonzero(is_terminal | is_timeout) + 1
     for name, (begin, end) in enumerate(pairwise(sorted({0, *ends.tolist(), len(is_terminal)}))):
+        ends_s = even_ends(end - begin, step_s) if times_s is None else times_s[begin:end]
         ending = rules.of_truncated if is_timeout[end - 1] else (CUT, END_OF_DATA)
+        ending = (FINISHED, None) if is_terminal[end - 1] else ending
         after = None if following is None else {column: values[end - 1] for column, values in following.items()}
-        episodes.append(
-            steps.episode(
-                name,
-                slice(begin, end),
-                even_ends(end - begin, step_s) if times_s is None else times_s[begin:end],
-                (FINISHED, None) if is_terminal[end - 1] else ending,
-                after=after,
-            )
-        )
+        episodes.append(steps.episode(name, slice(begin, end), ends_s, ending, after))
     return logs_of_episodes(place, episodes)
 
 
@@ -106,12 +97,11 @@ def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
     """Read the arrays that are wanted, and tell which are left out."""
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
-        for role, name in names.items():
-            require(str(file), there, name, role)
+        require(str(file), there, names)
         asked = {*names.values(), TIMEOUTS}
         wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
         if not any(_is_below(name, SEEN) for name in wanted):
-            require(str(file), there, SEEN, "observations", "rename it")
+            require(str(file), there, {"observations": SEEN}, "rename it")
         check_unpacked(num_bytes, sum(prod(there[name].shape) * there[name].dtype.itemsize for name in wanted))
         num_steps = there[names["done"]].shape[:1]
         for name in wanted:
@@ -130,18 +120,11 @@ def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
 @contextmanager
 def _opened(file: Path) -> Iterator[tuple[Any, int]]:
     h5py = extra("h5py", "hdf5")
-    try:
+    missing = "there is no such file; give the one that holds the steps"
+    with refused(file, "it is no whole HDF5 file of steps", "copy or write it again", missing):
         num_bytes = check_file(file, TABLE)
         with h5py.File(file, "r") as root:
             yield root, num_bytes
-    except FileNotFoundError as error:
-        raise LogError(f"{file}: there is no such file; give the one that holds the steps") from error
-    except (HalfseenError, MemoryError):
-        raise
-    except Exception as error:  # h5py raises nearly anything
-        raise LogError(
-            f"{file}: it is no whole HDF5 file of steps ({reason_of(error)}); copy or write it again"
-        ) from error
 
 
 def _named(file: Path, root: Any) -> dict[str, Any]:

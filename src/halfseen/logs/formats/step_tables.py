@@ -6,41 +6,50 @@ or begin where ``is_first`` is true. In the last row of an episode nothing was d
 nothing, and are not read. An episode whose last row is not ``is_last`` broke off.
 """
 
-from collections.abc import Sequence
+import mmap
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.csv as arrow_csv
+import pyarrow.parquet as pq
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
-from halfseen.logs.formats.arrow_tables import as_array, flattened, read_tables
-from halfseen.logs.formats.episodes import (
-    StepColumns,
+from halfseen.logs.formats.column_types import from_list_texts
+from halfseen.logs.formats.extras import refused
+from halfseen.logs.formats.steps import (
+    Ending,
     StepRules,
+    Steps,
+    begins_of,
     ends_of,
     even_ends,
-    logs_of_episodes,
-    refuse_early,
-    step_of,
-)
-from halfseen.logs.formats.step_values import (
-    actions_of,
     flags_of,
-    observed_columns,
+    logs_of_episodes,
+    numbers_of,
+    refuse_early,
     require,
-    rewards_of,
-    times_of,
     warn,
 )
 from halfseen.logs.logs import Logs
+from halfseen.logs.parquet.size import check_unpacked_table
 from halfseen.logs.refusal import shown
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"
 EPISODES = ("episode_id", "episode_index", "episode")
 FIRST, LAST, TERMINAL = "is_first", "is_last", "is_terminal"
+TABLE_FILES = (".parquet", ".csv", ".arrow", ".feather")
+_COMPRESSED = re.compile(rb"\x28\xb5\x2f\xfd|\x04\x22\x4d\x18", re.DOTALL)
+"""How a buffer begins that Arrow packed, by zstd or lz4; eight bytes before say how large it is unpacked."""
 
 
 def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None = None) -> Logs:
@@ -70,34 +79,35 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     paths = [Path(files)] if isinstance(files, str | Path) else [Path(file) for file in files]
     rules = StepRules() if rules is None else rules
     place = ", ".join(map(str, paths[:3])) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")
-    table = flattened(place, read_tables(paths))
+    table = _flattened(place, read_tables(paths))
     named = {"action": "action", "reward": "reward", "done": TERMINAL} | rules.named
-    require(place, table.column_names, LAST, "end of an episode", "add it")
-    for role, name in named.items():
-        require(place, table.column_names, name, role)
+    require(place, table.column_names, {"end of an episode": LAST}, "add it")
+    require(place, table.column_names, named)
     columns = {name: as_array(place, table, name) for name in (*named.values(), LAST)}
     is_last, is_terminal = (flags_of(place, name, columns[name]) for name in (LAST, named["done"]))
     names, begins = _episodes(place, table)
     ends = begins[1:] - 1
     is_step = np.ones(len(is_last), dtype=bool)
     is_step[ends] = ~is_last[ends]
-    seen = [name for name in table.column_names if name.startswith(SEEN)]
-    steps = StepColumns(
-        observed_columns(place, {name: as_array(place, table, name) for name in seen}),
-        actions_of(place, named["action"], _of_steps(columns[named["action"]], is_step)),
-        rewards_of(place, named["reward"], columns[named["reward"]]),
-    )
-    _tell_unread(place, table, {*named.values()}, steps.rewards[~is_step])
-    step_s = step_of(place, rules)
-    times_s = None if rules.clock is None else times_of(place, rules.clock, columns[rules.clock])
+    if is_step.any():  # rows in which nothing was done decide nothing about what actions are
+        columns[named["action"]] = columns[named["action"]].copy()
+        columns[named["action"]][~is_step] = columns[named["action"]][int(np.argmax(is_step))]
+    seen = {name: as_array(place, table, name) for name in table.column_names if name.startswith(SEEN)}
+    steps = Steps(place, columns, seen, named["action"], named["reward"])
+    _warn_of_unread(place, table, {*named.values()}, steps.rewards[~is_step])
+    step_s = rules.step_in(place)
+    times_s = None if rules.clock is None else numbers_of(place, rules.clock, columns[rules.clock])
     episodes = []
     for name, (begin, end) in zip(names, pairwise(begins.tolist()), strict=True):
         has_last = not is_step[end - 1]
         stop = end - has_last
         ending = _ending(place, name, is_last[begin:end], is_terminal[begin:end], rules)
-        ends_s = even_ends(stop - begin, step_s) if times_s is None else _ends(times_s[begin:end], stop - begin)
+        ends_s = even_ends(stop - begin, step_s)
+        if times_s is not None:  # that the last step ended is known where a row follows it
+            stamps = times_s[begin:end]
+            ends_s = ends_of(stamps if has_last else np.append(stamps, stamps[-1:]), stop - begin)
         after = {column: values[end - 1] for column, values in steps.observed.items()} if has_last else None
-        episodes.append(steps.episode(name, slice(begin, stop), ends_s, ending, after=after))
+        episodes.append(steps.episode(name, slice(begin, stop), ends_s, ending, after))
     return logs_of_episodes(place, episodes)
 
 
@@ -106,7 +116,7 @@ def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndar
     is_first = flags_of(place, FIRST, as_array(place, table, FIRST)) if FIRST in table.column_names else None
     column = next((name for name in EPISODES if name in table.column_names), None)
     if column is None and is_first is None:
-        require(place, table.column_names, FIRST, "beginning of an episode", f"add it, or {EPISODES[0]}")
+        require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
     if column is None and is_first is not None:
         if len(is_first) and not is_first[0]:
             raise LogError(f"{place}, row 0: {FIRST} is false, so that it belongs to no episode; mend it")
@@ -122,23 +132,11 @@ def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndar
             f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {column} is {shown(labels[row])}; mend one of "
             "the two"
         )
-    at = np.flatnonzero(begins_here)
-    found = labels[at].tolist()
-    if len(set(found)) < len(found):
-        twice = next(name for k, name in enumerate(found) if name in found[:k])
-        raise LogError(f"{place}: the rows of episode {shown(twice)} do not stand together; sort them")
-    return found, np.append(at, len(labels))
+    begins = begins_of(place, "rows", labels, "sort them")
+    return labels[begins[:-1]].tolist(), begins
 
 
-def _of_steps(values: Shaped[np.ndarray, "N ..."], is_step: Bool[np.ndarray, " N"]) -> Shaped[np.ndarray, "N ..."]:
-    """Give rows in which nothing was done the action of one in which something was, so that they decide nothing."""
-    kept = values.copy()
-    if is_step.any():
-        kept[~is_step] = values[int(np.argmax(is_step))]
-    return kept
-
-
-def _tell_unread(place: str, table: pa.Table, read: set[str], last_rewards: Float[np.ndarray, " E"]) -> None:
+def _warn_of_unread(place: str, table: pa.Table, read: set[str], last_rewards: Float[np.ndarray, " E"]) -> None:
     known = {*read, *EPISODES, FIRST, LAST, TERMINAL}
     left_out = [name for name in table.column_names if name not in known and not name.startswith(SEEN)]
     if left_out:
@@ -152,19 +150,9 @@ def _tell_unread(place: str, table: pa.Table, read: set[str], last_rewards: Floa
         )
 
 
-def _ends(times_s: Float[np.ndarray, " O"], num_steps: int) -> Float[np.ndarray, " T"]:
-    """Ends of the steps by the times of the rows; that the last step ended is known where a row follows it."""
-    is_torn = len(times_s) == num_steps
-    return ends_of(np.append(times_s, times_s[-1:]) if is_torn else times_s, num_steps)
-
-
 def _ending(
-    place: str,
-    name: int | str,
-    is_last: Bool[np.ndarray, " O"],
-    is_terminal: Bool[np.ndarray, " O"],
-    rules: StepRules,
-) -> tuple[str, str | None]:
+    place: str, name: int | str, is_last: Bool[np.ndarray, " O"], is_terminal: Bool[np.ndarray, " O"], rules: StepRules
+) -> Ending:
     refuse_early(place, name, is_last | is_terminal)
     if is_terminal[-1] and not is_last[-1]:
         raise LogError(
@@ -173,3 +161,144 @@ def _ending(
     if is_terminal[-1]:
         return FINISHED, None
     return rules.of_truncated if is_last[-1] else (CUT, UNKNOWN_CAUSE)
+
+
+def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> pa.Table:
+    """Read Parquet, CSV or Arrow files of one table, one below the other; of Parquet, some columns or all (None).
+
+    Raises
+    ------
+    LogError
+        A file is missing, broken, too large, or has other columns than the first; or there is no row in any.
+    """
+    wanted = None if columns is None else list(columns)
+    tables = [_read(file, wanted) for file in files]
+    for file, table in zip(files, tables, strict=True):
+        if not table.schema.equals(tables[0].schema):
+            differing = set(table.schema) ^ set(tables[0].schema)
+            names = ", ".join(sorted({field.name for field in differing})) or "other orders"
+            raise LogError(
+                f"{file}: its columns are not those of {files[0]} ({names}); give files of one table, or convert each "
+                "alone"
+            )
+    if not any(table.num_rows for table in tables):
+        raise LogError(f"{', '.join(map(str, files[:3]))}: there is no row; give a table with one at least")
+    return pa.concat_tables(tables)
+
+
+def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..."]:
+    """Bring a column into an array with a row a step; lists of one length become further axes.
+
+    Null is NaN among numbers and None among text.
+
+    Raises
+    ------
+    LogError
+        Lists differ in length, one is missing, or the column is of a type that no array holds.
+    """
+    try:
+        return _array(place, name, table[name].combine_chunks())
+    except (pa.ArrowException, ValueError, NotImplementedError) as error:
+        raise LogError(
+            f"{place}: {name} holds {table.schema.field(name).type}, which is not read; convert it"
+        ) from error
+
+
+def parquet_file(file: Path) -> pq.ParquetFile:
+    """Open a Parquet file whose size was checked, packed and unpacked."""
+    num_bytes = check_file(file, TABLE)
+    table = pq.ParquetFile(file)
+    check_unpacked_table(file, num_bytes, table)
+    return table
+
+
+def whole_table(file: Path) -> Any:
+    """Refuse a file that is no whole table."""
+    missing = "it is missing; copy the whole dataset again"
+    return refused(file, "it is no whole table", "mend it, or copy or export it again", missing)
+
+
+def _read(file: Path, columns: list[str] | None) -> pa.Table:
+    with whole_table(file):
+        if file.suffix == ".parquet":
+            table = parquet_file(file).read(columns)
+        else:
+            table = _csv(file) if file.suffix == ".csv" else _arrow(file)
+    missing = [name for name in columns or () if name not in table.column_names]
+    if missing:
+        raise LogError(
+            f"{file}: there is no column {missing[0]!r} among {', '.join(table.column_names)}; copy it again"
+        )
+    _refuse_repeated(str(file), table.column_names)
+    return table.replace_schema_metadata(None)
+
+
+def _csv(file: Path) -> pa.Table:
+    with opened(file, TABLE) as bytes_in:
+        table = arrow_csv.read_csv(
+            bytes_in,
+            read_options=arrow_csv.ReadOptions(use_threads=False),
+            parse_options=arrow_csv.ParseOptions(newlines_in_values=True),
+            convert_options=arrow_csv.ConvertOptions(
+                null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False
+            ),
+        )
+    lists = {name: from_list_texts(table[name]) for name in table.column_names}
+    return pa.table({name: table[name] if lists[name] is None else lists[name] for name in table.column_names})
+
+
+def _arrow(file: Path) -> pa.Table:
+    num_bytes = check_file(file, TABLE)
+    with file.open("rb") as held, mmap.mmap(held.fileno(), 0, access=mmap.ACCESS_READ) as content:
+        # What packed buffers say that they take unpacked [B].
+        found = [match.start() for match in _COMPRESSED.finditer(content) if match.start() >= 8]
+        sizes = [struct.unpack_from("<q", content, start - 8)[0] for start in found if start % 8 == 0]
+        check_unpacked(num_bytes, sum(size for size in sizes if size > 0))
+        is_file = content[:6] == b"ARROW1"
+    try:
+        with pa.OSFile(str(file)) as source:
+            table = (pa.ipc.open_file if is_file else pa.ipc.open_stream)(source).read_all()
+    except MemoryError as error:
+        raise OSError(f"it asks for more memory than there is: {error}") from error
+    table.validate(full=True)
+    return table
+
+
+def _flattened(place: str, table: pa.Table) -> pa.Table:
+    """Take structs apart into columns of their own, named ``outer.inner``."""
+    for _ in range(MOST_LEVELS):
+        if not any(pa.types.is_struct(kind) for kind in table.schema.types):
+            break
+        table = table.flatten()
+    _refuse_repeated(place, table.column_names)
+    return table
+
+
+def _refuse_repeated(place: str, names: list[str]) -> None:
+    counted = Counter(names)
+    if len(counted) < len(names):
+        raise LogError(f"{place}: there are two columns {shown(counted.most_common(1)[0][0])}; drop or rename one")
+
+
+def _array(place: str, name: str, values: Any) -> np.ndarray:
+    if isinstance(values, pa.ChunkedArray):
+        values = values.chunk(0) if values.num_chunks else pa.array([], values.type)
+    if isinstance(values, pa.ExtensionArray):
+        values = values.storage
+    kind = values.type
+    if pa.types.is_list(kind) or pa.types.is_large_list(kind) or pa.types.is_fixed_size_list(kind):
+        lengths = np.array(values.value_lengths().fill_null(-1))
+        wrong = (lengths != lengths[:1]) | (lengths == -1)
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            found = "null" if lengths[row] == -1 else f"{lengths[row]} values where row 0 has {lengths[0]}"
+            raise LogError(f"{place}, row {row}: {name} has {found}; give every step as many")
+        inner = _array(place, name, values.flatten())
+        return inner.reshape(len(lengths), int(lengths[0]) if len(lengths) else 0, *inner.shape[1:])
+    if pa.types.is_dictionary(kind):
+        values = values.dictionary_decode()
+    if pa.types.is_decimal(values.type):
+        values = values.cast(pa.float64())
+    if pa.types.is_string(values.type) or pa.types.is_large_string(values.type) or pa.types.is_null(values.type):
+        return np.array(values.to_pylist(), dtype=object)
+    return values.to_numpy(zero_copy_only=False)

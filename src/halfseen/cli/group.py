@@ -11,8 +11,8 @@ from halfseen.progress import Telling, telling
 from halfseen.suggestions import did_you_mean
 
 
-def _tell_progress(ctx: click.Context, _: click.Parameter, is_quiet: bool) -> None:
-    """Say for as long as the command runs what its progress shows."""
+def _show_progress(ctx: click.Context, _: click.Parameter, is_quiet: bool) -> None:
+    """Set for as long as the command runs what its progress shows."""
     if is_quiet:
         ctx.with_resource(telling(Telling.NOTHING))
     elif ctx.parent is None:
@@ -22,8 +22,8 @@ def _tell_progress(ctx: click.Context, _: click.Parameter, is_quiet: bool) -> No
 def _with_quiet(command: click.Command) -> click.Command:
     """Give a command ``--quiet``, which every one takes."""
     if all("--quiet" not in param.opts for param in command.params):
-        told: dict[str, Any] = {"is_flag": True, "expose_value": False, "callback": _tell_progress}
-        command.params.append(click.Option(["-q", "--quiet"], help="Show no progress.", **told))
+        how: Any = {"is_flag": True, "expose_value": False, "callback": _show_progress}
+        command.params.append(click.Option(["-q", "--quiet"], help="Show no progress.", **how))
     return command
 
 
@@ -35,10 +35,10 @@ class VerbGroup(click.Group):
     verbs
         Sentence of each verb, by its name.
     modules
-        Start of the names of their modules; each holds a command that is called like the verb.
+        Where a verb is that has no module of its own name; each holds a command that is called like the verb.
     """
 
-    def __init__(self, *args: Any, verbs: Mapping[str, str], modules: str, **kwargs: Any) -> None:
+    def __init__(self, *args: Any, verbs: Mapping[str, str], modules: Mapping[str, str], **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.verbs, self._modules = verbs, modules
         _with_quiet(self)
@@ -51,7 +51,7 @@ class VerbGroup(click.Group):
         """Load a verb; None if there is none of this name."""
         if cmd_name not in self.verbs:
             return None
-        return _with_quiet(getattr(import_module(f"{self._modules}{cmd_name}"), cmd_name))
+        return _with_quiet(getattr(import_module(f"halfseen.cli.{self._modules.get(cmd_name, cmd_name)}"), cmd_name))
 
     def resolve_command(
         self, ctx: click.Context, args: list[str]
@@ -71,5 +71,7 @@ class VerbGroup(click.Group):
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Complete names of verbs, and options; no verb is loaded for that."""
-        verbs = [CompletionItem(name, help=told) for name, told in self.verbs.items() if name.startswith(incomplete)]
+        verbs = [
+            CompletionItem(name, help=sentence) for name, sentence in self.verbs.items() if name.startswith(incomplete)
+        ]
         return [*verbs, *click.Command.shell_complete(self, ctx, incomplete)]

@@ -167,53 +167,38 @@ def read_mapping(file: str | Path) -> BagMapping:
 
 
 def _mapping(file: str, tables: dict[str, Any]) -> BagMapping:
-    known = ("clock", "trajectory", "covariates", "cloud", *_NEEDED, *_FIELDS)
-    _check_keys(file, "", tables, known)
+    _check_keys(file, "", tables, ("clock", "trajectory", "covariates", "cloud", *_NEEDED, *_FIELDS))
     for key in _NEEDED:
         if key not in tables:
             _refuse(file, key, "it is missing; say which topic and field carry it")
-    clock = tables.get("clock", "log")
+    clock, covariates = tables.pop("clock", "log"), tables.pop("covariates", {})
     if clock not in _CLOCKS:
         _refuse(file, "clock", f"{clock!r} is none of {', '.join(map(repr, _CLOCKS))}; choose one")
-    covariates = tables.get("covariates", {})
     if not isinstance(covariates, dict):
         _refuse(file, "covariates", f"{covariates!r} is no table; give each covariate a table [covariates.NAME]")
-    taken = [name for name in covariates if name in (*STAGE_COLUMNS, "cloud")]
-    if taken:
-        _refuse(file, f"covariates.{taken[0]}", "stages have such a column already; give the covariate another name")
-    sources = {
-        key: _source(file, key, tables[key]) for key in ("trajectory", "cloud", *_NEEDED, *_FIELDS) if key in tables
-    }
-    return BagMapping(
-        file=file,
-        clock=clock,
-        finished=_finished(file, tables["ending"]),
-        covariates={name: _source(file, f"covariates.{name}", table) for name, table in covariates.items()},
-        **sources,
-    )
+    for name in covariates:
+        if name in (*STAGE_COLUMNS, "cloud"):
+            _refuse(file, f"covariates.{name}", "stages have such a column already; give the covariate another name")
+    sources = {key: _source(file, key, table) for key, table in tables.items()}
+    seen = {name: _source(file, f"covariates.{name}", table) for name, table in covariates.items()}
+    finished = tables["ending"].get("finished", [FINISHED])
+    if not (isinstance(finished, list) and finished and all(isinstance(value, str | int | bool) for value in finished)):
+        _refuse(file, "ending.finished", f"{finished!r} is no list of values; say for example ['finished']")
+    return BagMapping(file=file, clock=clock, finished=tuple(finished), covariates=seen, **sources)
 
 
 def _source(file: str, key: str, table: Any) -> Source:
     if not isinstance(table, dict):
         _refuse(file, key, f"{table!r} is no table; write [{key}] with topic and field below it")
-    may_lack_field = key in ("trajectory", "cloud")
-    known = {"trajectory": ("topic", "field"), "cloud": ("topic",), "ending": ("topic", "field", "finished")}
+    known = {"cloud": ("topic",), "ending": ("topic", "field", "finished")}
     _check_keys(file, f"{key}.", table, known.get(key, ("topic", "field")))
     for entry in ("topic", "field"):
         value = table.get(entry)
-        if value is None and (entry == "topic" or not may_lack_field):
+        if value is None and (entry == "topic" or key not in ("trajectory", "cloud")):
             _refuse(file, f"{key}.{entry}", "it is missing; add it")
         if value is not None and not (isinstance(value, str) and value):
             _refuse(file, f"{key}.{entry}", f"{value!r} is no text; give the {entry}'s name")
     return Source(key, table["topic"], table.get("field"))
-
-
-def _finished(file: str, table: dict[str, Any]) -> tuple[Any, ...]:
-    values = table.get("finished", [FINISHED])
-    is_right = isinstance(values, list) and values and all(isinstance(value, str | int | bool) for value in values)
-    if not is_right:
-        _refuse(file, "ending.finished", f"{values!r} is no list of values; say for example ['finished']")
-    return tuple(values)
 
 
 def _check_keys(file: str, prefix: str, table: dict[str, Any], known: tuple[str, ...]) -> None:

@@ -1,19 +1,20 @@
-"""Messages of bags: opened with rosbags or as MCAP, brought into the order of one clock, their fields read by path."""
+"""Messages of bags: opened with rosbags or as MCAP, in the order of one clock, their fields read by path."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.formats.extras import extra
+from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.logs.formats.bag_mapping import BagMapping, Source
+from halfseen.logs.formats.extras import extra, refused
 from halfseen.logs.formats.mcap_files import Channel, McapFiles, Recorded
-from halfseen.logs.formats.ros_mapping import BagMapping, Source
-from halfseen.reading import TABLE, check_file, reason_of
+from halfseen.reading import TABLE, check_file
 from halfseen.shapes import Float
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
@@ -41,20 +42,6 @@ class Event:
     stamp_ns: int
     source: Source
     value: Any
-
-
-def _storage_files(bag: Path) -> list[Path]:
-    """What rosbags opens: the bag, or, where the recorder died before its metadata, the storage files in it."""
-    if bag.is_dir() and not (bag / "metadata.yaml").exists():
-        return sorted(file for file in bag.iterdir() if file.suffix in STORAGES)
-    return [bag]
-
-
-def _files_of(places: list[Path]) -> list[Path]:
-    """All files that rosbags may read of these."""
-    folders = [place for place in places if place.is_dir()]
-    inside = [file for folder in folders for file in folder.iterdir() if not file.is_dir()]
-    return [*inside, *(place for place in places if place not in folders)]
 
 
 def check_topics(bags: list[Path], mapping: BagMapping) -> None:
@@ -110,7 +97,7 @@ def read_events(bag: Path, mapping: BagMapping) -> list[Event]:
         wanted = [channel for channel in reader.channels if channel.topic in by_topic]
         num_clouds = 0
         for recorded in _messages(bag, reader, wanted):
-            message, channel = _decoded(bag, reader, recorded), recorded.channel
+            message, channel = _decoded(bag, recorded), recorded.channel
             stamp_ns = _stamp(message, recorded, mapping)
             for source in by_topic[channel.topic]:
                 if source.key == "cloud":
@@ -142,7 +129,7 @@ def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, 
         channels = [channel for channel in reader.channels if channel.topic == topic]
         for number, recorded in enumerate(_messages(bag, reader, channels)):
             if number in wanted:
-                yield number, _decoded(bag, reader, recorded)
+                yield number, _decoded(bag, recorded)
 
 
 def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple[int, int]]:
@@ -179,88 +166,70 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
 
 
 class _RosBag:
-    """A bag that rosbags opened; it speaks as `McapFiles` does."""
+    """A bag that rosbags opens; it speaks as `McapFiles` does."""
 
-    def __init__(self, reader: Any) -> None:
-        self._reader = reader
-        self._connections = dict(enumerate(reader.connections))
-        self.channels = [Channel(each.topic, each.msgtype, key) for key, each in self._connections.items()]
+    def __init__(self, files: list[Path]) -> None:
+        highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
+        self._reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
+        self._reader.open()
+        self.close = self._reader.close
+        self._connections = {id(each): each for each in self._reader.connections}
+        self.channels = [
+            Channel(each.topic, each.msgtype, key, partial(self._decoded, each.msgtype))
+            for key, each in self._connections.items()
+        ]
+
+    def _decoded(self, kind: str, content: bytes) -> Any:
+        return self._reader.deserialize(content, kind)
 
     def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
-        by_id = {id(self._connections[channel.key]): channel for channel in channels}
-        wanted = [self._connections[channel.key] for channel in channels]
-        for connection, log_ns, content in self._reader.messages(connections=wanted):
-            yield Recorded(by_id[id(connection)], log_ns, None, content)
-
-    def decoded(self, message: Recorded) -> Any:
-        return self._reader.deserialize(message.content, message.channel.kind)
+        by_key = {channel.key: channel for channel in channels}
+        for each, log_ns, content in self._reader.messages(connections=[self._connections[key] for key in by_key]):
+            yield Recorded(by_key[id(each)], log_ns, None, content)
 
 
 @contextmanager
 def _opened(bag: Path) -> Iterator[Any]:
     if not bag.exists():
         raise LogError(f"{bag}: there is no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
-    files = _storage_files(bag)
+    files = [bag]
+    if bag.is_dir() and not (bag / "metadata.yaml").exists():  # the recorder died before it wrote that
+        files = sorted(file for file in bag.iterdir() if file.suffix in STORAGES)
     if not files:
         raise LogError(f"{bag}: it holds no bag ({', '.join(STORAGES)}); give the folder that `ros2 bag record` wrote")
-    try:
-        for file in _files_of(files):
-            check_file(file, TABLE)
-        mcap = _mcap_files(files)
-        reader = _by_rosbags(files) if mcap is None else None
-        bag_reader = McapFiles(mcap or []) if reader is None else _RosBag(reader)
-        if not all(isinstance(told, str) for each in bag_reader.channels for told in (each.topic, each.kind)):
-            raise ValueError("a topic has a name or a type that is no text")
-    except ArgumentError:
-        raise
-    except Exception as error:  # a broken bag raises nearly anything
-        _refuse_bag(bag, error)
-    try:
-        yield bag_reader
-    finally:
-        if reader is not None:
-            reader.close()
+    with ExitStack() as stack:
+        with _whole(bag):
+            inside = [each for file in files for each in (file.iterdir() if file.is_dir() else [file])]
+            inside = [each for each in inside if each in files or not each.is_dir()]
+            for file in inside:
+                check_file(file, TABLE)
+            stored = sorted(file for file in inside if file.suffix != ".yaml")
+            if stored and all(file.suffix == ".mcap" for file in stored):
+                reader = McapFiles(stored)
+            else:
+                reader = _RosBag(files)
+                stack.callback(reader.close)
+            if not all(isinstance(word, str) for each in reader.channels for word in (each.topic, each.kind)):
+                raise ValueError("a topic has a name or a type that is no text")
+        yield reader
 
 
-def _mcap_files(places: list[Path]) -> list[Path] | None:
-    """The files of a bag, if all that it stores is MCAP; None if not."""
-    stored = [file for file in _files_of(places) if file.suffix != ".yaml"]
-    return sorted(stored) if stored and all(file.suffix == ".mcap" for file in stored) else None
-
-
-def _by_rosbags(files: list[Path]) -> Any:
-    highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
-    reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
-    reader.open()
-    return reader
+def _whole(bag: Path) -> Any:
+    remedy = "mend it with `ros2 bag reindex` or `mcap recover`, then convert again"
+    return refused(bag, "it is no whole bag", remedy, passed=(HalfseenError,))
 
 
 def _messages(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recorded]:
-    if not channels:
-        return
-    try:
-        for message in reader.messages(channels):
+    with _whole(bag):
+        for message in reader.messages(channels) if channels else ():
             if not isinstance(message.log_ns, int):
                 raise ValueError("the time stamp of a message is no whole number")
             yield message
-    except Exception as error:
-        _refuse_bag(bag, error)
 
 
-def _decoded(bag: Path, reader: Any, message: Recorded) -> Any:
-    try:
-        return reader.decoded(message)
-    except ArgumentError:
-        raise
-    except Exception as error:
-        _refuse_bag(bag, error)
-
-
-def _refuse_bag(bag: Path, error: Exception) -> Any:
-    raise LogError(
-        f"{bag}: it is no whole bag ({reason_of(error)}); mend it with `ros2 bag reindex` or `mcap recover`, then "
-        "convert again"
-    ) from error
+def _decoded(bag: Path, message: Recorded) -> Any:
+    with _whole(bag):
+        return message.channel.decode(message.content)
 
 
 def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
@@ -272,7 +241,10 @@ def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
             raise ArgumentError(f'{where} is of a bag that does not say when it was sent; say clock = "log"')
         return recorded.publish_ns
     stamp = _part(_part(message, "header"), "stamp")
-    seconds, rest_ns = (_first_part(stamp, names) for names in (_SECONDS, _NANOSECONDS))
+    seconds, rest_ns = (
+        next((part for name in names if (part := _part(stamp, name)) is not None), None)
+        for names in (_SECONDS, _NANOSECONDS)
+    )
     if not isinstance(seconds, int | np.integer) or not isinstance(rest_ns, int | np.integer):
         raise ArgumentError(f'{where} has no header.stamp; say clock = "log"')
     return int(seconds) * 10**9 + int(rest_ns)
@@ -281,10 +253,6 @@ def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:
 def _part(value: Any, name: str) -> Any:
     """A field of a message; None where it has none."""
     return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
-
-
-def _first_part(value: Any, names: tuple[str, ...]) -> Any:
-    return next((part for name in names if (part := _part(value, name)) is not None), None)
 
 
 def _value(message: Any, msgtype: str, source: Source, mapping: BagMapping) -> Any:

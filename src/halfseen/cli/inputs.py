@@ -1,0 +1,183 @@
+"""What options name: laws, robots, arms and tables; and files that a verb draws."""
+
+from collections.abc import Callable, Iterable, Sequence
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from halfseen.cli.options import ASSUMED, SHIPPED
+from halfseen.errors import ArgumentError
+from halfseen.suggestions import did_you_mean
+
+if TYPE_CHECKING:
+    from halfseen.cell import Robot
+    from halfseen.cell.calibration.law import Law
+    from halfseen.cell.model import Station
+    from halfseen.world import GraspLaw, Scene, Team
+
+
+def law_folder(name: str, beside: Path | None = None) -> Path | None:
+    """Find the folder of a law; None for those that are assumed.
+
+    Parameters
+    ----------
+    name
+        As ``--law`` takes it.
+    beside
+        The folder of the file that names it; None where ``--law`` does.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such folder.
+    """
+    if name == ASSUMED:
+        return None
+    from halfseen.cell.calibration.law_folder import shipped_law
+
+    if name == SHIPPED:
+        return shipped_law()
+    folder, where = (Path(name), f"--law {name}") if beside is None else (beside / name, name)
+    if not folder.exists():
+        there = f"there is no such folder; let `halfseen cell calibrate` write one, or name {SHIPPED} or {ASSUMED}"
+        raise ArgumentError(f"{where}: {there}{did_you_mean(name, (SHIPPED, ASSUMED))}")
+    return folder
+
+
+def law_of(name: str, beside: Path | None = None) -> "Law | None":
+    """Read the law of a name; None for those that are assumed; see `law_folder`.
+
+    Raises
+    ------
+    PolicyError
+        The folder holds no law.
+    """
+    folder = law_folder(name, beside)
+    if folder is None:
+        return None
+    from halfseen.cell.calibration.law_folder import read_law
+
+    return read_law(folder).law
+
+
+def _grasping_of(name: str, beside: Path) -> "GraspLaw":
+    from halfseen.world import AssumedGrasping
+
+    law = law_of(name, beside)
+    return AssumedGrasping() if law is None else law.grasping
+
+
+def read_robots(file: Path | None) -> "Team | None":
+    """Read the team of a file, a `law` of a robot being what ``--law`` takes; None where there is none.
+
+    Raises
+    ------
+    ArgumentError
+        The file holds no team.
+    PolicyError
+        A folder that it names holds no law.
+    """
+    if file is None:
+        return None
+    from halfseen.world import read_team
+
+    return read_team(file, partial(_grasping_of, beside=file.parent))
+
+
+def stations_for(num_arms: int, arm: Path | None) -> "tuple[Station, ...]":
+    """Give where several arms stand; nothing for one.
+
+    Raises
+    ------
+    ArgumentError
+        There are several, of a file.
+    """
+    if num_arms == 1:
+        return ()
+    from halfseen.cell.model import PAIR
+
+    if arm is not None:
+        raise ArgumentError(
+            f"--arm is {arm} and --arms {num_arms}: only the usual arm stands there twice; leave one out"
+        )
+    return PAIR
+
+
+def robot_for(arm: Path | None, flange: str | None, joints: list[str] | None) -> "tuple[Robot, str]":
+    """Make the robot of an arm's file (None: the usual arm), and say what its arm is: with a digest, if of a file.
+
+    Raises
+    ------
+    HalfseenError
+        There is no such file, it holds no such arm, or one that cannot work at the table.
+    """
+    from halfseen.cell import ArmFile, Robot, robot_of
+
+    if arm is None:
+        for name, given in (("--flange", flange), ("--joints", joints)):
+            if given is not None:
+                raise ArgumentError(f"{name} is of an arm from a file; give the file by --arm, or leave {name} out")
+        return Robot(), Robot().arm.name
+    given = ArmFile(arm, flange=flange, joints=None if joints is None else tuple(joints))
+    return robot_of(given), f"{arm.name} ({given.digest})"
+
+
+def num_scenes(clouds: Sequence[Path]) -> int:
+    """Count what `scenes_of` gives."""
+    from halfseen.cell.tables_seen import tables_seen
+
+    return len(clouds) or len(tables_seen())
+
+
+def scenes_of(
+    clouds: Sequence[Path], law: "Law | None" = None, on_each: Callable[[], object] = lambda: None
+) -> list["Scene"]:
+    """Look at each cloud, by default at the ten that come with halfseen; under a law, what is seen tells of grips.
+
+    Raises
+    ------
+    CloudError
+        A cloud cannot be read, or shows no objects.
+    """
+    scenes = []
+    if not clouds:
+        from halfseen.cell.tables_seen import tables_seen
+
+        for seen in tables_seen():
+            scenes.append(seen.scene(law))
+            on_each()
+        return scenes
+    from halfseen.errors import CloudError
+    from halfseen.perception import perceive, read_cloud
+
+    for cloud in clouds:
+        view = perceive(read_cloud(cloud))
+        scene = view.scene() if law is None else law.scene(view)
+        if scene.num_objects == 0:
+            raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
+        scenes.append(scene)
+        on_each()
+    return scenes
+
+
+def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool, inputs: Iterable[Path] = ()) -> None:
+    """Refuse a file to draw that could not be written, or is there and not to be replaced, which `inputs` never are.
+
+    Raises
+    ------
+    ArgumentError
+        It has another ending, is an input, no file, there already, or in a folder that cannot be written.
+    """
+    from halfseen.writing import refuse_unwritable
+
+    refuse_unwritable(file.parent)
+    if file.suffix.lower() not in endings:
+        raise ArgumentError(f"{file}: {what} ends in {' or '.join(endings)}; give one of these endings")
+    if any(one.exists() and file.exists() and file.samefile(one) for one in inputs):
+        raise ArgumentError(f"{file}: it is what is to be looked at, and is not replaced; choose another file")
+    if file.is_dir():
+        raise ArgumentError(f"{file}: it is a folder; give the name of a file in it")
+    if file.exists() and not file.is_file():
+        raise ArgumentError(f"{file}: it is a device, a pipe or the like, and not replaced; choose another file")
+    if (file.exists() or file.is_symlink()) and not overwrite:
+        raise ArgumentError(f"{file}: it is there already; choose another file, or pass --overwrite to replace it")

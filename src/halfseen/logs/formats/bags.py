@@ -1,0 +1,261 @@
+"""Logs from ROS 2 bags (SQLite or MCAP storage) and ROS 1 bags, by a mapping file.
+
+Read down: `bag_mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
+Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
+``sensor_msgs/PointCloud2`` for clouds.
+
+How messages become stages:
+
+- A trajectory begins with the message that ``[trajectory]`` maps, or, without that, with the first mapped message of
+  the bag. Its clock is 0 then.
+- An action message begins the attempt of a stage. The covariates and the cloud are those that had come last: what the
+  policy saw. A reward message completes the stage.
+- An ending message finishes the trajectory or names the cause of its cut. A trajectory without one was cut by ``crash``
+  at its last message. A cut trajectory keeps the stage in which it was cut, with what had been seen.
+- Every topic of the mapping must be in one of the bags that are read together; one that broke off early may lack some.
+- A trajectory that was cut before anything of it was seen has no stage; it is left out with a warning.
+"""
+
+import warnings
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NoReturn, TypeAlias
+
+import numpy as np
+import pandas as pd
+
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
+from halfseen.logs.formats.bag_mapping import BagMapping, read_mapping
+from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, read_clouds, read_events
+from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import shown
+
+CRASH = "crash"
+_COVARIATE = "covariates."
+
+See: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], Mapping[str, Any]]
+"""From points, shape (n, 3) [m], the rows and columns of the image, and a name, to columns of `objects`."""
+
+Keep: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], str]
+"""From the same, to what stands in the stage's column ``cloud``: the name of the file that was written."""
+
+
+def read_bag(
+    bags: str | Path | Sequence[str | Path],
+    mapping: str | Path | BagMapping,
+    *,
+    see: See | None = None,
+    keep: Keep | None = None,
+) -> Logs:
+    """Read ROS bags as one log.
+
+    Parameters
+    ----------
+    bags
+        Folder or storage file of a bag, or several of them.
+    mapping
+        Which topic carries what: a file, as in `MAPPING_TEMPLATE`, or what `read_mapping` made of one.
+    see
+        Turns the cloud of a stage into its objects; without it the logs have none.
+    keep
+        Writes the cloud of a stage to a file, whose name goes into the stage's column ``cloud``.
+
+    Returns
+    -------
+    Logs
+        Trajectories carry the name of their bag in the column ``bag``; without a name of their own they are numbered.
+
+    Raises
+    ------
+    ArgumentError
+        rosbags is not installed, or the mapping does not fit the bag; its file and key are named.
+    LogError
+        A bag is missing or broken, or its messages make no stages.
+    """
+    mapping = mapping if isinstance(mapping, BagMapping) else read_mapping(mapping)
+    if mapping.cloud is None and (see is not None or keep is not None):
+        raise ArgumentError(f"{mapping.file}, cloud: it is missing, so that no cloud is seen or kept; name its topic")
+    files = [Path(bags)] if isinstance(bags, str | Path) else [Path(bag) for bag in bags]
+    check_topics(files, mapping)
+    trajectories: list[dict[str, Any]] = []
+    stages: list[dict[str, Any]] = []
+    objects: list[pd.DataFrame] = []
+    num_begun = 0
+    for bag in files:
+        found = []
+        for name, events in _split(read_events(bag, mapping), mapping):
+            num_begun += 1
+            trajectory = _Trajectory(num_begun if name is None else name, mapping)
+            trajectory.follow(events)
+            if _is_seen(bag, trajectory):
+                found.append(trajectory)
+        if see is not None or keep is not None:
+            objects += _objects(bag, found, mapping, see, keep)
+        for each in found:
+            row = {"trajectory": each.name, "end_s": each.end_s, "ending": each.ending, "cause": each.cause}
+            trajectories.append({**row, "bag": bag.name})
+            stages += [{"trajectory": each.name, "stage": t, **stage} for t, stage in enumerate(each.stages, start=1)]
+    place = ", ".join(map(str, files))
+    if not trajectories:
+        raise LogError(f"{place}: no trajectory with a stage was found; look at [trajectory] in {mapping.file}")
+    with within(place):
+        seen = pd.concat(objects, ignore_index=True) if objects else None
+        return Logs(stages=pd.DataFrame(stages), trajectories=pd.DataFrame(trajectories), objects=seen)
+
+
+def _split(events: list[Event], mapping: BagMapping) -> Iterator[tuple[Any, list[Event]]]:
+    """Split a bag at the messages that begin a trajectory: name (None without one) and messages of each trajectory."""
+    if mapping.trajectory is None:
+        if events:
+            yield None, events
+        return
+    begins = [i for i, event in enumerate(events) if event.source.key == "trajectory"]
+    for begin, end in pairwise([*begins, len(events)]):
+        yield events[begin].value, events[begin:end]
+
+
+def _is_seen(bag: Path, trajectory: "_Trajectory") -> bool:
+    topics = trajectory.missing
+    if not topics and trajectory.end_s != 0:
+        return True
+    trouble = f"before any message of {', '.join(topics)} came" if topics else "as it began"
+    message = f"{bag}: trajectory {shown(trajectory.name)} was cut {trouble}; it is left out"
+    warnings.warn(message, HalfseenWarning, stacklevel=3)
+    return False
+
+
+def _objects(
+    bag: Path, trajectories: "list[_Trajectory]", mapping: BagMapping, see: See | None, keep: Keep | None
+) -> Iterator[pd.DataFrame]:
+    """Hand the cloud of each stage to `see` and `keep`; only those that belong to a stage are read."""
+    assert mapping.cloud is not None
+    stages_of: dict[int, list[tuple[_Trajectory, int]]] = {}
+    for trajectory in trajectories:
+        for t, number in enumerate(trajectory.clouds):
+            if number is not None:
+                stages_of.setdefault(number, []).append((trajectory, t))
+    for number, message in read_clouds(bag, mapping.cloud.topic, set(stages_of)):
+        name = f"{bag.stem}-{number}"
+        cloud = *points_of(message, f"{bag}, {mapping.cloud.topic}, cloud {number}"), name
+        columns = None if see is None else see(*cloud)
+        file = None if keep is None else keep(*cloud)
+        for trajectory, t in stages_of[number]:
+            if file is not None:
+                trajectory.stages[t]["cloud"] = file
+            if columns is not None:
+                yield pd.DataFrame({"trajectory": trajectory.name, "stage": t + 1, **columns})
+
+
+@dataclass
+class _Trajectory:
+    """A trajectory that a bag tells of.
+
+    Parameters
+    ----------
+    name
+        What it is called.
+    mapping
+        Which topic carries what.
+    end_s
+        When it ended, or its last message came [s].
+    ending, cause
+        As in `trajectories` of `Logs`.
+    stages
+        One entry a stage: the columns that were recorded.
+    clouds
+        Number of the cloud of each stage, None where none had come.
+    """
+
+    name: Any
+    mapping: BagMapping
+    end_s: float = 0.0
+    ending: str | None = None
+    cause: str | None = CRASH
+    stages: list[dict[str, Any]] = field(default_factory=list)
+    clouds: list[int | None] = field(default_factory=list)
+
+    @property
+    def missing(self) -> list[str]:
+        """What had not been seen yet in its first stage: topics of covariates and clouds."""
+        topics = [source.topic for name, source in self.mapping.covariates.items() if name not in self.stages[0]]
+        no_cloud = self.mapping.cloud is not None and self.clouds[0] is None
+        return [*topics, self.mapping.cloud.topic] if no_cloud and self.mapping.cloud else topics
+
+    def follow(self, events: list[Event]) -> None:
+        """Follow it from its first message, where its clock is 0, to its last.
+
+        Raises
+        ------
+        LogError
+            The messages are in no order that makes stages; the trajectory, the stage and the remedy are named.
+        """
+        stage: dict[str, Any] = {}
+        seen: dict[str, Any] = {}
+        for event in events:
+            key, clock_s = event.source.key, (event.stamp_ns - events[0].stamp_ns) / 1e9
+            if self.ending is not None:
+                self._check_after(key, clock_s)
+                continue
+            self.end_s = clock_s
+            if key.startswith(_COVARIATE) or key == "cloud":
+                seen[key.removeprefix(_COVARIATE)] = event.value
+            elif key == "action":
+                self._check_action(stage, event)
+                stage |= {"action": event.value, "seen": dict(seen)}
+            elif key in ("object", "probability"):
+                stage[key] = event.value
+            elif key == "reward":
+                self._complete(stage, event)
+                stage = {}
+            elif key == "ending":
+                self._end(stage, event)
+        self.ending = self.ending or CUT
+        if self.ending == CUT:
+            self._add({"seen": dict(seen), **stage})
+
+    def _check_action(self, stage: dict[str, Any], event: Event) -> None:
+        if "action" in stage:
+            self._refuse(
+                f"action {shown(event.value)} comes at {self.end_s:g} s, yet {shown(stage['action'])} before it has no "
+                "reward; record a reward after every action"
+            )
+
+    def _complete(self, stage: dict[str, Any], event: Event) -> None:
+        if "action" not in stage:
+            self._refuse(
+                f"reward {event.value} comes at {self.end_s:g} s with no action before it; record every action"
+            )
+        self._add({**stage, "elapsed_s": self.end_s, "reward": float(event.value)})
+        if self.missing:
+            raise LogError(
+                f"trajectory {shown(self.name)}, stage 1: no message of {', '.join(self.missing)} came before its "
+                "action; begin the trajectory after the first, or leave the covariate out of the mapping"
+            )
+
+    def _end(self, stage: dict[str, Any], event: Event) -> None:
+        if event.value not in self.mapping.finished:
+            self.ending, self.cause = CUT, str(event.value) or UNKNOWN_CAUSE
+            return
+        if "action" in stage or not self.stages:
+            self._refuse(
+                "the trajectory finished, yet the stage has no reward; record the last reward before the ending"
+            )
+        self.ending, self.cause = FINISHED, None
+
+    def _add(self, stage: dict[str, Any]) -> None:
+        seen = stage.pop("seen")
+        self.clouds.append(seen.pop("cloud", None))
+        self.stages.append({"elapsed_s": None, "reward": None, "action": None, **seen, **stage})
+
+    def _check_after(self, key: str, clock_s: float) -> None:
+        if key in ("action", "reward", "ending"):
+            raise LogError(
+                f"trajectory {shown(self.name)}: {key} comes at {clock_s:g} s, after its ending at {self.end_s:g} s; "
+                "map [trajectory], the message that begins a trajectory, if the bag holds several"
+            )
+
+    def _refuse(self, trouble: str) -> NoReturn:
+        raise LogError(f"trajectory {shown(self.name)}, stage {len(self.stages) + 1}: {trouble}")

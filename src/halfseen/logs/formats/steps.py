@@ -1,0 +1,347 @@
+"""Steps of other people's datasets as stages: what was seen before each action, and how the last step ended.
+
+A step is a stage: what was observed, the action that was taken on it, what it earned, and when it ended. Where a
+dataset also has what was observed after the last step, a cut falls into the stage of that observation; where it has
+not, into the last step itself, whose reward is passed over, as a stage that was not completed has none.
+
+Columns have one row a step. What is observed may be whole arrays, of which columns are made; all else is one value a
+step.
+"""
+
+import warnings
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from math import prod
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.logs import Logs
+from halfseen.logs.refusal import shown
+from halfseen.shapes import Bool, Float, Int, Shaped
+
+TRUNCATED = "truncated"
+MOST_NUMBERS = 1000
+"""Of one observation; what has more is an image or the like, of which no columns are made."""
+Columns = Mapping[str, Shaped[np.ndarray, "N ..."]]
+"""What a dataset holds, by name: one row a step."""
+Ending = tuple[str, str | None]
+"""Ending and cause, as in `trajectories` of `Logs`."""
+_MEANT = {"reward": "a number", "done": "true or false", "clock": "a time [s]"}
+
+
+@dataclass(frozen=True)
+class StepRules:
+    """How to read another's dataset; None leaves it to what the format usually has.
+
+    Parameters
+    ----------
+    action, reward
+        Columns that hold the action, one of finitely many, and what it earned.
+    done
+        Column that is true where an episode reached its own end.
+    clock
+        Column that holds the time [s].
+    step_s
+        How long a step lasts [s], where there is no clock.
+    truncated
+        "cut" or "finished" (at its horizon): what an episode is that did not terminate.
+
+    Raises
+    ------
+    ArgumentError
+        A step takes no time, both `clock` and `step_s` are given, or `truncated` is neither.
+    """
+
+    action: str | None = None
+    reward: str | None = None
+    done: str | None = None
+    clock: str | None = None
+    step_s: float | None = None
+    truncated: str = CUT
+
+    def __post_init__(self) -> None:
+        if self.step_s is not None and not (np.isfinite(self.step_s) and self.step_s > 0):
+            raise ArgumentError(f"step_s {self.step_s}: a step lasts a finite time above 0 s")
+        if self.step_s is not None and self.clock is not None:
+            raise ArgumentError(f"step_s {self.step_s} and clock {self.clock!r}: both tell the time; give one of them")
+        if self.truncated not in (CUT, FINISHED):
+            raise ArgumentError(f"truncated {self.truncated!r}: it is neither {CUT!r} nor {FINISHED!r}; say one")
+
+    @property
+    def named(self) -> dict[str, str]:
+        """The columns that are named, by what they hold."""
+        roles = ("action", "reward", "done", "clock")
+        return {role: getattr(self, role) for role in roles if getattr(self, role) is not None}
+
+    @property
+    def of_truncated(self) -> Ending:
+        """Ending and cause of an episode that did not terminate."""
+        return (FINISHED, None) if self.truncated == FINISHED else (CUT, TRUNCATED)
+
+    def step_in(self, place: str) -> float:
+        """How long a step lasts without a clock [s]; 1 s, with a warning, where nobody says."""
+        if self.clock is None and self.step_s is None:
+            warn(
+                place,
+                "no clock is named, so that every step counts as 1 s; name what holds it as clock, or give step_s",
+            )
+        return self.step_s or 1.0
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode of T steps.
+
+    Parameters
+    ----------
+    name
+        Of its trajectory.
+    observed
+        Columns of what was observed, T rows each, or T + 1 where the observation after the last step is known.
+    actions
+        Action of each step, shape (T,): whole numbers or text.
+    rewards
+        What each step earned, shape (T,).
+    ends_s
+        Time from the beginning to the end of each step [s], shape (T,).
+    ending
+        Ending and cause.
+    has_last
+        Whether what was observed after the last step is known.
+    """
+
+    name: int | str
+    observed: Mapping[str, Shaped[np.ndarray, " O"]]
+    actions: Shaped[np.ndarray, " T"]
+    rewards: Float[np.ndarray, " T"]
+    ends_s: Float[np.ndarray, " T"]
+    ending: Ending
+    has_last: bool = False
+
+    @property
+    def stages(self) -> dict[str, np.ndarray]:
+        """Columns of its stages."""
+        is_cut, num_steps = self.ending[0] == CUT, len(self.actions)
+        num_completed = num_steps - (is_cut and not self.has_last)
+        num_stages = num_completed + is_cut
+        unknown = np.full(int(is_cut), np.nan)
+        actions = np.full(num_stages, None, dtype=object)
+        actions[: min(num_steps, num_stages)] = self.actions[:num_stages]
+        return {
+            "trajectory": np.repeat(np.array([self.name], dtype=object), num_stages),
+            "stage": np.arange(1, num_stages + 1),
+            "elapsed_s": np.append(self.ends_s[:num_completed], unknown),
+            "action": actions,
+            "reward": np.append(self.rewards[:num_completed], unknown),
+            **{name: values[:num_stages] for name, values in self.observed.items()},
+        }
+
+
+class Steps:
+    """Steps of all episodes of a dataset, one below the other in N rows: what was `seen`, and two columns by name.
+
+    Raises
+    ------
+    ArgumentError
+        Actions are not one of finitely many each, or rewards no single numbers.
+    LogError
+        Two observations make the same column.
+    """
+
+    def __init__(self, place: str, columns: Columns, seen: Columns, action: str, reward: str) -> None:
+        self.observed = observed_columns(place, seen)
+        self._actions = _actions_of(place, action, columns[action])
+        self.rewards = numbers_of(place, reward, columns[reward], "reward")
+
+    def episode(
+        self,
+        name: int | str,
+        rows: slice,
+        ends_s: Float[np.ndarray, " T"],
+        ending: Ending,
+        after: Mapping[str, Any] | None = None,
+    ) -> Episode:
+        """Take the steps of one episode; `after` is what was observed after its last step, None where unknown."""
+        observed = {column: values[rows] for column, values in self.observed.items()}
+        if after is not None:
+            observed = {column: np.append(values, after[column]) for column, values in observed.items()}
+        return Episode(name, observed, self._actions[rows], self.rewards[rows], ends_s, ending, after is not None)
+
+
+def logs_of_episodes(place: str, episodes: Sequence[Episode]) -> Logs:
+    """Make trajectories of episodes with the same columns each; `place` names the dataset in messages.
+
+    Raises
+    ------
+    LogError
+        There is none, one has no step, or the log breaks an invariant.
+    """
+    if not episodes:
+        raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
+    for episode in episodes:
+        if not len(episode.actions):
+            raise LogError(f"{place}, episode {shown(episode.name)}: it has no step; leave the episode out")
+    stages = [episode.stages for episode in episodes]
+    columns: dict[str, Any] = {name: np.concatenate([part[name] for part in stages]) for name in stages[0]}
+    is_whole = all(episode.actions.dtype.kind == "i" for episode in episodes)
+    columns["action"] = pd.array(columns["action"].tolist(), dtype="Int64" if is_whole else object)
+    ends: dict[str, list[Any]] = {
+        "trajectory": [episode.name for episode in episodes],
+        "end_s": [episode.ends_s[-1] for episode in episodes],
+        "ending": [episode.ending[0] for episode in episodes],
+        "cause": [episode.ending[1] for episode in episodes],
+    }
+    with within(place):
+        return Logs(stages=pd.DataFrame(columns), trajectories=pd.DataFrame(ends))
+
+
+def even_ends(num_steps: int, step_s: float) -> Float[np.ndarray, " T"]:
+    """Ends of steps that last the same time each."""
+    return step_s * np.arange(1.0, num_steps + 1)
+
+
+def ends_of(times_s: Float[np.ndarray, " O"], num_steps: int) -> Float[np.ndarray, " T"]:
+    """Ends of steps by the times of their observations, one more than there are steps, or by those ends themselves."""
+    return times_s if len(times_s) == num_steps else times_s[1:] - times_s[0]
+
+
+def begins_of(place: str, rows: str, labels: Shaped[np.ndarray, " N"], remedy: str) -> Int[np.ndarray, " E1"]:
+    """Rows in which the label of the episode changes, and the number of rows.
+
+    Raises
+    ------
+    LogError
+        Rows of one episode do not stand together.
+    """
+    at = np.flatnonzero(np.append(True, labels[1:] != labels[:-1])[: len(labels)])
+    found = labels[at].tolist()
+    if len(set(found)) < len(found):
+        twice = next(name for k, name in enumerate(found) if name in found[:k])
+        raise LogError(f"{place}: the {rows} of episode {shown(twice)} do not stand together; {remedy}")
+    return np.append(at, len(labels)).astype(np.int64)
+
+
+def refuse_early(place: str, name: int | str, ends: Bool[np.ndarray, " T"]) -> None:
+    """Refuse an episode that ends before its last step."""
+    if ends[:-1].any():
+        raise LogError(
+            f"{place}, episode {shown(name)}: step {int(np.argmax(ends)) + 1} of {len(ends)} ends it; make two "
+            "episodes of it"
+        )
+
+
+def columns_of(name: str, values: Shaped[np.ndarray, "N ..."]) -> dict[str, Shaped[np.ndarray, " N"]]:
+    """Take an array with a row a step apart into columns: NAME, or NAME_0, NAME_1, … where it has more than one."""
+    if values.ndim == 1:
+        return {name: values}
+    flat = values.reshape(len(values), prod(values.shape[1:]))
+    return {f"{name}_{k}": flat[:, k] for k in range(flat.shape[1])}
+
+
+def observed_columns(place: str, columns: Columns) -> dict[str, Shaped[np.ndarray, " N"]]:
+    """Make columns of observations; what is neither numbers nor text, or too long, is passed over with a warning.
+
+    Raises
+    ------
+    LogError
+        Two observations make the same column.
+    """
+    observed: dict[str, np.ndarray] = {}
+    passed_over = []
+    for name, values in columns.items():
+        if values.dtype.kind not in "biufO" or values[:1].size > MOST_NUMBERS or _is_strange(values):
+            passed_over.append(f"{name} ({values.dtype} of shape {values.shape[1:]})")
+            continue
+        for column, entries in columns_of(name, values).items():
+            if column in observed:
+                raise LogError(f"{place}: two observations make a column {column!r}; rename one")
+            observed[column] = entries
+    if passed_over:
+        warn(place, f"{', '.join(passed_over)}: no columns of a stage hold it, so it is left out")
+    return observed
+
+
+def numbers_of(
+    place: str, name: str, values: Shaped[np.ndarray, "N ..."], role: str = "clock"
+) -> Float[np.ndarray, " N"]:
+    """Bring rewards, flags or times into numbers, one each step; true counts 1, and anything else is refused."""
+    flat = _flat(values)
+    if flat.ndim != 1 or flat.dtype.kind not in "biuf":
+        raise ArgumentError(
+            f"{place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and not {_MEANT[role]} for each step; "
+            f"name another column as {role}"
+        )
+    return flat.astype(np.float64)
+
+
+def flags_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Bool[np.ndarray, " N"]:
+    """Bring a column into true and false; 1 and 0 are such.
+
+    Raises
+    ------
+    ArgumentError, LogError
+        It holds anything else.
+    """
+    flat = numbers_of(place, name, values, "done")
+    wrong = ~((flat == 0) | (flat == 1))
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(f"{place}, row {row}: {name} is {shown(_flat(values)[row])}, neither true nor false; mend it")
+    return flat.astype(bool)
+
+
+def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy: str | None = None) -> None:
+    """Refuse a dataset that lacks a column of those that are wanted, by role.
+
+    Raises
+    ------
+    ArgumentError
+        It does; those that are there are named, and what to do: by default, to name another column for that role.
+    """
+    there = list(names)
+    for role, name in wanted.items():
+        if name not in there:
+            raise ArgumentError(
+                f"{place}: there is no {name!r} for the {role} among {', '.join(there[:40]) or 'none'}; "
+                f"{remedy or f'name another as {role}'}"
+            )
+
+
+def warn(place: str, trouble: str) -> None:
+    """Tell what is read otherwise than somebody may think."""
+    warnings.warn(f"{place}: {trouble}", HalfseenWarning, stacklevel=4)
+
+
+def _actions_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Shaped[np.ndarray, " N"]:
+    """Bring actions, one of finitely many each, into whole numbers (null as None) or text."""
+    flat = _flat(values)
+    if flat.ndim == 1 and flat.dtype.kind in "biu":
+        return flat.astype(np.int64)
+    if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
+        return flat
+    if flat.ndim == 1 and flat.dtype.kind == "f":
+        is_null = np.isnan(flat)
+        if (is_null | (np.isfinite(flat) & (flat == np.floor(flat)) & (np.abs(flat) < 2**53))).all():
+            whole = np.where(is_null, 0, flat).astype(np.int64)
+            if is_null.any():
+                whole = whole.astype(object)
+                whole[is_null] = None
+            return whole
+    raise ArgumentError(
+        f"{place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and the action of a stage is one of "
+        "finitely many; discretise it (say, with numpy.digitize), or name another column, of whole numbers or text, as "
+        "action"
+    )
+
+
+def _flat(values: np.ndarray) -> np.ndarray:
+    return values.reshape(len(values)) if values.ndim > 1 and values[:1].size == 1 else values
+
+
+def _is_strange(values: np.ndarray) -> bool:
+    """Whether objects are anything but text and null."""
+    return values.dtype == object and not all(value is None or isinstance(value, str) for value in values.flat)
