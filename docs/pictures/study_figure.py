@@ -26,7 +26,7 @@ def _setting():
     from halfseen.perception import perceive, read_cloud
     from halfseen.scene import table_paths
     from halfseen.study.experiment import Setting
-    from halfseen.study.laws import under
+    from halfseen.study.setting import under
 
     setting, law = under(Setting(()), shipped_law())
     scenes = tuple(replace(law.scene(perceive(read_cloud(path))), name=path.stem) for path in table_paths())
@@ -35,7 +35,7 @@ def _setting():
 
 def draw_figure(name: str, prefix: str = "study", kind: str = "png") -> bytes:
     """Draw a figure as the study does, from the tables that are kept under a prefix."""
-    from halfseen.study.experiments.reward.experiment import Reward
+    from halfseen.study.experiments.reward import Reward
 
     tables = {name: pd.read_csv(NUMBERS / f"{prefix}-{name}.csv", float_precision="round_trip") for name in TABLES}
     section = Reward().section(_setting(), tables)
@@ -90,7 +90,8 @@ def run_study(folder: Path, repetitions: int) -> Path:
 
 def _first_repetition() -> Mapping[int, Row]:
     """What the heuristics, and policies learned from the smallest logs, earn in the first repetition."""
-    from halfseen.study.experiments.reward.experiment import CUT_KIND, Reward
+    from halfseen.study.experiments.reward import Reward
+    from halfseen.study.experiments.reward_repetition import CUT_KIND
     from halfseen.study.pipeline import Source
     from halfseen.study.policies import HEURISTICS
 
