@@ -17,12 +17,10 @@ from timings import Row, write
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.scene import table_paths
-from halfseen.study.experiment import Setting
 from halfseen.study.experiments.reward import Reward
-from halfseen.study.experiments.reward_repetition import CUT_KIND
-from halfseen.study.pipeline import Source
+from halfseen.study.pipeline import CUT_KIND, Source
 from halfseen.study.policies import FITTED_ONE_STEP, HEURISTICS, ONE_STEP, STRONGEST_RULE
-from halfseen.study.setting import look_at, under
+from halfseen.study.setting import Setting, look_at, under
 
 BAR_S = 40.0
 

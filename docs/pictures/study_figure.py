@@ -25,8 +25,7 @@ def _setting():
     from halfseen.cell.calibration.shipped import shipped_law
     from halfseen.perception import perceive, read_cloud
     from halfseen.scene import table_paths
-    from halfseen.study.experiment import Setting
-    from halfseen.study.setting import under
+    from halfseen.study.setting import Setting, under
 
     setting, law = under(Setting(()), shipped_law())
     scenes = tuple(replace(law.scene(perceive(read_cloud(path))), name=path.stem) for path in table_paths())
@@ -91,8 +90,7 @@ def run_study(folder: Path, repetitions: int) -> Path:
 def _first_repetition() -> Mapping[int, Row]:
     """What the heuristics, and policies learned from the smallest logs, earn in the first repetition."""
     from halfseen.study.experiments.reward import Reward
-    from halfseen.study.experiments.reward_repetition import CUT_KIND
-    from halfseen.study.pipeline import Source
+    from halfseen.study.pipeline import CUT_KIND, Source
     from halfseen.study.policies import HEURISTICS
 
     design, setting = Reward(), _setting()

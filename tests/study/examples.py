@@ -8,7 +8,7 @@ import numpy as np
 
 from attempt_logs import attempt_log
 from halfseen.cell.calibration.trials import trials
-from halfseen.study.experiment import Pieces, Section, Setting
+from halfseen.study.experiment import Pieces, Section
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.attempts_repetition import COMPLETED, VISIBLE_ONLY, source_of
@@ -17,6 +17,7 @@ from halfseen.study.experiments.clutter import Clutter, table_of
 from halfseen.study.experiments.grasp import MODEL_NAMES
 from halfseen.study.pipeline import episodes_in_turn
 from halfseen.study.policies import HEURISTICS, ONE_STEP
+from halfseen.study.setting import Setting
 from halfseen.study.treatments import TREATMENTS
 from halfseen.tables.assisted.learner import MODEL, RULE
 from halfseen.world.config import WorldConfig

@@ -12,10 +12,11 @@ from scipy.stats import t
 from attempt_logs import TRUTH, attempt_log
 from examples import attempt_pieces
 from halfseen.study.compare import holm
-from halfseen.study.experiment import Pieces, Setting
+from halfseen.study.experiment import Pieces
 from halfseen.study.experiments.attempts import Attempts, assumed_share, mean_of
 from halfseen.study.experiments.attempts_repetition import MODEL_NAMES, fit_of, frame_of, predicted
 from halfseen.study.experiments.attempts_set_svm import SEEN, of_one_kind, sets_of
+from halfseen.study.setting import Setting
 from halfseen.study.store import as_json
 from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
 

@@ -13,7 +13,6 @@ from scipy import stats
 from examples import WORLD, map_pieces, map_table
 from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
-from halfseen.study.experiment import Setting
 from halfseen.study.experiments.clutter import Clutter, GainShare, gain_share, table_of, verdict
 from halfseen.study.experiments.clutter_map import (
     ENOUGH,
@@ -26,6 +25,7 @@ from halfseen.study.experiments.clutter_map import (
     map_title,
 )
 from halfseen.study.experiments.clutter_places import ClutterDesign, random_tables
+from halfseen.study.setting import Setting
 from halfseen.world.config import WorldConfig
 
 COLUMNS = (

@@ -56,6 +56,8 @@ from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
 
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
+CUT_KIND: CutKind = "independent"
+"""How logs are cut where an experiment does not compare kinds of cuts."""
 NAMELESS = (Scene(np.zeros((1, 1))),)
 """What tables are called tells nothing of laws; nor does the cause of a cut."""
 
@@ -150,7 +152,7 @@ def _played(totals: Totals) -> Played:
 
 def evidence_in(cuts: CutEpisodes, world: WorldConfig) -> Evidence:
     """What a log tells of laws; of the world, prices and times are looked at."""
-    return evidence_of(to_logs(cuts, "independent", NAMELESS, world.dirty_share), world)
+    return evidence_of(to_logs(cuts, CUT_KIND, NAMELESS, world.dirty_share), world)
 
 
 class Learned(NamedTuple):

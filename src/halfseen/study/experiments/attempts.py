@@ -32,17 +32,8 @@ from halfseen.evaluation.estimate import Estimate, around
 from halfseen.shapes import Float, Int
 from halfseen.study.compare import LEVEL, columns, four, holm
 from halfseen.study.experiment import PieceOf, Pieces, Row, Section, Tables
-from halfseen.study.experiments.attempts_repetition import (
-    BETA,
-    COMPLETED,
-    MEASURES,
-    MODEL_NAMES,
-    PAIRS,
-    AttemptsRepetition,
-    Source,
-    fit_of,
-    frame_of,
-)
+from halfseen.study.experiments import attempts_repetition as known
+from halfseen.study.experiments.attempts_repetition import AttemptsRepetition, Source, fit_of, frame_of
 from halfseen.study.experiments.attempts_words import ASSUMED, BETTER, UNDECIDED, WORSE, section_of
 from halfseen.study.setting import Setting
 from halfseen.tables.grasp.inputs import checked_attempts
@@ -85,7 +76,7 @@ class Attempts(AttemptsRepetition):
             ``attempts_law``: planner, parameter, estimate, se, low, high, p_value.
             ``attempts_slope``: law (of a planner, or assumed), is_lying, occlusion, share_held, low, high.
         """
-        if COMPLETED not in pieces.prepared:
+        if known.COMPLETED not in pieces.prepared:
             return {}
         weights, scores = _scores(pieces)
         sources = pieces.prepared
@@ -93,7 +84,7 @@ class Attempts(AttemptsRepetition):
             "attempts": pd.DataFrame([counts_of(*each) for each in sources.items()]),
             "attempts_scores": _means(weights, scores, pieces),
             "attempts_tests": _tests(weights, scores, setting.alpha),
-            "attempts_calibration": calibration_of(frame_of(sources[COMPLETED]), pieces.repetitions),
+            "attempts_calibration": calibration_of(frame_of(sources[known.COMPLETED]), pieces.repetitions),
             "attempts_held": pd.DataFrame([row for each in sources.items() for row in held_by_occlusion(*each)]),
             "attempts_law": pd.DataFrame([row for each in sources.items() for row in law_rows(*each)]),
             "attempts_slope": slope_rows(sources),
@@ -113,7 +104,7 @@ def _scores(pieces: Pieces) -> tuple[ByTable, Scores]:
         place = np.searchsorted(names, piece["tables"])
         weights[place, r] = piece["weight"]
         for row in piece["scores"]:
-            for measure in MEASURES:
+            for measure in known.MEASURES:
                 key = row["num_tables"], row["model"], measure
                 scores.setdefault(key, np.zeros(shape))[place, r] = row[measure]
     return weights, scores
@@ -128,15 +119,15 @@ def _means(weights: ByTable, scores: Scores, pieces: Pieces) -> pd.DataFrame:
         place = {"model": model, "num_tables": size, "repetitions": weights.shape[1]}
         place["stood_in"] = stood_in[size, model]
         row = rows.setdefault((size, model), place)
-        for name, of in ((measure, sums), (f"{measure}_over_beta", sums - scores[size, BETA, measure])):
+        for name, of in ((measure, sums), (f"{measure}_over_beta", sums - scores[size, known.BETA, measure])):
             row |= columns(mean_of(of, weights), *four(name))
     return pd.DataFrame(list(rows.values()))
 
 
 def _tests(weights: ByTable, scores: Scores, alpha: float) -> pd.DataFrame:
     sizes, rows = sorted({size for size, *_ in scores}), []
-    for model, rival in PAIRS:
-        places = [(measure, size) for measure in MEASURES for size in sizes]
+    for model, rival in known.PAIRS:
+        places = [(measure, size) for measure in known.MEASURES for size in sizes]
         effects = [
             mean_of(scores[size, model, measure] - scores[size, rival, measure], weights) for measure, size in places
         ]
@@ -189,19 +180,19 @@ def calibration_of(tried: pd.DataFrame, repetitions: Sequence[PieceOf]) -> pd.Da
         With rows (of `tried`), row_weight, and what each model said of them, learned from the largest log.
     """
     num = np.zeros(len(tried))
-    sums = {name: np.zeros(len(tried)) for name in ("weight", *MODEL_NAMES)}
+    sums = {name: np.zeros(len(tried)) for name in ("weight", *known.MODEL_NAMES)}
     for piece in repetitions:
         rows = np.array(piece["rows"], dtype=np.int64)
         num[rows] += 1.0
         sums["weight"][rows] += piece["row_weight"]
-        for model in MODEL_NAMES:
+        for model in known.MODEL_NAMES:
             sums[model][rows] += piece["said"][model]
     kept = np.flatnonzero(num)
     mean = {name: values[kept] / num[kept] for name, values in sums.items()}
     met = tried.iloc[kept]
     held, tables = met["succeeded"].to_numpy(dtype=bool), met["trajectory"].to_numpy()
     lines = []
-    for model in MODEL_NAMES:
+    for model in known.MODEL_NAMES:
         ways = {
             "occlusion": (occlusion_bins(met["occlusion"].to_numpy()), OCCLUSION_EDGES),
             "prediction": _alike(mean[model]),

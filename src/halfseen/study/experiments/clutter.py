@@ -13,15 +13,14 @@ from halfseen.study.compare import over_repetitions
 from halfseen.study.experiment import PieceOf, Pieces, Row, Section, Tables
 from halfseen.study.experiments.clutter_map import ENOUGH, LEARN, NO_SCALE, UNDECIDED, section_of
 from halfseen.study.experiments.clutter_places import FACTORS, ClutterDesign, Place, random_tables
-from halfseen.study.pipeline import EVALUATION, LOGS, PILOT, Source
+from halfseen.study.pipeline import CUT_KIND, EVALUATION, LOGS, PILOT, Source
 from halfseen.study.policies import HEURISTICS, LEARNED
 from halfseen.study.setting import Setting
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CutKind, cut_rate
+from halfseen.world.cuts import cut_rate
 from halfseen.world.state import pad_scenes
 
 MAP_SEED, TABLES = 16, 2
-CUT_KIND: CutKind = "independent"
 NEXT_TO_NOTHING = 0.05
 """Share of what FINISH at once loses, above which a heuristic's earnings are a scale."""
 

@@ -1,8 +1,7 @@
 """Models of the probability of a grasp, a Beta mean and an SVM among them: Figure 5, Table 3, the paper's claim.
 
-From a log, cut as in Table 1, each model learns. It is scored on the attempts of fresh trajectories that nothing cut,
-and serves in the strongest heuristic and in the features of linear eq. 3: without laws, as laws that are fitted to the
-log have a grasp of their own.
+From a log, cut as in Table 1, each learns; it is scored on the attempts of fresh uncut trajectories, and serves in the
+strongest heuristic and in the features of linear eq. 3: without laws, as fitted laws have a grasp of their own.
 """
 
 from collections.abc import Callable, Mapping
@@ -24,7 +23,7 @@ from halfseen.shapes import Float
 from halfseen.study import compare, figures
 from halfseen.study.compare import EFFECT, estimated_in, four, is_reward, mean_columns, records, row_of, three, where
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables
-from halfseen.study.pipeline import HELD_OUT, Source
+from halfseen.study.pipeline import CUT_KIND, HELD_OUT, Source
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.setting import Setting
 from halfseen.tables.grasp.attempts import attempts
@@ -35,11 +34,10 @@ from halfseen.tables.grasp.inputs import can_hold_out
 from halfseen.tables.grasp.svm_grasp import SVMGrasp
 from halfseen.workers.threads import one_thread
 from halfseen.world.actions import ActionSpace
-from halfseen.world.cuts import CutKind, cut
+from halfseen.world.cuts import cut
 from halfseen.world.logs import to_logs
 from halfseen.world.policy import Policy
 
-CUT_KIND: CutKind = "independent"
 SUCCESSION, ORACLE, CLAIMED, RIVAL = "succession", "oracle", "svm", "beta"
 MODEL_NAMES = {
     SUCCESSION: "rule of succession",
@@ -63,7 +61,6 @@ MEASURES = {
 """What models are judged by; the scores are better the smaller they are, the rewards the larger."""
 NUM_BINS, FEWEST_SHOWN = 10, 100
 """Bins of predicted probabilities, evenly over [0, 1]; attempts below which one is not drawn."""
-BAR_DODGE = 1.10
 
 
 @dataclass(frozen=True)
@@ -95,8 +92,7 @@ class Grasp:
         held_out, oracle = self._held_out(setting, source)
         succeeded = held_out["succeeded"].to_numpy(dtype=bool)
         rows: list[Row] = []
-        learners: list[Policy] = []
-        rules: list[Policy] = []
+        policies: dict[str, list[Policy]] = {measure: [] for measure in REWARDS}
         knowing: Any = STRONGEST_RULE.policy(world)
         for size in self.num_trajectories:
             known = pd.DataFrame(tried[tried["trajectory"] < size])
@@ -110,11 +106,11 @@ class Grasp:
                 if name != ORACLE:
                     grasp = tabulate(estimators[name], world.horizon, fit_grip_effect(estimators[name], known))
                 trajectories = source.logged(log.episodes, None if name == SUCCESSION else grasp, laws=False)
-                learners.append(trajectories.learn_one(log, size))
-                rules.append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
+                policies[REWARDS[0]].append(trajectories.learn_one(log, size))
+                policies[REWARDS[1]].append(knowing if name == ORACLE else replace(knowing, grasp=grasp))
         num_episodes = self.episodes_per_scene * len(setting.scenes)
-        for measure, policies in zip(REWARDS, (learners, rules), strict=True):
-            each = source.control_each(policies, range(num_episodes), float(prepared["start"]))
+        for measure, those in policies.items():
+            each = source.control_each(those, range(num_episodes), float(prepared["start"]))
             for row, played in zip(rows, each, strict=True):
                 row[measure] = played.means()["reward"]
         return {"index": index, "grasp": rows}
@@ -168,9 +164,9 @@ class Grasp:
     def section(self, setting: Setting, tables: Tables) -> Section:
         """Say whether an SVM tells the probability of a grasp better than the mean of a Beta."""
         grasp, tests = tables["grasp"], tables["grasp_tests"]
-        verbs = ("predicts grasps better than", "predicts grasps worse than", MEASURES[SCORE])
-        score = self._claim(setting, tests, SCORE, *verbs)
-        reward = self._claim(setting, tests, REWARDS[0], "earns more than", "earns less than", "")
+        verbs = ("predicts grasps better than", "predicts grasps worse than")
+        score = self._claim(setting, tests, SCORE, verbs, MEASURES[SCORE])
+        reward = self._claim(setting, tests, REWARDS[0], ("earns more than", "earns less than"), "")
         sentence = (
             f"{score.sentence[:-1]}; what linear eq. 3 learns with it earns more than with the Beta: {reward.verdict} "
             f"({reward.numbers})."
@@ -179,19 +175,17 @@ class Grasp:
         heading = "The probability of a grasp: the mean of a Beta, or an SVM?"
         return Section(heading, (sentence,), (drawing,), (_tests(setting, tests), _numbers(grasp)))
 
-    def _claim(
-        self, setting: Setting, tests: pd.DataFrame, measure: str, asserted: str, denied: str, note: str
-    ) -> Claim:
+    def _claim(self, setting: Setting, tests: pd.DataFrame, measure: str, verbs: tuple[str, str], note: str) -> Claim:
         """The paper's claim on a measure, from the largest log."""
         largest = max(self.num_trajectories)
         row = row_of(tests, measure=measure, num_trajectories=largest)
-        subject = f"An SVM {compare.learned_from(largest, self.cut_share)}"
-        test = compare.gain_in(row), float(row["p_holm"]), setting.alpha
-        return Claim(subject, asserted, denied, "the mean of a Beta", *test, note, _decimals(measure))
+        subject, test = f"An SVM {compare.learned_from(largest, self.cut_share)}", (float(row["p_holm"]), setting.alpha)
+        gain, rival = compare.gain_in(row), "the mean of a Beta"
+        return Claim(subject, *verbs, rival, gain, *test, note, _decimals(measure))
 
 
 class SuccessionRule:
-    """The rule of succession, (1 + successes) / (2 + attempts), whatever is hidden; there is nothing to learn."""
+    """The rule of succession, (1 + successes) / (2 + attempts), whatever is hidden."""
 
     def fit(self, frame: FrameLike) -> "SuccessionRule":
         """Learn nothing."""
@@ -250,11 +244,14 @@ def _calibration(row: Row) -> list[Row]:
 def _title(tests: pd.DataFrame) -> str:
     rows = records(tests, measure=SCORE)
     won = [str(row["num_trajectories"]) for row in rows if compare.verdict_of(row) == SUPPORTED]
-    if len(won) == len(rows):
-        return "The SVM predicts grasps better than the Beta mean, from logs of every size"
-    if won:
-        return f"The SVM predicts grasps better than the Beta mean from {listed(won)} trajectories alone"
-    return "The SVM does not predict grasps significantly better than the Beta mean"
+    if not won:
+        return "The SVM does not predict grasps significantly better than the Beta mean"
+    start = "The SVM predicts grasps better than the Beta mean"
+    return (
+        f"{start}, from logs of every size"
+        if len(won) == len(rows)
+        else f"{start} from {listed(won)} trajectories alone"
+    )
 
 
 def _caption(design: Grasp, grasp: pd.DataFrame) -> str:
@@ -280,30 +277,25 @@ def _caption(design: Grasp, grasp: pd.DataFrame) -> str:
 def _draw(design: Grasp, tables: Tables, title: str) -> Figure:
     """Scores and calibration above, rewards below."""
     grasp, place = tables["grasp"], {"left": 0.07, "right": 0.985, "bottom": 0.07, "hspace": 0.36, "wspace": 0.18}
-    size = (pages.WIDTH_INCHES, 7.6)
-    figure, top, panels = figures.panels(title, size, (2, 2), 0.11, (False, False), **place)
+    figure, top, panels = figures.panels(title, (9.0, 7.6), (2, 2), 0.11, (False, False), **place)
+    all_models, of = (SUCCESSION, *FITTED), "over the true model's"
     shown = {
         SCORE: (panels[0, 0], FITTED, "log-loss on held-out attempts, above the true model's"),
-        REWARDS[0]: (
-            panels[1, 0],
-            (SUCCESSION, *FITTED),
-            "reward of the policy by linear eq. 3, over the true model's",
-        ),
-        REWARDS[1]: (panels[1, 1], (SUCCESSION, *FITTED), "reward of the heuristic, over the true model's"),
+        REWARDS[0]: (panels[1, 0], all_models, f"reward of the policy by linear eq. 3, {of}"),
+        REWARDS[1]: (panels[1, 1], all_models, f"reward of the heuristic, {of}"),
     }
     for measure, (axes, models, words) in shown.items():
         pages.draw_zero(axes, MODEL_COLOURS[ORACLE])
         series, columns = {model: LOOKS[model] for model in models}, three(f"{measure}_over_oracle")
-        figures.draw_series(axes, grasp, ("model", "num_trajectories"), series, columns, BAR_DODGE)
+        figures.draw_series(axes, grasp, ("model", "num_trajectories"), series, columns, dodge=1.10)
         pages.mark_sizes(axes, design.num_trajectories)
         figures.name_panel(axes, words, "logged trajectories that the model was learned from (log scale)")
-    axes = panels[0, 0]
     above = float(row_of(grasp, model=SUCCESSION)[f"{SCORE}_over_oracle"])
     note = f"the rule of succession, which ignores occlusion, lies {amount(above)} above"
     at: Any = {"xycoords": "axes fraction", "ha": "right", "va": "top", "fontsize": 8.0}
-    axes.annotate(note, (0.98, 0.98), color=MODEL_COLOURS[SUCCESSION], **at)
-    low, high = axes.get_ylim()
-    axes.set_ylim(low, high + 0.12 * (high - low))
+    panels[0, 0].annotate(note, (0.98, 0.98), color=MODEL_COLOURS[SUCCESSION], **at)
+    low, high = panels[0, 0].get_ylim()
+    panels[0, 0].set_ylim(low, high + 0.12 * (high - low))
     _draw_calibration(panels[0, 1], max(design.num_trajectories), tables["figure5"])
     figures.write_names(figure, top - 0.012, MODEL_NAMES, *panels.flat, columnspacing=1.4)
     return figure
@@ -315,13 +307,12 @@ def _draw_calibration(axes: Any, largest: int, figure5: pd.DataFrame) -> None:
     for model in (*FITTED, ORACLE):
         rows = where(figure5, model=model, num_trajectories=largest)
         rows = rows.loc[rows["attempts"] >= FEWEST_SHOWN].sort_values(by="mean_probability")
-        columns = ["difference", "low", "high"]
-        pages.draw_curve(axes, rows["mean_probability"], rows[columns], linewidth=1.2, **LOOKS[model])
-    axes.set_xlim(0.0, 1.0)
-    axes.set_xticks(np.linspace(0.0, 1.0, 6))
+        estimates = rows[["difference", "low", "high"]]
+        pages.draw_curve(axes, rows["mean_probability"], estimates, linewidth=1.2, **LOOKS[model])
+    axes.set(xlim=(0.0, 1.0), xticks=np.linspace(0.0, 1.0, 6))
     pages.draw_grid(axes)
-    words = f"proportion that succeeded, less predicted ({largest} trajectories)"
-    figures.name_panel(axes, words, "predicted probability of a grasp")
+    name = f"proportion that succeeded, less predicted ({largest} trajectories)"
+    figures.name_panel(axes, name, "predicted probability of a grasp")
 
 
 def _decimals(measure: str) -> int:

@@ -26,14 +26,12 @@ from halfseen.study import figures
 from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, row_of, three
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables
 from halfseen.study.figures import INTERVAL
-from halfseen.study.pipeline import Played, Source, episodes_in_turn
+from halfseen.study.pipeline import CUT_KIND, Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
 from halfseen.study.setting import Setting
 from halfseen.study.timing import measured_times, seconds
-from halfseen.world.cuts import CutKind
 from halfseen.world.policy import Policy
 
-CUT_KIND: CutKind = "independent"
 NUM_TIMED_STATES, NUM_FITS = 30, 5
 OVER = [f"over_{LEARNED.name}", "over_low", "over_high"]
 VERBS = "earns more than", "earns less than"

@@ -24,11 +24,10 @@ from halfseen.planners.exact import TableOptimum, solve_table
 from halfseen.study import figures
 from halfseen.study.compare import estimated_in, learned_from, mean_columns, records, row_of, stacked
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Tables
-from halfseen.study.pipeline import EVALUATION, Source, random_key
+from halfseen.study.pipeline import CUT_KIND, EVALUATION, Source, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
 from halfseen.study.setting import Setting
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CutKind
 from halfseen.world.scene import Scene
 from halfseen.world.state import pad_scenes
 
@@ -38,7 +37,6 @@ HIDING_PROBABILITY, MOST_HIDDEN = 0.75, 0.8
 NUM_GRIP_NODES = 31
 """Of the grid of grip offsets in the exact world: with so many it is the simulated world, in which logs are made, to
 1e-4 of reward; they cost no states."""
-CUT_KIND: CutKind = "independent"
 REGRET_AXIS = "regret: reward of a trajectory below the optimum, mean over the small tables"
 BAR_DODGE = 1.05
 REGRET = ["regret", "se", "low", "high"]

@@ -23,16 +23,14 @@ from halfseen.errors import ArgumentError
 from halfseen.shapes import Float
 from halfseen.study import policies as who
 from halfseen.study.experiment import PieceOf, Row
-from halfseen.study.pipeline import SELECTION, Learned, Played, Source, episodes_in_turn, evidence_in
+from halfseen.study.pipeline import CUT_KIND, SELECTION, Learned, Played, Source, episodes_in_turn, evidence_in
 from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Contender
 from halfseen.study.setting import Setting
 from halfseen.study.timing import measured_times
 from halfseen.tables.assisted.learner import LINEAR as LINEAR_BASIS
 from halfseen.tables.laws import fitted_to
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CutKind
 
-CUT_KIND: CutKind = "independent"
 NUM_TIMED_STATES = 60
 KEYS = ["num_trajectories", "cut_share"]
 Place = tuple[int, float]
