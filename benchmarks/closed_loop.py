@@ -34,7 +34,7 @@ from halfseen.logs import Logs, read_logs
 from halfseen.planners.named import HEURISTICS, named_policy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.policies.learner_choice import learner_for
-from halfseen.study.statistics import holm, signed_rank_test
+from halfseen.study.compare import holm, signed_rank_test
 from halfseen.workers import Workers
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig

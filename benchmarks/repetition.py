@@ -16,13 +16,10 @@ from timings import Row, write
 
 from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.scene import table_paths
-from halfseen.study.experiment import Setting
 from halfseen.study.experiments.reward import Reward
-from halfseen.study.experiments.reward.experiment import CUT_KIND
-from halfseen.study.laws import under
-from halfseen.study.pipeline import Source
+from halfseen.study.pipeline import CUT_KIND, Source
 from halfseen.study.policies import FITTED_ONE_STEP, HEURISTICS, ONE_STEP, STRONGEST_RULE
-from halfseen.study.scenes import look_at
+from halfseen.study.setting import Setting, look_at, under
 
 BAR_S = 40.0
 

@@ -27,7 +27,7 @@ from halfseen.planners import GreedyPolicy
 from halfseen.planners.control import controlled_rewards
 from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import EVALUATION, Source, random_key
-from halfseen.study.scenes import look_at
+from halfseen.study.setting import look_at
 from halfseen.tables.assisted import learner as learning
 from halfseen.tables.laws import FittedLaws, fitted_laws
 from halfseen.tables.laws.grasping import Exponential, Logistic

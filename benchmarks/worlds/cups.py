@@ -8,7 +8,7 @@ from halfseen.logs import Logs
 from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import Source
 from halfseen.study.policies import logging_policy
-from halfseen.study.scenes import look_at
+from halfseen.study.setting import look_at
 from halfseen.world import TableWorld, WorldConfig
 from halfseen.world.state import pad_scenes
 

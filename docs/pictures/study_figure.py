@@ -25,8 +25,7 @@ def _setting():
     from halfseen.cell.calibration.law_folder import shipped_law
     from halfseen.perception import perceive, read_cloud
     from halfseen.scene import table_paths
-    from halfseen.study.experiment import Setting
-    from halfseen.study.laws import under
+    from halfseen.study.setting import Setting, under
 
     setting, law = under(Setting(()), shipped_law())
     scenes = tuple(replace(law.scene(perceive(read_cloud(path))), name=path.stem) for path in table_paths())
@@ -35,7 +34,7 @@ def _setting():
 
 def draw_figure(name: str, prefix: str = "study", kind: str = "png") -> bytes:
     """Draw a figure as the study does, from the tables that are kept under a prefix."""
-    from halfseen.study.experiments.reward.experiment import Reward
+    from halfseen.study.experiments.reward import Reward
 
     tables = {name: pd.read_csv(NUMBERS / f"{prefix}-{name}.csv", float_precision="round_trip") for name in TABLES}
     section = Reward().section(_setting(), tables)
@@ -90,8 +89,8 @@ def run_study(folder: Path, repetitions: int) -> Path:
 
 def _first_repetition() -> Mapping[int, Row]:
     """What the heuristics, and policies learned from the smallest logs, earn in the first repetition."""
-    from halfseen.study.experiments.reward.experiment import CUT_KIND, Reward
-    from halfseen.study.pipeline import Source
+    from halfseen.study.experiments.reward import Reward
+    from halfseen.study.pipeline import CUT_KIND, Source
     from halfseen.study.policies import HEURISTICS
 
     design, setting = Reward(), _setting()

@@ -22,7 +22,7 @@ from release.every_verb import CLONE, LINES, SERVERS, Ended, prepare
 HERE = Path(__file__).parent
 TINY_STUDY = """
 import json
-import halfseen.study.run as run
+import halfseen.study.runner as run
 from release.every_verb import LINES, run as run_line
 from tiny import TINY
 run.chosen = lambda only: TINY[-1:]

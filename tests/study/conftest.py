@@ -1,7 +1,7 @@
 import pytest
 from tiny import SETTING, TINY
 
-from halfseen.study.run import run_study
+from halfseen.study.runner import run_study
 from halfseen.workers import Workers
 
 

@@ -8,18 +8,17 @@ import numpy as np
 
 from attempt_logs import attempt_log
 from halfseen.cell.calibration.attempts import trials
-from halfseen.study.experiment import Pieces, Section, Setting
+from halfseen.study.experiment import Pieces, Section
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.attempts import Attempts
-from halfseen.study.experiments.attempts.design import COMPLETED, VISIBLE_ONLY
-from halfseen.study.experiments.attempts.design import MODEL_NAMES as ATTEMPT_MODELS
-from halfseen.study.experiments.attempts.sources import source_of
-from halfseen.study.experiments.attempts.splits import split_of
-from halfseen.study.experiments.clutter import Clutter
-from halfseen.study.experiments.clutter.table import table_of
-from halfseen.study.experiments.grasp.design import MODEL_NAMES
-from halfseen.study.pipeline import TREATMENTS, episodes_in_turn
+from halfseen.study.experiments.attempts_repetition import COMPLETED, VISIBLE_ONLY, source_of
+from halfseen.study.experiments.attempts_repetition import MODEL_NAMES as ATTEMPT_MODELS
+from halfseen.study.experiments.clutter import Clutter, table_of
+from halfseen.study.experiments.grasp import MODEL_NAMES
+from halfseen.study.pipeline import episodes_in_turn
 from halfseen.study.policies import HEURISTICS, ONE_STEP
+from halfseen.study.setting import Setting
+from halfseen.study.treatments import TREATMENTS
 from halfseen.tables.assisted.learner import MODEL, RULE
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
@@ -223,7 +222,7 @@ def attempt_pieces(gain=0.0, repetitions=8, has_both=True):
 
 
 def _attempts(design, index, decided, trajectory, hard, gain, rng):
-    tables = split_of(design, np.unique(trajectory), 0, index).held_out
+    tables = design.split(np.unique(trajectory), 0, index).held_out
     rows = np.isin(trajectory, tables)
     weight = np.array([np.sum(trajectory == table) for table in tables], dtype=float)
     scores = []

@@ -11,16 +11,12 @@ from scipy.stats import t
 
 from attempt_logs import TRUTH, attempt_log
 from examples import attempt_pieces
-from halfseen.study.experiment import Pieces, Setting
-from halfseen.study.experiments.attempts import Attempts
-from halfseen.study.experiments.attempts.design import MODEL_NAMES, AttemptsDesign
-from halfseen.study.experiments.attempts.differences import mean_of
-from halfseen.study.experiments.attempts.models import predicted
-from halfseen.study.experiments.attempts.occlusion import assumed_share
-from halfseen.study.experiments.attempts.set_svm import SEEN, of_one_kind, sets_of
-from halfseen.study.experiments.attempts.sources import fit_of, frame_of
-from halfseen.study.experiments.attempts.splits import sizes_of, split_of
-from halfseen.study.statistics import holm
+from halfseen.study.compare import holm
+from halfseen.study.experiment import Pieces
+from halfseen.study.experiments.attempts import Attempts, assumed_share, mean_of
+from halfseen.study.experiments.attempts_repetition import MODEL_NAMES, fit_of, frame_of, predicted
+from halfseen.study.experiments.attempts_set_svm import SEEN, of_one_kind, sets_of
+from halfseen.study.setting import Setting
 from halfseen.study.store import as_json
 from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
 
@@ -55,28 +51,28 @@ def tried(pieces):
 
 
 def test_no_table_is_both_learned_from_and_held_out():
-    design, tables = AttemptsDesign(num_folds=4), np.arange(7, 60)
+    design, tables = Attempts(num_folds=4), np.arange(7, 60)
     for first in (0, 4, 8):
-        splits = [split_of(design, tables, 3, index) for index in range(first, first + 4)]
+        splits = [design.split(tables, 3, index) for index in range(first, first + 4)]
         for split in splits:
             assert not set(split.learned) & set(split.held_out)
             assert set(split.learned) | set(split.held_out) == set(tables)
         assert sorted(np.concatenate([split.held_out for split in splits])) == sorted(tables)
-    again = split_of(design, tables[::-1], 3, 8)
+    again = design.split(tables[::-1], 3, 8)
     np.testing.assert_array_equal(again.learned, splits[0].learned)
-    assert list(split_of(design, tables, 4, 8).learned) != list(again.learned)
+    assert list(design.split(tables, 4, 8).learned) != list(again.learned)
 
 
 def test_only_sizes_that_every_repetition_has_are_learned_from():
-    design = AttemptsDesign(num_tables=(10, 30, 50), num_folds=4)
+    design = Attempts(num_tables=(10, 30, 50), num_folds=4)
     for num in (40, 41, 43, 67):
-        least = min(len(split_of(design, np.arange(num), 0, index).learned) for index in range(4))
-        assert sizes_of(design, num) == tuple(size for size in (10, 30, 50) if size <= least)
-    assert sizes_of(design, 8) == (6,)
+        least = min(len(design.split(np.arange(num), 0, index).learned) for index in range(4))
+        assert design.sizes(num) == tuple(size for size in (10, 30, 50) if size <= least)
+    assert design.sizes(8) == (6,)
 
 
 def test_scores_are_those_of_attempts_that_were_held_out(pieces, tried):
-    split, piece = split_of(TINY, np.unique(tried["trajectory"]), 5, 1), pieces.repetitions[1]
+    split, piece = TINY.split(np.unique(tried["trajectory"]), 5, 1), pieces.repetitions[1]
     learned = tried[tried["trajectory"].isin(list(split.learned[:12]))]
     held_out = tried[tried["trajectory"].isin(list(split.held_out))]
     weight = dict(zip(held_out.index[held_out["is_finished"]], checked_attempts(held_out).weight, strict=True))

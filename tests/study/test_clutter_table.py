@@ -13,20 +13,19 @@ from scipy import stats
 from examples import WORLD, map_pieces, map_table
 from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
-from halfseen.study.experiment import Setting
-from halfseen.study.experiments.clutter import Clutter
-from halfseen.study.experiments.clutter.places import ClutterDesign, random_tables
-from halfseen.study.experiments.clutter.table import (
+from halfseen.study.experiments.clutter import Clutter, GainShare, gain_share, table_of, verdict
+from halfseen.study.experiments.clutter_map import (
     ENOUGH,
     LEARN,
     NO_SCALE,
     UNDECIDED,
-    GainShare,
-    gain_share,
-    table_of,
-    verdict,
+    factor_words,
+    levels,
+    map_sentence,
+    map_title,
 )
-from halfseen.study.experiments.clutter.words import factor_words, levels, map_sentence, map_title
+from halfseen.study.experiments.clutter_places import ClutterDesign, random_tables
+from halfseen.study.setting import Setting
 from halfseen.world.config import WorldConfig
 
 COLUMNS = (

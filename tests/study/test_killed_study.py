@@ -18,8 +18,9 @@ from pathlib import Path
 from dataclasses import dataclass
 import numpy as np
 import pandas as pd
-from halfseen.study.experiment import Section, Setting
-from halfseen.study.run import run_study
+from halfseen.study.experiment import Section
+from halfseen.study.runner import run_study
+from halfseen.study.setting import Setting
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
 

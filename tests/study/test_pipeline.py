@@ -11,10 +11,10 @@ from fitted_laws import FITTED
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.planners import POMDPPolicy
-from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
+from halfseen.study.pipeline import Source, episodes_in_turn
 from halfseen.study.policies import COLOURS, HEURISTICS, Kind, horizon_planner, planner
 from halfseen.study.runner import MOST_AT_ONCE, in_rows
-from halfseen.study.tried import tried_in
+from halfseen.study.treatments import TREATMENTS, tried_in
 from halfseen.tables import attempts
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.cuts import CutEpisodes

@@ -13,10 +13,10 @@ from examples import GRASP, PLANNING, REWARD, example
 from halfseen.evaluation.estimate import Estimate
 from halfseen.pages.drawing import drawn, style
 from halfseen.pages.sentences import Claim
+from halfseen.study.compare import row_of, where
 from halfseen.study.experiments import EXPERIMENTS
-from halfseen.study.experiments.reward.opening import opening_of
-from halfseen.study.experiments.reward.peer import over_peer
-from halfseen.study.frames import row_of, where
+from halfseen.study.experiments.reward_figures import opening_of
+from halfseen.study.experiments.reward_repetition import over_peer
 
 BY_NAME = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
 

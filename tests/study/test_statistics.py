@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
-from halfseen.study.statistics import adjusted, estimate_in, holm, over_repetitions, paired_test
+from halfseen.study.compare import adjusted, better, estimate_in, holm, over_repetitions
 
 
 def naive_holm(p_values):
@@ -42,12 +42,12 @@ def test_the_effect_is_the_mean_difference_with_the_interval_of_t_and_more_is_be
     rng = np.random.default_rng(0)
     other = rng.normal(size=40)
     ours = other + 0.5 + 0.3 * rng.normal(size=40)
-    better = paired_test(ours, other, is_more_better=True)
-    assert better.p_value < 1e-4
-    assert paired_test(ours, other, is_more_better=False).p_value > 0.99
-    assert paired_test(other, ours, is_more_better=False).p_value < 1e-4
+    found = better(ours, other, "reward")
+    assert found.p_value < 1e-4
+    assert better(ours, other, "time").p_value > 0.99
+    assert better(other, ours, "time").p_value < 1e-4
     low, high = stats.ttest_rel(ours, other).confidence_interval(0.95)
-    effect = better.effect
+    effect = found.effect
     assert (effect.value, effect.low, effect.high) == pytest.approx((np.mean(ours - other), low, high))
-    nothing = paired_test(other, other, is_more_better=True)
+    nothing = better(other, other, "reward")
     assert (nothing.p_value, nothing.effect.low, nothing.effect.high) == (1.0, 0.0, 0.0)

@@ -12,9 +12,8 @@ from tiny import SETTING, TINY
 from axe import PAGES, faults_of, in_browser
 from halfseen.cell.calibration.law_folder import shipped_law
 from halfseen.errors import ArgumentError
-from halfseen.study.laws import under
-from halfseen.study.run import run_study, without_laws
-from halfseen.study.runner import store_of
+from halfseen.study.runner import run_study, store_of, without_laws
+from halfseen.study.setting import under
 from halfseen.workers import Workers
 
 REWARD = "mean_reward se low high"

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from halfseen.study.experiment import Setting
 from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.censoring import Censoring
 from halfseen.study.experiments.clutter import Clutter
@@ -10,6 +9,7 @@ from halfseen.study.experiments.grasp import Grasp
 from halfseen.study.experiments.planning import Planning
 from halfseen.study.experiments.regret import Regret
 from halfseen.study.experiments.reward import Reward
+from halfseen.study.setting import Setting
 from halfseen.world.scene import Scene
 
 SIZES = (25, 50)

@@ -37,10 +37,8 @@ def study(
     Experiments: reward, planning, censoring, grasp, attempts, clutter, regret.
     """
     from halfseen.scene import table_paths
-    from halfseen.study.experiment import DEFAULT_REPETITIONS, Setting
-    from halfseen.study.laws import under
-    from halfseen.study.run import chosen, run_study, without_laws
-    from halfseen.study.scenes import look_at
+    from halfseen.study.runner import chosen, run_study, without_laws
+    from halfseen.study.setting import DEFAULT_REPETITIONS, Setting, look_at, under
     from halfseen.writing import refuse_unwritable
 
     experiments, trajectories = chosen(only), list(clouds) or table_paths()

@@ -1,9 +1,8 @@
 """The study: one runner, one pipeline, and an experiment for each question.
 
-Read down: `policies` (the registry of who takes part) → `pipeline` (play → encode → cut → treat → learn → evaluate) →
-`timing` (how long a decision takes) → `experiment` (what an experiment is) → `experiments` (the questions, each
-with its configuration, repetition, tables, figure and claim) → `store`, `runner` (what is done stays done) → `report`
-→ `run` (all of it).
+Read down: `setting` → `policies` (who takes part) → `treatments`, `pipeline` (play → cut → treat → learn → evaluate) →
+`timing` (how long a decision takes) → `experiment` (what an experiment is) → `compare`, `figures` (tidy tables, paired
+tests, points with intervals) → `experiments` (the questions) → `store`, `runner` (what is done stays done) → `report`.
 """
 
 from typing import TYPE_CHECKING
@@ -11,12 +10,13 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.study.experiment import Experiment, Setting
+    from halfseen.study.experiment import Experiment
     from halfseen.study.report import StudyResults
-    from halfseen.study.run import run_study
+    from halfseen.study.runner import run_study
+    from halfseen.study.setting import Setting
 
 __all__ = ["Experiment", "Setting", "StudyResults", "run_study"]
 
 __getattr__ = lazy_names(
-    __name__, {"Experiment": "experiment", "Setting": "experiment", "StudyResults": "report", "run_study": "run"}
+    __name__, {"Experiment": "experiment", "Setting": "setting", "StudyResults": "report", "run_study": "runner"}
 )

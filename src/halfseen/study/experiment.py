@@ -5,66 +5,23 @@ be pickled, and what it returns is plain numbers. So repetitions may run in any 
 """
 
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field
-from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
 import pandas as pd
 from matplotlib.figure import Figure
 
-from halfseen.errors import ArgumentError
-from halfseen.world.config import WorldConfig
-from halfseen.world.scene import Scene
-from halfseen.world.state import Layout, pad_scenes
-
-DEFAULT_REPETITIONS = 40
+from halfseen.study.setting import Setting
 
 PieceOf = Mapping[str, Any]
 """Plain numbers, as they are kept between runs."""
 
 
-@dataclass(frozen=True)
-class Setting:
-    """What all experiments share.
-
-    Parameters
-    ----------
-    scenes
-        The tables, as perception saw them.
-    repetitions
-        Fresh logs, each with a fresh block of evaluation episodes that all policies share; some experiments make do
-        with fewer.
-    seed
-        Everything follows from it, but for measured times.
-    alpha
-        Level of the tests.
-    world
-        The numbers of the world.
-    law
-        Folder of the law that the world has, with the attempts that it was estimated from; None where the world's laws
-        are assumed.
-    grips
-        Grip offsets, quantiles of those that objects of the physical cell have; objects of random tables draw theirs
-        from them. None where all offsets are 0.
-    """
-
-    scenes: tuple[Scene, ...]
-    repetitions: int = DEFAULT_REPETITIONS
-    seed: int = 0
-    alpha: float = 0.01
-    world: WorldConfig = field(default_factory=WorldConfig)
-    law: Path | None = None
-    grips: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        if self.repetitions < 2:
-            raise ArgumentError(f"repetitions is {self.repetitions}; intervals and tests need at least 2")
-
-    @cached_property
-    def layouts(self) -> Layout:
-        """The tables, padded to the largest."""
-        return pad_scenes(self.scenes)
+CUT_KIND_NAMES = {
+    "independent": "independent cuts",
+    "occlusion": "cuts where much is hidden",
+    "attempt": "the operator's hand",
+}
+"""Kind of cut → name for people."""
 
 
 class Pieces(NamedTuple):

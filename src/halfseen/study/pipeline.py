@@ -1,35 +1,20 @@
 """The one way from a policy to a policy: play → cut → encode → treat → learn → evaluate.
 
-*With laws*, by default, as the product learns of tables: laws are fitted to the log (`told`), and eq. 3 on the weighted
-log judges them. *Without*, linear eq. 3 alone: what is learned beside, and what treatments of cuts are compared by, as
-these are treatments of eq. 3.
+*With laws*, by default, as the product learns of tables: laws are fitted to the log, and eq. 3 on the weighted log
+judges them. *Without*, linear eq. 3 alone: what is learned beside, and what treatments of cuts (`treatments`) are
+compared by, as these are treatments of eq. 3.
 
-What tells the probability of a grasp in the features of linear eq. 3 is chosen by each log's attempts, as where the
-product is told nothing, and alike for all treatments of the log: so they differ in what they make of cuts alone.
+What tells the probability of a grasp in the features of linear eq. 3 is chosen by each log's attempts, alike for all
+treatments of the log: so they differ in what they make of cuts alone.
 
 *Rewards by a control variate* (`halfseen.planners.control`), where the world has laws of known probabilities: what a
 policy's decisions fall short of V°, plus what V° is worth in the mean of many tables that are not played. Policies
 differ by the former alone.
-
-A cut trajectory is treated in one of five ways, as what the learner sees of it:
-
-``imputed``
-    Every begun stage, with an imputed target where it was cut, and Q at its lower confidence bound: what the product
-    does where nothing is said.
-``weighted``
-    Every completed stage, weighted by 1/Ĝ(U⁻): the paper's.
-``unweighted``
-    Every completed stage alike.
-``dropped``
-    Only trajectories that finished, all their stages alike.
-``failures``
-    Every completed stage alike, and the stage in which the cut fell counts as a failed attempt that ended the
-    trajectory: WASH costs what a failure costs, LIFT the time until the cut, and the dirty objects left are paid for as
-    at every end.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import Literal, NamedTuple
 
@@ -37,41 +22,44 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import mapped
-from halfseen.censoring import StageClocks, weight_diagnostics
-from halfseen.errors import ArgumentError
+from halfseen.censoring import weight_diagnostics
+from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import AUTO, Encoded
 from halfseen.planners.control import controlled_each, start_values
 from halfseen.shapes import Float
-from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
-from halfseen.study.told import LinearFit, helped, told_by
-from halfseen.study.tried import tried_in
-from halfseen.tables.assisted.learner import Assisted
+from halfseen.study.setting import Setting
+from halfseen.study.treatments import CENSORING, trajectory_arrays, treated, tried_in
+from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, rule_or_linear
+from halfseen.tables.assisted.policy import RulePolicy
+from halfseen.tables.assisted.weighted_log import layouts_of, weighed
 from halfseen.tables.encoding import encoded_states
 from halfseen.tables.features import table_features
-from halfseen.tables.grasp.choice import choose_by
-from halfseen.tables.laws.evidence import Evidence
+from halfseen.tables.grasp.beta_grasp import BetaGrasp
+from halfseen.tables.grasp.choice import choose_by, grasp_model_by
+from halfseen.tables.laws.evidence import Evidence, evidence_of
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.workers.threads import one_thread
 from halfseen.world import random
-from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
-from halfseen.world.logs import elapsed_s
+from halfseen.world.logs import to_logs
 from halfseen.world.policy import GraspModel, Policy
 from halfseen.world.random import Key
 from halfseen.world.rollout import Episodes, Totals, evaluate_each, evaluate_some, play
+from halfseen.world.scene import Scene
 from halfseen.world.state import Layout
 from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
 
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
-TREATMENTS = ("imputed", "weighted", "unweighted", "dropped", "failures")
-CENSORING = {"imputed": "auto", "weighted": "kaplan-meier"}
-"""Treatment → what the learner is told of cuts; nothing where it is not here."""
+CUT_KIND: CutKind = "independent"
+"""How logs are cut where an experiment does not compare kinds of cuts."""
+NAMELESS = (Scene(np.zeros((1, 1))),)
+"""What tables are called tells nothing of laws; nor does the cause of a cut."""
 
 Grasp = GraspModel | Literal["auto"] | None
 """What tells the probability of a grasp: a model; None for the rule of succession; ``"auto"``, chosen by the log."""
@@ -112,10 +100,13 @@ class Source:
         """The tables and the world of all experiments."""
         return cls(setting.world, setting.layouts, setting.seed, index)
 
+    def key(self, purpose: int) -> Key:
+        """Random key of a purpose."""
+        return random_key(self.seed, purpose, self.index)
+
     def play(self, num_trajectories: int, purpose: int = LOGS) -> Episodes:
         """Trajectories of the logging policy that nothing cut."""
-        key = random_key(self.seed, purpose, self.index)
-        return play(self.world, self.layouts, logging_policy(self.world), key, num_trajectories)
+        return play(self.world, self.layouts, logging_policy(self.world), self.key(purpose), num_trajectories)
 
     def cut(self, episodes: Episodes, rate: float, kind: CutKind) -> CutEpisodes:
         """Cut them, with the same draws for every rate and kind: a larger rate cuts the same trajectories earlier."""
@@ -135,31 +126,33 @@ class Source:
 
     def evaluate_each(self, policies: Sequence[Policy], num_episodes: int) -> list[Played]:
         """Play each policy on the episodes that all share."""
-        key = random_key(self.seed, EVALUATION, self.index)
-        return [_played(each) for each in evaluate_each(self.world, self.layouts, policies, key, num_episodes)]
+        each = evaluate_each(self.world, self.layouts, policies, self.key(EVALUATION), num_episodes)
+        return [_played(one) for one in each]
 
     def evaluate_some(self, policy: Policy, episodes: Sequence[int], purpose: int = EVALUATION) -> Played:
         """Play a policy on some of them, by number."""
-        key = random_key(self.seed, purpose, self.index)
-        return _played(evaluate_some(self.world, self.layouts, policy, key, np.array(episodes)))
+        return _played(evaluate_some(self.world, self.layouts, policy, self.key(purpose), np.array(episodes)))
 
     def start_value(self, num_tables: int) -> float:
         """Mean of V° of so many tables as they are set, none of which is played."""
-        return float(
-            start_values(self.world, self.layouts, random_key(self.seed, STARTS), np.arange(num_tables)).mean()
-        )
+        values = start_values(self.world, self.layouts, random_key(self.seed, STARTS), np.arange(num_tables))
+        return float(values.mean())
 
     def control_each(
         self, policies: Sequence[Policy], episodes: Sequence[int], start: float, purpose: int = EVALUATION
     ) -> list[Played]:
         """Play each policy on the same episodes, by number: rewards by the control variate, with `start_value`."""
-        key = random_key(self.seed, purpose, self.index)
-        each = controlled_each(self.world, self.layouts, policies, key, np.array(episodes))
+        each = controlled_each(self.world, self.layouts, policies, self.key(purpose), np.array(episodes))
         return [Played(start + one.advantage, one.robot_s) for one in each]
 
 
 def _played(totals: Totals) -> Played:
     return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
+
+
+def evidence_in(cuts: CutEpisodes, world: WorldConfig) -> Evidence:
+    """What a log tells of laws; of the world, prices and times are looked at."""
+    return evidence_of(to_logs(cuts, CUT_KIND, NAMELESS, world.dirty_share), world)
 
 
 class Learned(NamedTuple):
@@ -189,13 +182,12 @@ class LoggedTrajectories:
     def encoded(self) -> Encoded:
         """All trajectories as the learner sees them where no log has its own model of grasps."""
         action, is_taken = (np.asarray(leaf) for leaf in (self.episodes.action, self.episodes.is_taken))
-        return encoded_states(
-            self.episodes.states, action, is_taken, None if isinstance(self.grasp, str) else self.grasp
-        )
+        grasp = None if isinstance(self.grasp, str) else self.grasp
+        return encoded_states(self.episodes.states, action, is_taken, grasp)
 
     def lay_out(self, cuts: CutEpisodes, treatment: str) -> TrajectoryArrays:
         """A log as the learner sees it under a treatment."""
-        return treated(_trajectory_arrays(cuts, self.encoded), cuts, treatment, self.source.world)
+        return treated(trajectory_arrays(cuts, self.encoded), cuts, treatment, self.source.world)
 
     def learn(self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]) -> list[Learned]:
         """Learn from the first trajectories of logs, each under its treatment; at each size from all."""
@@ -207,48 +199,49 @@ class LoggedTrajectories:
         learned: dict[tuple[int, int], Learned] = {}
         for numbers in treatments.values():
             cuts = logs[numbers[0]][0]
-            tried = tried_in(cuts) if isinstance(self.grasp, str) or self.laws else None
-            evidence = told_by(cuts, self.source.world) if self.laws else None
+            tried = tried_in(cuts) if isinstance(self.grasp, str) or self.laws else pd.DataFrame({"trajectory": []})
+            # A log is written and read once for what it tells of laws; its first trajectories tell a part of that.
+            evidence = evidence_in(cuts, self.source.world) if self.laws else None
             laid_out = {number: self.lay_out(cuts, logs[number][1]) for number in numbers}
             for size in sizes:
-                first_tried = None if tried is None else tried.iloc[: int(tried["trajectory"].searchsorted(size))]
+                first_tried = tried.iloc[: int(tried["trajectory"].searchsorted(size))]
                 grasp, encoded = self._seen_by(cuts, first_tried, size)
+                told = None if evidence is None else evidence.first(size)
                 for number, trajectories in laid_out.items():
                     first = trajectories.take(slice(size))._replace(encoded=encoded)
-                    fit, weights = self._learn_from(first, logs[number][1], grasp)
-                    one = Learned(fit.policy, weights, fit.policy)
-                    if evidence is not None and first_tried is not None:
-                        one = self._helped(one, fit, evidence.first(size), first_tried)
-                    learned[size, number] = one
+                    model = self.model(logs[number][1], grasp).with_cuts(first)
+                    learned[size, number] = self._learn_from(first, model, told, first_tried)
         return [learned[size, number] for size in sizes for number in range(len(logs))]
-
-    def _helped(self, one: Learned, fit: LinearFit, evidence: Evidence, tried: pd.DataFrame) -> Learned:
-        states = mapped(lambda leaf: np.asarray(leaf)[: fit.trajectories.num_trajectories], self.episodes.states)
-        with one_thread():
-            found = helped(evidence, states, self.source.world, fit, tried)
-        return one._replace(policy=found.policy, assisted=found)
 
     def learn_one(self, cuts: CutEpisodes, num_trajectories: int) -> Policy:
         """Learn from the first trajectories of a log, weighted."""
         return self.learn([(cuts, "weighted")], [num_trajectories])[0].policy
 
-    def learn_and_play(
-        self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int], num_episodes: int
-    ) -> list[tuple[dict[str, float], Played]]:
-        """Learn from logs, at each size from all, and play on the same episodes: weights and what was earned."""
-        learned = self.learn(logs, sizes)
-        played = self.source.evaluate_each([one.policy for one in learned], num_episodes)
-        return [(one.weights, each) for one, each in zip(learned, played, strict=True)]
-
     def _learn_from(
-        self, trajectories: TrajectoryArrays, treatment: str, grasp: GraspModel | None
-    ) -> tuple[LinearFit, dict[str, float]]:
-        model = self.model(treatment, grasp).with_cuts(trajectories)
+        self, trajectories: TrajectoryArrays, model: QModel, evidence: Evidence | None, tried: pd.DataFrame
+    ) -> Learned:
+        """Linear eq. 3, and where there is evidence of laws, what `TableLearner` learns with the help of them."""
         rows = model.transitions(trajectories)
-        return LinearFit(model.policy(model.fit(rows)), model, trajectories), _weights(np.asarray(rows.weight))
+        linear = model.policy(model.fit(rows))
+        found = weight_diagnostics(np.asarray(rows.weight))
+        weights = {"effective_sample_size": found.effective_sample_size, "largest_weight": found.largest_weight}
+        if evidence is None:
+            return Learned(linear, weights, linear)
+        world = self.source.world
+        states = mapped(lambda leaf: np.asarray(leaf)[: trajectories.num_trajectories], self.episodes.states)
+
+        def without(rule: RulePolicy) -> Chosen:
+            with suppress(HalfseenError):
+                rule = replace(rule, grasp=grasp_model_by(BetaGrasp(), tried, world.horizon))
+            return rule_or_linear(rule, linear, model, trajectories, states)
+
+        with one_thread():
+            log = weighed(trajectories, states)
+            assisted = assisted_by(evidence, log, layouts_of(states), world, model.random_state, without)
+        return Learned(assisted.policy, weights, linear, assisted)
 
     def _seen_by(
-        self, cuts: CutEpisodes, tried: pd.DataFrame | None, num_trajectories: int
+        self, cuts: CutEpisodes, tried: pd.DataFrame, num_trajectories: int
     ) -> tuple[GraspModel | None, Encoded]:
         """What tells the probability of a grasp, by what the first of a log tried, and what the learner sees by it.
 
@@ -257,7 +250,6 @@ class LoggedTrajectories:
         common = mapped(lambda leaf: leaf[:num_trajectories], self.encoded)
         if not isinstance(self.grasp, str):
             return self.grasp, common
-        assert tried is not None
         grasp = choose_by(tried, self.source.world.horizon).grasp
         if grasp is None:
             return None, common
@@ -281,60 +273,6 @@ class LoggedTrajectories:
             censoring=CENSORING.get(treatment, "none"),
             random_state=int(np.random.SeedSequence([source.seed, source.index]).generate_state(1)[0]),
         ).compose()
-
-
-def treated(trajectories: TrajectoryArrays, cuts: CutEpisodes, treatment: str, world: WorldConfig) -> TrajectoryArrays:
-    """What a learner sees of a log under one of `TREATMENTS`."""
-    if treatment not in TREATMENTS:
-        raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
-    clocks = trajectories.clocks
-    if treatment == "dropped":
-        kept = cuts.is_finished[:, None]
-        elapsed = np.where(kept, clocks.elapsed_s, np.nan)
-        return trajectories._replace(clocks=clocks._replace(is_begun=clocks.is_begun & kept, elapsed_s=elapsed))
-    if treatment == "failures":
-        is_cut_stage = cuts.is_begun & ~cuts.is_completed
-        elapsed = np.where(is_cut_stage, cuts.end_s[:, None], clocks.elapsed_s)
-        ended = clocks._replace(elapsed_s=elapsed, is_finished=np.ones_like(clocks.is_finished))
-        return trajectories._replace(
-            reward=np.where(is_cut_stage, _failure_reward(cuts, world), trajectories.reward), clocks=ended
-        )
-    return trajectories
-
-
-def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, "n T"]:
-    verb = np.asarray(ActionSpace(cuts.episodes.states.num_objects).verb(cuts.episodes.action))
-    begun_s = np.nan_to_num(elapsed_s(cuts)).max(axis=1)
-    lifted = world.reward_lift_per_s * (cuts.end_s - begun_s)
-    attempt = np.select([verb == Verb.WASH, verb == Verb.LIFT], [world.reward_wash_failed, lifted[:, None]], 0.0)
-    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[:, None, :]
-    dirty_left = np.sum(np.asarray(cuts.episodes.states.is_on_table) & is_dirty, axis=-1)
-    return attempt + world.reward_dirty_left * dirty_left
-
-
-def _trajectory_arrays(cuts: CutEpisodes, encoded: Encoded) -> TrajectoryArrays:
-    """A log as arrays: what reading back its `Logs` gives, without writing them."""
-    clocks = StageClocks(
-        trajectory_ids=np.arange(len(cuts.end_s)),
-        elapsed_s=elapsed_s(cuts),
-        end_s=cuts.end_s,
-        is_finished=cuts.is_finished,
-        is_begun=cuts.is_begun,
-        covariates=np.zeros((*cuts.is_begun.shape, 0)),
-        covariate_names=(),
-    )
-    return TrajectoryArrays(
-        clocks=clocks,
-        encoded=encoded,
-        has_action=cuts.is_begun,
-        probability=np.asarray(cuts.episodes.probability, dtype=np.float64),
-        reward=np.where(cuts.is_completed, np.asarray(cuts.episodes.reward, dtype=np.float64), 0.0),
-    )
-
-
-def _weights(weight: Float[np.ndarray, "n T"]) -> dict[str, float]:
-    found = weight_diagnostics(weight)
-    return {"effective_sample_size": found.effective_sample_size, "largest_weight": found.largest_weight}
 
 
 def episodes_in_turn(index: int, num_episodes: int, num_all: int) -> list[int]:

@@ -11,6 +11,8 @@ from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import ExploringPolicy, Policy
 
+BEST = ("best_heuristic", "best_planner")
+"""Roles of the heuristic and the planner that were the strongest on episodes of their own."""
 LOG_RANDOM_SHARE = 0.5
 """Probability with which a logged action was drawn uniformly at random; else it is the strongest heuristic's."""
 

@@ -17,10 +17,9 @@ from halfseen.pages.html import rendered
 from halfseen.pages.numbers import percent, share
 from halfseen.pages.palette import HUES
 from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence
-from halfseen.study.experiment import Drawing, Experiment, Section, Setting, Tables
-from halfseen.study.laws import law_sentence
+from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Experiment, Section, Tables
 from halfseen.study.policies import STRONGEST_RULE
-from halfseen.study.wording import CUT_KIND_NAMES
+from halfseen.study.setting import Setting, law_sentence
 from halfseen.world.scene import Scene
 
 # Smaller proportions are within what perception errs.

@@ -11,6 +11,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from halfseen.errors import ArgumentError
 from halfseen.reading import NUMBERS, json_of, read_text, reason_of
 from halfseen.writing import write_file
@@ -20,7 +22,10 @@ FINGERPRINT = "design.json"
 
 def as_json(value: Any) -> str:
     """The same bytes for the same value; NaN is refused."""
-    return json.dumps(value, indent=1, sort_keys=True, allow_nan=False) + "\n"
+    plain = json.dumps(
+        value, indent=1, sort_keys=True, allow_nan=False, default=lambda array: np.asarray(array).tolist()
+    )
+    return plain + "\n"
 
 
 class Store:
@@ -31,7 +36,11 @@ class Store:
         claim, path = as_json(fingerprint), folder / FINGERPRINT
         try:
             if not is_resumed and folder.exists():
-                _refuse_foreign(folder)
+                if not path.is_file() and any(folder.iterdir()):
+                    raise ArgumentError(
+                        f"--out: {folder} holds no study ({FINGERPRINT} is missing), so it is not removed; name "
+                        "another folder"
+                    )
                 shutil.rmtree(folder)
             held = read_text(path) if path.exists() else claim
         except (OSError, UnicodeDecodeError) as error:
@@ -48,11 +57,11 @@ class Store:
 
     def has(self, name: str) -> bool:
         """Whether a piece is there."""
-        return self._trajectory(name).exists()
+        return self._file(name).exists()
 
     def keep(self, name: str, piece: Any) -> None:
         """Keep a piece."""
-        write_file(self._trajectory(name), as_json({"piece": piece, "sha256": self._digest(piece)}))
+        write_file(self._file(name), as_json({"piece": piece, "sha256": self._digest(piece)}))
 
     def read(self, name: str) -> Any:
         """Read a piece.
@@ -62,7 +71,7 @@ class Store:
         ArgumentError
             It cannot be read, was changed, or is of another study.
         """
-        path = self._trajectory(name)
+        path = self._file(name)
         try:
             kept = json_of(read_text(path, NUMBERS))
             if not (isinstance(kept, dict) and kept.get("sha256") == self._digest(kept.get("piece"))):
@@ -83,13 +92,5 @@ class Store:
     def _digest(self, piece: Any) -> str:
         return hashlib.sha256((self._claim + as_json(piece)).encode()).hexdigest()
 
-    def _trajectory(self, name: str) -> Path:
+    def _file(self, name: str) -> Path:
         return self.folder / f"{name}.json"
-
-
-def _refuse_foreign(folder: Path) -> None:
-    """Refuse to begin anew where something lies that no study wrote."""
-    if not (folder / FINGERPRINT).is_file() and any(folder.iterdir()):
-        raise ArgumentError(
-            f"--out: {folder} holds no study ({FINGERPRINT} is missing), so it is not removed; name another folder"
-        )

@@ -3,7 +3,7 @@
 import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 
@@ -11,9 +11,9 @@ import numpy as np
 
 from halfseen.arrays import mapped
 from halfseen.shapes import Float
-from halfseen.study.experiment import Setting
 from halfseen.study.pipeline import Source
 from halfseen.study.policies import FITTED_RULE, STRONGEST_RULE, Contender, Kind
+from halfseen.study.setting import Setting
 from halfseen.tables.assisted.policy import AssistedPolicy
 from halfseen.tables.assisted.synthetic import Excess
 from halfseen.tables.features import NUM_FEATURES
@@ -26,13 +26,6 @@ from halfseen.world.state import TableState
 MOST_TIMED_S = 0.25
 """Time that is spent on timing one policy, but for its last decision [s]."""
 FEWEST_TIMED = 3
-
-
-def states_along_the_way(source: Source, num_states: int) -> list[TableState]:
-    """One state from each of many trajectories of the logging policy, early and late ones in turn."""
-    episodes = source.play(num_states)
-    num_stages = np.asarray(episodes.is_taken).sum(axis=1)
-    return [mapped(lambda leaf, k=k: leaf[k, k % num_stages[k]], episodes.states) for k in range(num_states)]
 
 
 def decision_times_ms(
@@ -54,9 +47,14 @@ def decision_times_ms(
 
 
 def measured_times(setting: Setting, contenders: Iterable[Contender], num_states: int, laws: bool) -> dict[str, float]:
-    """Median decision time of contenders on states of all tables [ms]; `laws` are those of the learned policy."""
-    policies = {each.name: _timed_policy(setting, each, laws) for each in contenders}
-    times = decision_times_ms(policies, states_along_the_way(Source.of(setting), num_states))
+    """Median decision time of contenders [ms], on one state of each of many trajectories, early and late ones in turn.
+
+    `laws` are those of the learned policy.
+    """
+    episodes = Source.of(setting).play(num_states)
+    num_stages = np.asarray(episodes.is_taken).sum(axis=1)
+    states = [mapped(lambda leaf, k=k: leaf[k, k % num_stages[k]], episodes.states) for k in range(num_states)]
+    times = decision_times_ms({each.name: _timed_policy(setting, each, laws) for each in contenders}, states)
     return {name: float(np.median(values)) for name, values in times.items()}
 
 
@@ -94,7 +92,5 @@ def one_core() -> Iterator[None]:
 
 def _pin(threads: Path, cores: set[int]) -> None:
     for thread in threads.iterdir():
-        try:
+        with suppress(ProcessLookupError):  # the thread has just ended
             os.sched_setaffinity(int(thread.name), cores)
-        except ProcessLookupError:
-            continue  # the thread has just ended

@@ -3,44 +3,24 @@
 All learn without laws: treatments are of eq. 3, and laws fitted under censoring would hide what they do to it.
 """
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, ClassVar
 
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.axes import (
-    PANEL_TITLE,
-    dodged,
-    draw_bars,
-    draw_curve,
-    draw_zero,
-    mark_sizes,
-    named_curves,
-    write_above,
-    write_legend,
-    write_title,
-)
+from halfseen.pages import axes as pages
 from halfseen.pages.numbers import MISSING, amount, interval, share_in_words
-from halfseen.pages.palette import BLUE, MARKERS, ORANGE, PINK, RED, SKY
+from halfseen.pages.palette import BLUE, ORANGE, PINK, RED, SKY
 from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, listed
-from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
-from halfseen.study.figures import MEAN
-from halfseen.study.frames import records, stacked, where
-from halfseen.study.pipeline import TREATMENTS, Source
-from halfseen.study.statistics import estimate_in, mean_columns
-from halfseen.study.wording import (
-    CUT_KIND_NAMES,
-    CUT_KIND_NOTES,
-    REWARD_AXIS,
-    TRAJECTORIES_AXIS,
-    estimated_in,
-    learned_from,
-)
+from halfseen.study import figures
+from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, stacked, where
+from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Listing, PieceOf, Pieces, Section, Tables
+from halfseen.study.pipeline import Source
+from halfseen.study.setting import Setting
+from halfseen.study.treatments import TREATMENTS
 from halfseen.world.cuts import CutKind
 
 DEFAULT = TREATMENTS[0]
@@ -58,8 +38,14 @@ RIVALS = {
     "failures": "counting cuts as failures",
 }
 TREATMENT_COLOURS = {"imputed": BLUE, "weighted": SKY, "unweighted": ORANGE, "dropped": RED, "failures": PINK}
+LOOKS = figures.looks(TREATMENT_COLOURS, TREATMENT_NAMES)
+CUT_KIND_NOTES = {
+    "independent": "they fall whatever happens on the table",
+    "occlusion": "cuts whose hazard grows with occlusion",
+    "attempt": "cuts whose hazard grows while an attempt drags on",
+}
+BEHIND = ("behind_default", "se_behind", "behind_low", "behind_high")
 GAIN = ["behind_default", "behind_low", "behind_high"]
-GAIN_AXIS = "gain of the default over each other treatment"
 DODGE, BAR_DODGE = 1.02, 1.10
 
 
@@ -96,14 +82,15 @@ class Censoring:
         cuts = {kind: source.cut(episodes, prepared["rates"][kind], kind) for kind in self.cut_kinds}
         arms = [(kind, treatment) for kind in self.cut_kinds for treatment in TREATMENTS]
         logs = [(cuts[kind], treatment) for kind, treatment in arms]
-        num_episodes = self.episodes_per_scene * len(setting.scenes)
-        played = source.logged(episodes, laws=False).learn_and_play(logs, self.num_trajectories, num_episodes)
+        learned = source.logged(episodes, laws=False).learn(logs, self.num_trajectories)
+        policies = [one.policy for one in learned]
+        played = source.evaluate_each(policies, self.episodes_per_scene * len(setting.scenes))
         rows = [
             {"treatment": treatment, "cut_kind": kind, "num_trajectories": size}
             for size in self.num_trajectories
             for kind, treatment in arms
         ]
-        return {"index": index, "learned": [row | each.means() for row, (_, each) in zip(rows, played, strict=True)]}
+        return {"index": index, "learned": [row | each.means() for row, each in zip(rows, played, strict=True)]}
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
         """Make figure4.
@@ -118,7 +105,7 @@ class Censoring:
             at: dict[str, Any] = {name: row[name] for name in ("treatment", "cut_kind", "num_trajectories")}
             at |= {"cut_share": self.cut_share, "repetitions": len(pieces.repetitions)}
             gain = default[row["cut_kind"], row["num_trajectories"]]["reward"] - row["reward"]
-            behind = mean_columns(gain, "behind_default", "se_behind", "behind_low", "behind_high")
+            behind = mean_columns(gain, BEHIND)
             rows.append(at | mean_columns(row["reward"]) | behind)
         return {"figure4": pd.DataFrame(rows)}
 
@@ -187,44 +174,25 @@ def _caption(design: Censoring, figure4: pd.DataFrame) -> str:
 
 def _draw(design: Censoring, figure4: pd.DataFrame, title: str) -> Figure:
     """Reward of each treatment above, gains of the default below; a column for each kind of cut."""
-    figure = Figure(figsize=(0.9 + 4.0 * len(design.cut_kinds), 7.2))
-    top = write_title(figure, title)
-    grid = figure.add_gridspec(
-        2, len(design.cut_kinds), left=0.065, right=0.985, bottom=0.07, top=top - 0.2, hspace=0.36, wspace=0.10
-    )
-    panels: Any = grid.subplots(sharex=True, sharey="row", squeeze=False)
+    num, sizes = len(design.cut_kinds), design.num_trajectories
+    place = {"left": 0.065, "right": 0.985, "bottom": 0.07, "hspace": 0.36, "wspace": 0.10}
+    figure, top, panels = figures.panels(title, (0.9 + 4.0 * num, 7.2), (2, num), 0.2, (True, "row"), **place)
+    above = {name: look | {"zorder": 3.0 if name == DEFAULT else 2.5} for name, look in LOOKS.items()}
+    others: Any = {name: look for name, look in above.items() if name != DEFAULT}
     for (upper, lower), kind in zip(panels.T, design.cut_kinds, strict=True):
-        rows = where(figure4, cut_kind=kind)
-        _draw_treatments(upper, rows, TREATMENTS, DODGE, MEAN, draw_curve)
-        draw_zero(lower)
-        _draw_treatments(lower, rows, TREATMENTS[1:], BAR_DODGE, GAIN, draw_bars)
-        write_above(upper, capitalised(CUT_KIND_NAMES[kind]), 45.0)
-        write_above(upper, CUT_KIND_NOTES[kind], 31.0, "normal")
-        upper.set_title(REWARD_AXIS, **PANEL_TITLE)
-        lower.set_title(GAIN_AXIS, **PANEL_TITLE)
-        lower.set_xlabel(TRAJECTORIES_AXIS)
+        rows, by = where(figure4, cut_kind=kind), ("treatment", "num_trajectories")
+        figures.draw_series(upper, rows, by, above, figures.INTERVAL, DODGE, pages.draw_curve)
+        pages.draw_zero(lower)
+        figures.draw_series(lower, rows, by, others, GAIN, BAR_DODGE)
+        pages.write_above(upper, capitalised(CUT_KIND_NAMES[kind]), 45.0)
+        pages.write_above(upper, CUT_KIND_NOTES[kind], 31.0, "normal")
+        figures.name_panel(upper, figures.REWARD_AXIS)
+        figures.name_panel(lower, "gain of the default over each other treatment", figures.TRAJECTORIES_AXIS)
         upper.tick_params(labelbottom=True)
-        mark_sizes(upper, design.num_trajectories)
-        mark_sizes(lower, design.num_trajectories)
-    write_legend(figure, named_curves(panels[0, 0]), top - 0.008, ncols=3)
+        for axes in (upper, lower):
+            pages.mark_sizes(axes, sizes)
+    pages.write_legend(figure, pages.named_curves(panels[0, 0]), top - 0.008, ncols=3)
     return figure
-
-
-def _draw_treatments(
-    axes: Axes,
-    rows: pd.DataFrame,
-    treatments: Sequence[str],
-    dodge: float,
-    columns: list[str],
-    draw: Callable[..., None],
-) -> None:
-    for k, treatment in enumerate(treatments):
-        curve = where(rows, treatment=treatment)
-        across = dodged(curve["num_trajectories"], k, len(treatments), dodge)
-        colour, marker = TREATMENT_COLOURS[treatment], MARKERS[TREATMENTS.index(treatment)]
-        above = 3.0 if treatment == DEFAULT else 2.5
-        name = TREATMENT_NAMES[treatment]
-        draw(axes, across, curve[columns], color=colour, marker=marker, label=name, zorder=above)
 
 
 def _numbers(figure4: pd.DataFrame) -> Listing:
@@ -232,7 +200,7 @@ def _numbers(figure4: pd.DataFrame) -> Listing:
         "cuts": lambda row: CUT_KIND_NAMES[row["cut_kind"]],
         "treatment": lambda row: TREATMENT_NAMES[row["treatment"]],
         "logged trajectories": lambda row: str(row["num_trajectories"]),
-        "reward": lambda row: estimated_in(row, MEAN),
+        "reward": lambda row: estimated_in(row, figures.INTERVAL),
         "default − this": lambda row: MISSING if row["treatment"] == DEFAULT else estimated_in(row, GAIN),
     }
     return Listing.of("The numbers of Figure 4", "", records(figure4), cells)

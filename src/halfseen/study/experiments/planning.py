@@ -6,50 +6,35 @@ repetitions, so that every table is met; it is compared on those that it played.
 are measured and told beside.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.axes import (
-    PANEL_TITLE,
-    WIDTH_INCHES,
-    EndLabel,
-    draw_bars,
-    draw_grid,
-    draw_zero,
-    mark_sizes,
-    named_curves,
-    write_end_labels,
-    write_legend,
-    write_title,
-)
+from halfseen.pages import axes as pages
+from halfseen.pages.axes import WIDTH_INCHES, EndLabel, draw_bars, draw_zero
 from halfseen.pages.numbers import MISSING, amount, significant
 from halfseen.pages.palette import PLANNER
 from halfseen.pages.sentences import Claim, counted, listed
 from halfseen.shapes import Float
-from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
-from halfseen.study.figures import MEAN, draw_level
-from halfseen.study.frames import records, row_of
-from halfseen.study.pipeline import Played, Source, episodes_in_turn
+from halfseen.study import figures
+from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, row_of, three
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables
+from halfseen.study.figures import INTERVAL
+from halfseen.study.pipeline import CUT_KIND, Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
-from halfseen.study.statistics import estimate_in, mean_columns
+from halfseen.study.setting import Setting
 from halfseen.study.timing import measured_times, seconds
-from halfseen.study.wording import REWARD_AXIS, estimated_in, learned_from
-from halfseen.world.cuts import CutKind
 from halfseen.world.policy import Policy
 
-CUT_KIND: CutKind = "independent"
 NUM_TIMED_STATES, NUM_FITS = 30, 5
 OVER = [f"over_{LEARNED.name}", "over_low", "over_high"]
-STEP = ["over_previous", "over_previous_low", "over_previous_high"]
-SIMULATIONS_AXIS = "simulations a decision, to the end of the trajectory (log scale)"
-HORIZON_AXIS = "planning horizon [steps]"
+VERBS = "earns more than", "earns less than"
 
 
 @dataclass(frozen=True)
@@ -154,7 +139,7 @@ class Planning:
         """Say whether a planner earns more, and whether looking further ahead does."""
         figure2, figure3 = tables["figure2"], tables["figure3"]
         best, longer = most_simulations(self, figure2), longest_horizon(self, figure3)
-        draw = partial(_draw_simulations, figure2), partial(_draw_horizons, self.contenders, figure2, figure3)
+        draw = partial(_draw_simulations, figure2), partial(_draw_horizons, self, figure2, figure3)
         told = f"{longer.title}; {_steps(figure3)}"
         captions = _captions(self, figure2)
         drawings = (
@@ -164,7 +149,7 @@ class Planning:
         return Section("What is planning worth?", (best.sentence, longer.sentence), drawings, (_numbers(self, tables),))
 
 
-def _row(name: str, episodes: Iterable[int], played: Played) -> dict[str, Any]:
+def _row(name: str, episodes: Iterable[int], played: Played) -> Row:
     return {"policy": name, "episodes": list(episodes), "reward": played.reward.tolist()}
 
 
@@ -194,9 +179,9 @@ def _figure2(design: Planning, rewards: dict[str, pd.Series], times_ms: dict[str
     rows, learned = [], rewards[LEARNED.name]
     for name, who in design.contenders.items():
         over = _means(rewards[name] - learned)
-        row: dict[str, Any] = {"policy": name, "kind": str(who.kind), "simulations": design.by_simulations.get(name)}
+        row: Row = {"policy": name, "kind": str(who.kind), "simulations": design.by_simulations.get(name)}
         row |= {"decision_ms": times_ms[name]} | mean_columns(_means(learned) + over)
-        rows.append(row | mean_columns(over, OVER[0], "se_over", *OVER[1:]) | _counts(rewards[name]))
+        rows.append(row | mean_columns(over, (OVER[0], "se_over", *OVER[1:])) | _counts(rewards[name]))
     return pd.DataFrame(rows).astype({"simulations": "Int64"})
 
 
@@ -204,19 +189,16 @@ def _figure3(design: Planning, rewards: dict[str, pd.Series], times_ms: dict[str
     rows = []
     first = previous = next(iter(design.by_horizon))
     for name, horizon in design.by_horizon.items():
-        row: dict[str, Any] = {"planning_horizon": horizon, "decision_ms": times_ms[name]}
+        row: Row = {"planning_horizon": horizon, "decision_ms": times_ms[name]}
         row["simulations"] = design.horizon_simulations if horizon > 1 else None
         row |= mean_columns(_means(rewards[name]))
         for over, shorter in (("over_previous", previous), ("over_first", first)):
             names = over, f"se_{over}", f"{over}_low", f"{over}_high"
-            difference = mean_columns(_means(rewards[name] - rewards[shorter]), *names)
+            difference = mean_columns(_means(rewards[name] - rewards[shorter]), names)
             row |= difference if name != first else dict.fromkeys(names, np.nan)
         rows.append(row | _counts(rewards[name]))
         previous = name
     return pd.DataFrame(rows).astype({"simulations": "Int64"})
-
-
-VERBS = "earns more than", "earns less than"
 
 
 def most_simulations(design: Planning, figure2: pd.DataFrame) -> Claim:
@@ -267,53 +249,44 @@ def _captions(design: Planning, figure2: pd.DataFrame) -> tuple[str, str]:
 def _draw_simulations(figure2: pd.DataFrame, title: str) -> Figure:
     """Reward of planners by simulations above, the difference from the learned policy below."""
     figure = Figure(figsize=(WIDTH_INCHES, 7.2))
-    top, foot, gap = write_title(figure, title) - 0.06, 0.075, 0.085
-    upper_foot = foot + gap + 0.40 * (top - foot - gap)
-    upper = figure.add_axes((0.07, upper_foot, 0.61, top - upper_foot))
-    lower = figure.add_axes((0.07, foot, 0.61, upper_foot - gap - foot), sharex=upper)
+    top = pages.write_title(figure, title) - 0.06
+    upper, lower = figures.two_panels(figure, top, 0.07, 0.61, 0.075, 0.085, lower_share=0.40)
     rows = pd.DataFrame(figure2[figure2["simulations"].notna()])
     rewards = {who: float(row_of(figure2, policy=who.name)["mean_reward"]) for who in (LEARNED, *HEURISTICS)}
-    labels = [draw_level(upper, who, reward, who is LEARNED) for who, reward in rewards.items()]
+    labels = [figures.draw_level(upper, who, reward, who is LEARNED) for who, reward in rewards.items()]
     end = float(rows["mean_reward"].iloc[-1])
     labels.append(EndLabel(end, f"POMDP planner  {amount(end)}", PLANNER, is_bold=True))
-    draw_bars(upper, rows["simulations"], rows[MEAN], color=PLANNER, marker="o")
-    draw_zero(lower, LEARNED.colour, 1.5)
-    draw_bars(lower, rows["simulations"], rows[OVER], color=PLANNER, marker="o")
-    upper.set_title(REWARD_AXIS, **PANEL_TITLE)
-    lower.set_title("reward over the learned policy’s, on the same episodes", **PANEL_TITLE)
-    lower.set_xlabel(SIMULATIONS_AXIS)
     sizes = rows["simulations"].tolist()
-    for axes in (upper, lower):
-        mark_sizes(axes, sizes)
-    upper.set_xlim(min(sizes) / 1.4, max(sizes) * 1.4)
-    write_end_labels(upper, labels)
+    draw_zero(lower, LEARNED.colour, 1.5)
+    for axes, columns in ((upper, INTERVAL), (lower, OVER)):
+        draw_bars(axes, rows["simulations"], rows[columns], color=PLANNER, marker="o")
+        pages.mark_sizes(axes, sizes)
+    across = "simulations a decision, to the end of the trajectory (log scale)"
+    figures.name_panel(lower, "reward over the learned policy’s, on the same episodes", across)
+    figures.finish_by_size(upper, figures.REWARD_AXIS, sizes, (1.4, 1.4), labels)
     return figure
 
 
-def _draw_horizons(
-    contenders: Mapping[str, Contender], figure2: pd.DataFrame, figure3: pd.DataFrame, title: str
-) -> Figure:
+def _draw_horizons(design: Planning, figure2: pd.DataFrame, figure3: pd.DataFrame, title: str) -> Figure:
     """Reward by planning horizon at the left, what one more step gains at the right."""
-    figure = Figure(figsize=(WIDTH_INCHES, 4.4))
-    top = write_title(figure, title)
-    grid = figure.add_gridspec(1, 2, left=0.07, right=0.985, bottom=0.12, top=top - 0.18, wspace=0.16)
-    left, right = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+    place = {"left": 0.07, "right": 0.985, "bottom": 0.12, "wspace": 0.16}
+    figure, top, panels = figures.panels(title, (WIDTH_INCHES, 4.4), (1, 2), 0.18, (False, False), **place)
+    left, right = panels[0]
     horizons, steps = figure3["planning_horizon"].to_numpy(), figure3.iloc[1:]
-    draw_bars(left, horizons, figure3[MEAN], color=PLANNER, marker="o", label="POMDP planner")
+    draw_bars(left, horizons, figure3[INTERVAL], color=PLANNER, marker="o", label="POMDP planner")
     best = max(records(figure2, kind=str(Kind.HEURISTIC)), key=lambda row: row["mean_reward"])["policy"]
-    for who in (LEARNED, contenders[best]):
+    for who in (LEARNED, design.contenders[best]):
         mean = float(row_of(figure2, policy=who.name)["mean_reward"])
         left.axhline(mean, color=who.colour, linestyle=(0, who.dashes), linewidth=1.5, zorder=1.2, label=who.label)
-    left.set_title(REWARD_AXIS, **PANEL_TITLE)
     draw_zero(right)
-    draw_bars(right, steps["planning_horizon"], steps[STEP], color=PLANNER, marker="o", linestyle="none")
-    right.set_title("reward that one more step gains", **PANEL_TITLE)
-    for axes in (left, right):
+    more = steps[three("over_previous")]
+    draw_bars(right, steps["planning_horizon"], more, color=PLANNER, marker="o", linestyle="none")
+    for axes, name in ((left, figures.REWARD_AXIS), (right, "reward that one more step gains")):
+        figures.name_panel(axes, name, "planning horizon [steps]")
         axes.set_xticks(horizons)
         axes.set_xlim(horizons.min() - 0.4, horizons.max() + 0.4)
-        axes.set_xlabel(HORIZON_AXIS)
-        draw_grid(axes)
-    write_legend(figure, named_curves(left), top - 0.005)
+        pages.draw_grid(axes)
+    pages.write_legend(figure, pages.named_curves(left), top - 0.005)
     return figure
 
 
@@ -321,7 +294,7 @@ def _numbers(design: Planning, tables: Tables) -> Listing:
     cells = {
         "policy": lambda row: design.contenders[row["policy"]].label,
         "decision [ms], measured": lambda row: significant(row["decision_ms"], 2),
-        "reward": lambda row: estimated_in(row, MEAN),
+        "reward": lambda row: estimated_in(row, INTERVAL),
         "policy − learned": lambda row: MISSING if row["policy"] == LEARNED.name else estimated_in(row, OVER),
         "episodes": lambda row: str(row["repetitions"] * row["episodes"]),
     }

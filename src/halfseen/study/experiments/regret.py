@@ -14,23 +14,20 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.axes import EndLabel, draw_bars
+from halfseen.pages.axes import WIDTH_INCHES, draw_bars, write_title
 from halfseen.pages.numbers import MISSING, amount, share
 from halfseen.pages.sentences import Claim
 from halfseen.planners.exact import TableOptimum, solve_table
-from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
-from halfseen.study.figures import draw_by_cut_share, draw_by_size, draw_level
-from halfseen.study.frames import records, row_of, stacked
-from halfseen.study.pipeline import EVALUATION, Source, random_key
+from halfseen.study import figures
+from halfseen.study.compare import estimated_in, learned_from, mean_columns, records, row_of, stacked
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Tables
+from halfseen.study.pipeline import CUT_KIND, EVALUATION, Source, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
-from halfseen.study.statistics import mean_columns
-from halfseen.study.wording import estimated_in, learned_from
+from halfseen.study.setting import Setting
 from halfseen.world.config import WorldConfig
-from halfseen.world.cuts import CutKind
 from halfseen.world.scene import Scene
 from halfseen.world.state import pad_scenes
 
@@ -40,7 +37,6 @@ HIDING_PROBABILITY, MOST_HIDDEN = 0.75, 0.8
 NUM_GRIP_NODES = 31
 """Of the grid of grip offsets in the exact world: with so many it is the simulated world, in which logs are made, to
 1e-4 of reward; they cost no states."""
-CUT_KIND: CutKind = "independent"
 REGRET_AXIS = "regret: reward of a trajectory below the optimum, mean over the small tables"
 BAR_DODGE = 1.05
 REGRET = ["regret", "se", "low", "high"]
@@ -190,7 +186,7 @@ def _table(pieces: Pieces) -> pd.DataFrame:
     for row in stacked(pieces.repetitions, "rows", "regrets"):
         values = row["regrets"].mean(axis=1)
         at = {name: row.get(name) for name in place}
-        rows.append(at | mean_columns(values, *REGRET) | {"repetitions": len(values)})
+        rows.append(at | mean_columns(values, REGRET) | {"repetitions": len(values)})
     exact = {name: float(np.mean(regrets)) for name, regrets in known["regrets"].items()} | {OPTIMUM.name: 0.0}
     rows += [{"policy": name, "se": 0.0} | dict.fromkeys(INTERVAL, value) for name, value in exact.items()]
     table = pd.DataFrame(rows).assign(optimum=optimum)
@@ -232,21 +228,22 @@ def _lower(words: str) -> str:
 
 
 def _draw(design: Regret, table: pd.DataFrame, title: str) -> Figure:
-    """Regret against the size of the log."""
-    return draw_by_size(title, REGRET_AXIS, design.num_trajectories, (1.2, 1.2), partial(_draw_lines, design, table))
-
-
-def _draw_lines(design: Regret, table: pd.DataFrame, axes: Axes) -> list[EndLabel]:
+    """Regret against the size of the log, with the names of all lines at the right."""
+    figure = Figure(figsize=(WIDTH_INCHES, 5.6))
+    top = write_title(figure, title) - 0.08
+    axes = figure.add_axes((0.07, 0.10, 0.58, top - 0.10))
     best = [_best(design, table, kind)["policy"] for kind in (Kind.HEURISTIC, Kind.PLANNER)]
-    others = [row for row in records(table) if row["policy"] != LEARNED.name]
     labels = [
-        draw_level(axes, design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best)
-        for row in others
+        figures.draw_level(axes, design.contenders[row["policy"]], float(row["regret"]), row["policy"] in best)
+        for row in records(table)
+        if row["policy"] != LEARNED.name
     ]
     draw = partial(draw_bars, linewidth=1.8)
-    labels += draw_by_cut_share(axes, table, design.cut_shares, INTERVAL, draw, BAR_DODGE)
+    labels += figures.draw_by_cut_share(axes, table, design.cut_shares, INTERVAL, draw, BAR_DODGE)
     axes.set_ylim(bottom=0.0)
-    return labels
+    axes.set_xlabel(figures.TRAJECTORIES_AXIS)
+    figures.finish_by_size(axes, REGRET_AXIS, design.num_trajectories, (1.2, 1.2), labels)
+    return figure
 
 
 def _numbers(design: Regret, table: pd.DataFrame) -> Listing:

@@ -1,6 +1,6 @@
-"""What the experiment says: Figure 1, Tables 1 and 2, and who earns more."""
+"""What the experiment says: who earns more, how few trajectories suffice, Tables 1 and 2, and the captions."""
 
-from functools import partial
+from collections.abc import Callable
 from itertools import groupby
 from typing import Any
 
@@ -8,61 +8,55 @@ import pandas as pd
 
 from halfseen.pages.numbers import MISSING, amount, percent, share, share_in_words, significant, with_interval
 from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
-from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
-from halfseen.study.experiments.reward.design import RewardDesign
-from halfseen.study.experiments.reward.figure import GAIN, draw_figure1
-from halfseen.study.experiments.reward.opening import opening_of
-from halfseen.study.experiments.reward.peer_words import peer_listing, peer_sentence
-from halfseen.study.experiments.reward.tables import BEST, MEASURES
-from halfseen.study.figures import MEAN
-from halfseen.study.frames import records, row_of, where
-from halfseen.study.policies import FITTED_ONE_STEP, FITTED_RULE, LEARNED, LINEAR, STRONGEST_RULE
-from halfseen.study.wording import EFFECT, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from, verdict_of
+from halfseen.study import compare
+from halfseen.study.compare import EFFECT, estimated_in, learned_from, records, row_of, where
+from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables
+from halfseen.study.experiments.reward_figures import GAIN, Figure1, opening_of
+from halfseen.study.experiments.reward_repetition import RewardRepetition
+from halfseen.study.figures import INTERVAL
+from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, LEARNED, LINEAR, STRONGEST_RULE
+from halfseen.study.setting import Setting
 
-STRONGEST = "the strongest heuristic", "the strongest planner"
-ROLE_WORDS: dict[str, str] = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))
+MEASURES = {
+    "reward": "reward of a trajectory",
+    "robot_s": "robot time until a trajectory ends [s]",
+    "decision_ms": "time of one decision [ms], measured on this machine",
+}
+"""Measure → name for people; times of decisions are told and not tested, as they depend on the machine."""
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
+ROLES = ("the strongest heuristic", "the strongest planner, which knows the true model")
+MARK = " *"
+"""Marks a difference that the test finds."""
 
 
-def section_of(design: RewardDesign, setting: Setting, tables: Tables) -> Section:
+def section_of(design: RewardRepetition, setting: Setting, tables: Tables) -> Section:
     """Say whether learning earns more, and how few logged trajectories suffice."""
-    figure1, table1 = tables["figure1"], tables["table1"]
+    figure1, table1, peer = tables["figure1"], tables["table1"], tables["peer"]
     rule, planner = (claim(design, setting, figure1, table1, role) for role in BEST)
     # One sentence for both, which names the learned policy once.
     both = f"{rule.sentence[:-1]}; it {planner.asserted} {planner.rival}: {planner.verdict} ({planner.numbers})."
-    on_planner = f"it {planner.found} {STRONGEST[1]}"
+    on_planner = f"it {planner.found} the strongest planner"
     title = f"{_beats(design, figure1)}; learned from {design.table_num_trajectories} trajectories, {on_planner}"
+    times = {row["baseline"]: float(row["other"]) for row in records(table1, measure="decision_ms")}
+    times[LEARNED.name] = float(row_of(table1, measure="decision_ms")[LEARNED.name])
+    draw = Figure1(design, figure1, times).draw
     return Section(
         "Reward against the size of the log",
         (
             both,
             _how_few_trajectories(design, figure1),
-            peer_sentence(design, tables["peer"]),
+            peer_sentence(design, peer),
             _what_of_laws(design, figure1),
             _verdicts(design, table1),
         ),
-        (
-            Drawing(
-                "figure1",
-                "Figure 1",
-                title,
-                _caption(design, setting),
-                partial(draw_figure1, design, figure1, _times_ms(table1)),
-            ),
-        ),
-        (
-            _numbers(design, figure1),
-            _beside(design, figure1),
-            peer_listing(design, setting, tables["peer"]),
-            _tests(design, setting, table1),
-            _weights(design, tables["weights"]),
-        ),
+        (Drawing("figure1", "Figure 1", title, _caption(design, setting), draw),),
+        (*_numbers(design, setting, figure1, peer), _tests(design, setting, table1), _weights(design, tables)),
         num_leading=3,
         opening=opening_of(design, setting, figure1, rule),
     )
 
 
-def claim(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, table1: pd.DataFrame, role: str) -> Claim:
+def claim(design: RewardRepetition, setting: Setting, figure1: pd.DataFrame, table1: pd.DataFrame, role: str) -> Claim:
     """That the learned policy of Table 1 earns more than the baseline of a role, on the same episodes."""
     name = str(row_of(figure1, role=role)["policy"])
     row = row_of(table1, baseline=name, measure="reward")
@@ -71,15 +65,15 @@ def claim(design: RewardDesign, setting: Setting, figure1: pd.DataFrame, table1:
         f"The policy {learned_from(design.table_num_trajectories, design.table_cut_share)}",
         "earns more than",
         "earns less than",
-        f"{ROLE_WORDS[role]} ({design.contenders[name].label})",
-        gain_in(row),
+        f"{ROLES[BEST.index(role)]} ({design.contenders[name].label})",
+        compare.gain_in(row),
         float(row["p_holm"]),
         setting.alpha,
         f"{earned} on the same {counted(int(row['num_episodes']), 'episode')}",
     )
 
 
-def _sufficient(design: RewardDesign, figure1: pd.DataFrame) -> dict[float, int | None]:
+def _sufficient(design: RewardRepetition, figure1: pd.DataFrame) -> dict[float, int | None]:
     """Proportion of cuts → the smallest log from which on the learned policy earns more than the strongest heuristic.
 
     At this size and at every larger one the 95 % interval of the paired difference lies above 0; None if even the
@@ -95,9 +89,8 @@ def _sufficient(design: RewardDesign, figure1: pd.DataFrame) -> dict[float, int 
     return found
 
 
-def _how_few_trajectories(design: RewardDesign, figure1: pd.DataFrame) -> str:
-    parts = []
-    found = _sufficient(design, figure1)
+def _how_few_trajectories(design: RewardRepetition, figure1: pd.DataFrame) -> str:
+    parts, found = [], _sufficient(design, figure1)
     for size, shares in groupby(found, key=lambda cut_share: found[cut_share]):
         enough = f"even {max(design.num_trajectories)} logged trajectories do not suffice"
         if size is not None:
@@ -107,7 +100,7 @@ def _how_few_trajectories(design: RewardDesign, figure1: pd.DataFrame) -> str:
     return f"To earn more than the strongest heuristic, {listed(parts)} (paired differences, 95 % intervals above 0)."
 
 
-def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
+def _beats(design: RewardRepetition, figure1: pd.DataFrame) -> str:
     found = _sufficient(design, figure1)
     sizes = [size for size in found.values() if size is not None]
     if not sizes:
@@ -120,7 +113,40 @@ def _beats(design: RewardDesign, figure1: pd.DataFrame) -> str:
     return f"{start}, {'whatever proportion was cut' if len(set(sizes)) == 1 else 'by the proportion cut'}"
 
 
-def _what_of_laws(design: RewardDesign, figure1: pd.DataFrame) -> str:
+def peer_sentence(design: RewardRepetition, peer: pd.DataFrame) -> str:
+    """Say who earns more from how many trajectories, over all proportions of cut trajectories and at single ones."""
+    means, single = records(peer, cut_share=None), records(peer[peer["cut_share"].notna()])
+    ends = " and ".join(f"{estimated_in(row, EFFECT)} from {row['num_trajectories']}" for row in (means[0], means[-1]))
+    return (
+        f"Against the planner with laws fitted to the same logs ({design.planners[0][0]:,} simulations), over all "
+        f"proportions of cut trajectories the learned policy {_by_verdict(means, _sizes)} (learned − planner: {ends} "
+        f"trajectories); by single proportions, it {_by_verdict(single, _places)} (two-sided signed-rank tests, "
+        f"adjusted by Holm’s procedure for all {len(peer)})."
+    )
+
+
+def _by_verdict(rows: list[Row], written: Callable[[list[Row]], str]) -> str:
+    found = [row for row in rows if row["supported"]]
+    more, less = ([row for row in found if (row["effect"] > 0) is is_more] for is_more in (True, False))
+    verbs = {"earns more": more, "earns less": less}
+    parts = [f"{verb} from {written(there)}" for verb, there in verbs.items() if there]
+    rest = "elsewhere shows no significant difference" if parts else "shows no significant difference anywhere"
+    return listed([*parts, rest] if len(found) < len(rows) else parts)
+
+
+def _sizes(rows: list[Row]) -> str:
+    return f"{listed([str(row['num_trajectories']) for row in rows])} trajectories"
+
+
+def _places(rows: list[Row]) -> str:
+    """Sizes with the proportions of cut trajectories, those of the same proportions together."""
+    sizes: dict[str, list[str]] = {}
+    for size, of in groupby(rows, key=lambda row: row["num_trajectories"]):
+        sizes.setdefault(listed([share(row["cut_share"]) for row in of], "or"), []).append(str(size))
+    return listed([f"{listed(those)} trajectories (cut: {cut})" for cut, those in sizes.items()])
+
+
+def _what_of_laws(design: RewardRepetition, figure1: pd.DataFrame) -> str:
     """Say what is earned above the strongest heuristic by whom, with and without laws fitted to the same logs."""
     sizes = dict.fromkeys((min(design.num_trajectories), max(design.num_trajectories)))
 
@@ -138,26 +164,20 @@ def _what_of_laws(design: RewardDesign, figure1: pd.DataFrame) -> str:
     )
 
 
-def _verdicts(design: RewardDesign, table1: pd.DataFrame) -> str:
+def _verdicts(design: RewardRepetition, table1: pd.DataFrame) -> str:
     """Say how many hypotheses of Table 1 the data speak for, and name those that they do not."""
     parts = []
     for measure, claimed in CLAIM_WORDS.items():
         found: dict[str, list[str]] = {SUPPORTED: [], NOT_SUPPORTED: [], INCONCLUSIVE: []}
         for row in records(table1, measure=measure):
-            found[verdict_of(row)].append(design.contenders[row["baseline"]].label)
+            found[compare.verdict_of(row)].append(design.contenders[row["baseline"]].label)
         said = [f"{SUPPORTED} against {len(found.pop(SUPPORTED))} of {len(design.baseline_names)}"]
         said += [f"{verdict} against {len(names)} ({'; '.join(names)})" for verdict, names in found.items() if names]
         parts.append(f"that {claimed} is {listed(said)}")
     return f"Of the hypotheses of Table 1, {'; '.join(parts)}."
 
 
-def _times_ms(table1: pd.DataFrame) -> dict[str, float]:
-    """Decision times of all, as Table 1 tells them."""
-    rows = records(table1, measure="decision_ms")
-    return {row["baseline"]: float(row["other"]) for row in rows} | {LEARNED.name: float(rows[0][LEARNED.name])}
-
-
-def _caption(design: RewardDesign, setting: Setting) -> str:
+def _caption(design: RewardRepetition, setting: Setting) -> str:
     few = min(design.planned_repetitions, setting.repetitions)
     planned = f"in {few} of the repetitions, " if few < setting.repetitions else ""
     how = "with the help of laws fitted to the same log" if design.laws else "by linear eq. 3, without laws"
@@ -178,33 +198,41 @@ def _caption(design: RewardDesign, setting: Setting) -> str:
     )
 
 
-def _by_size(design: RewardDesign, table: pd.DataFrame, written: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
-    """Header and rows of a table of sizes by proportions of cut trajectories."""
-    header = ("logged trajectories", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
-    rows = [(str(size), *map(written, records(table, num_trajectories=size))) for size in design.num_trajectories]
-    return header, {"": rows}
+def _by_size(design: RewardRepetition, table: pd.DataFrame, written: Callable[[Row], str]) -> list[tuple[str, ...]]:
+    """Rows of a table of sizes by proportions of cut trajectories."""
+    return [(str(size), *map(written, records(table, num_trajectories=size))) for size in design.num_trajectories]
 
 
-def _numbers(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
-    cells = _by_size(design, where(figure1, policy=LEARNED.name), lambda row: estimated_in(row, MEAN))
-    return Listing("The numbers of the learned policy in Figure 1", "", *cells)
+def _header(design: RewardRepetition) -> tuple[str, ...]:
+    return ("logged trajectories", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
 
 
-def _beside(design: RewardDesign, figure1: pd.DataFrame) -> Listing:
-    """By size and proportion of cut trajectories: what each earns above the strongest heuristic."""
-    header = ("logged trajectories", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares))
-    groups = {}
-    for name in (LEARNED.name, design.peer.name, *design.beside_names):
-        rows = {size: records(where(figure1, policy=name, num_trajectories=size)) for size in design.num_trajectories}
-        groups[design.contenders[name].label] = [
-            (str(size), *(estimated_in(row, GAIN) for row in of_size if not pd.isna(row["cut_share"])))
-            for size, of_size in rows.items()
-        ]
-    caption = "Reward above that of the strongest heuristic, which knows the true laws; 95 % intervals, not adjusted."
-    return Listing("What is made of logs, above the strongest heuristic", caption, header, groups)
+def _numbers(design: RewardRepetition, setting: Setting, figure1: pd.DataFrame, peer: pd.DataFrame) -> list[Listing]:
+    """By size and proportion: what was learned, what is made of logs above the strongest heuristic, and the peer."""
+    header, of_logs = _header(design), figure1[figure1["cut_share"].notna()]
+    own = _by_size(design, where(figure1, policy=LEARNED.name), lambda row: estimated_in(row, INTERVAL))
+    above = {
+        design.contenders[name].label: _by_size(
+            design, where(of_logs, policy=name), lambda row: estimated_in(row, GAIN)
+        )
+        for name in (LEARNED.name, design.peer.name, *design.beside_names)
+    }
+    against = _by_size(design, peer, lambda row: f"{estimated_in(row, EFFECT)}{MARK if row['supported'] else ''}")
+    of_above = "Reward above that of the strongest heuristic, which knows the true laws; 95 % intervals, not adjusted."
+    of_peer = (
+        "Reward of the learned policy less that of the planner with laws fitted to the same log, which plays "
+        f"{counted(design.fitted_episodes, 'episode')} of a repetition for each log, with 95 % intervals (not "
+        f"adjusted). {MARK.strip()}: p of a two-sided Wilcoxon signed-rank test, adjusted by Holm’s procedure for all "
+        f"{len(peer)}, below α = {setting.alpha:g}."
+    )
+    return [
+        Listing("The numbers of the learned policy in Figure 1", "", header, {"": own}),
+        Listing("What is made of logs, above the strongest heuristic", of_above, header, above),
+        Listing("Learned, or planned with fitted laws", of_peer, (*header, "mean over these"), {"": against}),
+    ]
 
 
-def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> Listing:
+def _tests(design: RewardRepetition, setting: Setting, table1: pd.DataFrame) -> Listing:
     num_tested = int(table1["p_holm"].notna().sum())
     caption = (
         f"The policy learned from {design.table_num_trajectories} trajectories, of which "
@@ -218,45 +246,41 @@ def _tests(design: RewardDesign, setting: Setting, table1: pd.DataFrame) -> List
         measure: f"{capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
         for measure, name in MEASURES.items()
     }
-    cells = {
+
+    def written(row: Row, column: str) -> str:
+        return amount(row[column]) if compare.is_reward(row["measure"]) else significant(row[column])
+
+    def difference(row: Row) -> str:
+        mean, ends = with_interval(*(row[name] for name in EFFECT))
+        return mean if ends == MISSING else f"{mean} ({ends})"
+
+    cells: dict[str, Callable[[Row], str]] = {
         "against": lambda row: design.contenders[row["baseline"]].label,
-        "learned": lambda row: _written(row, LEARNED.name),
-        "baseline": lambda row: _written(row, "other"),
-        "difference": _difference,
-        **TEST_CELLS,
+        "learned": lambda row: written(row, LEARNED.name),
+        "baseline": lambda row: written(row, "other"),
+        "difference": difference,
+        **compare.TEST_CELLS,
     }
     rows = [row for measure in MEASURES for row in records(table1, measure=measure)]
     return Listing.of("Table 1", caption, rows, cells, lambda row: headings[row["measure"]], is_folded=False)
 
 
-def _written(row: Row, column: str) -> str:
-    return amount(row[column]) if is_reward(row["measure"]) else significant(row[column])
-
-
-def _difference(row: Row) -> str:
-    mean, ends = with_interval(*(row[name] for name in EFFECT))
-    return mean if ends == MISSING else f"{mean} ({ends})"
-
-
-def _weights(design: RewardDesign, weights: pd.DataFrame) -> Listing:
+def _weights(design: RewardRepetition, tables: Tables) -> Listing:
     caption = (
         "Effective sample size of the weights of all stages, (Σw)²/Σw², and in brackets the largest weight; means over "
-        f"repetitions, independent cuts.{_by_laws(design, weights)}"
+        "repetitions, independent cuts."
     )
+    if design.laws:
+        contradicted: Any = 1.0 - tables["weights"]["by_laws"]
+        caption += (
+            " The log contradicted the laws fitted to it, so that the policy is a heuristic or linear eq. 3, in "
+            f"{percent(float(contradicted.mean()))} of all cases, at a single size and proportion in at most "
+            f"{percent(float(contradicted.max()))}."
+        )
 
     def cell(row: Row) -> str:
         return f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})"
 
-    return Listing("Table 2", caption, *_by_size(design, weights, cell), is_folded=False)
-
-
-def _by_laws(design: RewardDesign, weights: pd.DataFrame) -> str:
-    """Say how often the log contradicted the laws that were fitted to it."""
-    if not design.laws:
-        return ""
-    contradicted = 1.0 - weights["by_laws"]
-    return (
-        f" The log contradicted the laws fitted to it, so that the policy is a heuristic or linear eq. 3, in "
-        f"{percent(float(contradicted.mean()))} of all cases, at a single size and proportion in at most "
-        f"{percent(float(contradicted.max()))}."
+    return Listing(
+        "Table 2", caption, _header(design), {"": _by_size(design, tables["weights"], cell)}, is_folded=False
     )

@@ -5,12 +5,12 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 import numpy as np
-from scipy.optimize import root_scalar
+from scipy.optimize import brentq
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import known_grasping
 from halfseen.shapes import Float
-from halfseen.study.experiment import Setting
+from halfseen.study.setting import Setting
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 
@@ -47,16 +47,14 @@ class Place:
     def world(self, base: WorldConfig) -> WorldConfig:
         """The world of this place; all other numbers are those of `base`, or of the assumed laws."""
         base = assumed(base) if self.is_assumed else base
+        grasping: Any = base.grasping
+        seeing: Any = base.seeing
         return replace(
             base,
-            grasping=_with(base.grasping, offset_std=self.grip_offset_std),
-            seeing=_with(base.seeing, **{label_number(base): self.labels}),
+            grasping=replace(grasping, offset_std=self.grip_offset_std),
+            seeing=replace(seeing, **{label_number(base): self.labels}),
             reward_wash_clean=self.reward_wash_clean,
         )
-
-
-def _with(law: Any, **numbers: float) -> Any:
-    return replace(law, **numbers)
 
 
 def label_number(world: WorldConfig) -> LawNumber:
@@ -172,15 +170,10 @@ def _raw(num_objects: int, rng: np.random.Generator) -> Float[np.ndarray, "N N"]
 def _scaled(raw: Float[np.ndarray, "N N"], occlusion: float) -> Float[np.ndarray, "N N"]:
     if occlusion == 0.0:
         return np.zeros_like(raw)
-
     hidden = raw.sum(axis=1)
-
-    def excess(log_scale: float) -> float:
-        return float(np.mean(-np.expm1(-np.exp(log_scale) * hidden))) - occlusion
-
     # 1 − exp(−x) ≤ x, so the scale is at least occlusion / mean(hidden).
     least = float(np.log(occlusion) - np.log(np.mean(hidden))) - 1.0
-    log_scale = root_scalar(excess, bracket=(least, 100.0), method="brentq").root
+    log_scale: Any = brentq(lambda log: float(np.mean(-np.expm1(-np.exp(log) * hidden))) - occlusion, least, 100.0)
     return -np.expm1(-np.exp(log_scale) * raw)
 
 

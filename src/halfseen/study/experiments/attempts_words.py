@@ -1,0 +1,327 @@
+"""What the experiment says: whether an SVM predicts better, whether success falls with occlusion; Figure 8, Table 4."""
+
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import PercentFormatter
+
+from halfseen.cell.calibration.grasping import SCALES
+from halfseen.pages import axes as pages
+from halfseen.pages.numbers import amount, estimated, interval, p_value, percent
+from halfseen.pages.palette import BLUE, FAINT, INK, ORANGE, PINK, RED, SKY, SOFT
+from halfseen.pages.sentences import as_sentence, capitalised, counted, listed
+from halfseen.study import figures
+from halfseen.study.compare import estimated_in, records, row_of, three, where
+from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables
+from halfseen.study.experiments import attempts_repetition as names
+from halfseen.study.experiments.attempts_repetition import COMPLETED, LAW, MEASURES, MODEL_NAMES, PAIRS, VISIBLE_ONLY
+from halfseen.study.setting import Setting
+
+ASSUMED = "assumed"
+BETTER, WORSE, UNDECIDED = "better", "worse", "no significant difference"
+ADVERBS = {BETTER: "better", WORSE: "worse", UNDECIDED: "neither clearly better nor worse"}
+SCORE, SCORE_DECIMALS = "log_loss", 4
+"""The measure that the answer is told by."""
+MODEL_COLOURS = {"rate": ORANGE, "beta": BLUE, "svm": RED, "svm-facts": SKY, "svm-set": PINK, LAW: INK}
+LOOKS = figures.looks(MODEL_COLOURS, MODEL_NAMES)
+NOUNS = {
+    "beta": "the Beta mean",
+    "svm": "the SVM",
+    "svm-facts": "the SVM that also sees pose, width and room",
+    "svm-set": "the SVM with a set kernel over past attempts",
+    LAW: "the logistic law",
+}
+PLANNED = {COMPLETED: "where hidden shape is completed", VISIBLE_ONLY: "where only visible points count"}
+WIDTH_WANTED, SHARE_OF_A_BIN = 0.03, 0.1
+"""Half of the width that the interval of a calibration is to have, where a bin holds this share of the attempts."""
+POSES = {False: ("standing", SKY, "o"), True: ("lying", ORANGE, "s")}
+INTERVAL = ["share_held", "low", "high"]
+DODGE, STEP, APART = 1.08, 0.16, 0.006
+PARAMETER_NAMES = {
+    "log_odds": "log-odds, standing, usual width and room",
+    "occlusion": "occlusion, from none to all",
+    "is_lying": "lying",
+    "width_m": "each 2 cm of width",
+    "room_m": "each 3 cm of room",
+    "log_offset_std": "log of the spread of objects’ offsets",
+}
+
+
+def section_of(design: names.AttemptsRepetition, setting: Setting, tables: Tables) -> Section:
+    """Say what attempts tell; where there are none, say that."""
+    heading = "Physical attempts: a Beta mean or an SVM, and what occlusion does"
+    if not tables:
+        nothing = (
+            "There are no attempts of a cell to test an SVM, or the fall of success with occlusion, on; `--law` names "
+            "a law that was estimated from some."
+        )
+        return Section(heading, (nothing,), (), (), num_leading=0)
+    sentences = (claim(tables), fall(tables), assumption(tables), others(tables), calibrated(tables))
+    drawing = Drawing(
+        "figure8",
+        "Figure 8",
+        f"On physical attempts, the SVM predicts {by_size(tables['attempts_tests'], *PAIRS[0])}",
+        _caption(design, tables),
+        partial(_draw, tables),
+    )
+    listings = (
+        *_tests(setting, tables["attempts_tests"]),
+        _numbers(tables["attempts_scores"]),
+        _law(tables["attempts_law"]),
+    )
+    return Section(heading, sentences, (drawing,), listings, num_leading=3)
+
+
+def _caption(design: names.AttemptsRepetition, tables: Tables) -> str:
+    scores = tables["attempts_scores"]
+    repetitions, num = int(scores["repetitions"].iloc[0]), int(scores["stood_in"].sum())
+    fits = int(scores.loc[scores["model"].isin(names.SVMS), "repetitions"].sum())
+    stood_in = (
+        " Where fewer than two objects missed no SVM can be fitted, and one rate for all stands in for it: "
+        f"{num} of {fits} fits."
+    )
+    return (
+        "Models of the probability that an attempt of the physical cell holds, learned from the attempts at some "
+        f"tables and scored on those at others: one {design.num_folds}th of the tables is held out in each of "
+        f"{repetitions} repetitions, and no table is both. Cut attempts weigh nothing, decided ones 1/Ĝ, in learning "
+        "and in scoring. Bars: 95 % intervals by Student’s t, with errors clustered by table and by repetition, which "
+        "share what was learned from. The logistic law has a random offset of each object and goes by what is seen "
+        "(occlusion, pose, width, room) and by what came of past attempts at it; so does the SVM with a "
+        "set kernel. Lower left: learned from the largest "
+        f"log; bars clustered by table.{stood_in if num else ''} Lower right: markers, counted; lines and bands, the "
+        "regression at the first attempt at an object of usual width and room; dashed, the assumed laws."
+    )
+
+
+def _tests(setting: Setting, tests: pd.DataFrame) -> list[Listing]:
+    caption = (
+        "The SVM against the Beta mean on physical attempts: two-sided tests. Difference: SVM − Beta mean, below 0 is "
+        "better, with its 95 % interval (not adjusted). Holm’s procedure adjusted the p-values of each pair of models "
+        f"together, over sizes and scores; α = {setting.alpha:g}."
+    )
+    cells: dict[str, Callable[[Row], str]] = {
+        "learned from": lambda row: f"{row['num_tables']} tables",
+        "difference": lambda row: estimated_in(row, ("effect", "low", "high"), SCORE_DECIMALS),
+        "p": lambda row: p_value(row["p_value"]),
+        "p, adjusted": lambda row: p_value(row["p_holm"]),
+        "the first is": lambda row: row["verdict"],
+    }
+    first, *others = (records(tests, model=model, rival=rival) for model, rival in PAIRS)
+    rest = [row for rows in others for row in rows]
+    return [
+        Listing.of("Table 4", caption, first, cells, lambda row: capitalised(MEASURES[row["measure"]]), False),
+        Listing.of("The other pairs of models, tested alike", "", rest, cells, _heading),
+    ]
+
+
+def _heading(row: Row) -> str:
+    return f"{capitalised(NOUNS[row['model']])} against {NOUNS[row['rival']]}: {MEASURES[row['measure']]}"
+
+
+def _numbers(scores: pd.DataFrame) -> Listing:
+    def cell(measure: str) -> Callable[[Row], str]:
+        return lambda row: estimated_in(row, three(measure), SCORE_DECIMALS)
+
+    cells = {"model": lambda row: MODEL_NAMES[row["model"]], "tables": lambda row: str(row["num_tables"])}
+    cells |= {words: cell(measure) for measure, words in MEASURES.items()}
+    return Listing.of("The numbers of Figure 8", "", records(scores), cells)
+
+
+def _law(law: pd.DataFrame) -> Listing:
+    caption = (
+        "Logistic regression of what holds, with a random offset of each object; errors are robust to attempts of one "
+        "table being alike."
+    )
+    cells = {
+        "log-odds": lambda row: PARAMETER_NAMES[row["parameter"]],
+        "estimate": lambda row: estimated_in(row, ("estimate", "low", "high")),
+        "standard error": lambda row: amount(row["se"]),
+        "p": lambda row: p_value(row["p_value"]),
+    }
+    return Listing.of(
+        "What moves success", caption, records(law), cells, lambda row: capitalised(PLANNED[row["planner"]])
+    )
+
+
+def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
+    """Say from how many tables a model predicts better than another, worse, or neither."""
+    rows = records(tests, model=model, rival=rival, measure=SCORE)
+    sizes = {verdict: [str(row["num_tables"]) for row in rows if row["verdict"] == verdict] for verdict in ADVERBS}
+    met = {verdict: of for verdict, of in sizes.items() if of}
+    first, *rest = met
+    if not rest:
+        least, most = rows[0]["num_tables"], rows[-1]["num_tables"]
+        which = "any" if first == UNDECIDED else "every"
+        return f"{ADVERBS[first]} than {NOUNS[rival]} at {which} size, from {least} to {most} tables"
+    told = [f"{ADVERBS[first]} than {NOUNS[rival]} from {listed(met[first])}"]
+    return f"{listed([*told, *(f'{ADVERBS[verdict]} from {listed(met[verdict])}' for verdict in rest)])} tables"
+
+
+def numbers_of(row: Row) -> str:
+    """The difference of a test with its interval and adjusted p-value."""
+    written = p_value(row["p_holm"])
+    p = written if written[0] in "<>" else f"= {written}"
+    low_high = interval(row["low"], row["high"], SCORE_DECIMALS)
+    return f"{amount(row['effect'], SCORE_DECIMALS)}, 95 % interval {low_high}; adjusted p {p}"
+
+
+def claim(tables: Tables) -> str:
+    """The answer to the paper's claim, by size of what was learned from."""
+    (model, rival), counts = PAIRS[0], row_of(tables["attempts"], planner=COMPLETED)
+    last = records(tables["attempts_tests"], model=model, rival=rival, measure=SCORE)[-1]
+    return (
+        f"On physical attempts ({counts['decided']:,} decided at {counted(counts['tables'], 'table')}, "
+        f"{percent(counts['held'] / counts['decided'])} of them held), the SVM predicts what will hold "
+        f"{by_size(tables['attempts_tests'], model, rival)} (log-loss at tables kept apart, SVM − Beta mean, from "
+        f"{last['num_tables']}: {numbers_of(last)})."
+    )
+
+
+def others(tables: Tables) -> str:
+    """Say how the models that see more do."""
+    tests = tables["attempts_tests"]
+    told = []
+    for model, rival in PAIRS[1:]:
+        last = records(tests, model=model, rival=rival, measure=SCORE)[-1]
+        size = last["num_tables"]
+        told.append(f"{NOUNS[model]} predicts {by_size(tests, model, rival)} (from {size}: {numbers_of(last)})")
+    return as_sentence("; ".join(told))
+
+
+def fall(tables: Tables) -> str:
+    """Say whether success falls with occlusion, for each planner of grasps, and what else moves it."""
+    law = tables["attempts_law"]
+    told = [_fall_of(law, name) for name in PLANNED if (law["planner"] == name).any()]
+    if len(told) == len(PLANNED):
+        told.append(_contrast(law))
+    return as_sentence("; ".join(told))
+
+
+def _fall_of(law: pd.DataFrame, planner: str) -> str:
+    of = {row["parameter"]: row for row in records(law, planner=planner)}
+    slope = of["occlusion"]
+    verb = "falls" if slope["high"] < 0 else "rises" if slope["low"] > 0 else "does not change significantly"
+    steps = f"each {100 * SCALES['width_m']:g} cm of width", f"each {100 * SCALES['room_m']:g} cm of room beside it"
+    effects = [
+        f"{_estimate(of[name])} for {words}"
+        for name, words in zip(("is_lying", "width_m", "room_m"), ("what lies", *steps), strict=True)
+    ]
+    return (
+        f"{PLANNED[planner]}, success {verb} with occlusion: the log-odds of holding change by "
+        f"{_estimate(slope)} from nothing hidden to all hidden, by {listed(effects)} (95 % intervals)"
+    )
+
+
+def _contrast(law: pd.DataFrame) -> str:
+    ours, other = (row_of(law, planner=name, parameter="occlusion") for name in (COMPLETED, VISIBLE_ONLY))
+    change, reach = other["estimate"] - ours["estimate"], 1.96 * np.hypot(other["se"], ours["se"])
+    return f"the second slope less the first is {estimated(change, change - reach, change + reach, 1)}"
+
+
+def _estimate(row: Row) -> str:
+    return estimated(row["estimate"], row["low"], row["high"], 1)
+
+
+def assumption(tables: Tables) -> str:
+    """Say what the assumed laws have beside what attempts tell."""
+    slope = tables["attempts_slope"]
+    standing, lying = (where(slope, law=COMPLETED, is_lying=lies) for lies in (False, True))
+    none, half = (f"{percent(_at(where(slope, law=ASSUMED), place)['share_held'])}" for place in (0.0, 0.5))
+    return (
+        f"A first attempt at a standing object of usual width and room holds in {_share(_at(standing, 0.0))} with "
+        f"nothing hidden and in {_share(_at(standing, 0.5))} with half hidden; at one that lies, in "
+        f"{_share(_at(lying, 0.0))} and {_share(_at(lying, 0.5))}; the assumed laws have {none} and {half}: their "
+        "slope comes from no attempt."
+    )
+
+
+def _at(rows: pd.DataFrame, occlusion: float) -> Row:
+    return dict(rows.iloc[int(np.argmin(np.abs(rows["occlusion"].to_numpy() - occlusion)))])
+
+
+def _share(row: Row) -> str:
+    value, low, high = (100.0 * float(row[name]) for name in ("share_held", "low", "high"))
+    return f"{amount(value, 1)}\u00a0% ({interval(low, high, 1)})"
+
+
+def calibrated(tables: Tables) -> str:
+    """Say how well the law is calibrated where a bin of occlusion holds a tenth of the attempts."""
+    rows = records(tables["attempts_calibration"], model=LAW, by="occlusion")
+    full = [row for row in rows if row["share_of_attempts"] >= SHARE_OF_A_BIN]
+    if not full:
+        return "No bin of occlusion holds a tenth of the attempts, so nothing is said of calibration there."
+    widest = max((row["high"] - row["low"]) / 2.0 for row in full)
+    off = max((row["difference"] for row in full), key=abs)
+    away = [_bin(row) for row in full if row["low"] > 0 or row["high"] < 0]
+    wanted = "as was wanted" if widest <= WIDTH_WANTED else f"and not to the ±{WIDTH_WANTED:g} that was wanted"
+    where_to = f"at {listed(away)}" if away else "nowhere"
+    return (
+        f"Of the bins of occlusion, {len(full)} hold a tenth of the attempts or more each; there the share that held "
+        f"less what the law predicted at unseen tables is {amount(abs(off), 3)} at most, known to ±{amount(widest, 3)} "
+        f"or better, {wanted}; it is significantly away from 0 {where_to}."
+    )
+
+
+def _bin(row: Row) -> str:
+    return f"{row['bin_from']:g} to {row['bin_to']:g}"
+
+
+def _draw(tables: Tables, title: str) -> Figure:
+    """Draw scores above, calibration and success below."""
+    size, place = (pages.WIDTH_INCHES, 7.6), {"left": 0.075, "right": 0.985, "bottom": 0.085}
+    grid = place | {"hspace": 0.38, "wspace": 0.17}
+    figure, top, panels = figures.panels(title, size, (2, 2), 0.11, (False, False), **grid)
+    scores, series = tables["attempts_scores"], {name: look for name, look in LOOKS.items() if name != "beta"}
+    for axes, (measure, words), unit in zip(panels[0], MEASURES.items(), (" [nats]", ""), strict=True):
+        pages.draw_zero(axes, MODEL_COLOURS["beta"])
+        figures.draw_series(axes, scores, ("model", "num_tables"), series, three(f"{measure}_over_beta"), DODGE)
+        pages.mark_sizes(axes, sorted(set(scores["num_tables"])))
+        across = "tables that the model was learned from (log scale)"
+        figures.name_panel(axes, f"{words} at unseen tables, above the Beta mean’s{unit}", across)
+    _draw_calibration(panels[1, 0], tables["attempts_calibration"], ("beta", "svm", LAW))
+    _draw_success(panels[1, 1], tables)
+    shown = (*panels[0], panels[1, 0])
+    figures.write_names(figure, top - 0.012, MODEL_NAMES, *shown, columnspacing=1.2, handletextpad=0.4)
+    return figure
+
+
+def _draw_calibration(axes: Axes, calibration: pd.DataFrame, models: Sequence[str]) -> None:
+    """Share that held less the predicted one, by bin of occlusion."""
+    axes.axhspan(-WIDTH_WANTED, WIDTH_WANTED, color=FAINT, alpha=0.5, linewidth=0, zorder=0.5)
+    pages.draw_zero(axes)
+    places = sorted(set(calibration.loc[calibration["by"] == "occlusion", "bin_from"]))
+    for k, model in enumerate(models):
+        rows = where(calibration, model=model, by="occlusion")
+        across = np.searchsorted(places, rows["bin_from"]) + STEP * (k - (len(models) - 1) / 2)
+        pages.draw_bars(axes, across, rows[["difference", "low", "high"]], linestyle="none", **LOOKS[model])
+    told = where(calibration, model=models[0], by="occlusion")
+    ends = zip(told["bin_from"], told["bin_to"], told["share_of_attempts"], strict=True)
+    axes.set_xticks(range(len(places)), [f"{low:g}–{high:g}\n{percent(share)}" for low, high, share in ends])
+    pages.draw_grid(axes)
+    across = "hidden share of the object, and how many of the attempts"
+    figures.name_panel(axes, f"share that held − predicted, at unseen tables; grey: ±{WIDTH_WANTED:g}", across)
+
+
+def _draw_success(axes: Axes, tables: Tables) -> None:
+    """Share that held by what is hidden, counted and by the law, and as the assumed laws have it."""
+    slope, held = tables["attempts_slope"], tables["attempts_held"]
+    for side, (lies, (name, colour, marker)) in zip((-1, 1), POSES.items(), strict=True):
+        curve = where(slope, law=COMPLETED, is_lying=lies)
+        pages.draw_curve(axes, curve["occlusion"], curve[INTERVAL], color=colour, linewidth=1.2)
+        rows = where(held, planner=COMPLETED, is_lying=lies)
+        look: Any = {"color": colour, "marker": marker, "linestyle": "none", "label": name}
+        pages.draw_bars(axes, rows["occlusion"] + side * APART, rows[INTERVAL], **look)
+    assumed = where(slope, law=ASSUMED)
+    look = {"color": SOFT, "dashes": (4, 2), "linewidth": 1.4, "label": "assumed laws"}
+    axes.plot(assumed["occlusion"], assumed["share_held"], **look)
+    axes.yaxis.set_major_formatter(PercentFormatter(1.0, 0))
+    pages.draw_grid(axes)
+    axes.legend(loc="lower left", frameon=False, fontsize=8.5)
+    axes.set_xlim(-0.02, 0.84)
+    words = "share of attempts that held: counted, and by the law (lines)"
+    figures.name_panel(axes, words, "hidden share of the object")
