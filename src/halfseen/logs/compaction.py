@@ -13,11 +13,11 @@ import pandas as pd
 import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.columns import common_unit
 from halfseen.logs.joining import joined
 from halfseen.logs.logs import Logs
 from halfseen.logs.place import Place, place_of
 from halfseen.logs.reading import read_logs
-from halfseen.logs.reward_unit import common_unit
 from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, write_stream
 from halfseen.writing import refuse_taken
 

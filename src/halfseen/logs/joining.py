@@ -7,8 +7,8 @@ import pandas as pd
 import pyarrow as pa
 
 from halfseen.errors import LogError
+from halfseen.logs.columns import common_unit
 from halfseen.logs.logs import Logs
-from halfseen.logs.reward_unit import common_unit
 
 
 def joined(parts: Sequence[Logs]) -> Logs:

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
-from halfseen.logs.checks.trajectories import checked_trajectories
-from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns
+from halfseen.logs.checks import checked_trajectories
+from halfseen.logs.columns import FINISHED, NEEDED, as_counts, common_unit, is_stage_covariate, require_columns, shown
 from halfseen.logs.folder import (
     MANIFEST,
     ROWS_IN_GROUP,
@@ -27,8 +27,6 @@ from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
 from halfseen.logs.place import Place, place_of
 from halfseen.logs.reading import read_logs
-from halfseen.logs.refusal import shown
-from halfseen.logs.reward_unit import common_unit
 from halfseen.logs.shards import Folder, Shard, columns_of, shards_of, tables_of_size
 from halfseen.writing import placed
 

@@ -13,10 +13,9 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, within
-from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.columns import CUT, FINISHED, shown
 from halfseen.logs.formats.step_values import warn
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 from halfseen.shapes import Bool, Float, Shaped
 
 TRUNCATED = "truncated"

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import FINISHED
+from halfseen.logs.columns import FINISHED, shown
 from halfseen.logs.formats.arrow_tables import as_array, names_in, read_tables
 from halfseen.logs.formats.episodes import StepColumns, StepRules, even_ends, logs_of_episodes, refuse_early
 from halfseen.logs.formats.step_values import (
@@ -35,7 +35,6 @@ from halfseen.logs.formats.step_values import (
     warn,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 from halfseen.reading import json_of, read_text, reason_of
 from halfseen.shapes import Float, Int, Shaped
 

@@ -27,11 +27,11 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.logs.columns import shown
 from halfseen.logs.formats.ros_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.ros_messages import check_topics, points_of, read_clouds, read_events
 from halfseen.logs.formats.ros_trajectories import BagTrajectory, follow, missing, split
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 
 See: TypeAlias = Callable[[np.ndarray, tuple[int, int], str], Mapping[str, Any]]
 """From points, shape (n, 3) [m], the rows and columns of the image, and a name, to columns of `objects`."""

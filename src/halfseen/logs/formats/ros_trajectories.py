@@ -6,10 +6,9 @@ from itertools import pairwise
 from typing import Any
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
 from halfseen.logs.formats.ros_mapping import BagMapping
 from halfseen.logs.formats.ros_messages import Event
-from halfseen.logs.refusal import shown
 
 CRASH = "crash"
 _COVARIATE = "covariates."

@@ -14,7 +14,7 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
 from halfseen.logs.formats.arrow_tables import as_array, flattened, read_tables
 from halfseen.logs.formats.episodes import (
     StepColumns,
@@ -35,7 +35,6 @@ from halfseen.logs.formats.step_values import (
     warn,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"

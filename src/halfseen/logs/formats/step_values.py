@@ -11,7 +11,7 @@ from math import prod
 import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
-from halfseen.logs.refusal import shown
+from halfseen.logs.columns import shown
 from halfseen.shapes import Bool, Float, Shaped
 
 MOST_NUMBERS = 1000

@@ -6,9 +6,8 @@ from math import log
 from typing import Any
 
 from halfseen.errors import LogError
-from halfseen.logs.checks.stages import UNIT_TOLERANCE
-from halfseen.logs.checks.trajectories import EARLIEST_DATE_S
 from halfseen.logs.journal.values import checked_number
+from halfseen.logs.schema import EARLIEST_DATE_S, UNIT_TOLERANCE
 
 RESOLUTION_S = 1e-9
 """What a clock can tell apart [s]; a trajectory that was torn before its clock moved ends there."""

@@ -26,14 +26,11 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError, within
-from halfseen.logs.checks.robots import ROBOT
-from halfseen.logs.columns import CUT, FINISHED, is_own_reward
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, common_unit, is_own_reward, shown
 from halfseen.logs.journal.clock import RESOLUTION_S
 from halfseen.logs.journal.lines import JournalEvents, following
 from halfseen.logs.journal.parts import journal_parts, tell_missing
 from halfseen.logs.journal.writer import is_being_recorded
-from halfseen.logs.refusal import shown
-from halfseen.logs.reward_unit import common_unit
 from halfseen.reading import reason_of
 
 CRASH, STILL_RUNNING = "crash", "still-running"

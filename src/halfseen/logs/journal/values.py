@@ -12,10 +12,8 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.checks.robots import is_of_one_robot
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, is_of_one_robot, shown
 from halfseen.logs.frames import LARGEST_FRACTION
-from halfseen.logs.refusal import shown
 
 Kinds = Mapping[str, str]
 

@@ -10,11 +10,11 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.locks import is_locked
+from halfseen.logs.columns import common_unit
 from halfseen.logs.journal.durability import sync, sync_folder, unsynced_folders
 from halfseen.logs.journal.lines import HEADER, JournalEvents, following, journal_line
 from halfseen.logs.journal.parts import JOURNAL, PART_BYTES, journal_parts, part_after, tell_missing
 from halfseen.logs.journal.state import Recorded
-from halfseen.logs.reward_unit import common_unit
 
 _NO_ROOM = (ENOSPC, EDQUOT, EFBIG)
 _FLAGS = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)

@@ -25,7 +25,7 @@ from types import TracebackType
 from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import UNKNOWN_CAUSE
+from halfseen.logs.columns import UNKNOWN_CAUSE, checked_unit, shown
 from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal.durability import synced_events
 from halfseen.logs.journal.parts import PART_BYTES
@@ -34,8 +34,6 @@ from halfseen.logs.journal.tables import CRASH
 from halfseen.logs.journal.writer import JournalWriter
 from halfseen.logs.logs import Logs
 from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
-from halfseen.logs.refusal import shown
-from halfseen.logs.reward_unit import checked_unit
 
 
 class LogRecorder:

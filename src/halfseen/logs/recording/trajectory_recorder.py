@@ -7,14 +7,13 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.columns import CUT, FINISHED, shown
 from halfseen.logs.journal.state import Recorded, TrajectoryState
 from halfseen.logs.journal.tables import CRASH
 from halfseen.logs.journal.values import Schema, checked_number, checked_robot, checked_text
 from halfseen.logs.journal.writer import JournalWriter
 from halfseen.logs.logs import Logs
 from halfseen.logs.recording.log_so_far import log_so_far
-from halfseen.logs.refusal import shown
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text will do."""
