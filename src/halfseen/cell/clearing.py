@@ -15,7 +15,7 @@ from halfseen.arrays import Rows
 from halfseen.cell.account import Account, Run
 from halfseen.cell.stops import StoppedError
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 from halfseen.world import random
 from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.policy import Policy

@@ -8,7 +8,7 @@ from halfseen.cell.account import Account, Run
 from halfseen.cell.clearing import PAUSE_S, Chosen, Moment, Row, Shift, Told, chances_of, cleared
 from halfseen.cell.table_state import Belief, rows_of, state_of
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
 from halfseen.world.actions import Verb
 from halfseen.world.policy import Policy

@@ -17,10 +17,10 @@ if TYPE_CHECKING:
     from halfseen.logs.compaction import Compacted, compact
     from halfseen.logs.logs import Logs
     from halfseen.logs.reading import read_logs
-    from halfseen.logs.recording.recorder import LogRecorder
-    from halfseen.logs.recording.trajectory_recorder import CAUSES, TrajectoryRecorder
+    from halfseen.logs.recorder import LogRecorder
     from halfseen.logs.stream import LogStream, write_stream
     from halfseen.logs.summary import LogsSummary
+    from halfseen.logs.trajectory_recorder import CAUSES, TrajectoryRecorder
 
 __all__ = [
     "CAUSES",
@@ -38,13 +38,13 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "CAUSES": "recording.trajectory_recorder",
+        "CAUSES": "trajectory_recorder",
         "Compacted": "compaction",
-        "LogRecorder": "recording.recorder",
+        "LogRecorder": "recorder",
         "LogStream": "stream",
         "Logs": "logs",
         "LogsSummary": "summary",
-        "TrajectoryRecorder": "recording.trajectory_recorder",
+        "TrajectoryRecorder": "trajectory_recorder",
         "compact": "compaction",
         "read_logs": "reading",
         "write_stream": "stream",

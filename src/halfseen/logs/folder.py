@@ -19,11 +19,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError, within
-from halfseen.logs.columns import checked_unit
-from halfseen.logs.journal.parts import is_journal
-from halfseen.logs.journal.tables import journal_log
+from halfseen.logs.columns import checked_unit, converting
+from halfseen.logs.journal import is_journal
 from halfseen.logs.parquet.size import check_unpacked_table
-from halfseen.logs.place import Place, asking, converting
+from halfseen.logs.place import Place, asking
+from halfseen.logs.recorded import journal_log
 from halfseen.reading import TABLE, check_file, json_of, read_text, reason_of
 from halfseen.writing import placed
 

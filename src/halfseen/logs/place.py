@@ -61,8 +61,3 @@ def asking(place: Place) -> Iterator[None]:
             raise
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise LogError(f"{place}: the store did not answer ({reason}); check the address and your access") from error
-
-
-def converting(folder: Place) -> str:
-    """The remedy for logs of version 1, in which a trajectory was called a path."""
-    return f"convert it: halfseen convert {folder} --out NEW"

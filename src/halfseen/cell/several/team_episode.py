@@ -15,7 +15,7 @@ from halfseen.cell.several.team_table import TeamTable
 from halfseen.cell.several.touches import Touches
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
 from halfseen.world.actions import WAIT, Verb
 from halfseen.world.policy import Policy

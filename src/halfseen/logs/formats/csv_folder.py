@@ -33,11 +33,10 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError, within
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, shown
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, converting, shown
 from halfseen.logs.formats.column_types import ColumnType, as_cells, column_types, from_texts, list_type
 from halfseen.logs.formats.losses import CSV, refuse_lost
 from halfseen.logs.logs import Logs
-from halfseen.logs.place import converting
 from halfseen.reading import TABLE, json_of, opened_text, read_text, reason_of
 from halfseen.writing import placed
 

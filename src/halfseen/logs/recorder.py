@@ -27,13 +27,12 @@ from typing import Any
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import UNKNOWN_CAUSE, checked_unit, shown
 from halfseen.logs.folder import MANIFEST
-from halfseen.logs.journal.durability import synced_events
-from halfseen.logs.journal.parts import PART_BYTES
-from halfseen.logs.journal.state import Recorded
-from halfseen.logs.journal.tables import CRASH
-from halfseen.logs.journal.writer import JournalWriter
+from halfseen.logs.journal import PART_BYTES
 from halfseen.logs.logs import Logs
-from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.recorded import CRASH
+from halfseen.logs.state import Recorded
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.writer import JournalWriter, synced_events
 
 
 class LogRecorder:
