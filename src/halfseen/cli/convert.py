@@ -192,8 +192,8 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
 def _kind(source: str) -> str:
     """What a source is, by what stands there; in an object store there is one form alone."""
     from halfseen.errors import LogError
+    from halfseen.logs.folder import is_remote, place_of
     from halfseen.logs.formats import is_older
-    from halfseen.logs.place import is_remote, place_of
 
     path = Path(source)
     if source.startswith(SQL):
@@ -262,7 +262,7 @@ def _check_options(kind: str, chosen: Mapping[str, Any]) -> None:
 
 def _read(kind: str, source: str, clouds: Path | None, **chosen: Any) -> "Logs":
     from halfseen.logs import formats, read_logs
-    from halfseen.logs.place import place_of
+    from halfseen.logs.folder import place_of
 
     if kind == "csv":
         return formats.read_csv(source)

@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.logs.compaction import Compacted, compact
+    from halfseen.logs.joining import Compacted, compact, write_stream
     from halfseen.logs.logs import Logs
-    from halfseen.logs.reading import read_logs
     from halfseen.logs.recorder import LogRecorder
-    from halfseen.logs.stream import LogStream, write_stream
+    from halfseen.logs.stream import LogStream, read_logs
     from halfseen.logs.summary import LogsSummary
     from halfseen.logs.trajectory_recorder import CAUSES, TrajectoryRecorder
 
@@ -39,14 +38,14 @@ __getattr__ = lazy_names(
     __name__,
     {
         "CAUSES": "trajectory_recorder",
-        "Compacted": "compaction",
+        "Compacted": "joining",
         "LogRecorder": "recorder",
         "LogStream": "stream",
         "Logs": "logs",
         "LogsSummary": "summary",
         "TrajectoryRecorder": "trajectory_recorder",
-        "compact": "compaction",
-        "read_logs": "reading",
-        "write_stream": "stream",
+        "compact": "joining",
+        "read_logs": "stream",
+        "write_stream": "joining",
     },
 )

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from halfseen.errors import HalfseenError, LogError
 from halfseen.logs.columns import shown
 from halfseen.logs.formats.column_types import from_list_texts
-from halfseen.logs.parquet.size import check_unpacked_table
+from halfseen.logs.parquet import check_unpacked_table
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, reason_of
 from halfseen.shapes import Shaped
 

@@ -12,10 +12,10 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from halfseen.logs import folder as parquet
+from halfseen.logs.folder import Place
 from halfseen.logs.formats import csv_folder
 from halfseen.logs.journal import OLDER, VERSION, journal_line, journal_parts
 from halfseen.logs.logs import Logs
-from halfseen.logs.place import Place
 from halfseen.reading import TABLE, opened
 
 TODAY = {"path": "trajectory", "paths": "trajectories", "run_path": "run_trajectory"}
