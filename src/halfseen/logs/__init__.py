@@ -1,12 +1,12 @@
 """What was recorded: trajectories, their stages, endings and causes; checked once, kept on disk.
 
-A *trajectory* is a trajectory: one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
+A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
-Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
-types) → `reward_unit` → `checks` (the invariants) → `summary` → `parquet` (what a file takes) → `journal` (what a
-recorder wrote) → `place`, `folder` (on disk) → `logs` (the record) → `reading` (whatever wrote it) → `shards`, `stream`
-(a log that need not fit in memory) → `joining`, `compaction` (many folders as one). While a robot runs: `recording`.
-What `halfseen inspect` tells: `inspection`. From and to other forms: `formats`.
+Read down: `frames` (what is accepted) → `columns` (names, types, refusals) → `schema` (the rules) → `checks` (which ask
+them) → `summary`, `logs` (the record) → `breakdown`. On disk: `parquet` (what a file takes) → `folder` → `shards`,
+`stream` (a log that need not fit in memory) → `joining` (many as one). While a robot runs: `journal` (lines, chained by
+checksums) → `writer` → `recorded` (from events to tables) → `values`, `state` → `trajectory_recorder` → `recorder` →
+`protocol` (without Python). What `halfseen inspect` finds: `plausibility`, `suspicions`. Other forms: `formats`.
 """
 
 from typing import TYPE_CHECKING

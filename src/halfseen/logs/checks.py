@@ -159,9 +159,10 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.
     first_row = np.flatnonzero(stages["stage"].to_numpy() == 1)
     last = np.diff(np.append(first_row, len(stages)))
     trajectory_row = pd.Index(trajectories["trajectory"]).get_indexer(pd.Index(objects["trajectory"]))
-    values = _values(objects, trajectory_row=trajectory_row, last=last[trajectory_row])
+    stage = objects["stage"].to_numpy()
+    values = _values(objects, stage=stage, trajectory_row=trajectory_row, last=last[trajectory_row])
     _enforce(objects, values, OBJECT_RULES, OBJECT_COLUMNS)
-    stage_row = first_row[trajectory_row] + objects["stage"].to_numpy() - 1
+    stage_row = first_row[trajectory_row] + stage - 1
     names = pd.Index(objects["object"]).unique().sort_values()
     name = names.get_indexer(pd.Index(objects["object"]))
     objects, there = _in_order(objects, np.lexsort((name, stage_row)), stage_row * len(names) + name)
@@ -275,5 +276,5 @@ def _enforce(
     names: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
     for rule in rules:
-        told = f"{rule.message}; {rule.remedy}"
-        refuse(table, rule.is_wrong(values), lambda row, told=told: told.format_map(_RowOf(values, row)), names)
+        wrong, told = np.asarray(rule.is_wrong(values), dtype=bool), f"{rule.message}; {rule.remedy}"
+        refuse(table, wrong, lambda row, told=told: told.format_map(_RowOf(values, row)), names)

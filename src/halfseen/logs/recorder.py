@@ -11,8 +11,8 @@
         trajectory.finish()                                # or trajectory.cut("operator")
 
 `halfseen.logs.read_logs` reads the folder at any time, also while it is being recorded. A trajectory that a crash tore
-is told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is
-fair.
+is read as cut by ``crash`` at the last time at which it was known to run; `halfseen.logs.recorded` says how, and why
+that is fair.
 
 Where several robots work at once, each stage says which of them decides (``begin_stage(…, robot=1)``), and `drop_out`
 tells that one of them is gone while the others go on.

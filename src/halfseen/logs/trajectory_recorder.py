@@ -219,7 +219,7 @@ class TrajectoryRecorder:
         """Note that the trajectory is in progress, at most twice a second; call it from the control loop.
 
         After a crash the trajectory is then known to have run until the last call, not only until its last stage began.
-        Worth it where crashes are many and stages long: see `journal_tables`.
+        Worth it where crashes are many and stages long: see `halfseen.logs.recorded`.
         """
         state, recorded = self._running(), self._journal.known
         if state.stage == 0:
