@@ -23,7 +23,7 @@ from worlds.world import World
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.inspection.suspicions import suspicions
+from halfseen.logs.suspicions import suspicions
 
 WORLDS: dict[str, Callable[[], World]] = {"cell": Cell, "trial": Trial, "haze": Haze, "wide": Wide}
 Tables = tuple[Any, Any]

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from halfseen.cli import halfseen
 from halfseen.logs import read_logs
-from halfseen.logs.inspection.suspicions import suspicions
+from halfseen.logs.suspicions import suspicions
 from halfseen.world import TableWorld, read_team
 from halfseen.world.logs import states_of
 

@@ -12,7 +12,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation.second_order import with_second_order
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.named_task import NamedActions
-from halfseen.logs import LogRecorder, Logs, LogStream, compact, compaction, read_logs, write_stream
+from halfseen.logs import LogRecorder, Logs, LogStream, compact, joining, read_logs, write_stream
 from halfseen.logs.formats import read_csv, write_csv
 from halfseen.logs.joining import joined
 from refusals import refused
@@ -60,7 +60,7 @@ def one_trajectory(folder, name="p", **columns):
 
 @pytest.mark.parametrize("trajectories_at_once", [3, 2_000])
 def test_nothing_is_lost(trajectories_at_once, tmp_path, monkeypatch):
-    monkeypatch.setattr(compaction, "TRAJECTORIES_AT_ONCE", trajectories_at_once)
+    monkeypatch.setattr(joining, "TRAJECTORIES_AT_ONCE", trajectories_at_once)
     for whole in (flat_log(24), table_log(12)):
         place = tmp_path / str(whole.num_trajectories)
         folders = [written(half, place / name) for half, name in zip(halves(whole), "ab", strict=True)]

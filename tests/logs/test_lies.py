@@ -11,11 +11,8 @@ from halfseen.errors import ArgumentError
 from halfseen.evaluation import evaluate
 from halfseen.evaluation.targets import FixedSequence
 from halfseen.logs import Logs
-from halfseen.logs.inspection.endings import chance_of_shorter
-from halfseen.logs.inspection.foretelling import outcomes_among_covariates
-from halfseen.logs.inspection.groups import grouped
-from halfseen.logs.inspection.probabilities import excess_p, imbalance_p
-from halfseen.logs.inspection.suspicions import suspicions
+from halfseen.logs.plausibility import chance_of_shorter, excess_p, grouped, imbalance_p, outcomes_among_covariates
+from halfseen.logs.suspicions import suspicions
 
 ACTIONS = ("vacuum", "fingers", "shake", "skip")
 CHANCE = {"vacuum": 0.8, "fingers": 0.5, "shake": 0.0, "skip": 0.0}

@@ -41,10 +41,10 @@ PLAIN, OF_OBJECTS, NAMED = {}, {"has_objects": True}, {"name_of": "p{:03d}".form
 )
 def test_parts_put_together_are_the_log(tmp_path, monkeypatch, kind, trajectories_at_once, rows_in_group):
     monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", rows_in_group)
-    monkeypatch.setattr(shards, "ROWS_IN_GROUP", 3)
     monkeypatch.setattr(shards, "NUM_SHARDS", 3)
     logs = log_of(range(13), **kind)
     logs.write(tmp_path / "logs")
+    monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", 3)
     stream = LogStream(tmp_path / "logs", trajectories_at_once)
     dealt, reader = stream.shards(), ShardReader(stream.as_folder)
     parts = [part for shard in dealt for part in shard.parts]

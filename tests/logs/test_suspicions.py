@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from halfseen.logs import Logs
-from halfseen.logs.inspection.suspicions import suspicions
+from halfseen.logs.suspicions import suspicions
 
 
 def sound_tables(num_trajectories=120, num_stages=4, seed=0):

@@ -23,7 +23,7 @@ from halfseen.cli.inputs import law_of
 from halfseen.evaluation import evaluate
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
-from halfseen.logs.inspection.suspicions import suspicions
+from halfseen.logs.suspicions import suspicions
 from halfseen.perception import perceive, read_cloud
 from halfseen.perception.formats import write_pcd
 from halfseen.policies import decider_of, read_policy, table_observation

@@ -17,7 +17,7 @@ from halfseen.cell.rewards import EpisodeStatistics, Run, TeamRun
 from halfseen.cell.space import Touches
 from halfseen.cell.table_state import Belief, CellState
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
 from halfseen.world import random
 from halfseen.world.actions import TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb

@@ -191,8 +191,8 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
 def _kind(source: str) -> str:
     """What a source is, by what stands there; in an object store there is one form alone."""
     from halfseen.errors import LogError
+    from halfseen.logs.folder import is_remote, place_of
     from halfseen.logs.formats import is_older
-    from halfseen.logs.place import is_remote, place_of
 
     path = Path(source)
     if source.startswith(SQL):
@@ -261,7 +261,7 @@ def _check_options(kind: str, chosen: Mapping[str, Any]) -> None:
 
 def _read(kind: str, source: str, clouds: Path | None, **chosen: Any) -> "Logs":
     from halfseen.logs import formats, read_logs
-    from halfseen.logs.place import place_of
+    from halfseen.logs.folder import place_of
 
     timed: dict[str, Any] = {"clock": chosen["clock"], "step_s": chosen["step_s"]}
     timed["truncated"] = chosen["truncated"] or "cut"

@@ -157,7 +157,7 @@ def record(
     """  # noqa: D301
     from halfseen.errors import ArgumentError
     from halfseen.logs import LogRecorder
-    from halfseen.logs.recording.line_protocol import record_lines
+    from halfseen.logs.protocol import record_lines
 
     if source is not None and listen is not None:
         raise ArgumentError("SOURCE and --listen are both given; lines come from one of them")
@@ -182,7 +182,7 @@ def _lines_of(source: Path) -> BinaryIO:
 
 
 def _record_clients(recorder_of: Callable[[], "LogRecorder"], address: int | Path) -> None:
-    from halfseen.logs.recording.line_socket import HOST, listening, record_clients
+    from halfseen.logs.protocol import HOST, listening, record_clients
 
     with listening(address) as listener, recorder_of() as recorder:
         where = f"{HOST}:{listener.getsockname()[1]}" if isinstance(address, int) else address

@@ -9,9 +9,8 @@ from collections.abc import Collection
 from halfseen.errors import ArgumentError
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
-from halfseen.logs.inspection.endings import cuts_called_finished
-from halfseen.logs.inspection.foretelling import outcomes_among_covariates
-from halfseen.logs.inspection.probabilities import leaks, untrue_probabilities
+from halfseen.logs.plausibility import leaks, outcomes_among_covariates, untrue_probabilities
+from halfseen.logs.suspicions import cuts_called_finished
 
 PROBABILITIES, COVARIATES, ENDINGS = TRUST = ("probabilities", "covariates", "endings")
 """What a log may be trusted in."""

@@ -130,7 +130,7 @@ class Covariates:
     def _codes(self, frame: Frame, column: str) -> np.ndarray:
         import pandas as pd
 
-        from halfseen.logs.refusal import value_at
+        from halfseen.logs.columns import value_at
 
         values: Any = frame[column]
         is_null = values.isna().to_numpy()
@@ -171,7 +171,7 @@ def is_numeric(frame: Frame, column: str) -> bool:
 
 def _place(frame: Frame, row: int) -> str:
     """Trajectory and stage of a row, where the frame has them."""
-    from halfseen.logs.refusal import place
+    from halfseen.logs.columns import place
 
     named = tuple(name for name in ("trajectory", "stage") if name in frame.columns)
     return place(frame, row, named) if named else f"row {row}"

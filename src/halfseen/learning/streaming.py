@@ -32,7 +32,8 @@ from halfseen.learning.sums import Rows, packed
 from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few
 from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.shards import Folder, Part, Shard, ShardReader, Tables, logs_of
+from halfseen.logs.folder import Folder
+from halfseen.logs.shards import Part, Shard, ShardReader, Tables, logs_of
 from halfseen.progress import Progress
 from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Pool, Workers

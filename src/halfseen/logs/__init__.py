@@ -1,12 +1,12 @@
 """What was recorded: trajectories, their stages, endings and causes; checked once, kept on disk.
 
-A *trajectory* is a trajectory: one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
+A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
-Read down: `frames` (what is accepted) → `refusal` (how a broken log is told) → `columns` (which columns, of which
-types) → `reward_unit` → `checks` (the invariants) → `summary` → `parquet` (what a file takes) → `journal` (what a
-recorder wrote) → `place`, `folder` (on disk) → `logs` (the record) → `reading` (whatever wrote it) → `shards`, `stream`
-(a log that need not fit in memory) → `joining`, `compaction` (many folders as one). While a robot runs: `recording`.
-What `halfseen inspect` tells: `inspection`. From and to other forms: `formats`.
+Read down: `frames` (what is accepted) → `columns` (names, types, refusals) → `schema` (the rules) → `checks` (which ask
+them) → `summary`, `logs` (the record) → `breakdown`. On disk: `parquet` (what a file takes) → `folder` → `shards`,
+`stream` (a log that need not fit in memory) → `joining` (many as one). While a robot runs: `journal` (lines, chained by
+checksums) → `writer` → `recorded` (from events to tables) → `values`, `state` → `trajectory_recorder` → `recorder` →
+`protocol` (without Python). What `halfseen inspect` finds: `plausibility`, `suspicions`. Other forms: `formats`.
 """
 
 from typing import TYPE_CHECKING
@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.logs.compaction import Compacted, compact
+    from halfseen.logs.joining import Compacted, compact, write_stream
     from halfseen.logs.logs import Logs
-    from halfseen.logs.reading import read_logs
-    from halfseen.logs.recording.recorder import LogRecorder
-    from halfseen.logs.recording.trajectory_recorder import CAUSES, TrajectoryRecorder
-    from halfseen.logs.stream import LogStream, write_stream
+    from halfseen.logs.recorder import LogRecorder
+    from halfseen.logs.stream import LogStream, read_logs
     from halfseen.logs.summary import LogsSummary
+    from halfseen.logs.trajectory_recorder import CAUSES, TrajectoryRecorder
 
 __all__ = [
     "CAUSES",
@@ -38,15 +37,15 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "CAUSES": "recording.trajectory_recorder",
-        "Compacted": "compaction",
-        "LogRecorder": "recording.recorder",
+        "CAUSES": "trajectory_recorder",
+        "Compacted": "joining",
+        "LogRecorder": "recorder",
         "LogStream": "stream",
         "Logs": "logs",
         "LogsSummary": "summary",
-        "TrajectoryRecorder": "recording.trajectory_recorder",
-        "compact": "compaction",
-        "read_logs": "reading",
-        "write_stream": "stream",
+        "TrajectoryRecorder": "trajectory_recorder",
+        "compact": "joining",
+        "read_logs": "stream",
+        "write_stream": "joining",
     },
 )

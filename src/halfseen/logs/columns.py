@@ -1,7 +1,7 @@
-"""Which columns each table has, and of which types."""
+"""Names and types of columns, and how a broken log is refused: where, what, the value, the remedy."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -10,14 +10,13 @@ import pyarrow as pa
 
 from halfseen.errors import LogError
 from halfseen.logs.frames import LARGEST_FRACTION
-from halfseen.logs.refusal import place, shown, value_at
 from halfseen.shapes import Bool, Float
 from halfseen.suggestions import closest
 
 STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot")
 TRAJECTORY_COLUMNS = ("trajectory", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("trajectory", "stage", "object")
-_OF_ONE_ROBOT = re.compile(r"\d+_reward")
+_OWN = {"stages": STAGE_COLUMNS, "trajectories": TRAJECTORY_COLUMNS, "objects": OBJECT_COLUMNS}
 
 NEEDED = {
     "stages": ("trajectory", "stage", "elapsed_s", "action", "reward"),
@@ -26,15 +25,72 @@ NEEDED = {
 }
 """Columns that each table has, whatever else is known."""
 
-_OWN = {"stages": STAGE_COLUMNS, "trajectories": TRAJECTORY_COLUMNS, "objects": OBJECT_COLUMNS}
-
+ROBOT = "robot"
+"""Column of the robot that decides in a stage; a log without it is of one robot."""
 FINISHED, CUT = "finished", "cut"
 UNKNOWN_CAUSE = "unknown"
+
+MOST_SHOWN = 200
+"""Characters of a value that a message shows."""
+MOST_UNIT_CHARS = 24
+_UNIT_REMEDY = f"give a text of one line and at most {MOST_UNIT_CHARS} characters, such as 'parts', or leave it out"
+
+
+# Refusals.
+
+
+def shown(value: object) -> str:
+    """Write a value as it stands in the table: 17, but '17' for text, and null whatever stands for it."""
+    if pd.api.types.is_scalar(value) and bool(np.asarray(pd.isna(value))):
+        return "null"
+    text = " ".join(map(str.strip, repr(value.item() if isinstance(value, np.generic) else value).splitlines()))
+    return text if len(text) <= MOST_SHOWN else f"{text[:MOST_SHOWN]}…"
+
+
+def value_at(frame: pd.DataFrame, column: str, row: int) -> Any:
+    """Read one value with the type of its column; a whole row would turn its integers to floats."""
+    return frame[column].iloc[row]
+
+
+def place(frame: pd.DataFrame, row: int, columns: tuple[str, ...] = ("trajectory", "stage")) -> str:
+    """Name a row: trajectory 17, stage 4."""
+    return ", ".join(f"{column} {shown(value_at(frame, column, row))}" for column in columns)
+
+
+def refuse(
+    frame: pd.DataFrame,
+    wrong: np.ndarray,
+    trouble: str | Callable[[int], str],
+    columns: tuple[str, ...] = ("trajectory", "stage"),
+) -> None:
+    """Raise for the first row that is wrong, if one is; `trouble` may be a function of that row."""
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise LogError(f"{place(frame, row, columns)}: {trouble if isinstance(trouble, str) else trouble(row)}")
+
+
+def converting(folder: Any) -> str:
+    """The remedy for logs of version 1, in which a trajectory was called a path."""
+    return f"convert it: halfseen convert {folder} --out NEW"
+
+
+# Names of columns.
 
 
 def is_own_reward(column: str) -> bool:
     """Whether a column of stages is what one robot of several brought, such as 0_reward."""
-    return _OF_ONE_ROBOT.fullmatch(column) is not None
+    return re.fullmatch(r"\d+_reward", column) is not None
+
+
+def is_of_one_robot(column: str) -> bool:
+    """Whether a column tells of one robot of several what it brought, or when or why it dropped out."""
+    return re.fullmatch(r"\d+_(reward|out_s|out_cause)", column) is not None
+
+
+def robots_that_may_drop_out(trajectories: pd.DataFrame) -> list[int]:
+    """Numbers of the robots of which the trajectories tell whether they dropped out."""
+    found = (re.fullmatch(r"(\d+)_out_s", str(column)) for column in trajectories.columns)
+    return sorted(int(each[1]) for each in found if each is not None)
 
 
 def is_stage_covariate(column: str) -> bool:
@@ -58,13 +114,15 @@ def refuse_misnamed(name: str, frame: pd.DataFrame) -> None:
     Either would be taken for a covariate, and what it says would be lost.
     """
     own = _OWN[name]
-    for column in frame.columns:
+    for column in (column for column in frame.columns if column not in own):
         meant = column.strip().lower()
-        if column not in own and meant in own:
+        if meant in own:
             raise LogError(f"{name}: column {column!r} reads like {meant!r} and is none; rename it {meant!r}")
-        owner = next((table for table, columns in _OWN.items() if meant in columns), name)
-        if column not in own and owner != name:
+        for owner in (table for table, columns in _OWN.items() if meant in columns):
             raise LogError(f"{name}: column {column!r} belongs to {owner}; put it there, or rename it")
+
+
+# Types of columns.
 
 
 def as_floats(name: str, frame: pd.DataFrame, column: str) -> pd.Series:
@@ -119,35 +177,64 @@ def _is_whole(numbers: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
 
 def check_covariates(name: str, frame: pd.DataFrame, known: tuple[str, ...]) -> None:
     """Refuse null, NaN and infinity among numeric covariates, those in lists included."""
-    columns = ("trajectory", "stage", "object") if name == "objects" else ("trajectory", "stage")
-    for column in frame.columns:
-        missing = _missing_numbers(frame[column]) if column not in known else np.zeros(0, dtype=bool)
-        if missing.any():
-            row = int(np.argmax(missing))
-            raise LogError(
-                f"{place(frame, row, columns)}: covariate {column} is {shown(value_at(frame, column, row))}; give the "
-                f"number that the policy saw, or leave column {column!r} of {name} out"
-            )
+    for column in (column for column in frame.columns if column not in known):
+
+        def trouble(row: int, column: str = column) -> str:
+            what = f"covariate {column} is {shown(value_at(frame, column, row))}"
+            return f"{what}; give the number that the policy saw, or leave column {column!r} of {name} out"
+
+        columns = OBJECT_COLUMNS if name == "objects" else ("trajectory", "stage")
+        refuse(frame, _missing_numbers(frame[column]), trouble, columns)
 
 
 def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:
     """Rows that lack a finite number, in a numeric column or inside a list of numbers."""
     if pd.api.types.is_numeric_dtype(values.dtype):
-        missing = values.isna().to_numpy()
-        return missing | np.isinf(values.to_numpy(dtype=np.float64, na_value=np.nan))
+        return ~np.isfinite(values.to_numpy(dtype=np.float64, na_value=np.nan))
     if values.dtype == object and pd.api.types.infer_dtype(values, skipna=True) == "mixed":
-        return _missing_in_lists(pa.array(values, from_pandas=True))
+        lists: Any = pa.array(values, from_pandas=True)
+        if pa.types.is_list(lists.type) and _holds_numbers(lists.type.value_type):
+            missing = np.array(lists.is_null())
+            is_wrong = ~np.isfinite(lists.flatten().cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
+            missing[np.array(lists.value_parent_indices(), dtype=np.int64)[is_wrong]] = True
+            return missing
     return np.zeros(len(values), dtype=bool)
-
-
-def _missing_in_lists(lists: Any) -> Bool[np.ndarray, " rows"]:
-    if not pa.types.is_list(lists.type) or not _holds_numbers(lists.type.value_type):
-        return np.zeros(len(lists), dtype=bool)
-    missing = np.array(lists.is_null())
-    is_wrong = ~np.isfinite(lists.flatten().cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
-    missing[np.array(lists.value_parent_indices(), dtype=np.int64)[is_wrong]] = True
-    return missing
 
 
 def _holds_numbers(kind: pa.DataType) -> bool:
     return pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)
+
+
+# The unit of rewards.
+
+
+def checked_unit(unit: Any) -> str | None:
+    """Take a unit of rewards without the blanks around it; None where there is none.
+
+    Raises
+    ------
+    LogError
+        It is no short text.
+    """
+    if unit is None:
+        return None
+    if not isinstance(unit, str):
+        raise LogError(f"reward_unit is {shown(unit)}, which is no text; {_UNIT_REMEDY}")
+    stripped = unit.strip()
+    if not stripped or len(stripped) > MOST_UNIT_CHARS or not stripped.isprintable():
+        raise LogError(f"reward_unit is {shown(unit)}, which is no short text; {_UNIT_REMEDY}")
+    return stripped
+
+
+def common_unit(units: Iterable[str | None]) -> str | None:
+    """The one unit of several logs; those that name none go with the others.
+
+    Raises
+    ------
+    LogError
+        Two are in different ones.
+    """
+    known = list(dict.fromkeys(unit for unit in units if unit is not None))
+    if len(known) > 1:
+        raise LogError(f"rewards are in {known[0]!r} and in {known[1]!r}; bring the logs to one unit before they join")
+    return known[0] if known else None

@@ -10,7 +10,8 @@
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -19,13 +20,68 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError, within
-from halfseen.logs.journal.parts import is_journal
-from halfseen.logs.journal.tables import journal_log
-from halfseen.logs.parquet.size import check_unpacked_table
-from halfseen.logs.place import Place, asking, converting
-from halfseen.logs.reward_unit import checked_unit
+from halfseen.logs.columns import checked_unit, converting
+from halfseen.logs.journal import is_journal
+from halfseen.logs.parquet import check_unpacked_table
+from halfseen.logs.recorded import journal_log
 from halfseen.reading import TABLE, check_file, json_of, read_text, reason_of
 from halfseen.writing import placed
+
+Place = Any
+"""A `Path`, or what does the same in a store (``UPath``)."""
+
+
+def place_of(address: str | Path | Place) -> Place:
+    """Find a folder by its path or its address.
+
+    Parameters
+    ----------
+    address
+        A path, or an address that ``fsspec`` knows how to open.
+
+    Raises
+    ------
+    LogError
+        There is no such kind of store, or what opens it is not installed.
+    """
+    if not isinstance(address, str) or not is_remote(address):
+        return address if not isinstance(address, str) else Path(address)
+    # A store needs a library that nothing else does.
+    from upath import UPath
+
+    try:
+        place = UPath(address)
+        place.fs  # noqa: B018 - what opens the store loads here
+    except (ImportError, ValueError) as error:
+        reason = str(error).splitlines()[0].rstrip(".")
+        raise LogError(f"{address}: it cannot be opened ({reason}); install that, or copy the folder here") from error
+    return place
+
+
+def is_remote(address: str) -> bool:
+    """Whether it is the address of a store."""
+    return "://" in address
+
+
+@contextmanager
+def asking(place: Place) -> Iterator[None]:
+    """Tell what a store answers, whatever its library raises, in one line with the place.
+
+    Raises
+    ------
+    LogError
+        The store refused, or was not reached.
+    """
+    try:
+        yield
+    except (HalfseenError, FileNotFoundError):
+        raise
+    except Exception as error:
+        if isinstance(place, Path):
+            raise
+        reason = (str(error).splitlines() or [type(error).__name__])[0]
+        raise LogError(f"{place}: the store did not answer ({reason}); check the address and your access") from error
+
 
 MANIFEST = "logs.json"
 FORMAT, VERSION = "halfseen-logs", 2
@@ -34,13 +90,59 @@ ROWS_IN_GROUP = 65_536
 """Rows that are read at once by whoever wants one of them."""
 
 
-class Manifest(NamedTuple):
-    """What logs.json says."""
+class Folder(NamedTuple):
+    """A folder of Parquet files, as its manifest describes it."""
 
-    rows: dict[str, int]
+    place: Place
+    num_rows: dict[str, int]
     """Of each table."""
     reward_unit: str | None
     """What rewards are counted in; None if nobody has said."""
+
+    def opened(self, name: str) -> pq.ParquetFile:
+        """Open a table.
+
+        Raises
+        ------
+        LogError
+            The file is missing, broken, or has another number of rows.
+        """
+        file = self.place / f"{name}.parquet"
+        try:
+            # Not read_table, which makes columns of a folder that is called a=b.
+            with asking(self.place):
+                if isinstance(file, Path):
+                    num_bytes = check_file(file, TABLE)
+                    opened = pq.ParquetFile(file)
+                    check_unpacked_table(file, num_bytes, opened)
+                else:
+                    opened = pq.ParquetFile(file.open("rb"))
+        except FileNotFoundError as error:
+            raise LogError(f"{file}: it is missing; copy the whole folder, or write the logs again") from error
+        except MemoryError:
+            raise
+        except Exception as error:  # a broken file raises nearly anything
+            raise broken_table(file, error) from error
+        if opened.metadata.num_rows != self.num_rows[name]:
+            raise LogError(
+                f"{file}: it has {opened.metadata.num_rows} rows where {MANIFEST} counts {self.num_rows[name]}; files "
+                "of two logs are mixed: write the logs again"
+            )
+        return opened
+
+    def batches(self, name: str, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
+        """Read some columns of a table, or all, batch by batch.
+
+        Raises
+        ------
+        LogError
+            The file is missing or broken.
+        """
+        file = self.opened(name)
+        try:
+            yield from (batch for batch in file.iter_batches(ROWS_IN_GROUP, columns=columns) if len(batch))
+        except (OSError, pa.ArrowException) as error:
+            raise broken_table(self.place / f"{name}.parquet", error) from error
 
 
 def read_folder(folder: Place) -> dict[str, Any]:
@@ -54,9 +156,16 @@ def read_folder(folder: Place) -> dict[str, Any]:
     is_here = isinstance(folder, Path)
     if is_here and not (folder / MANIFEST).exists() and is_journal(folder):
         return journal_log(folder)
-    manifest = read_manifest(folder)
-    tables = {name: _read_table(folder, name, count) for name, count in manifest.rows.items()}
-    return {**tables, "reward_unit": manifest.reward_unit}
+    described = read_manifest(folder)
+    tables: dict[str, Any] = {}
+    for name in described.num_rows:
+        try:
+            tables[name] = described.opened(name).read().to_pandas()
+        except (HalfseenError, MemoryError):
+            raise
+        except Exception as error:  # pandas' own words in a broken file raise nearly anything
+            raise broken_table(folder / f"{name}.parquet", error) from error
+    return {**tables, "reward_unit": described.reward_unit}
 
 
 def write_tables(
@@ -84,18 +193,18 @@ def write_tables(
         for name, table in tables.items():
             arrow = pa.Table.from_pandas(table, preserve_index=False)
             pq.write_table(arrow, fresh / f"{name}.parquet", ROWS_IN_GROUP, compression="zstd")
-        write_manifest(fresh, Manifest({name: len(table) for name, table in tables.items()}, reward_unit))
+        write_manifest(Folder(fresh, {name: len(table) for name, table in tables.items()}, reward_unit))
 
 
-def write_manifest(folder: Path, told: Manifest) -> None:
+def write_manifest(folder: Folder) -> None:
     """Write down how many rows each table of a folder has, and the unit of rewards if there is one."""
-    manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, "rows": told.rows}
-    if told.reward_unit is not None:
-        manifest["reward_unit"] = told.reward_unit
-    (folder / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+    manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, "rows": folder.num_rows}
+    if folder.reward_unit is not None:
+        manifest["reward_unit"] = folder.reward_unit
+    (folder.place / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def read_manifest(folder: Place) -> Manifest:
+def read_manifest(folder: Place) -> Folder:
     """Read how many rows each table of a folder has, and the unit of rewards.
 
     Raises
@@ -128,56 +237,12 @@ def read_manifest(folder: Place) -> Manifest:
         )
     with within(file):
         unit = checked_unit(manifest.get("reward_unit"))
-    return Manifest(_checked_rows(file, manifest.get("rows")), unit)
-
-
-def _checked_rows(file: Place, rows: Any) -> dict[str, int]:
+    rows: Any = manifest.get("rows")
     is_right = isinstance(rows, dict) and {"stages", "trajectories"} <= set(rows) <= set(TABLES)
     is_right = is_right and all(isinstance(num, int) and num >= 0 for num in rows.values())
     if not is_right:
         raise LogError(f"{file}: rows {repr(rows)[:80]} does not count stages and trajectories; write the logs again")
-    return rows
-
-
-def opened_table(folder: Place, name: str, num_rows: int) -> pq.ParquetFile:
-    """Open a table of a folder, which the manifest says to have so many rows.
-
-    Raises
-    ------
-    LogError
-        The file is missing, broken, or has another number of rows.
-    """
-    file = folder / f"{name}.parquet"
-    try:
-        # Not read_table, which makes columns of a folder that is called a=b.
-        with asking(folder):
-            if isinstance(file, Path):
-                num_bytes = check_file(file, TABLE)
-                opened = pq.ParquetFile(file)
-                check_unpacked_table(file, num_bytes, opened)
-            else:
-                opened = pq.ParquetFile(file.open("rb"))
-    except FileNotFoundError as error:
-        raise LogError(f"{file}: it is missing; copy the whole folder, or write the logs again") from error
-    except MemoryError:
-        raise
-    except Exception as error:  # a broken file raises nearly anything
-        raise broken_table(file, error) from error
-    if opened.metadata.num_rows != num_rows:
-        raise LogError(
-            f"{file}: it has {opened.metadata.num_rows} rows where {MANIFEST} counts {num_rows}; files of two logs are "
-            "mixed: write the logs again"
-        )
-    return opened
-
-
-def _read_table(folder: Place, name: str, num_rows: int) -> pd.DataFrame:
-    try:
-        return opened_table(folder, name, num_rows).read().to_pandas()
-    except (HalfseenError, MemoryError):
-        raise
-    except Exception as error:  # pandas' own words in a broken file raise nearly anything
-        raise broken_table(folder / f"{name}.parquet", error) from error
+    return Folder(folder, rows, unit)
 
 
 def broken_table(file: Place, error: Exception) -> LogError:

@@ -1,14 +1,26 @@
-"""Several logs as one."""
+"""Several logs as one: in memory, part by part on disk, and many folders of a fleet in one folder of Parquet files.
 
-from collections.abc import Sequence
-from typing import Any
+Folders are read twice, one after the other: for the types of their columns, which must agree, and to be written. No
+more than some thousand trajectories are in memory.
+"""
+
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 
-from halfseen.errors import LogError
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.columns import common_unit, shown
+from halfseen.logs.folder import MANIFEST, Folder, Place, place_of, write_manifest
 from halfseen.logs.logs import Logs
-from halfseen.logs.reward_unit import common_unit
+from halfseen.logs.recorded import STILL_RUNNING
+from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
+from halfseen.writing import placed, refuse_taken
 
 
 def joined(parts: Sequence[Logs]) -> Logs:
@@ -36,3 +48,231 @@ def _stacked(frames: list[pd.DataFrame]) -> pa.Table:
     # By Arrow: a column that is null throughout one log has no type there, and takes that of the others.
     tables = [pa.Table.from_pandas(frame, preserve_index=False) for frame in frames]
     return pa.concat_tables(tables, promote_options="permissive")
+
+
+def write_stream(
+    parts: Iterable[Logs],
+    folder: str | Path,
+    *,
+    overwrite: bool = False,
+    schemas: Mapping[str, pa.Schema] | None = None,
+) -> None:
+    """Write a log that comes in parts, all or nothing; no more than one part is in memory.
+
+    Parameters
+    ----------
+    parts
+        Logs of different trajectories; the names increase from part to part, as they do within one.
+    folder
+        Where to.
+    overwrite
+        Replace logs that are already there.
+    schemas
+        Columns and types of each table; None for those of the first part.
+
+    Raises
+    ------
+    ArgumentError
+        The folder exists or cannot be written, or there is no part.
+    LogError
+        A trajectory comes before one of an earlier part, a part has objects or columns that earlier ones lack, or
+        rewards are in two units.
+    """
+    with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
+        writers: dict[str, pq.ParquetWriter] = {}
+        rows: dict[str, int] = {}
+        unit: str | None = None
+        last: Any = None
+        for part in parts:
+            if last is not None and not part.trajectory_ids[0] > last:
+                raise LogError(
+                    f"trajectory {shown(part.trajectory_ids[0])}: it comes after trajectory {shown(last)}; sort the "
+                    "parts"
+                )
+            if writers and part.tables.keys() != writers.keys():
+                raise LogError("only some of the parts have objects; write those with and those without apart")
+            last, unit = part.trajectory_ids[-1], common_unit([unit, part.reward_unit])
+            for name, table in part.tables.items():
+                if name not in writers:
+                    schema = pa.Schema.from_pandas(table, preserve_index=False) if schemas is None else schemas[name]
+                    writers[name] = stack.enter_context(
+                        pq.ParquetWriter(fresh / f"{name}.parquet", _without_nulls(schema), compression="zstd")
+                    )
+                    rows[name] = 0
+                schema = writers[name].schema
+                if more := [column for column in table if column not in schema.names]:
+                    raise LogError(
+                        f"{name}: column {shown(more[0])} comes with trajectory {shown(part.trajectory_ids[0])}, and "
+                        "parts before it have none; give every part the same columns"
+                    )
+                full = table.reindex(columns=schema.names)
+                writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))
+                rows[name] += len(table)
+        if not writers:
+            raise ArgumentError("there is no part; give at least one log")
+        stack.close()
+        write_manifest(Folder(fresh, rows, unit))
+
+
+def _without_nulls(schema: pa.Schema) -> pa.Schema:
+    """A column that is empty in the first part, such as the causes of cuts, may be text in a later one."""
+    for i, field in enumerate(schema):
+        if pa.types.is_null(field.type):
+            schema = schema.set(i, field.with_type(pa.string()))
+    return schema
+
+
+RUN, RUN_TRAJECTORY = "run", "run_trajectory"
+"""Columns of the trajectories that tell where each comes from: its folder, and its name there."""
+
+
+class Compacted(NamedTuple):
+    """What became of many folders."""
+
+    num_folders: int
+    num_trajectories: int
+    num_stages: int
+    num_running: int
+    """Trajectories that are still being recorded, and were left out."""
+
+
+def compact(
+    folders: Sequence[str | Place],
+    out: str | Path,
+    *,
+    overwrite: bool = False,
+    on_progress: Callable[[], object] = lambda: None,
+) -> Compacted:
+    """Write the logs of many folders into one, all or nothing.
+
+    Trajectories are numbered anew, in the order of the folders; the columns ``run`` and ``run_trajectory`` of
+    `Logs.trajectories` say what they were called in which folder. Those that are still being recorded are left out.
+
+    Parameters
+    ----------
+    folders
+        Logs of any form that `read_logs` reads, or their addresses in an object store.
+    out
+        Folder to write.
+    overwrite
+        Replace logs that are already there.
+    on_progress
+        Called after each folder has been read, twice for each.
+
+    Raises
+    ------
+    ArgumentError
+        No folder is given, one is given twice, or `out` cannot be written.
+    LogError
+        A folder is none or broken; or two do not go together: a column is of two types, or only one has it; or rewards
+        are in two units.
+    """
+    runs = [place_of(folder) for folder in folders]
+    _refuse_repeated(runs)
+    refuse_taken(Path(out), overwrite, "logs.json", "logs")
+    schemas: dict[str, pa.Schema] = {}
+    counts, units = Compacted(len(runs), 0, 0, 0), []
+    for run in runs:
+        found, num_running = _ended(read_logs(run))
+        counts = counts._replace(num_running=counts.num_running + num_running)
+        if found is not None:
+            units.append(found.reward_unit)
+            schemas = _agreed(schemas, run, runs[0], _named(found, run, counts.num_trajectories))
+            counts = counts._replace(
+                num_trajectories=counts.num_trajectories + found.num_trajectories,
+                num_stages=counts.num_stages + found.num_stages,
+            )
+        on_progress()
+    if not counts.num_trajectories:
+        raise LogError(f"none of the {len(runs)} folders has a trajectory that ended; record some")
+    common_unit(units)
+    write_stream(_parts(runs, on_progress), out, overwrite=overwrite, schemas=schemas)
+    return counts
+
+
+def _refuse_repeated(runs: Sequence[Place]) -> None:
+    if not runs:
+        raise ArgumentError("no folder is given; give at least one")
+    seen: dict[object, Place] = {}
+    for run in runs:
+        # A trajectory's own `resolve` raises where links go in a circle.
+        place = os.path.realpath(run) if isinstance(run, Path) else run.resolve()
+        if place in seen:
+            raise ArgumentError(f"{run} and {seen[place]} are the same folder; give it once")
+        seen[place] = run
+
+
+def _ended(logs: Logs) -> tuple[Logs | None, int]:
+    """Leave out trajectories that are still being recorded, and count them."""
+    is_running = (logs.trajectories["cause"] == STILL_RUNNING).to_numpy(dtype=bool)
+    if is_running.all():
+        return None, len(is_running)
+    ended = logs.select(logs.trajectory_ids[~is_running]) if is_running.any() else logs
+    return ended, int(is_running.sum())
+
+
+def _parts(runs: Sequence[Place], on_progress: Callable[[], object]) -> Iterator[Logs]:
+    """Logs of some thousand trajectories, numbered anew."""
+    held, num_held, first = [], 0, 0
+    for run in runs:
+        found, _ = _ended(read_logs(run))
+        if found is not None:
+            tables: dict[str, Any] = _named(found, run, first)
+            held.append(Logs(**tables, reward_unit=found.reward_unit))
+            first, num_held = first + found.num_trajectories, num_held + found.num_trajectories
+        if num_held >= TRAJECTORIES_AT_ONCE:
+            yield joined(held)
+            held, num_held = [], 0
+        on_progress()
+    if held:
+        yield joined(held)
+
+
+def _named(logs: Logs, run: Place, first: int) -> dict[str, pd.DataFrame]:
+    """Tables of a log whose trajectories are numbered from `first`, and which say where they come from."""
+    number = pd.Series(range(first, first + logs.num_trajectories), index=pd.Index(logs.trajectory_ids))
+    tables = {
+        name: table.assign(trajectory=number.loc[table["trajectory"]].to_numpy()) for name, table in logs.tables.items()
+    }
+    if RUN not in logs.trajectories.columns:
+        names = {RUN: str(run), RUN_TRAJECTORY: [str(name) for name in logs.trajectory_ids]}
+        tables["trajectories"] = tables["trajectories"].assign(**names)
+    return tables
+
+
+def _agreed(
+    schemas: dict[str, pa.Schema], run: Place, first: Place, tables: dict[str, pd.DataFrame]
+) -> dict[str, pa.Schema]:
+    """Types that serve what was read so far and one folder more."""
+    here = {name: pa.Schema.from_pandas(table, preserve_index=False) for name, table in tables.items()}
+    if not schemas:
+        return here
+    if set(here) != set(schemas):
+        having, lacking = (run, first) if "objects" in here else (first, run)
+        raise LogError(
+            f"{having} has objects and {lacking} has none; write those that have and those that have none apart"
+        )
+    return {name: _unified(name, schemas[name], here[name], run, first) for name in here}
+
+
+_MAY_LACK = {"stages": {"object"}, "objects": set()}
+"""Columns that may be null; what else stages and objects have was seen of each, or of none. Of trajectories all may."""
+
+
+def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: Place) -> pa.Schema:
+    only_one = sorted(set(before.names) ^ set(here.names))
+    missing = [column for column in only_one if table in _MAY_LACK and column not in _MAY_LACK[table]]
+    if missing:
+        having, lacking = (run, first) if missing[0] in here.names else (first, run)
+        raise LogError(
+            f"{table}: {having} has column {missing[0]!r} and {lacking} has not; drop it, or add what was seen"
+        )
+    for column in set(before.names) & set(here.names):
+        try:
+            pa.unify_schemas([pa.schema([s.field(column)]) for s in (before, here)], promote_options="permissive")
+        except pa.ArrowException as error:
+            raise LogError(
+                f"{table}: column {column!r} is {here.field(column).type} in {run}, and "
+                f"{before.field(column).type} in those before it; give it one type"
+            ) from error
+    return pa.unify_schemas([before.remove_metadata(), here.remove_metadata()], promote_options="permissive")

@@ -9,21 +9,19 @@ import pandas as pd
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
-from halfseen.logs.checks.objects import checked_objects
-from halfseen.logs.checks.stages import checked_stages
-from halfseen.logs.checks.trajectories import checked_trajectories
+from halfseen.logs.checks import checked_objects, checked_stages, checked_trajectories
 from halfseen.logs.columns import (
     FINISHED,
     OBJECT_COLUMNS,
     STAGE_COLUMNS,
     TRAJECTORY_COLUMNS,
+    checked_unit,
     is_stage_covariate,
     require_columns,
+    shown,
 )
 from halfseen.logs.folder import write_tables
 from halfseen.logs.frames import FrameLike, as_frame, through_arrow
-from halfseen.logs.refusal import shown
-from halfseen.logs.reward_unit import checked_unit
 from halfseen.logs.summary import LogsSummary, SummaryTally
 from halfseen.shapes import Float
 
@@ -31,8 +29,7 @@ from halfseen.shapes import Float
 class Logs:
     """Trajectories of a robot, one an episode, each finished or cut, checked once when the log is made.
 
-    The tables are copied and sorted; do not change them in place. What they must satisfy is in `trajectory_checks`,
-    `stage_checks` and `object_checks`.
+    The tables are copied and sorted; do not change them in place. What they must satisfy is in `halfseen.logs.schema`.
 
     Parameters
     ----------
@@ -89,17 +86,13 @@ class Logs:
         reward_unit: str | None = None,
     ) -> None:
         self._reward_unit = checked_unit(reward_unit)
-        trajectories_frame = checked_trajectories(as_frame("trajectories", trajectories, TRAJECTORY_COLUMNS))
-        stages_frame, layout = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), trajectories_frame)
-        self._layout = layout
-        self._trajectories = through_arrow("trajectories", trajectories_frame)
-        self._stages = through_arrow("stages", stages_frame)
+        ends = checked_trajectories(as_frame("trajectories", trajectories, TRAJECTORY_COLUMNS))
+        rows = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), ends)
         self._objects = None
         if objects is not None:
-            objects_frame = checked_objects(
-                as_frame("objects", objects, OBJECT_COLUMNS), stages_frame, trajectories_frame, layout
-            )
-            self._objects = through_arrow("objects", objects_frame)
+            there = checked_objects(as_frame("objects", objects, OBJECT_COLUMNS), rows, ends)
+            self._objects = through_arrow("objects", there)
+        self._trajectories, self._stages = through_arrow("trajectories", ends), through_arrow("stages", rows)
 
     def __repr__(self) -> str:
         return f"<Logs: {self.summary()}>"
@@ -155,7 +148,7 @@ class Logs:
     @property
     def horizon(self) -> int:
         """Number of stages T of the longest trajectory."""
-        return int(self._layout.num_stages.max())
+        return int(self._stages["stage"].max())
 
     @property
     def trajectory_ids(self) -> np.ndarray:
@@ -203,8 +196,8 @@ class Logs:
         if not pd.api.types.is_numeric_dtype(self._stages[column].dtype):
             raise LogError(f"stages: column {column!r} holds no numbers; ask for a numeric column")
         values = np.full((self.num_trajectories, self.horizon), np.nan)
-        rows = self._layout.trajectory_row, self._stages["stage"].to_numpy() - 1
-        values[rows] = self._stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
+        stage = self._stages["stage"].to_numpy()
+        values[np.cumsum(stage == 1) - 1, stage - 1] = self._stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
         return values
 
     @property
@@ -242,7 +235,7 @@ class Logs:
         """Count what is there: trajectories, endings and causes, stages, clock, actions."""
         tally = SummaryTally()
         tally.add(self._trajectories, self._stages, self._objects)
-        return tally.told()
+        return tally.summary()
 
     def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
         """Write the tables as Parquet into a folder of their own, all or nothing.

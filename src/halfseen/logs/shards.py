@@ -8,9 +8,8 @@ import pyarrow as pa
 import pyarrow.compute
 
 from halfseen.errors import LogError, within
-from halfseen.logs.folder import ROWS_IN_GROUP, broken_table, opened_table
+from halfseen.logs.folder import Folder, broken_table
 from halfseen.logs.logs import Logs
-from halfseen.logs.place import Place
 
 MOST_PARTS = 64
 """Of a shard; a worker that is lost takes with it what it was to read."""
@@ -43,14 +42,6 @@ class Shard(NamedTuple):
     def trajectories(self) -> slice:
         """Rows of the table of trajectories."""
         return slice(self.parts[0].trajectories[0], self.parts[-1].trajectories[1])
-
-
-class Folder(NamedTuple):
-    """A folder of logs, as far as a worker needs to know it."""
-
-    place: Place
-    num_rows: dict[str, int]
-    reward_unit: str | None
 
 
 class ShardReader:
@@ -112,7 +103,7 @@ def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
 class _Table:
     def __init__(self, folder: Folder, name: str) -> None:
         self._file_name = folder.place / f"{name}.parquet"
-        self._file = opened_table(folder.place, name, folder.num_rows[name])
+        self._file = folder.opened(name)
         sizes = [self._file.metadata.row_group(group).num_rows for group in range(self._file.num_row_groups)]
         self._begin = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
         self._held: tuple[int, pa.Table] | None = None
@@ -148,27 +139,20 @@ def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
         A table has not as many trajectories, one after another, as that of the trajectories.
     """
     num_trajectories = folder.num_rows["trajectories"]
-    of_trajectories = np.minimum(
-        np.arange(0, num_trajectories + trajectories_at_once, trajectories_at_once), num_trajectories
-    )
-    begins = {name: _begins(folder, name, trajectories_at_once) for name in folder.num_rows if name != "trajectories"}
-    parts = [
-        Part(
-            number,
-            (int(of_trajectories[number]), int(of_trajectories[number + 1])),
-            {name: (int(begin[number]), int(begin[number + 1])) for name, begin in begins.items()},
-        )
-        for number in range(-(-num_trajectories // trajectories_at_once))
-    ]
+    ends = {name: _ends(folder, name, trajectories_at_once) for name in folder.num_rows if name != "trajectories"}
+    parts = []
+    for number, first in enumerate(range(0, num_trajectories, trajectories_at_once)):
+        rows = {name: (int(end[number]), int(end[number + 1])) for name, end in ends.items()}
+        parts.append(Part(number, (first, min(first + trajectories_at_once, num_trajectories)), rows))
     size = min(max(len(parts) // NUM_SHARDS, 1), MOST_PARTS)
     groups = [parts[first : first + size] for first in range(0, len(parts), size)]
     return [Shard(number, tuple(group)) for number, group in enumerate(groups)]
 
 
-def _begins(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
+def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
     """Rows of a table in which parts begin, and the number of its rows."""
     found, num_trajectories, num_rows, last = [], 0, 0, None
-    for column in columns_of(folder, name, ["trajectory"]):
+    for column in folder.batches(name, ["trajectory"]):
         is_new = np.ones(len(column), dtype=bool)
         values = column["trajectory"]
         differs = compute.fill_null(compute.not_equal(values.slice(1), values.slice(0, len(values) - 1)), True)
@@ -184,21 +168,6 @@ def _begins(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
             "none; write the logs by Logs.write or write_stream, which sort them"
         )
     return np.concatenate([*found, [num_rows]])
-
-
-def columns_of(folder: Folder, name: str, columns: list[str] | None = None) -> Iterator[pa.RecordBatch]:
-    """Read some columns of a table, or all, batch by batch.
-
-    Raises
-    ------
-    LogError
-        The file is missing or broken.
-    """
-    file = opened_table(folder.place, name, folder.num_rows[name])
-    try:
-        yield from (batch for batch in file.iter_batches(ROWS_IN_GROUP, columns=columns) if len(batch))
-    except (OSError, pa.ArrowException) as error:
-        raise broken_table(folder.place / f"{name}.parquet", error) from error
 
 
 def tables_of_size(batches: Iterable[pa.RecordBatch], size: int) -> Iterator[pa.Table]:

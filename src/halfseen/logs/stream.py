@@ -1,36 +1,22 @@
 """A log that need not fit in memory: read and written a few thousand whole trajectories at a time."""
 
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
-from halfseen.logs.checks.trajectories import checked_trajectories
-from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns
-from halfseen.logs.folder import (
-    MANIFEST,
-    ROWS_IN_GROUP,
-    Manifest,
-    broken_table,
-    opened_table,
-    read_manifest,
-    write_manifest,
-)
+from halfseen.logs.checks import checked_trajectories
+from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns, shown
+from halfseen.logs.folder import MANIFEST, ROWS_IN_GROUP, Folder, Place, place_of, read_folder, read_manifest
 from halfseen.logs.frames import as_frame
 from halfseen.logs.logs import Logs
-from halfseen.logs.place import Place, place_of
-from halfseen.logs.reading import read_logs
-from halfseen.logs.refusal import shown
-from halfseen.logs.reward_unit import common_unit
-from halfseen.logs.shards import Folder, Shard, columns_of, shards_of, tables_of_size
-from halfseen.writing import placed
+from halfseen.logs.shards import Shard, shards_of, tables_of_size
 
 TRAJECTORIES_AT_ONCE = 2_000
 """Trajectories that are held in memory at once."""
@@ -56,6 +42,8 @@ class LogStream:
     ----------
     reward_unit
         What rewards are counted in; None if nobody has said.
+    as_folder
+        What a worker needs to know, to read a shard.
 
     Raises
     ------
@@ -70,10 +58,11 @@ class LogStream:
             raise ArgumentError(f"trajectories_at_once is {trajectories_at_once}; read at least 1")
         self.folder = place_of(folder)
         self.trajectories_at_once = trajectories_at_once
-        self._rows, self.reward_unit = read_manifest(self.folder)
-        for name in self._rows:
+        self.as_folder = read_manifest(self.folder)
+        self.reward_unit = self.as_folder.reward_unit
+        for name in self.as_folder.num_rows:
             with within(self.folder):
-                columns = as_frame(name, self._opened(name).schema_arrow.empty_table())
+                columns = as_frame(name, self.as_folder.opened(name).schema_arrow.empty_table())
                 require_columns(name, columns, NEEDED[name])
         # A table of millions of trajectories is larger than all that is held beside it.
         ends = [
@@ -81,7 +70,7 @@ class LogStream:
             for part in self._trajectory_tables()
         ]
         if not ends:
-            checked_trajectories(as_frame("trajectories", opened_table(self.folder, "trajectories", 0).read()))
+            checked_trajectories(as_frame("trajectories", self.as_folder.opened("trajectories").read()))
         self._end_s, self._is_finished = (np.concatenate(each) for each in zip(*ends, strict=True))
 
     @property
@@ -108,11 +97,6 @@ class LogStream:
     def is_finished(self) -> RowMask:
         """True where the trajectory reached its own end, False where it was cut."""
         return self._is_finished
-
-    @property
-    def as_folder(self) -> Folder:
-        """What a worker needs to know, to read a shard."""
-        return Folder(self.folder, self._rows, self.reward_unit)
 
     def shards(self) -> list[Shard]:
         """Deal the parts into shards, by the size of the log alone.
@@ -141,17 +125,17 @@ class LogStream:
     @property
     def stage_covariates(self) -> list[str]:
         """Names of the stages' covariates."""
-        return [name for name in self._opened("stages").schema_arrow.names if is_stage_covariate(name)]
+        return [name for name in self.as_folder.opened("stages").schema_arrow.names if is_stage_covariate(name)]
 
     @property
     def num_stages(self) -> int:
         """Number of stages of all trajectories together."""
-        return self._rows["stages"]
+        return self.as_folder.num_rows["stages"]
 
     @property
     def has_objects(self) -> bool:
         """Whether the stages have objects."""
-        return "objects" in self._rows
+        return "objects" in self.as_folder.num_rows
 
     @property
     def has_all_actions(self) -> bool:
@@ -160,13 +144,14 @@ class LogStream:
 
     def stage_columns(self, *names: str) -> Iterator[pd.DataFrame]:
         """Read some columns of the stages alone, row by row as they stand."""
-        for batch in columns_of(self.as_folder, "stages", list(names)):
+        for batch in self.as_folder.batches("stages", list(names)):
             yield batch.to_pandas()
 
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
-        others = ["stages", *(["objects"] if self.has_objects else [])]
-        readers = {name: _TrajectoryReader(self.folder, name, self._rows[name]) for name in others}
+        readers = {
+            name: _TrajectoryReader(self.as_folder, name) for name in self.as_folder.num_rows if name != "trajectories"
+        }
         for part in self._trajectory_tables(self.trajectories_at_once):
             names: Any = part["trajectory"]
             tables: dict[str, Any] = {name: reader.upto(names) for name, reader in readers.items()}
@@ -179,7 +164,7 @@ class LogStream:
     def _trajectory_tables(self, size: int = ROWS_IN_GROUP) -> Iterator[pd.DataFrame]:
         """Read the table of trajectories in parts of a size, each checked, and sorted after the one before."""
         last: Any = None
-        for table in tables_of_size(columns_of(self.as_folder, "trajectories"), size):
+        for table in tables_of_size(self.as_folder.batches("trajectories"), size):
             with within(self.folder):
                 frame = as_frame("trajectories", table)
                 trajectories = checked_trajectories(frame)
@@ -192,8 +177,33 @@ class LogStream:
             last = names[-1]
             yield trajectories
 
-    def _opened(self, name: str) -> pq.ParquetFile:
-        return opened_table(self.folder, name, self._rows[name])
+
+def read_logs(folder: str | Place) -> Logs:
+    """Read a folder that `Logs.write` or a `LogRecorder` wrote, or one of CSV files, and check it again.
+
+    A recorder's folder can be read at any time. A trajectory that a crash tore has the cause "crash"; one that is being
+    recorded has the cause "still-running".
+
+    Parameters
+    ----------
+    folder
+        The folder; its address, where it lies in an object store, as Parquet files.
+
+    Raises
+    ------
+    LogError
+        The folder or one of its files is missing, broken or of another version, or the tables break an invariant.
+    """
+    folder = place_of(folder)
+    is_here = isinstance(folder, Path)
+    if is_here and (folder / "stages.csv").is_file() and not (folder / MANIFEST).exists():
+        # Formats know logs, not the other way round.
+        from halfseen.logs.formats.csv_folder import read_csv
+
+        return read_csv(folder)
+    told = read_folder(folder)
+    with within(folder):
+        return Logs(**told)
 
 
 def opened(folder: str | Place, in_passes: bool | None = None) -> Logs | LogStream:
@@ -220,7 +230,7 @@ def opened(folder: str | Place, in_passes: bool | None = None) -> Logs | LogStre
             "--out FOLDER"
         )
     if in_passes is None:
-        in_passes = is_parquet and read_manifest(folder).rows["stages"] > MOST_STAGES_IN_MEMORY
+        in_passes = is_parquet and read_manifest(folder).num_rows["stages"] > MOST_STAGES_IN_MEMORY
     return LogStream(folder) if in_passes else read_logs(folder)
 
 
@@ -232,119 +242,38 @@ def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
 class _TrajectoryReader:
     """Hands out a table's rows by trajectory; those of one stand together, in the order of trajectories."""
 
-    def __init__(self, folder: Place, name: str, num_rows: int) -> None:
-        self._file = folder / f"{name}.parquet"
-        self._batches = opened_table(folder, name, num_rows).iter_batches(batch_size=ROWS_IN_GROUP)
-        self._held: list[pa.Table] = []
+    def __init__(self, folder: Folder, name: str) -> None:
+        self._file = folder.place / f"{name}.parquet"
+        self._batches = folder.batches(name)
+        self._held: list[pa.RecordBatch] = []
 
     def upto(self, trajectories: pd.Series) -> pa.Table:
         """Take the rows of these trajectories, which are the next ones."""
         taken = []
-        while True:
-            if not self._held and not self._read():
-                break
-            table = self._held.pop()
-            others = np.flatnonzero(~table["trajectory"].to_pandas().isin(trajectories).to_numpy())
-            end = int(others[0]) if len(others) else len(table)
-            if end:
-                taken.append(table.slice(0, end))
-            if end < len(table):
-                self._held.append(table.slice(end))
+        while self._is_left():
+            batch = self._held.pop()
+            others = np.flatnonzero(~batch["trajectory"].to_pandas().isin(trajectories).to_numpy())
+            end = int(others[0]) if len(others) else len(batch)
+            taken += [batch.slice(0, end)] if end else []
+            if end < len(batch):
+                self._held.append(batch.slice(end))
                 break
         if not taken:
             raise LogError(
                 f"{self._file}: no row of trajectory {shown(trajectories.iloc[0])} comes next, as trajectories.parquet "
                 "has it; write the logs by Logs.write or write_stream, which sort them"
             )
-        return pa.concat_tables(taken)
+        return pa.Table.from_batches(taken)
 
     def refuse_leftover(self) -> None:
         """Refuse rows that belong to no trajectory, or stand out of order."""
-        if self._held or self._read():
+        if self._is_left():
             trajectory = self._held[0]["trajectory"][0].as_py()
             raise LogError(
                 f"{self._file}: rows of trajectory {shown(trajectory)} stand where trajectories.parquet has none; "
                 "write the logs by Logs.write or write_stream, which sort them"
             )
 
-    def _read(self) -> bool:
-        try:
-            batch = next(self._batches, None)
-        except (OSError, pa.ArrowException) as error:
-            raise broken_table(self._file, error) from error
-        if batch is None:
-            return False
-        self._held.append(pa.Table.from_batches([batch]))
-        return True
-
-
-def write_stream(
-    parts: Iterable[Logs],
-    folder: str | Path,
-    *,
-    overwrite: bool = False,
-    schemas: Mapping[str, pa.Schema] | None = None,
-) -> None:
-    """Write a log that comes in parts, all or nothing; no more than one part is in memory.
-
-    Parameters
-    ----------
-    parts
-        Logs of different trajectories; the names increase from part to part, as they do within one.
-    folder
-        Where to.
-    overwrite
-        Replace logs that are already there.
-    schemas
-        Columns and types of each table; None for those of the first part.
-
-    Raises
-    ------
-    ArgumentError
-        The folder exists or cannot be written, or there is no part.
-    LogError
-        A trajectory comes before one of an earlier part, a part has objects or columns that earlier ones lack, or
-        rewards are in two units.
-    """
-    with placed(Path(folder), overwrite=overwrite, marker=MANIFEST) as fresh, ExitStack() as stack:
-        writers: dict[str, pq.ParquetWriter] = {}
-        rows: dict[str, int] = {}
-        unit: str | None = None
-        last: Any = None
-        for part in parts:
-            if last is not None and not part.trajectory_ids[0] > last:
-                raise LogError(
-                    f"trajectory {shown(part.trajectory_ids[0])}: it comes after trajectory {shown(last)}; sort the "
-                    "parts"
-                )
-            if writers and part.tables.keys() != writers.keys():
-                raise LogError("only some of the parts have objects; write those with and those without apart")
-            last, unit = part.trajectory_ids[-1], common_unit([unit, part.reward_unit])
-            for name, table in part.tables.items():
-                if name not in writers:
-                    schema = pa.Schema.from_pandas(table, preserve_index=False) if schemas is None else schemas[name]
-                    writers[name] = stack.enter_context(
-                        pq.ParquetWriter(fresh / f"{name}.parquet", _without_nulls(schema), compression="zstd")
-                    )
-                    rows[name] = 0
-                schema = writers[name].schema
-                if more := [column for column in table if column not in schema.names]:
-                    raise LogError(
-                        f"{name}: column {shown(more[0])} comes with trajectory {shown(part.trajectory_ids[0])}, and "
-                        "parts before it have none; give every part the same columns"
-                    )
-                full = table.reindex(columns=schema.names)
-                writers[name].write_table(pa.Table.from_pandas(full, schema=schema, preserve_index=False))
-                rows[name] += len(table)
-        if not writers:
-            raise ArgumentError("there is no part; give at least one log")
-        stack.close()
-        write_manifest(fresh, Manifest(rows, unit))
-
-
-def _without_nulls(schema: pa.Schema) -> pa.Schema:
-    """A column that is empty in the first part, such as the causes of cuts, may be text in a later one."""
-    for i, field in enumerate(schema):
-        if pa.types.is_null(field.type):
-            schema = schema.set(i, field.with_type(pa.string()))
-    return schema
+    def _is_left(self) -> bool:
+        self._held = self._held or list(islice(self._batches, 1))
+        return bool(self._held)

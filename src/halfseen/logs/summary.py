@@ -60,8 +60,8 @@ class SummaryTally:
     """Counts a log that comes in parts."""
 
     def __init__(self) -> None:
-        self._num_trajectories = self._num_finished = self._num_stages = self._num_completed = self._horizon = 0
-        self._ends_s = math.inf, -math.inf
+        self._count: Counter[str] = Counter()
+        self._horizon, self._shortest_s, self._longest_s = 0, math.inf, -math.inf
         self._causes: Counter[str] = Counter()
         self._actions: Counter[str] = Counter()
         self._objects: set[Any] = set()
@@ -69,31 +69,29 @@ class SummaryTally:
     def add(self, trajectories: pd.DataFrame, stages: pd.DataFrame, objects: pd.DataFrame | None) -> None:
         """Count the checked tables of a part."""
         completed = stages[stages["elapsed_s"].notna()]
-        self._num_trajectories += len(trajectories)
-        self._num_finished += int((trajectories["ending"] == FINISHED).sum())
-        self._num_stages += len(stages)
-        self._num_completed += len(completed)
+        self._count["num_trajectories"] += len(trajectories)
+        self._count["num_finished"] += int((trajectories["ending"] == FINISHED).sum())
+        self._count["num_stages"] += len(stages)
+        self._count["num_completed"] += len(completed)
         self._horizon = max(self._horizon, int(stages["stage"].max()))
-        end_s, (shortest_s, longest_s) = trajectories["end_s"], self._ends_s
-        self._ends_s = min(shortest_s, float(end_s.min())), max(longest_s, float(end_s.max()))
+        self._shortest_s = min(self._shortest_s, float(trajectories["end_s"].min()))
+        self._longest_s = max(self._longest_s, float(trajectories["end_s"].max()))
         self._causes += _counts(trajectories["cause"])
         self._actions += _counts(completed["action"])
         if objects is not None:
             self._objects.update(objects["object"].unique())
 
-    def told(self) -> LogsSummary:
-        """Tell what was counted."""
+    def summary(self) -> LogsSummary:
+        """What was counted."""
+        num_cut = self._count["num_trajectories"] - self._count["num_finished"]
         return LogsSummary(
-            num_trajectories=self._num_trajectories,
-            num_finished=self._num_finished,
-            num_cut=self._num_trajectories - self._num_finished,
-            cut_share=1.0 - self._num_finished / self._num_trajectories,
+            **self._count,
+            num_cut=num_cut,
+            cut_share=1.0 - self._count["num_finished"] / self._count["num_trajectories"],
             causes=_ranked(self._causes),
-            num_stages=self._num_stages,
-            num_completed=self._num_completed,
             horizon=self._horizon,
-            shortest_s=self._ends_s[0],
-            longest_s=self._ends_s[1],
+            shortest_s=self._shortest_s,
+            longest_s=self._longest_s,
             actions=_ranked(self._actions),
             num_objects=len(self._objects),
         )

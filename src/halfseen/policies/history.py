@@ -9,8 +9,7 @@ import pandas as pd
 from halfseen.arrays import Hides, ObjectMask, PerObject, Points
 from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs
-from halfseen.logs.columns import as_floats
-from halfseen.logs.refusal import place, shown, value_at
+from halfseen.logs.columns import as_floats, place, shown, value_at
 from halfseen.policies.identity import Identities, by_order, by_place
 from halfseen.shapes import Int
 from halfseen.tables.present import Known, Present, Tried, state_now, unknown

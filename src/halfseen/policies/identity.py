@@ -7,7 +7,7 @@ import numpy as np
 
 from halfseen.arrays import Hides
 from halfseen.errors import PolicyError
-from halfseen.logs.refusal import shown
+from halfseen.logs.columns import shown
 from halfseen.perception.tracking import FARTHEST_M, NEARLY_AS_NEAR_M, matched
 from halfseen.shapes import Float, Int
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from halfseen.arrays import RowMask
 from halfseen.logs import Logs
-from halfseen.logs.inspection.breakdown import by_cause
+from halfseen.logs.breakdown import by_cause
 
 MOST_CAUSES = 5
 FINISHED_ROW = "finished"

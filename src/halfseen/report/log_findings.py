@@ -8,8 +8,8 @@ import numpy as np
 from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.logs import Logs
-from halfseen.logs.inspection.breakdown import by_action, by_cause, by_robot, by_stage
-from halfseen.logs.inspection.suspicions import suspicions
+from halfseen.logs.breakdown import by_action, by_cause, by_robot, by_stage
+from halfseen.logs.suspicions import suspicions
 from halfseen.report.endings import endings
 from halfseen.shapes import Float, Int
 

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.recording.recorder import LogRecorder
-from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.recorder import LogRecorder
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 from halfseen.serving.refusal import Refusal
 
 STOPPED = "server stopped"

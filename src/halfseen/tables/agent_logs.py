@@ -26,9 +26,7 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.logs.checks.robots import is_of_one_robot, robots_that_may_drop_out
-from halfseen.logs.columns import CUT, FINISHED, require_columns
-from halfseen.logs.refusal import refuse
+from halfseen.logs.columns import CUT, FINISHED, is_of_one_robot, refuse, require_columns, robots_that_may_drop_out
 from halfseen.shapes import Bool, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES, Verb
 from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_tables, robots_in

@@ -13,7 +13,7 @@ from halfseen.learning.named_task import action_indicators
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded
 from halfseen.logs import Logs
-from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.logs.columns import refuse, shown, value_at
 from halfseen.shapes import Bool, Int
 from halfseen.suggestions import did_you_mean
 from halfseen.tables.features import table_features

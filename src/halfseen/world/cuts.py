@@ -22,8 +22,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
-from halfseen.logs.checks.robots import robots_that_may_drop_out
-from halfseen.logs.columns import CUT, is_own_reward
+from halfseen.logs.columns import CUT, is_own_reward, robots_that_may_drop_out
 from halfseen.shapes import Bool, Float
 from halfseen.world.rollout import Episodes
 from halfseen.world.state import occlusion

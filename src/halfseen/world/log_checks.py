@@ -9,9 +9,7 @@ import numpy as np
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.checks.robots import ROBOT, robots_that_may_drop_out
-from halfseen.logs.columns import as_floats, require_columns
-from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.logs.columns import ROBOT, as_floats, refuse, require_columns, robots_that_may_drop_out, shown, value_at
 from halfseen.shapes import Bool, Float
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_rows import FREE, IDLE, NOTHING, OF_OBJECT, TableLog

@@ -10,9 +10,7 @@ import pyarrow as pa
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.checks.robots import ROBOT
-from halfseen.logs.columns import as_floats
-from halfseen.logs.refusal import refuse, shown, value_at
+from halfseen.logs.columns import ROBOT, as_floats, refuse, shown, value_at
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES
 

@@ -29,7 +29,7 @@ import pyarrow as pa
 from halfseen.arrays import mapped
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.checks.robots import robots_that_may_drop_out
+from halfseen.logs.columns import robots_that_may_drop_out
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE, CutEpisodes, CutKind, drop_out_columns

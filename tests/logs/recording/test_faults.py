@@ -15,7 +15,7 @@ from recordings import finished, logs_or_none, record_trajectory
 
 from halfseen.errors import HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.journal.parts import JOURNAL
+from halfseen.logs.journal import JOURNAL
 
 # A disk that does not take what is written.
 
@@ -51,8 +51,7 @@ class FailingDisk:
 
 def failing(monkeypatch, seed, share=0.3):
     disk = FailingDisk(seed, share)
-    for module in ("writer", "durability"):
-        monkeypatch.setattr(f"halfseen.logs.journal.{module}.os", disk)
+    monkeypatch.setattr("halfseen.logs.writer.os", disk)
     return disk
 
 

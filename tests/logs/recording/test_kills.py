@@ -15,7 +15,7 @@ from recordings import as_recorded, covariates_of, logs_or_none, reward_of
 import halfseen.logs
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.journal.parts import PART_BYTES
+from halfseen.logs.journal import PART_BYTES
 
 # JAX warns of forks where other tests have loaded it; the children here do not touch it.
 pytestmark = pytest.mark.filterwarnings("ignore:os.fork:RuntimeWarning")

@@ -14,8 +14,7 @@ from recordings import logs_or_none
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, read_logs
-from halfseen.logs.recording.line_protocol import CALLS, MOST_BYTES, record_lines
-from halfseen.logs.recording.line_socket import listening, record_clients
+from halfseen.logs.protocol import CALLS, MOST_BYTES, listening, record_clients, record_lines
 from lines import as_lines
 from valid_logs import assert_same
 

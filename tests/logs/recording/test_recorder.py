@@ -13,7 +13,7 @@ from recordings import THREE, begin, of_robot, record_trajectory, step
 from halfseen.censoring import stage_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.logs.journal.parts import JOURNAL, PART_BYTES, journal_parts, part_after
+from halfseen.logs.journal import JOURNAL, PART_BYTES, journal_parts, part_after
 from refusals import refused
 from valid_logs import assert_same, small_tables, valid_tables
 

@@ -6,8 +6,7 @@ from recordings import THREE, begin, of_robot, step
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.logs.journal.lines import HEADER, journal_line
-from halfseen.logs.journal.parts import JOURNAL
+from halfseen.logs.journal import HEADER, JOURNAL, journal_line
 from refusals import refused
 from valid_logs import small_tables
 

@@ -102,7 +102,7 @@ def check_calls(folder, calls):
 
 @pytest.mark.parametrize("most", [60, pytest.param(1500, marks=pytest.mark.slow)])
 def test_whatever_is_taken_is_read_back(tmp_path_factory, monkeypatch, most):
-    monkeypatch.setattr("halfseen.logs.journal.tables.ROWS_A_CHUNK", 2)
+    monkeypatch.setattr("halfseen.logs.recorded.ROWS_A_CHUNK", 2)
 
     @settings(max_examples=most)
     @given(calls=st.lists(CALLS, min_size=4, max_size=12 if most == 60 else 20))

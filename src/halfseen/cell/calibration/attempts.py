@@ -19,8 +19,7 @@ from halfseen.arrays import RowMask, Rows
 from halfseen.cell.facts import Facts
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.columns import as_floats, require_columns
-from halfseen.logs.refusal import refuse
+from halfseen.logs.columns import as_floats, refuse, require_columns
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp.attempts import attempts
 

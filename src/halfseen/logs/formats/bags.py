@@ -27,11 +27,10 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
 from halfseen.logs.formats.bag_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, read_clouds, read_events
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 
 CRASH = "crash"
 _COVARIATE = "covariates."

@@ -33,7 +33,7 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from halfseen.errors import LogError, within
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, converting, shown
 from halfseen.logs.formats.column_types import (
     CSV,
     ColumnType,
@@ -44,8 +44,6 @@ from halfseen.logs.formats.column_types import (
     refuse_lost,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.place import converting
-from halfseen.logs.refusal import shown
 from halfseen.reading import TABLE, json_of, opened_text, read_text, reason_of
 from halfseen.writing import placed
 

@@ -21,7 +21,7 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import FINISHED
+from halfseen.logs.columns import FINISHED, shown
 from halfseen.logs.formats.step_tables import as_array, parquet_file, read_tables, whole_table
 from halfseen.logs.formats.steps import (
     Columns,
@@ -38,7 +38,6 @@ from halfseen.logs.formats.steps import (
     warn,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 from halfseen.reading import json_of, read_text, reason_of
 from halfseen.shapes import Float, Int
 

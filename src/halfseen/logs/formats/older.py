@@ -12,10 +12,10 @@ from typing import Any
 import pyarrow.parquet as pq
 
 from halfseen.logs import folder as parquet
+from halfseen.logs.folder import Place
 from halfseen.logs.formats import csv_folder
-from halfseen.logs.journal import lines, parts
+from halfseen.logs.journal import OLDER, VERSION, journal_line, journal_parts
 from halfseen.logs.logs import Logs
-from halfseen.logs.place import Place
 from halfseen.reading import TABLE, opened
 
 TODAY = {"path": "trajectory", "paths": "trajectories", "run_path": "run_trajectory"}
@@ -96,8 +96,8 @@ def _journal(file: Place, to: Path) -> None:
                 target.write(line)
                 continue
             event: dict[str, Any] = {str(TODAY.get(key, key)): value for key, value in json.loads(body).items()}
-            event |= {"version": lines.VERSION} if event["event"] == "journal" else {}
-            written, checksum = lines.journal_line(event, checksum if begins == above and checksum is not None else 0)
+            event |= {"version": VERSION} if event["event"] == "journal" else {}
+            written, checksum = journal_line(event, checksum if begins == above and checksum is not None else 0)
             above = int(stated, 16)
             target.write(written)
 
@@ -116,9 +116,9 @@ _TRANSLATIONS = {".parquet": _table, ".json": _manifest, ".csv": _cells, ".jsonl
 
 
 def _is_older_journal(folder: Path) -> bool:
-    first = next(iter(parts.journal_parts(folder)), None)
+    first = next(iter(journal_parts(folder)), None)
     if first is None:
         return False
-    header, _ = lines.journal_line(lines.OLDER, 0)
+    header, _ = journal_line(OLDER, 0)
     with opened(first, TABLE) as file:
         return file.readline(len(header)) == header

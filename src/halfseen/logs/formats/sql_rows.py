@@ -16,11 +16,10 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError, within
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, shown
 from halfseen.logs.formats.column_types import from_list_texts
 from halfseen.logs.formats.extras import extra
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 from halfseen.reading import TABLE, UNPACKED, check_file, read_text, reason_of, toml_of
 
 ROWS_AT_ONCE = 10_000

@@ -21,7 +21,7 @@ import pyarrow.csv as arrow_csv
 import pyarrow.parquet as pq
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
 from halfseen.logs.formats.column_types import from_list_texts
 from halfseen.logs.formats.extras import refused
 from halfseen.logs.formats.steps import (
@@ -39,8 +39,7 @@ from halfseen.logs.formats.steps import (
     warn,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.parquet.size import check_unpacked_table
-from halfseen.logs.refusal import shown
+from halfseen.logs.parquet import check_unpacked_table
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened
 from halfseen.shapes import Bool, Float, Int, Shaped
 

@@ -18,9 +18,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
-from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.columns import CUT, FINISHED, shown
 from halfseen.logs.logs import Logs
-from halfseen.logs.refusal import shown
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 TRUNCATED = "truncated"

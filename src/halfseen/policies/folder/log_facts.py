@@ -68,7 +68,7 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         spread = spread.plus(_spread_of(part))
     assert counts is not None
     schema = kind.schema(policy, facts)
-    return LogFacts(summary.told(), digest.hexdigest(), schema, seen, stages_left(counts), spread.deviation)
+    return LogFacts(summary.summary(), digest.hexdigest(), schema, seen, stages_left(counts), spread.deviation)
 
 
 class _Spread(NamedTuple):

@@ -16,8 +16,8 @@ from halfseen.estimator import check_fitted
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.inspection.suspicions import suspicions
 from halfseen.logs.stream import parts_of
+from halfseen.logs.suspicions import suspicions
 from halfseen.policies.folder.arrays import column_major, laid_out
 from halfseen.policies.folder.files import check_target, write_files
 from halfseen.policies.folder.kinds import kind_name_of, kind_named, kind_of

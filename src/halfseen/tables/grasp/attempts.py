@@ -8,8 +8,7 @@ import pandas as pd
 from halfseen.errors import LogError
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.logs.columns import require_columns
-from halfseen.logs.refusal import refuse, shown
+from halfseen.logs.columns import refuse, require_columns, shown
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_checks import checked_tables, robots_in

@@ -26,16 +26,13 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError, within
-from halfseen.logs.checks.robots import ROBOT
-from halfseen.logs.columns import CUT, FINISHED, is_own_reward
-from halfseen.logs.journal.clock import RESOLUTION_S
-from halfseen.logs.journal.lines import JournalEvents, following
-from halfseen.logs.journal.parts import journal_parts, tell_missing
-from halfseen.logs.journal.writer import is_being_recorded
-from halfseen.logs.refusal import shown
-from halfseen.logs.reward_unit import common_unit
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, common_unit, is_own_reward, shown
+from halfseen.logs.journal import JournalEvents, following, journal_parts, tell_missing
+from halfseen.logs.writer import is_being_recorded
 from halfseen.reading import reason_of
 
+RESOLUTION_S = 1e-9
+"""What a clock can tell apart [s]; a trajectory that was torn before its clock moved ends there."""
 CRASH, STILL_RUNNING = "crash", "still-running"
 ROWS_A_CHUNK = 20_000
 _TYPES = {

@@ -1,6 +1,6 @@
 """What a journal takes: plain values, in columns that keep their names and kinds from the first row on.
 
-`Logs` refuses a covariate that is missing from some stages or is now a number and now text. That must be told when the
+`Logs` refuses a covariate that is missing from some stages or is now a number and now text. That must be said when the
 value is given: after hours of recording it would be too late.
 """
 
@@ -12,12 +12,8 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.checks.robots import is_of_one_robot
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS
+from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, is_of_one_robot, shown
 from halfseen.logs.frames import LARGEST_FRACTION
-from halfseen.logs.refusal import shown
-
-Kinds = Mapping[str, str]
 
 _OWN_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 _LARGEST_WHOLE = 2**63
@@ -25,8 +21,11 @@ _LARGEST_WHOLE = 2**63
 _NUMBER, _FRACTION, _HUGE, _TEXT, _TRUTH = "number", "fraction", "whole number beyond 2^53", "text", "truth value"
 _EMPTY_LIST = "list"
 
+Row = dict[str, Any]
+Kinds = dict[str, str]
 
-@dataclass(frozen=True)
+
+@dataclass
 class Schema:
     """Names and kinds of what was recorded so far.
 
@@ -56,21 +55,16 @@ class Schema:
     has_probability: bool | None = None
     has_robot: bool | None = None
 
-    def with_trajectory(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, dict[str, Any]]:
+    def with_trajectory(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, Row]:
         """Check a trajectory's name and columns; columns may differ between trajectories, and None leaves one out."""
-        where = f"trajectory {shown(name)}"
-        labels, name = self._with_label("trajectory", name, where)
-        _refuse_names(columns, self.trajectories, where)
-        given = {column: value for column, value in columns.items() if value is not None}
-        row, kinds = _row(given, self.trajectories, where, "column")
-        return replace(self, labels=labels, trajectories={**self.trajectories, **kinds}), name, row
+        schema, where = replace(self, labels=dict(self.labels)), f"trajectory {shown(name)}"
+        name = schema._label("trajectory", name, where)
+        row, kinds = _row(columns, self.trajectories, where, "column")
+        schema.trajectories = {**self.trajectories, **kinds}
+        return schema, name, row
 
     def with_stage(
-        self,
-        covariates: Any,
-        objects: Any,
-        chosen: Mapping[str, Any],
-        where: str,
+        self, covariates: Any, objects: Any, chosen: Mapping[str, Any], where: str
     ) -> tuple["Schema", dict[str, Any]]:
         """Check what is known when a stage begins, and make its event.
 
@@ -83,89 +77,82 @@ class Schema:
         where
             The trajectory and the stage, for messages.
         """
-        _refuse_names(covariates, self.covariates, where)
-        seen, kinds = _row(covariates, self.covariates, where, "covariate")
-        schema = replace(self, covariates=_checked_names(kinds, self.covariates, where, "covariate"))
-        schema, rows = schema._with_objects(objects, where)
-        schema, who = schema._with_robot(chosen.get("robot"), where)
-        schema, choice = schema._with_choice(chosen, where)
-        _refuse_absent(choice.get("object"), rows, where)
-        event = {"covariates": seen, **who, **choice}
-        return schema, event if rows is None else {**event, "objects": rows}
+        schema = replace(self, labels=dict(self.labels))
+        seen, schema.covariates = _row(covariates, self.covariates, where, "covariate")
+        rows, robot = schema._rows(objects, where), chosen.get("robot")
+        schema._check_always("robot", robot is not None, where)
+        event = {"covariates": seen} | ({} if robot is None else {"robot": schema._label("robot", robot, where)})
+        event |= schema._choice(chosen, where)
+        if rows and "object" in event and event["object"] not in [row["object"] for row in rows]:
+            others = ", ".join(shown(row["object"]) for row in rows)
+            what = f"object {shown(event['object'])} of the action is not among the objects of the stage"
+            raise LogError(f"{where}: {what} ({others})")
+        return schema, event | ({"objects": rows} if rows else {})
 
-    def _with_objects(self, objects: Any, where: str) -> tuple["Schema", list[dict[str, Any]] | None]:
+    def _rows(self, objects: Any, where: str) -> list[Row]:
         if objects is not None and not isinstance(objects, Iterable):
             raise LogError(f"{where}: objects is {_short(objects)}; give a list with a dict for each")
-        objects = None if objects is None else list(objects)
-        if not objects:
+        given = [] if objects is None else list(objects)
+        if not given:
             if self.objects:
                 raise LogError(f"{where}: it has no objects, though stages before it have; give those that stood there")
             if objects is not None:
                 raise LogError(f"{where}: objects is empty; give those that stood there, or None in every stage")
-            return replace(self, objects={}), None
-        if self.objects is not None and not self.objects:
+            self.objects = {}
+            return []
+        if self.objects == {}:
             raise LogError(f"{where}: it has objects, though stages before it have none; give them always or never")
-        schema, rows = self, []
-        for given in objects:
-            schema, row = schema._with_object(given, where)
-            rows.append(row)
+        rows = [self._object_row(each, where) for each in given]
         names = [row["object"] for row in rows]
         repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
         if repeated is not None:
             raise LogError(f"{where}, object {shown(repeated)}: it is there twice; give each object one row")
-        return schema, rows
+        return rows
 
-    def _with_object(self, given: Any, where: str) -> tuple["Schema", dict[str, Any]]:
+    def _object_row(self, given: Any, where: str) -> Row:
         if not isinstance(given, Mapping) or "object" not in given:
             raise LogError(f"{where}: object {_short(given)} has no name; give a dict with 'object' and its covariates")
-        labels, name = self._with_label("object", given["object"], where)
-        where = f"{where}, object {shown(name)}"
+        name = self._label("object", given["object"], where)
         values = {column: value for column, value in given.items() if column != "object"}
-        _refuse_names(values, self.objects, where)
-        row, kinds = _row(values, self.objects, where, "covariate")
-        names = _checked_names({"object": "name", **kinds}, self.objects, where, "covariate")
-        is_known = labels == self.labels and names == self.objects
-        return self if is_known else replace(self, labels=labels, objects=names), {"object": name, **row}
+        row, kinds = _row(values, self.objects, f"{where}, object {shown(name)}", "covariate", {"object": "name"})
+        self.objects = kinds
+        return {"object": name, **row}
 
-    def _with_robot(self, robot: Any, where: str) -> tuple["Schema", dict[str, Any]]:
-        if self.has_robot not in (None, robot is not None):
-            word = "missing" if self.has_robot else "given"
-            raise LogError(f"{where}: robot is {word}, unlike in stages before; give it always or never")
-        schema = replace(self, has_robot=robot is not None)
-        if robot is None:
-            return schema, {}
-        labels, robot = schema._with_label("robot", robot, where)
-        return replace(schema, labels=labels), {"robot": robot}
-
-    def _with_choice(self, chosen: Mapping[str, Any], where: str) -> tuple["Schema", dict[str, Any]]:
+    def _choice(self, chosen: Mapping[str, Any], where: str) -> Row:
         action, acted_on, probability = (chosen.get(name) for name in ("action", "object", "probability"))
         if action is None:
             if acted_on is not None or probability is not None:
                 raise LogError(f"{where}: object or probability is given without action; give the action as well")
-            return self, {}
-        labels, action = self._with_label("action", action, where)
-        schema, choice = replace(self, labels=labels), {"action": action}
+            return {}
+        choice: Row = {"action": self._label("action", action, where)}
         if acted_on is not None:
-            labels, choice["object"] = schema._with_label("object", acted_on, where)
-            schema = replace(schema, labels=labels)
-        if self.has_probability not in (None, probability is not None):
-            word = "missing" if self.has_probability else "given"
-            raise LogError(f"{where}: probability is {word}, unlike in stages before; give it always or never")
+            choice["object"] = self._label("object", acted_on, where)
+        self._check_always("probability", probability is not None, where)
         if probability is not None:
-            choice["probability"] = _probability(probability, where)
-        return replace(schema, has_probability=probability is not None), choice
+            remedy = "give the probability in (0, 1] with which the action was chosen, or leave it out everywhere"
+            choice["probability"] = checked_number(probability, "probability", where, remedy)
+            if not 0 < choice["probability"] <= 1:
+                raise LogError(f"{where}: probability is {choice['probability']}; {remedy}")
+        return choice
 
-    def _with_label(self, what: str, value: Any, where: str) -> tuple[Kinds, Any]:
+    def _check_always(self, what: str, is_given: bool, where: str) -> None:
+        """Refuse what is given in some stages only."""
+        if getattr(self, f"has_{what}") not in (None, is_given):
+            word = "given" if is_given else "missing"
+            raise LogError(f"{where}: {what} is {word}, unlike in stages before; give it always or never")
+        setattr(self, f"has_{what}", is_given)
+
+    def _label(self, what: str, value: Any, where: str) -> int | str:
         label, kind = _plain(value, where, what)
         if not isinstance(label, int | str) or isinstance(label, bool):
             raise LogError(f"{where}: {what} {_short(label)} is no name; give a whole number or text")
-        kind = _told(kind)
-        known = self.labels.get(what, kind)
+        kind = _in_words(kind)
+        known = self.labels.setdefault(what, kind)
         if known != kind:
             raise LogError(
                 f"{where}: {what} {_short(label)} is a {kind}, those before are {known}; give names of one kind"
             )
-        return {**self.labels, what: kind}, label
+        return label
 
 
 def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
@@ -188,27 +175,46 @@ def checked_robot(value: Any, where: str) -> int:
     return plain
 
 
-def _probability(value: Any, where: str) -> float:
-    remedy = "give the probability in (0, 1] with which the action was chosen, or leave it out everywhere"
-    probability = checked_number(value, "probability", where, remedy)
-    if not 0 < probability <= 1:
-        raise LogError(f"{where}: probability is {probability}; {remedy}")
-    return probability
+def checked_text(value: str, where: str, what: str) -> str:
+    """Refuse text that files or tables do not hold, or do not tell apart."""
+    if "\0" in value:
+        raise LogError(f"{where}: {what} {_short(value)} holds the character NUL; end the text before it")
+    try:
+        value.encode()
+    except UnicodeEncodeError as error:
+        raise LogError(f"{where}: {what} {_short(value)} is no Unicode text; decode it") from error
+    return value
 
 
 def _row(
-    values: Mapping[str, Any], known: Kinds | None, where: str, word: str
-) -> tuple[dict[str, Any], dict[str, str]]:
-    row: dict[str, Any] = {}
-    kinds: dict[str, str] = {}
+    values: Any, known: Kinds | None, where: str, word: str, also: Kinds | None = None
+) -> tuple[dict[str, Any], Kinds]:
+    """Values as JSON holds them, and their kinds; `also` those of what is there besides.
+
+    Those of a trajectory, which are columns, may be None or missing; covariates are the same in every row.
+    """
+    if not isinstance(values, Mapping):
+        raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
+    row: Row = {}
+    kinds: Kinds = dict(also or {})
     for name, value in values.items():
         if not isinstance(name, str):
             raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
-        if known is None or name not in known:
+        is_new, what = known is None or name not in known, f"{word} {_written(name)}"
+        if is_new and (name.strip().lower() in _OWN_NAMES or is_of_one_robot(name)):
+            raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
+        if value is None and word == "column":
+            continue
+        if is_new:
             checked_text(name, where, f"name of {word}")
-        what = f"{word} {_written(name)}"
         row[name], kind = _plain(value, where, what)
-        kinds[name] = _common_kind(None if known is None else known.get(name), kind, where, what)
+        kinds[name] = kind if is_new or known is None else _common_kind(known[name], kind, where, what)
+    if known is not None and word != "column":
+        for name in (name for name in known if name not in kinds):
+            what = f"{word} {_written(name)} is missing, though it was there before"
+            raise LogError(f"{where}: {what}; give it in every row")
+        for name in (name for name in kinds if name not in known):
+            raise LogError(f"{where}: {word} {_written(name)} was not there before; give the same in every row")
     return row, kinds
 
 
@@ -219,32 +225,29 @@ def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
     for kind, other in ((before, now), (now, before)):
         if _holds(kind, other):
             return kind
-    if _told(before) == _told(now):
+    if _in_words(before) == _in_words(now):
         raise LogError(
             f"{where}: {what} has a whole number beyond 2^53 and a fraction, now or before, and no column holds both "
             "exactly; give such whole numbers as text"
         )
-    raise LogError(f"{where}: {what} is a {_told(now)}, before it was a {_told(before)}; give it one type")
+    raise LogError(f"{where}: {what} is a {_in_words(now)}, before it was a {_in_words(before)}; give it one type")
 
 
 def _holds(kind: str, other: str) -> bool:
     """Whether a column of one kind also holds what is of the other."""
     if kind.startswith(_EMPTY_LIST) and other.startswith(_EMPTY_LIST):
-        return other == _EMPTY_LIST or (kind != _EMPTY_LIST and _holds(_item(kind), _item(other)))
+        item, other_item = (each.removeprefix("list of ").removesuffix("s") for each in (kind, other))
+        return other == _EMPTY_LIST or (kind != _EMPTY_LIST and _holds(item, other_item))
     return other in (kind, _NUMBER) if kind in (_FRACTION, _HUGE) else other == kind
 
 
-def _item(kind: str) -> str:
-    return kind.removeprefix("list of ").removesuffix("s")
-
-
-def _told(kind: str) -> str:
-    """A kind in words: numbers of all kinds are numbers."""
+def _in_words(kind: str) -> str:
+    """Numbers of all kinds are numbers."""
     return kind.replace(_FRACTION, _NUMBER).replace(_HUGE, _NUMBER)
 
 
 def _plain(value: Any, where: str, what: str) -> tuple[Any, str]:
-    """Turn a value into what JSON holds, and tell its kind."""
+    """A value as JSON holds it, and its kind."""
     if isinstance(value, np.generic | np.ndarray):
         value = value.tolist()
     if isinstance(value, bool):
@@ -265,23 +268,12 @@ def _plain(value: Any, where: str, what: str) -> tuple[Any, str]:
 def _plain_list(values: list | tuple, where: str, what: str) -> tuple[list[Any], str]:
     pairs = [_plain(value, where, what) for value in values]
     kinds = {kind for _, kind in pairs}
-    if any(kind.startswith(_EMPTY_LIST) for kind in kinds) or len({_told(kind) for kind in kinds}) > 1:
+    if any(kind.startswith(_EMPTY_LIST) for kind in kinds) or len(set(map(_in_words, kinds))) > 1:
         raise LogError(f"{where}: {what} is no flat list of one type; give numbers or text, side by side")
     common = None
     for kind in kinds:
         common = _common_kind(common, kind, where, what)
     return [plain for plain, _ in pairs], _EMPTY_LIST if common is None else f"list of {common}s"
-
-
-def checked_text(value: str, where: str, what: str) -> str:
-    """Refuse text that files or tables do not hold, or do not tell apart."""
-    if "\0" in value:
-        raise LogError(f"{where}: {what} {_short(value)} holds the character NUL; end the text before it")
-    try:
-        value.encode()
-    except UnicodeEncodeError as error:
-        raise LogError(f"{where}: {what} {_short(value)} is no Unicode text; decode it") from error
-    return value
 
 
 def _written(name: str) -> str:
@@ -292,34 +284,5 @@ def _short(value: Any) -> str:
     """Write a value in a line, however long it is."""
     if isinstance(value, int) and value.bit_length() > 200:
         return f"a whole number of {value.bit_length()} bits"
-    told = repr(value)
-    return told if len(told) <= 80 else f"{told[:77]}…"
-
-
-def _checked_names(kinds: dict[str, str], known: Kinds | None, where: str, word: str) -> Kinds:
-    if known is None:
-        return kinds
-    for name in (name for name in known if name not in kinds):
-        raise LogError(f"{where}: {word} {_written(name)} is missing, though it was there before; give it in every row")
-    for name in (name for name in kinds if name not in known):
-        raise LogError(f"{where}: {word} {_written(name)} was not there before; give the same in every row")
-    return kinds
-
-
-def _refuse_names(values: Any, known: Kinds | None, where: str) -> None:
-    if not isinstance(values, Mapping):
-        raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
-    for name in values:
-        if (
-            isinstance(name, str)
-            and (known is None or name not in known)
-            and (name.strip().lower() in _OWN_NAMES or is_of_one_robot(name))
-        ):
-            raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
-
-
-def _refuse_absent(name: Any, objects: list[dict[str, Any]] | None, where: str) -> None:
-    names = [row["object"] for row in objects or ()]
-    if name is not None and objects is not None and name not in names:
-        others = ", ".join(shown(other) for other in names)
-        raise LogError(f"{where}: object {shown(name)} of the action is not among the objects of the stage ({others})")
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}…"

@@ -11,8 +11,8 @@
         trajectory.finish()                                # or trajectory.cut("operator")
 
 `halfseen.logs.read_logs` reads the folder at any time, also while it is being recorded. A trajectory that a crash tore
-is told as cut by ``crash`` at the last time at which it was known to run; `journal_tables` says how, and why that is
-fair.
+is read as cut by ``crash`` at the last time at which it was known to run; `halfseen.logs.recorded` says how, and why
+that is fair.
 
 Where several robots work at once, each stage says which of them decides (``begin_stage(…, robot=1)``), and `drop_out`
 tells that one of them is gone while the others go on.
@@ -25,17 +25,14 @@ from types import TracebackType
 from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import UNKNOWN_CAUSE
+from halfseen.logs.columns import UNKNOWN_CAUSE, checked_unit, shown
 from halfseen.logs.folder import MANIFEST
-from halfseen.logs.journal.durability import synced_events
-from halfseen.logs.journal.parts import PART_BYTES
-from halfseen.logs.journal.state import Recorded
-from halfseen.logs.journal.tables import CRASH
-from halfseen.logs.journal.writer import JournalWriter
+from halfseen.logs.journal import PART_BYTES
 from halfseen.logs.logs import Logs
-from halfseen.logs.recording.trajectory_recorder import TrajectoryRecorder
-from halfseen.logs.refusal import shown
-from halfseen.logs.reward_unit import checked_unit
+from halfseen.logs.recorded import CRASH
+from halfseen.logs.state import Recorded
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.writer import JournalWriter, synced_events
 
 
 class LogRecorder:

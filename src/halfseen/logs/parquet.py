@@ -1,7 +1,7 @@
-"""What the footer of a Parquet file says of its columns, read without the library that reads the rest.
+"""What a Parquet file takes once it is read, before the library that reads it is asked.
 
-That library ends the process where some of what it would tell of a column is broken. The footer is a
-struct of Thrift's compact protocol: a number for each field, and a value for it.
+That library ends the process where some of what it would tell of a column is broken, so the footer is read here. It is
+a struct of Thrift's compact protocol: a number for each field, and a value for it.
 """
 
 from collections.abc import Iterator
@@ -10,7 +10,12 @@ from pathlib import Path
 from struct import unpack
 from typing import Any, NamedTuple
 
-from halfseen.reading import MOST_LEVELS, WORDS
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute
+import pyarrow.parquet as pq
+
+from halfseen.reading import ALWAYS_UNPACKED, MOST_LEVELS, WORDS, check_unpacked
 
 MAGIC = b"PAR1"
 _ROW_GROUPS, _COLUMNS, _META_DATA, _NUM_VALUES, _UNCOMPRESSED = 4, 1, 3, 5, 6
@@ -41,7 +46,7 @@ def chunks_of(file: Path) -> list[list[Chunk]]:
     ValueError
         It has no footer, or one that is broken or encrypted.
     """
-    footer = _Footer(_bytes(file))
+    footer = _Footer(_footer_bytes(file))
     try:
         groups = footer.struct().get(_ROW_GROUPS, [])
         told = [[chunk[_META_DATA] for chunk in group[_COLUMNS]] for group in groups]
@@ -53,7 +58,7 @@ def chunks_of(file: Path) -> list[list[Chunk]]:
     return chunks
 
 
-def _bytes(file: Path) -> bytes:
+def _footer_bytes(file: Path) -> bytes:
     with file.open("rb") as stream:
         end = stream.seek(0, 2)
         stream.seek(max(end - 8, 0))
@@ -131,3 +136,72 @@ class _Footer:
     def _signed(self) -> int:
         number = self._whole()
         return number >> 1 ^ -(number & 1)
+
+
+BYTES_OF_VALUE = 8
+
+compute: Any = pyarrow.compute
+
+
+def check_unpacked_table(file: Path, num_bytes: int, opened: pq.ParquetFile) -> None:
+    """Refuse a Parquet file that would take far more memory than its size tells.
+
+    Parameters
+    ----------
+    file, num_bytes
+        The file, and its size [B].
+    opened
+        The same, opened.
+
+    Raises
+    ------
+    OSError
+        As `halfseen.reading.check_unpacked`.
+    ValueError
+        Its footer is broken.
+    """
+    groups = chunks_of(file)
+    if any(len(group) != opened.metadata.num_columns for group in groups):
+        raise ValueError("its footer tells of other columns than its schema")
+    check_unpacked(num_bytes, _bytes_of_values(groups, opened.schema))
+    check_unpacked(num_bytes, bytes_of_texts(groups, file, opened))
+
+
+def _bytes_of_values(groups: list[list[Chunk]], schema: pq.ParquetSchema) -> int:
+    """At least what it takes [B]: by its values, as repeated ones take next to nothing."""
+    sizes = [max(BYTES_OF_VALUE, schema.column(k).length) for k in range(len(schema))]
+    return sum(
+        max(chunk.num_bytes, size * chunk.num_values)
+        for group in groups
+        for size, chunk in zip(sizes, group, strict=True)
+    )
+
+
+def bytes_of_texts(groups: list[list[Chunk]], file: Path, opened: pq.ParquetFile) -> int:
+    """What its texts take [B], where that could be much.
+
+    A text that is stored once may stand in every row, so it is counted as often. Of a text no more is held meanwhile
+    than is stored.
+    """
+    schema = opened.schema
+    texts = [k for k in range(len(schema)) if schema.column(k).physical_type == "BYTE_ARRAY"]
+    num_bytes = 0
+    for k in texts:
+        if sum(group[k].num_values * group[k].num_bytes for group in groups) > ALWAYS_UNPACKED:
+            column = schema.column(k).path
+            stored = pq.ParquetFile(file, read_dictionary=[column], metadata=opened.metadata)
+            for number in range(len(groups)):
+                num_bytes += sum(map(_bytes_as_often, stored.read_row_group(number, [column]).column(0).chunks))
+    return num_bytes
+
+
+def _bytes_as_often(values: pa.Array) -> int:
+    """What texts take that are stored once each, at the bottom of lists and structs [B]."""
+    kind = values.type
+    if pa.types.is_dictionary(kind):
+        lengths = compute.binary_length(values.dictionary).fill_null(0).to_numpy(zero_copy_only=False)
+        counts = np.bincount(values.indices.drop_null().to_numpy(), minlength=len(lengths))
+        return int(counts @ lengths.astype(np.int64))
+    if pa.types.is_struct(kind):
+        return sum(map(_bytes_as_often, values.flatten()))
+    return _bytes_as_often(values.flatten()) if pa.types.is_nested(kind) else values.nbytes

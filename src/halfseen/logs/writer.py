@@ -1,6 +1,11 @@
-"""The writing end of a journal: one process, one line at a time, and nothing half-written left behind."""
+"""The writing end of a journal: one process, one line at a time, and nothing half-written left behind.
+
+What was handed to the operating system outlives the process, not the machine: it lies in memory until the disk has it,
+up to half a minute. `os.fsync` waits for the disk.
+"""
 
 import os
+import sys
 import time
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager, suppress
@@ -10,11 +15,75 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.locks import is_locked
-from halfseen.logs.journal.durability import sync, sync_folder, unsynced_folders
-from halfseen.logs.journal.lines import HEADER, JournalEvents, following, journal_line
-from halfseen.logs.journal.parts import JOURNAL, PART_BYTES, journal_parts, part_after, tell_missing
-from halfseen.logs.journal.state import Recorded
-from halfseen.logs.reward_unit import common_unit
+from halfseen.logs.columns import common_unit
+from halfseen.logs.journal import (
+    HEADER,
+    JOURNAL,
+    PART_BYTES,
+    JournalEvents,
+    following,
+    journal_line,
+    journal_parts,
+    part_after,
+    tell_missing,
+)
+
+FSYNC: dict[str, Container[str]] = {
+    "never": (),
+    "trajectory": ("finished", "cut"),
+    "stage": ("stage", "finished", "cut"),
+    "event": ("stage", "done", "running", "out", "finished", "cut"),
+}
+"""After which events the disk is waited for; whatever came before them is then on it, too."""
+
+
+def synced_events(fsync: bool | str) -> Container[str]:
+    """The events after which the disk is waited for; True stands for all of them, False for none.
+
+    Raises
+    ------
+    ArgumentError
+        It is none of those that there are.
+    """
+    name = ("never", "event")[fsync] if isinstance(fsync, bool) else fsync
+    if name not in FSYNC:
+        raise ArgumentError(f"fsync is {fsync!r}; give one of {', '.join(map(repr, FSYNC))}")
+    return FSYNC[name]
+
+
+def sync(descriptor: int) -> None:
+    """Wait until the disk has a file or folder.
+
+    Raises
+    ------
+    OSError
+        It cannot take it.
+    """
+    if sys.platform == "darwin":
+        import fcntl
+
+        with suppress(OSError):  # What fsync does elsewhere; not all file systems know it.
+            fcntl.fcntl(descriptor, fcntl.F_FULLFSYNC)
+            return
+    os.fsync(descriptor)
+
+
+def unsynced_folders(folder: Path) -> list[Path]:
+    """A folder and those above it that need to be on the disk for it to be found, as far as they are made with it."""
+    above = folder.absolute().parents
+    num_missing = next(number for number, each in enumerate(above) if each.exists())
+    return [folder, *above[: num_missing + 1]]
+
+
+def sync_folder(folder: Path) -> None:
+    """Wait until the disk has the names that are in a folder; one that may not be read is left alone."""
+    with suppress(PermissionError):
+        descriptor = os.open(folder, os.O_RDONLY)
+        try:
+            sync(descriptor)
+        finally:
+            os.close(descriptor)
+
 
 _NO_ROOM = (ENOSPC, EDQUOT, EFBIG)
 _FLAGS = os.O_RDWR | os.O_CREAT | os.O_APPEND | getattr(os, "O_BINARY", 0)
@@ -42,7 +111,7 @@ class _Held(NamedTuple):
     descriptor: int
     num_bytes: int
     checksum: int
-    known: Recorded
+    known: Any
 
 
 class JournalWriter:
@@ -84,7 +153,7 @@ class JournalWriter:
         folders = unsynced_folders(folder) if synced else []
         first = folder / JOURNAL
         self._lock: int | None = _locked(folder, first)
-        self._held = _Held(first, self._lock, 0, 0, Recorded())
+        self._held = _Held(first, self._lock, 0, 0, None)
         try:
             parts = journal_parts(folder)
             tell_missing(parts)
@@ -107,15 +176,15 @@ class JournalWriter:
         return self._lock is None
 
     @property
-    def known(self) -> Recorded:
+    def known(self) -> Any:
         """What the recorder knows after the last event."""
         return self._held.known
 
     @known.setter
-    def known(self, known: Recorded) -> None:
+    def known(self, known: Any) -> None:
         self._held = self._held._replace(known=known)
 
-    def append(self, event: dict[str, Any], known: Recorded) -> None:
+    def append(self, event: dict[str, Any], known: Any) -> None:
         """Hand one event to the operating system, whole or not at all.
 
         Parameters

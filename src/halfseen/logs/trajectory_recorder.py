@@ -1,4 +1,4 @@
-"""A trajectory (trajectory) that is being recorded, stage by stage."""
+"""A trajectory that is being recorded, stage by stage."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -7,19 +7,38 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.journal.state import Recorded, TrajectoryState
-from halfseen.logs.journal.tables import CRASH
-from halfseen.logs.journal.values import Schema, checked_number, checked_robot, checked_text
-from halfseen.logs.journal.writer import JournalWriter
+from halfseen.logs.columns import CUT, FINISHED, shown
 from halfseen.logs.logs import Logs
-from halfseen.logs.recording.log_so_far import log_so_far
-from halfseen.logs.refusal import shown
+from halfseen.logs.recorded import CRASH, STILL_RUNNING, RecordedTrajectory, tables_of
+from halfseen.logs.state import Recorded, TrajectoryState
+from halfseen.logs.values import Schema, checked_number, checked_robot, checked_text
+from halfseen.logs.writer import JournalWriter
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text will do."""
 
 STILL_RUNNING_EVERY_S = 0.5
+
+
+def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
+    """Give the log of one trajectory in progress, cut at its last event.
+
+    Parameters
+    ----------
+    events
+        Of the trajectory, as a journal has them, the beginning of its first stage first.
+
+    Raises
+    ------
+    LogError
+        What happened so far is none that a log takes.
+    """
+    first, *others = events
+    trajectory = RecordedTrajectory(first)
+    for event in others:
+        trajectory.add(event)
+    trajectory.end(CUT, None, STILL_RUNNING)
+    return Logs(**tables_of([trajectory]))
 
 
 class TrajectoryRecorder:
@@ -50,14 +69,20 @@ class TrajectoryRecorder:
     @property
     def is_ended(self) -> bool:
         """Whether it is finished or cut."""
-        state = self._journal.known.trajectory
-        return state is None or state.number != self._number or state.is_ended
+        state = self._state
+        return state is None or state.is_ended
 
     @property
     def is_in_stage(self) -> bool:
         """Whether a stage is in progress."""
+        state = self._state
+        return state is not None and state.is_in_stage
+
+    @property
+    def _state(self) -> TrajectoryState | None:
+        """Where it stands; None once another has begun."""
         state = self._journal.known.trajectory
-        return state is not None and state.number == self._number and state.is_in_stage
+        return state if state is not None and state.number == self._number else None
 
     def begin_stage(
         self,
@@ -102,21 +127,14 @@ class TrajectoryRecorder:
         chosen = {"robot": robot, "action": action, "object": object, "probability": probability}
         schema, seen = schema.with_stage(covariates or {}, objects, chosen, where)
         event: dict[str, Any] = {"event": "stage", "trajectory": self.name, "stage": state.stage + 1}
-        clock = state.clock
         if state.stage == 0:
-            clock = clock.started()
+            state = state.started()
             event |= {"at_s": 0.0, "columns": self._columns}
-        elif not clock.is_given:
-            event["at_s"] = clock.read_s()
-        clock = replace(clock, at_s=event.get("at_s", clock.at_s))
-        begun = replace(
-            state,
-            stage=state.stage + 1,
-            is_in_stage=True,
-            has_action=action is not None,
-            clock=clock,
-            noted_s=clock.at_s,
-        )
+        elif not state.is_given:
+            event["at_s"] = state.read_s()
+        at_s = event.get("at_s", state.at_s)
+        begun = replace(state, stage=state.stage + 1, is_in_stage=True, has_action=action is not None)
+        begun = replace(begun, at_s=at_s, noted_s=at_s)
         self._write(event | seen, replace(recorded, schema=schema), begun, is_news=True)
 
     def complete_stage(self, reward: Any, *, elapsed_s: Any = None, own_rewards: Any = ()) -> None:
@@ -147,11 +165,11 @@ class TrajectoryRecorder:
             raise LogError(f"{where}: it began without an action; a stage without one can only be cut")
         earned = checked_number(reward, "reward", where, "give the finite reward that it earned")
         shares = self._checked_shares(own_rewards, where)
-        at_s = state.clock.time_of(elapsed_s, where, is_later=not recorded.schema.has_robot)
+        at_s = state.time_of(elapsed_s, where, is_later=not recorded.schema.has_robot)
         event = {"event": "done", "at_s": at_s, "reward": earned} | ({"own_rewards": shares} if shares else {})
         event |= {} if elapsed_s is None else {"is_given": True}
-        clock = replace(state.clock.advanced(at_s, elapsed_s), completed_s=at_s)
-        self._write(event, replace(recorded, num_shares=len(shares)), replace(state, is_in_stage=False, clock=clock))
+        completed = state.after(at_s, elapsed_s, is_in_stage=False, completed_s=at_s)
+        self._write(event, replace(recorded, num_shares=len(shares)), completed)
 
     def _checked_shares(self, own_rewards: Any, where: str) -> list[float]:
         """Rewards of robots as numbers, of as many robots as in the stages before."""
@@ -193,22 +211,21 @@ class TrajectoryRecorder:
         number = checked_robot(robot, where)
         if any(event["event"] == "out" and event["robot"] == number for event in state.events):
             raise LogError(f"{where}: robot {number} has dropped out before; once is for good")
-        at_s = state.clock.time_of(elapsed_s, where)
+        at_s = state.time_of(elapsed_s, where)
         event = {"event": "out", "at_s": at_s, "robot": number, "cause": cause}
-        out = replace(state, clock=state.clock.advanced(at_s, elapsed_s))
-        self._write(event, self._journal.known, out, is_news=True)
+        self._write(event, self._journal.known, state.after(at_s, elapsed_s), is_news=True)
 
     def still_running(self, *, elapsed_s: Any = None) -> None:
         """Note that the trajectory is in progress, at most twice a second; call it from the control loop.
 
         After a crash the trajectory is then known to have run until the last call, not only until its last stage began.
-        Worth it where crashes are many and stages long: see `journal_tables`.
+        Worth it where crashes are many and stages long: see `halfseen.logs.recorded`.
         """
         state, recorded = self._running(), self._journal.known
         if state.stage == 0:
             return
-        at_s = state.clock.time_of(elapsed_s, self._where(state.stage))
-        runs = replace(state, clock=state.clock.advanced(at_s, elapsed_s))
+        at_s = state.time_of(elapsed_s, self._where(state.stage))
+        runs = state.after(at_s, elapsed_s)
         if at_s >= state.noted_s + STILL_RUNNING_EVERY_S:
             self._write({"event": "running", "at_s": at_s}, recorded, replace(runs, noted_s=at_s))
         else:
@@ -229,7 +246,7 @@ class TrajectoryRecorder:
                 f"trajectory {shown(self.name)}: {what}; complete it before finish(), or cut() the trajectory"
             )
         where = self._where(state.stage)
-        state.clock.check_units(state.clock.end_s(elapsed_s, where), where)
+        state.check_units(state.end_s(elapsed_s, where), where)
         self._end({"event": FINISHED}, state, elapsed_s)
 
     def cut(self, cause: Any, *, elapsed_s: Any = None) -> None:
@@ -259,7 +276,7 @@ class TrajectoryRecorder:
         if state.stage == 0:
             self._journal.known = replace(recorded, trajectory=ended)
             return
-        at_s = state.clock.end_s(elapsed_s, self._where(state.stage))
+        at_s = state.end_s(elapsed_s, self._where(state.stage))
         self._write({**event, "at_s": at_s}, recorded, ended)
 
     def _write(
@@ -282,8 +299,8 @@ class TrajectoryRecorder:
         checked_text(cause, f"trajectory {shown(self.name)}", "cause")
 
     def _running(self) -> TrajectoryState:
-        state = self._journal.known.trajectory
-        if state is None or self.is_ended:
+        state = self._state
+        if state is None or state.is_ended:
             raise LogError(f"trajectory {shown(self.name)}: it has ended; begin another")
         return state
 

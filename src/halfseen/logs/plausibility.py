@@ -1,0 +1,342 @@
+"""Whether a log can be true: logged probabilities, covariates from before the action, endings that are ends.
+
+Whatever the policy, given all that was known before a stage
+
+    E[1{A = a} / p]  =  P(a has a chance there)  ≤  1,
+
+so in no group of stages that was formed before the action may 1/p of those that took a add up to clearly more than
+their number. And where the likeliest action has probability p > ½, another one is taken 1 − p of the time: beside the
+stages that took it, some Σ (1 − p)/p more must have taken another one, with a probability below ½ of its own.
+
+Of what the other covariates, the action, and the covariate itself in the stage before leave unexplained of a reward, a
+covariate that was written down after the stage explains most: it repeats the outcome. What was known before may do so,
+too, where rewards have little noise. But the outcome depends on the action, and what was known before does not: the
+mean of 1{A = a} / p is the same whatever its value. Both must speak against a covariate; where a log has no
+probabilities, it must foretell nearly everything.
+
+Where a task ends,
+something tells: the action that ends it, what it paid, or the number of stages. Stages of one action that paid the
+same, with trajectories going on after them and trajectories ending, differ in nothing that is known; and where no stage
+pays 0 but some that end trajectories do, that 0 may stand for what nobody saw. If those that end are clearly shorter,
+too, somebody or something stopped them.
+"""
+
+from collections.abc import Collection, Iterator
+from itertools import pairwise
+from statistics import NormalDist
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from halfseen.arrays import RowIds, RowMask, Rows
+from halfseen.logs.breakdown import durations_s
+from halfseen.logs.columns import shown
+from halfseen.logs.logs import Logs
+from halfseen.shapes import Float
+
+NUM_GROUPS, MOST_CATEGORIES = 5, 12
+LEVEL = 1e-3
+"""Chance with which what is true is called impossible, at most, over all that is looked at in one check."""
+FEWEST = 30
+TINY = 1e-100
+FEWEST_REWARDS, MOST_REWARDS = 100, 2000
+MOST_EXPLAINED, NEARLY_ALL = 0.5, 0.95
+"""Share of what is left that a covariate may explain, if it depends on the action, too; and if nobody can tell."""
+IMBALANCE_LEVEL = 0.01
+FEWEST_ENDS, ENDS_LEVEL = 10, 1e-4
+COMMON = 0.2
+"""Mean of p from which on an action tells whether a covariate depends on it: 1/p of rare ones is too heavy-tailed."""
+
+
+class Grouped(NamedTuple):
+    """One covariate, in groups.
+
+    Parameters
+    ----------
+    name
+        Of the column.
+    group
+        Of each row, from 0.
+    words
+        What each of the G groups holds: "below 3", "'red'".
+    """
+
+    name: str
+    group: RowIds
+    words: tuple[str, ...]
+
+    @property
+    def num_groups(self) -> int:
+        """G."""
+        return len(self.words)
+
+
+def grouped_covariates(logs: Logs, stages: Any) -> Iterator[Grouped]:
+    """Group each covariate of some of a log's stages."""
+    for name in logs.stage_covariates:
+        found = grouped(str(name), stages[name])
+        if found is not None:
+            yield found
+
+
+def grouped(name: str, values: Any) -> Grouped | None:
+    """Group a column: numbers by fifths, or by value where there are few, text by value; None for one or too many."""
+    if not values.map(pd.api.types.is_hashable).all():
+        return None
+    kinds = values.nunique()
+    if not pd.api.types.is_numeric_dtype(values.dtype) or kinds <= NUM_GROUPS:
+        if not 2 <= kinds <= MOST_CATEGORIES or values.isna().any():
+            return None
+        code, names = pd.factorize(values, sort=values.dtype != object)
+        return Grouped(name, code.astype(np.int64), tuple(map(shown, names)))
+    numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
+    ends = np.unique(np.nanquantile(numbers, np.arange(1, NUM_GROUPS) / NUM_GROUPS))
+    # What lies at an end lies below it: values that many rows share stay together.
+    group = np.searchsorted(ends, np.where(np.isnan(numbers), ends[0], numbers), side="left")
+    words = [f"{ends[0]:.3g} or less", *(f"{low:.3g} to {high:.3g}" for low, high in pairwise(ends))]
+    return Grouped(name, group.astype(np.int64), (*words, f"above {ends[-1]:.3g}"))
+
+
+def excess_p(inverse: Rows, group: RowIds, num_groups: int, sizes: Float[np.ndarray, " G"]) -> Float[np.ndarray, " G"]:
+    """Bound the chance that 1/p of those who took an action add up to so much in groups of given sizes, by Bernstein.
+
+    Parameters
+    ----------
+    inverse
+        1/p of each stage that took the action.
+    group
+        Of each of these.
+    num_groups
+        G.
+    sizes
+        Stages of each group, whatever they took.
+    """
+    total = np.bincount(group, inverse, num_groups)
+    spread = np.bincount(group, inverse * (inverse - 1.0), num_groups)
+    # Where none happened to be rare, the spread is that of as many as were to be expected.
+    largest = inverse.max(initial=1.0)
+    beyond = np.maximum(total - sizes, 0.0)
+    bound = np.exp(-0.5 * beyond**2 / np.maximum(spread + largest * beyond / 3.0, 1e-12))
+    return np.where(beyond > 0.0, bound, 1.0)
+
+
+def imbalance_p(took: RowMask, probability: Rows, group: RowIds, num_groups: int) -> float:
+    """Chance that 1{A = a} / p differs so much between groups, two-sided, of all groups together.
+
+    Parameters
+    ----------
+    took
+        Which stages took the action, or the likeliest one.
+    probability
+        p of each stage.
+    group
+        Of each.
+    num_groups
+        G.
+    """
+    from scipy.special import ndtr
+
+    ratio = np.where(took, 1.0 / probability, 0.0)
+    beyond = np.bincount(group, ratio - ratio.mean(), num_groups)
+    spread = np.bincount(group, ratio * np.maximum(ratio - 1.0, 0.0), num_groups)
+    z = np.abs(beyond) / np.sqrt(np.maximum(spread, 1.0))
+    return float(min(1.0, 2.0 * num_groups * ndtr(-z.max())))
+
+
+def untrue_probabilities(logs: Logs) -> Iterator[str]:
+    """Find probabilities that no policy can have had."""
+    stages, probability = _with_probability(logs)
+    if not len(stages):
+        return
+    yield from _too_few_others(probability)
+    if logs.has_objects or len(stages) < FEWEST:
+        return
+    actions, stage = stages["action"].astype(str).to_numpy(), stages["stage"].to_numpy(dtype=np.int64)
+    # The stages with one number are a group, and so are all together.
+    sizes = np.append(np.bincount(stage)[1:], len(stages)).astype(float)
+    names = np.unique(actions)
+    for name in names:
+        took = actions == name
+        inverse = 1.0 / probability[took]
+        group = np.concatenate([stage[took] - 1, np.full(len(inverse), len(sizes) - 1)])
+        p = excess_p(np.tile(inverse, 2), group, len(sizes), sizes)
+        if p.min() * len(p) * len(names) < LEVEL:
+            mean = inverse.sum() / len(stages)
+            yield (
+                f"{took.sum()} of {len(stages)} stages took {name}, and 1/p of these adds up to {mean:.2f} times "
+                "all stages, which no policy can bring about; log the probability of the action that was taken, at the "
+                "moment it was drawn"
+            )
+            return
+
+
+def _too_few_others(probability: Rows) -> Iterator[str]:
+    from scipy.special import pdtr
+
+    likely = (probability > 0.5) & (probability < 1.0)
+    expected, others = float(((1.0 - probability) / probability)[likely].sum()), int((probability <= 0.5).sum())
+    if likely.sum() >= FEWEST and float(pdtr(others, expected)) < LEVEL:
+        yield (
+            f"{likely.sum()} actions were taken with a probability of {probability[likely].mean():.2g} on average, so "
+            f"some {expected:.0f} stages must have taken a less likely one, and {others} say so: these look like "
+            "the chances of a rule, whatever was taken; log that of the action that was taken"
+        )
+
+
+def leaks(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
+    """Find covariates that depend on the action of their own stage, so that they were written down after it.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    of
+        Names of covariates; None for all.
+    """
+    stages, probability = _with_probability(logs)
+    if len(stages) < FEWEST or logs.has_objects or any(untrue_probabilities(logs)):
+        return
+    actions = stages["action"].astype(str).to_numpy()
+    took = {f"{name} was": actions == name for name in np.unique(actions)}
+    took["the likeliest action was"] = probability > 0.5
+    groups = [each for each in grouped_covariates(logs, stages) if of is None or each.name in of]
+    num_tests = sum(each.num_groups for each in groups) * len(took)
+    for each in groups:
+        sizes = np.bincount(each.group, minlength=each.num_groups).astype(float)
+        p = {
+            words: excess_p(1.0 / probability[rows], each.group[rows], each.num_groups, sizes)
+            for words, rows in took.items()
+        }
+        words = min(p, key=lambda one: p[one].min())
+        if p[words].min() * num_tests < LEVEL:
+            worst = int(p[words].argmin())
+            inside = each.group == worst
+            weight = float((1.0 / probability[inside & took[words]]).sum() / inside.sum())
+            yield (
+                f"covariate {each.name} depends on the action of its own stage: where it is {each.words[worst]}, "
+                f"{words} taken {weight:.2f} times as often as probabilities allow; it was written down after the "
+                "action: leave it out, or log what was known before"
+            )
+
+
+def _with_probability(logs: Logs) -> tuple[Any, Rows]:
+    """Stages whose action and its probability are known, and these."""
+    stages: Any = logs.stages
+    if "probability" not in stages.columns:
+        return stages[:0], np.zeros(0)
+    stages = stages[stages["probability"].notna() & stages["action"].notna()]
+    # So that no square of 1/p overflows.
+    return stages, np.maximum(stages["probability"].to_numpy(dtype=np.float64), TINY)
+
+
+def outcomes_among_covariates(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
+    """Find covariates that repeat the outcome of their stage.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    of
+        Names of covariates; None for all.
+    """
+    stages = logs.stages[logs.stages["reward"].notna() & logs.stages["action"].notna()]
+    if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
+        return
+    stages = stages.iloc[:MOST_REWARDS]
+    reward = stages["reward"].to_numpy(dtype=np.float64)
+    if not np.ptp(reward) > 0.0:
+        return
+    action = pd.factorize(stages["action"].astype(str))[0]
+    known = list(grouped_covariates(logs, stages))
+    blocks = [_indicators(action), _indicators(stages["stage"].to_numpy())]
+    blocks += [_indicators(each.group) for each in known]
+    blocks += [_before(stages, each) for each in known]
+    blocks += [_indicators(action * each.num_groups + each.group) for each in known]
+    block = np.repeat(np.arange(len(blocks)), [each.shape[1] for each in blocks])
+    columns = np.hstack(blocks)
+    gram, pull, total = columns.T @ columns, columns.T @ reward, float(reward @ reward)
+
+    def left(used: RowMask) -> float:
+        """Variance of the reward about its regression on some columns, by the degrees of freedom that are left."""
+        values, axes = np.linalg.eigh(gram[np.ix_(used, used)])
+        kept = values > 1e-9 * values[-1]
+        explained = ((axes[:, kept].T @ pull[used]) ** 2 / values[kept]).sum()
+        return max(total - float(explained), 0.0) / max(len(reward) - int(kept.sum()), 1)
+
+    for k, each in enumerate(known):
+        if of is not None and each.name not in of:
+            continue
+        is_other = (block < 2 + 2 * len(known)) & (block != 2 + k)
+        by_others = left(is_other)
+        if by_others <= 1e-9 * np.var(reward):
+            continue
+        explained = 1.0 - left(is_other | (block == 2 + 2 * len(known) + k)) / by_others
+        if explained > MOST_EXPLAINED and _is_after(stages, each, explained):
+            yield (
+                f"covariate {each.name} foretells the reward of its own stage: it explains {explained:.0%} of what all "
+                "that was known before leaves open; if it was written down after the action, leave it out"
+            )
+
+
+def _is_after(stages: Any, each: Grouped, explained: float) -> bool:
+    """Whether a covariate that foretells so much depends on the action of its stage."""
+    if "probability" not in stages.columns or stages["probability"].isna().any():
+        return explained > NEARLY_ALL
+    probability, actions = stages["probability"].to_numpy(dtype=np.float64), stages["action"].astype(str).to_numpy()
+    took = [actions == name for name in np.unique(actions)] + [probability > MOST_EXPLAINED]
+    common = [rows for rows in took if rows.any() and probability[rows].mean() > COMMON]
+    each_p = [imbalance_p(rows, probability, each.group, each.num_groups) for rows in common]
+    return len(common) * min(each_p, default=1.0) < IMBALANCE_LEVEL
+
+
+def _indicators(code: Any) -> Float[np.ndarray, "m k"]:
+    return (code[:, None] == np.unique(code)).astype(np.float64)
+
+
+def _before(stages: Any, each: Grouped) -> Float[np.ndarray, "m k"]:
+    """The covariate's group in the stage before; none of them in the first."""
+    trajectory, group = stages["trajectory"].to_numpy(), each.group
+    was = np.where(np.append(False, trajectory[1:] == trajectory[:-1]), np.append(0, group[:-1]), -1)
+    return (was[:, None] == np.arange(each.num_groups)).astype(np.float64)
+
+
+def cuts_called_finished(logs: Logs) -> Iterator[str]:
+    """Find finished trajectories that look as if they had been cut."""
+    stages: Any = logs.stages
+    lasted_s: Any = pd.Series(durations_s(logs))
+    is_last = ~stages.duplicated("trajectory", keep="last")
+    finished = logs.trajectory_ids[logs.is_finished]
+    is_end = is_last & stages["trajectory"].isin(finished) & (stages["stage"] < logs.horizon)
+    reward = stages["reward"].astype(float)
+    for name, rows in stages.groupby(stages["action"].astype(str)).groups.items():
+        of_action = reward.loc[rows].dropna()
+        ends, goes_on = of_action[is_end.loc[of_action.index]], of_action[~is_last.loc[of_action.index]]
+        for paid in {0.0, *goes_on.mode().iloc[:1]}:
+            alike = ends.index[ends == paid]
+            others, words = goes_on.index[goes_on == paid], "went on after one that paid the same"
+            if len(others) < FEWEST_ENDS:
+                others, words = of_action.index[of_action != paid], "of the same action paid otherwise"
+            if min(len(alike), len(others)) < FEWEST_ENDS:
+                continue
+            if chance_of_shorter(lasted_s[alike].to_numpy(), lasted_s[others].to_numpy()) < ENDS_LEVEL:
+                ended_s, other_s = (float(np.median(lasted_s[each])) for each in (alike, others))
+                yield (
+                    f"{len(alike)} trajectories are called finished after a {name} that paid {paid:g} and lasted "
+                    f"{ended_s:.2g} s, yet {len(others)} {words} and lasted {other_s:.2g} s: if something stopped "
+                    "them, their ending is 'cut', and that stage has neither reward nor elapsed_s"
+                )
+                break
+
+
+def chance_of_shorter(one: Float[np.ndarray, " n"], other: Float[np.ndarray, " m"]) -> float:
+    """Chance that one sample is as much smaller than another if both are alike, by ranks [MannWhitney1947]_.
+
+    By the normal approximation with ties and a correction for continuity, for ten of each or more.
+    """
+    _, place, ties = np.unique(np.concatenate([one, other]), return_inverse=True, return_counts=True)
+    ranks = (ties.cumsum() - (ties - 1) / 2.0)[place]
+    n, m = len(one), len(other)
+    above = ranks[:n].sum() - n * (n + 1) / 2.0
+    spread = np.sqrt(n * m / 12.0 * (n + m + 1.0 - float((ties**3 - ties).sum()) / ((n + m) * (n + m - 1.0))))
+    return NormalDist().cdf((above - n * m / 2.0 + 0.5) / spread) if spread > 0.0 else 1.0
