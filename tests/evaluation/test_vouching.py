@@ -15,7 +15,7 @@ from halfseen.evaluation.evaluation import claim_of, guess_of, more_trajectories
 from halfseen.evaluation.held_out import CAUTIONS, level_of_each, vouched
 from halfseen.evaluation.verdict import needed
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.caution import more_cautious, more_cautious_learner
+from halfseen.learning.flat_policy import more_cautious, more_cautious_learner
 from halfseen.logs import Logs
 
 

@@ -40,9 +40,7 @@ import numpy as np
 from halfseen.censoring import CensoringSpec
 from halfseen.errors import HalfseenError
 from halfseen.evaluation.estimate import jackknife_error
-from halfseen.evaluation.weights import (
-    StageWeights,
-)
+from halfseen.evaluation.weights import StageWeights
 from halfseen.learning.judging import Judged, judged
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import fit_q

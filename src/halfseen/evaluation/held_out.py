@@ -41,7 +41,7 @@ from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.specification import specification
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
-from halfseen.learning.caution import has_margin
+from halfseen.learning.flat_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described

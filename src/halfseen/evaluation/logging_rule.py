@@ -54,9 +54,7 @@ class _Split(NamedTuple):
 
 
 def forest_shares(
-    states: Float[np.ndarray, "rows F"],
-    votes: Float[np.ndarray, "fitted A"],
-    fitted: Int[np.ndarray, " fitted"],
+    states: Float[np.ndarray, "rows F"], votes: Float[np.ndarray, "fitted A"], fitted: Int[np.ndarray, " fitted"]
 ) -> Float[np.ndarray, "rows A"]:
     """Mean share of each action in the leaves of `NUM_TREES` classification trees [BreimanEtAl1984]_, bagged.
 
@@ -79,10 +77,7 @@ def forest_shares(
 
 
 def _tree_shares(
-    states: Float[np.ndarray, "n F"],
-    votes: Float[np.ndarray, "n A"],
-    asked: Float[np.ndarray, "m F"],
-    least: int,
+    states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], asked: Float[np.ndarray, "m F"], least: int
 ) -> Float[np.ndarray, "m A"]:
     """Grow a tree, and send what is asked down with it."""
     shares = np.empty((len(asked), votes.shape[1]))
@@ -120,9 +115,7 @@ def _best_split(states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"
 
 
 def logit_shares(
-    states: Float[np.ndarray, "rows F"],
-    votes: Float[np.ndarray, "fitted A"],
-    fitted: Int[np.ndarray, " fitted"],
+    states: Float[np.ndarray, "rows F"], votes: Float[np.ndarray, "fitted A"], fitted: Int[np.ndarray, " fitted"]
 ) -> Float[np.ndarray, "rows A"]:
     """Multinomial logit on features and their products.
 

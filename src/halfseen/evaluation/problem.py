@@ -207,9 +207,7 @@ def problem_of(
 
 
 def following(
-    problem: Problem,
-    probabilities: Float[np.ndarray, "n T A"],
-    is_taken: Bool[np.ndarray, "n T"] | None = None,
+    problem: Problem, probabilities: Float[np.ndarray, "n T A"], is_taken: Bool[np.ndarray, "n T"] | None = None
 ) -> Problem:
     """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
     trajectories = problem.trajectories
