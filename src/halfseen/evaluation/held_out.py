@@ -1,15 +1,4 @@
-"""What a log can vouch for: of some policies the one whose gain has the largest lower bound, and a claim that holds.
-
-The lower bound of what was chosen for its large lower bound is too large, unless the bounds of all hold at once. The
-estimates of policies that mostly do the same go up and down together, so that costs little: with R the correlation of
-what trajectories add to the gain of each, the bounds are those of a level at which the largest of as many normal
-variables stays below its quantile (max-t [WestfallYoung1993]_).
-
-*Choosing by some folds and claiming by the others* (as in [Thomas2015]_, over all folds in turn) does not keep the
-level: of eight policies that are worth the same, a claim above 0 was made in 11 % of logs instead of 2.5 %, for where
-all folds choose alike nothing is held out.
-
-The verdict on what was learned, from the log that it was learned from: no policy is judged by what it has seen.
+"""The verdict on what was learned, from the log that it was learned from: no policy is judged by what it has seen.
 
 Trajectories are dealt into folds. For each fold a policy is learned in the same way from the others, and is judged by
 the trajectories of its own fold; what those add, trajectory by trajectory, is pooled over the folds into one paired
@@ -19,7 +8,16 @@ such a log*: the policy that was learned from all of it differs a little from ea
 better.
 
 A policy that holds margins is learned once and judged several times: as it is, the *best guess*, and with more caution.
-That for which most can be claimed is *vouched for* (`vouching`), and the verdict is on it.
+That for which most can be claimed is *vouched for* (`vouched`), and the verdict is on it.
+
+The lower bound of what was chosen for its large lower bound is too large, unless the bounds of all hold at once. The
+estimates of policies that mostly do the same go up and down together, so that costs little: with R the correlation of
+what trajectories add to the gain of each, the bounds are those of a level at which the largest of as many normal
+variables stays below its quantile (max-t [WestfallYoung1993]_).
+
+*Choosing by some folds and claiming by the others* (as in [Thomas2015]_, over all folds in turn) does not keep the
+level: of eight policies that are worth the same, a claim above 0 was made in 11 % of logs instead of 2.5 %, for where
+all folds choose alike nothing is held out.
 """
 
 import warnings

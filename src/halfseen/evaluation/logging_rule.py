@@ -48,11 +48,6 @@ Shares = Callable[
 """States of all rows, votes of those that are fitted to, and which these are → share of each action in every row."""
 
 
-class _Split(NamedTuple):
-    feature: int
-    threshold: float
-
-
 def forest_shares(
     states: Float[np.ndarray, "rows F"], votes: Float[np.ndarray, "fitted A"], fitted: Int[np.ndarray, " fitted"]
 ) -> Float[np.ndarray, "rows A"]:
@@ -85,18 +80,19 @@ def _tree_shares(
     while nodes:
         rows, sent = nodes.pop()
         total = votes[rows].sum(axis=0)
-        split = (
-            _best_split(states[rows], votes[rows], least) if len(sent) and total.max() < PURE * total.sum() else None
-        )
+        is_mixed = len(sent) and total.max() < PURE * total.sum()
+        split = _best_split(states[rows], votes[rows], least) if is_mixed else None
         if split is None:
             shares[sent] = total / total.sum()
             continue
-        is_left, goes_left = (each[:, split.feature] <= split.threshold for each in (states[rows], asked[sent]))
+        is_left, goes_left = (each[:, split[0]] <= split[1] for each in (states[rows], asked[sent]))
         nodes += [(rows[is_left], sent[goes_left]), (rows[~is_left], sent[~goes_left])]
     return shares
 
 
-def _best_split(states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], least: int) -> _Split | None:
+def _best_split(
+    states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], least: int
+) -> tuple[int, float] | None:
     """The best of all features and thresholds; None where no side of one has rows enough."""
     if len(states) < 2 * least:
         return None
@@ -111,7 +107,7 @@ def _best_split(states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"
     place, feature = np.unravel_index(np.argmax(scores), scores.shape)
     if scores[place, feature] == -np.inf:
         return None
-    return _Split(int(feature), float(below[place, feature] + above[place, feature]) / 2.0)
+    return int(feature), float(below[place, feature] + above[place, feature]) / 2.0
 
 
 def logit_shares(

@@ -188,26 +188,20 @@ def specification(
     is_augmented = is_complete if augmented is None else augmented
     q = None
     if not isinstance(policy, NamedActionPolicy):
-        q = QSpec(_task(policy, learned), q_space_of_record(learned), learned.get("stages"))
+        task = task_by(policy, reduces_variance=bool(learned.get("reduces_variance", True)))
+        q = QSpec(task, q_space_of_record(learned), learned.get("stages"))
     is_chosen = any(one is not None for one in (censoring, censoring_by, censoring_covariates, truncate_at))
     if is_augmented and is_complete and not is_chosen and own not in ("cox", "kernel"):
         return EvaluationSpec(default_targets(logs), q)
     model = censoring or (own if own in CENSORING_NAMES else "kaplan-meier")
     bound = learned.get("truncate_at") if truncate_at is None else truncate_at
+    # What cuts were said to depend on holds for the same model alone.
+    depends_on = learned.get("censoring_covariates") if own == model else None
     targets = named_targets(
         model,
         by=censoring_by or learned.get("censoring_by") or "trajectory",
-        covariates=_own_covariates(learned, model) if censoring_covariates is None else censoring_covariates,
+        covariates=depends_on if censoring_covariates is None else censoring_covariates,
         truncate_at=LARGEST_WEIGHT if bound is None and is_augmented else bound,
         is_doubly_robust=is_augmented,
     )
     return EvaluationSpec(targets, q)
-
-
-def _own_covariates(learned: Mapping[str, Any], model: str) -> list[str] | None:
-    """What cuts were said to depend on, if the same model is to be fitted."""
-    return learned.get("censoring_covariates") if learned.get("censoring") == model else None
-
-
-def _task(policy: Any, learned: Mapping[str, Any]) -> Task:
-    return task_by(policy, reduces_variance=bool(learned.get("reduces_variance", True)))
