@@ -26,8 +26,7 @@ from halfseen.errors import HalfseenWarning
 from halfseen.evaluation.comparison import deciding
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.held_out import held_out_verdict
-from halfseen.learning.caution import more_cautious
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.flat_policy import FlatPolicy, more_cautious
 from halfseen.policies.learner_choice import learner_for
 
 

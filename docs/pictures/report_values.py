@@ -9,7 +9,7 @@ from pictures.picture import plot
 def draw_report_values() -> Figure:
     """Learn, judge by the later logs, and draw the values, as `halfseen learn` and `halfseen report` do."""
     from halfseen.evaluation import evaluate
-    from halfseen.evaluation.stored_model import specification_of
+    from halfseen.evaluation.specification import specification_of
     from halfseen.logs import read_logs
     from halfseen.report.values_figure import draw_values
 

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from oracles import naive_local_survival, tied_ends
 
 from halfseen.censoring import KaplanMeier, KernelKaplanMeier, censoring_weights
-from halfseen.censoring import local_curve as local_curve_module
+from halfseen.censoring import kernel_kaplan_meier as local_curve_module
 from halfseen.errors import PositivityError
 
 

@@ -8,7 +8,7 @@ import pytest
 import shell
 
 from halfseen.evaluation import evaluate as evaluated
-from halfseen.evaluation.stored_model import specification_of
+from halfseen.evaluation.specification import specification_of
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy, write_policy

@@ -7,12 +7,11 @@ from scipy import stats
 from scipy.optimize import linprog
 
 from halfseen.evaluation import evaluate
-from halfseen.evaluation.comparison import Contender
+from halfseen.evaluation.comparison import Contender, rate_of, share_of
 from halfseen.evaluation.estimate import around
 from halfseen.evaluation.off_policy import default_q, q_model_of
 from halfseen.evaluation.problem import as_logged, problem_of
-from halfseen.evaluation.quotient import rate_of, share_of
-from halfseen.evaluation.sensitivity import STRONGEST, shift, undone_at
+from halfseen.evaluation.verdict import STRONGEST, shift, undone_at
 from halfseen.learning import DoublyRobust
 from halfseen.logs import Logs
 

@@ -9,12 +9,12 @@ import pytest
 from enumerated_trial import StatePolicy, specified, trial
 from scipy import stats
 
-from halfseen.evaluation import Opponent, QSpec, evaluate, judge
-from halfseen.evaluation.cross_fitting import nuisances_by_folds, nuisances_of
+from halfseen.evaluation import Opponent, QSpec, evaluate, off_policy
 from halfseen.evaluation.estimate import estimate_of
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.evaluation.off_policy import q_model_of
-from halfseen.evaluation.second_order import with_second_order
+from halfseen.evaluation.problem import nuisances_by_folds, nuisances_of
+from halfseen.evaluation.specification import with_second_order
 from halfseen.learning import DoublyRobust, NamedActions
 from halfseen.learning.rows import trajectory_arrays
 from halfseen.logs import Logs
@@ -120,7 +120,7 @@ def test_the_value_does_not_rest_on_the_model_where_the_log_reveals_the_rule(mon
 
     logs = logged(thresholds, 1000, seed=5)
     truth = evaluate(Rule(thresholds, ACTIONS, 2), logs).doubly_robust
-    monkeypatch.setattr(judge, "logging_rule", blind)
+    monkeypatch.setattr(off_policy, "logging_rule", blind)
     (wrong,) = evaluate(Rule(slanted, ACTIONS, 2), logs, against="logging-rule").comparisons
     assert abs(wrong.value.value - truth.value) < 2.0 * wrong.value.standard_error
 

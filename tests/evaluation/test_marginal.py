@@ -7,12 +7,11 @@ import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, leaves, specified, trial, truth
 
 from halfseen.evaluation import FixedSequence, evaluate
-from halfseen.evaluation import state_regression as regression
-from halfseen.evaluation.marginal import marginal_weights
+from halfseen.evaluation import states as regression
+from halfseen.evaluation.estimate import Possible, possible
 from halfseen.evaluation.off_policy import default_q, default_targets, q_model_of
-from halfseen.evaluation.possible import Possible, possible
 from halfseen.evaluation.problem import problem_of
-from halfseen.evaluation.ratios import begun_weights, single_ratios
+from halfseen.evaluation.weights import begun_weights, marginal_weights, single_ratios
 
 TARGET = StatePolicy((0.1, 0.8))
 

@@ -6,8 +6,8 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from sklearn.tree import DecisionTreeClassifier
 
-from halfseen.evaluation import rule_models
-from halfseen.evaluation.rule_models import forest_shares, logit_shares
+from halfseen.evaluation import logging_rule as rule_models
+from halfseen.evaluation.logging_rule import forest_shares, logit_shares
 
 NUM_ROWS, NUM_ACTIONS = 400, 3
 RNG = np.random.default_rng(0)

@@ -7,11 +7,10 @@ import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, trial, truth
 
 from halfseen.evaluation import evaluate
-from halfseen.evaluation.history import CLEARLY, history_deviate, wald
-from halfseen.evaluation.judge import HISTORY_COUNTS
-from halfseen.evaluation.off_policy import default_q, default_targets, q_model_of
+from halfseen.evaluation.off_policy import HISTORY_COUNTS, default_q, default_targets, q_model_of
 from halfseen.evaluation.problem import problem_of
-from halfseen.evaluation.ratios import begun_weights
+from halfseen.evaluation.states import CLEARLY, history_deviate, wald
+from halfseen.evaluation.weights import begun_weights
 from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))

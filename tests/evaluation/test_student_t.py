@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy.special import stdtr, stdtrit
 
-from halfseen.evaluation.estimate import around
-from halfseen.evaluation.student_t import crossing, upper_tail
+from halfseen.evaluation.estimate import around, crossing, upper_tail
 
 
 @pytest.mark.parametrize("freedom", [1.0, 1.5, 2.0, 3.7, 10.0, 55.3, 500.0, 1e4, 1e6, 9e6, 1e7, 1e9, np.inf])

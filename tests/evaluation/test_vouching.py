@@ -9,14 +9,13 @@ import pytest
 from enumerated_trial import StatePolicy, trial, truth
 
 from halfseen.evaluation import held_out_verdict
-from halfseen.evaluation.claims import claim_of, guess_of, more_trajectories
 from halfseen.evaluation.comparison import Contender, compared
 from halfseen.evaluation.estimate import Estimate
-from halfseen.evaluation.held_out import CAUTIONS
+from halfseen.evaluation.evaluation import claim_of, guess_of, more_trajectories
+from halfseen.evaluation.held_out import CAUTIONS, level_of_each, vouched
 from halfseen.evaluation.verdict import needed
-from halfseen.evaluation.vouching import level_of_each, vouched
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.caution import more_cautious, more_cautious_learner
+from halfseen.learning.flat_policy import more_cautious, more_cautious_learner
 from halfseen.logs import Logs
 
 

@@ -7,8 +7,8 @@ from halfseen.censoring import StageClocks
 from halfseen.learning import kept_parts
 from halfseen.learning.kept_parts import KeptParts, num_bytes_of
 from halfseen.learning.rows import TrajectoryArrays
+from halfseen.learning.sums import Norms
 from halfseen.learning.task import Encoded
-from halfseen.learning.values import Norms
 
 
 def part(seed, ids=(2**53, 7)):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize, rosen, rosen_der, rosen_hess
 
-from halfseen.learning.newton_each import MAX_STEPS, minimise_each
+from halfseen.learning.behaviour import MAX_STEPS, minimise_each
 
 
 def rosenbrocks(theta):

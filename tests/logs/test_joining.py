@@ -9,7 +9,7 @@ from click.testing import CliRunner
 
 from halfseen.cli.convert import convert
 from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation.second_order import with_second_order
+from halfseen.evaluation.specification import with_second_order
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import LogRecorder, Logs, LogStream, compact, joining, read_logs, write_stream

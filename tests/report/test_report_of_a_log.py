@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from page_reader import Reader
 
-from halfseen.evaluation.per_hour import PerHour, Rate
+from halfseen.evaluation.evaluation import PerHour, Rate
 from halfseen.logs import Logs
 from halfseen.report.findings import find
 from halfseen.report.page import page_of

@@ -4,11 +4,10 @@ A *trajectory* is a trajectory: one episode. A *cut* right-censors it at the tim
 is modelled is C, so the roles are swapped beside survival analysis of failures: a cut is the event, and the
 trajectory's own end censors it.
 
-Read down: `inputs`, `covariates` (what every fit accepts) → `model` (what a censoring model is) → the models:
-`kaplan_meier`; `partial_likelihood` → `cox_checks` → `cox`; `local_curve` → `bandwidth` → `kernel_kaplan_meier` →
-`named` (models by name) → `weights` → `diagnostics` → `stage_clocks` → `cut_model` (Ĝ by trajectory or by stage) →
-`specification` (which model, on which clock). The report: `positivity_facts` → `positivity_text`, `positivity_figure`
-→ `positivity`.
+Read down: `inputs` (what every fit accepts) → the models: `kaplan_meier`; `partial_likelihood` → `cox`;
+`kernel_kaplan_meier` → `model` (what a censoring model is, and those that have names) → `weights` → `stage_clocks` →
+`cut_model` (Ĝ by trajectory or by stage, and which model on which clock). The report: `positivity_facts`, told in words
+→ `positivity`, drawn by `positivity_figure`.
 """
 
 from typing import TYPE_CHECKING
@@ -17,17 +16,20 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.censoring.cox import Cox
-    from halfseen.censoring.cut_model import CensoringBy, CutModel
-    from halfseen.censoring.diagnostics import WeightDiagnostics, warn_if_few, weight_diagnostics
+    from halfseen.censoring.cut_model import CensoringBy, CensoringSpec, CutModel
     from halfseen.censoring.kaplan_meier import KaplanMeier
     from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
-    from halfseen.censoring.model import CensoringModel, is_fitted, uses_covariates
-    from halfseen.censoring.named import CENSORING_NAMES, named_model
+    from halfseen.censoring.model import CENSORING_NAMES, CensoringModel, is_fitted, named_model, uses_covariates
     from halfseen.censoring.positivity import PositivityReport, positivity_report
     from halfseen.censoring.positivity_facts import PositivityFacts
-    from halfseen.censoring.specification import CensoringSpec
     from halfseen.censoring.stage_clocks import StageClocks
-    from halfseen.censoring.weights import censoring_weights, stage_weights
+    from halfseen.censoring.weights import (
+        WeightDiagnostics,
+        censoring_weights,
+        stage_weights,
+        warn_if_few,
+        weight_diagnostics,
+    )
 
 __all__ = [
     "CENSORING_NAMES",
@@ -55,10 +57,10 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "CENSORING_NAMES": "named",
+        "CENSORING_NAMES": "model",
         "CensoringBy": "cut_model",
         "CensoringModel": "model",
-        "CensoringSpec": "specification",
+        "CensoringSpec": "cut_model",
         "Cox": "cox",
         "CutModel": "cut_model",
         "KaplanMeier": "kaplan_meier",
@@ -66,14 +68,14 @@ __getattr__ = lazy_names(
         "PositivityFacts": "positivity_facts",
         "PositivityReport": "positivity",
         "StageClocks": "stage_clocks",
-        "WeightDiagnostics": "diagnostics",
+        "WeightDiagnostics": "weights",
         "censoring_weights": "weights",
         "is_fitted": "model",
-        "named_model": "named",
+        "named_model": "model",
         "positivity_report": "positivity",
         "stage_weights": "weights",
         "uses_covariates": "model",
-        "warn_if_few": "diagnostics",
-        "weight_diagnostics": "diagnostics",
+        "warn_if_few": "weights",
+        "weight_diagnostics": "weights",
     },
 )

@@ -13,16 +13,16 @@ D_s is the duration of stage s: cuts may depend on all that a trajectory has sho
 [Robins1992]_.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 import pandas as pd
 
-from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.cox import Cox
-from halfseen.censoring.model import CensoringModel, is_fitted, uses_covariates
-from halfseen.censoring.named import named_model
+from halfseen.censoring.inputs import checked_truncation
+from halfseen.censoring.model import CensoringModel, is_fitted, named_model, uses_covariates
 from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.censoring.weights import stage_weights
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
@@ -75,26 +75,20 @@ class CutModel:
         is_wanted
             Begun stages that are asked about.
         """
-        probabilities = np.ones(age_s.shape)
+        probabilities, (trajectory, stage) = np.ones(age_s.shape), np.nonzero(is_wanted)
+        age = age_s[trajectory, stage]
         if self.by == "trajectory":
-            trajectory, stage = np.nonzero(is_wanted)
             start = trajectories.begun_at_s[trajectory, stage]
-            begun = self._ask(0, trajectories, start, trajectory, np.zeros_like(stage))
-            end = self._ask(0, trajectories, _add(start, age_s[trajectory, stage]), trajectory, np.zeros_like(stage))
-            probabilities[trajectory, stage] = end / np.where(begun > 0, begun, 1.0).reshape(
-                (-1,) + (1,) * (end.ndim - 1)
+            begun, end = (
+                self._ask(0, trajectories, at_s, trajectory, np.zeros_like(stage)) for at_s in (start, _add(start, age))
             )
+            wide = (-1,) + (1,) * (end.ndim - 1)
+            probabilities[trajectory, stage] = end / np.where(begun > 0, begun, 1.0).reshape(wide)
             return probabilities
-        if self.by == "pooled":
-            trajectory, stage = np.nonzero(is_wanted)
-            probabilities[trajectory, stage] = self._ask(0, trajectories, age_s[trajectory, stage], trajectory, stage)
-            return probabilities
-        for t in range(is_wanted.shape[1]):
-            trajectory = np.flatnonzero(is_wanted[:, t])
-            if len(trajectory):
-                probabilities[trajectory, t] = self._ask(
-                    t, trajectories, age_s[trajectory, t], trajectory, np.full_like(trajectory, t)
-                )
+        for which in np.unique(stage).tolist() if self.by == "stage" else [0]:
+            some = stage == which if self.by == "stage" else np.ones(len(stage), dtype=bool)
+            asked = trajectory[some], stage[some]
+            probabilities[asked] = self._ask(which, trajectories, age[some], *asked)
         return probabilities
 
     def weights(self, trajectories: StageClocks) -> Float[np.ndarray, "n T"]:
@@ -107,15 +101,10 @@ class CutModel:
         """
         if self.by == "trajectory":
             model, columns = self.fitted[0]
-            return stage_weights(
-                trajectories.elapsed_s,
-                trajectories.end_s,
-                trajectories.is_finished,
-                model,
-                self.truncate_at,
-                covariates=_frame(trajectories.covariate_names, trajectories.covariates[:, 0], columns),
-                trajectory_ids=trajectories.trajectory_ids,
-            )
+            began = _frame(trajectories.covariate_names, trajectories.covariates[:, 0], columns)
+            ends = trajectories.elapsed_s, trajectories.end_s, trajectories.is_finished
+            ids = trajectories.trajectory_ids
+            return stage_weights(*ends, model, self.truncate_at, covariates=began, trajectory_ids=ids)
         within = self.survival(trajectories, trajectories.watched_s, trajectories.is_completed)
         survival = np.cumprod(np.where(trajectories.is_completed, within, 1.0), axis=1)
         if self.truncate_at is None:
@@ -125,28 +114,19 @@ class CutModel:
 
     def begun_weights(self, trajectories: StageClocks) -> Float[np.ndarray, "n T"]:
         """1 / Ĝ(U_{t−1}⁻) of each begun stage: what the stage before it weighed; 0 elsewhere."""
-        before = np.concatenate(
-            [np.ones((trajectories.num_trajectories, 1)), self.weights(trajectories)[:, :-1]], axis=1
-        )
+        before = np.pad(self.weights(trajectories)[:, :-1], ((0, 0), (1, 0)), constant_values=1.0)
         return np.where(trajectories.is_begun, before, 0.0)
 
     def _ask(
         self, which: int, trajectories: StageClocks, at_s: Float[np.ndarray, " k *S"], trajectory: Any, stage: Any
     ) -> Float[np.ndarray, " k *S"]:
         model, columns = self.fitted[which]
-        return np.asarray(
-            model.survival(
-                at_s, _frame(trajectories.covariate_names, trajectories.covariates[trajectory, stage], columns)
-            ),
-            dtype=np.float64,
-        )
+        known = _frame(trajectories.covariate_names, trajectories.covariates[trajectory, stage], columns)
+        return np.asarray(model.survival(at_s, known), dtype=np.float64)
 
 
 def fit_cut_model(
-    trajectories: StageClocks,
-    censoring: str | CensoringModel,
-    by: CensoringBy,
-    truncate_at: float | int | None = None,
+    trajectories: StageClocks, censoring: str | CensoringModel, by: CensoringBy, truncate_at: float | int | None = None
 ) -> CutModel:
     """Fit Ĝ to a log; a model that is fitted already is taken as it is.
 
@@ -166,48 +146,29 @@ def fit_cut_model(
     ArgumentError
         The model cannot be fitted, or needs the action of a stage in which a trajectory was cut, which was not logged.
     """
+    names, is_begun = trajectories.covariate_names, trajectories.is_begun
     if not isinstance(censoring, str) and is_fitted(censoring):
-        columns = np.arange(len(trajectories.covariate_names) if uses_covariates(censoring) else 0)
+        columns = np.arange(len(names) if uses_covariates(censoring) else 0)
         which = trajectories.num_stages if by == "stage" else 1
         return CutModel(by, (FittedRows(censoring, columns),) * which, truncate_at)
+    stages = np.arange(trajectories.num_stages)
     if by == "trajectory":
-        _refuse_unknown(
-            trajectories, np.broadcast_to(np.arange(trajectories.num_stages) == 0, trajectories.is_begun.shape)
-        )
+        _refuse_unknown(trajectories, np.broadcast_to(stages == 0, is_begun.shape))
         rows = trajectories.end_s, trajectories.is_finished, trajectories.covariates[:, 0]
-        return fit_trajectory_cuts(*rows, trajectories.covariate_names, censoring, truncate_at)
+        return CutModel(by, (_fit(censoring, *rows, names, "a trajectory's first stage"),), truncate_at)
     if isinstance(censoring, str) and censoring == "cox":
         censoring = Cox(ridge=STAGE_RIDGE)
     fitted = []
-    for t in range(trajectories.num_stages) if by == "stage" else [None]:
-        wanted = (
-            trajectories.is_begun if t is None else trajectories.is_begun & (np.arange(trajectories.num_stages) == t)
-        )
+    for t in stages if by == "stage" else [None]:
+        wanted = is_begun if t is None else is_begun & (stages == t)
         if not wanted.any():
             # No trajectory came so far: nothing can be asked of it either.
             fitted.append(fitted[-1])
             continue
         _refuse_unknown(trajectories, wanted)
         rows = trajectories.watched_s[wanted], trajectories.is_completed[wanted], trajectories.covariates[wanted]
-        where = "all stages" if t is None else f"stage {t + 1}"
-        fitted.append(_fit(censoring, *rows, trajectories.covariate_names, where))
+        fitted.append(_fit(censoring, *rows, names, "all stages" if t is None else f"stage {t + 1}"))
     return CutModel(by, tuple(fitted), truncate_at)
-
-
-def fit_trajectory_cuts(
-    end_s: Rows,
-    is_finished: RowMask,
-    covariates: Float[np.ndarray, "n P"],
-    names: tuple[str, ...],
-    censoring: str | CensoringModel,
-    truncate_at: float | int | None = None,
-) -> CutModel:
-    """Fit Ĝ on the clock of trajectories, given the covariates with which each began."""
-    if not isinstance(censoring, str) and is_fitted(censoring):
-        columns = np.arange(len(names) if uses_covariates(censoring) else 0)
-        return CutModel("trajectory", (FittedRows(censoring, columns),), truncate_at)
-    fitted = _fit(censoring, end_s, is_finished, covariates, names, "a trajectory's first stage")
-    return CutModel("trajectory", (fitted,), truncate_at)
 
 
 def _fit(
@@ -268,3 +229,76 @@ def _refuse_unseen(trajectories: StageClocks, survival: Float[np.ndarray, "n T"]
 
 def _add(start_s: Float[np.ndarray, " k"], age_s: Float[np.ndarray, " k *S"]) -> Float[np.ndarray, " k *S"]:
     return start_s.reshape((-1,) + (1,) * (age_s.ndim - 1)) + age_s
+
+
+@dataclass(frozen=True)
+class CensoringSpec:
+    """A censoring model that is still to be fitted, and its time scale.
+
+    Parameters
+    ----------
+    model
+        ``"kaplan-meier"``, ``"cox"``, ``"kernel"``, or a fitted or unfitted `CensoringModel`: what Ĝ is.
+    by
+        ``"trajectory"``: Ĝ on the total-time scale, given how the trajectory began; ``"stage"``: a model for each
+        stage, on the gap-time scale; ``"pooled"``: one such model for all stages (see `cut_model`). By stage or pooled,
+        ``"cox"`` is ``Cox(ridge=1)``.
+    covariates
+        What a model that uses covariates is given: columns of the stages, and ``"action"`` for the action; for a table
+        ``"num_objects"``, ``"mean_occlusion"``, ``"action"``, ``"target_occlusion"``. None for all, the action by
+        stage only, and of a trajectory's first table the first two.
+    truncate_at
+        Largest weight 1/Ĝ allowed; None truncates nothing.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such model or clock, the covariates are no list, or the bound is below 1.
+    """
+
+    model: str | CensoringModel = "kaplan-meier"
+    by: CensoringBy | str = "trajectory"
+    covariates: Sequence[str] | None = None
+    truncate_at: float | int | None = None
+
+    def __post_init__(self) -> None:
+        named_model(self.model)
+        if self.by not in CENSORING_BY:
+            raise ArgumentError(f"by is {self.by!r}; it is {', '.join(map(repr, CENSORING_BY[:-1]))} or 'pooled'")
+        if isinstance(self.covariates, str):
+            raise ArgumentError(f"covariates is {self.covariates!r}; give a list of names")
+        checked_truncation(self.truncate_at)
+        if self.covariates is not None and not self.uses_covariates:
+            raise ArgumentError(
+                f"covariates is {list(self.covariates)}, but {self.name} uses none; leave them out, or choose 'cox' or "
+                "'kernel'"
+            )
+
+    @property
+    def name(self) -> str:
+        """Name of the model, or what an object prints."""
+        return self.model if isinstance(self.model, str) else repr(self.model)
+
+    @property
+    def uses_covariates(self) -> bool:
+        """Whether the model conditions on covariates."""
+        return uses_covariates(named_model(self.model))
+
+    def looks_at(self, clocks: StageClocks) -> StageClocks | None:
+        """What of a part of a log Ĝ is fitted to, beyond the ends of the trajectories; None if nothing."""
+        if self.by != "trajectory":
+            return clocks
+        # On the clock of trajectories, Ĝ looks at how each began alone.
+        return clocks.begun() if self.uses_covariates else None
+
+    def fit_cuts(self, clocks: StageClocks) -> CutModel:
+        """Fit Ĝ; a model that is fitted already is taken as it is.
+
+        Raises
+        ------
+        ArgumentError
+            The model cannot be fitted, or needs the action of a stage in which a trajectory was cut, which was not
+            logged.
+        """
+        by: Any = self.by
+        return fit_cut_model(clocks, self.model, by, self.truncate_at)

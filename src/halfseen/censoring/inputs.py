@@ -1,4 +1,9 @@
-"""What every fit and every weight accepts: array-likes in, checked float64 and bool out, bad values named."""
+"""What every fit and every weight accepts: array-likes in, checked float64 and bool out, bad values named.
+
+Covariates: a matrix or a table in, a checked float64 matrix and its column names out.
+"""
+
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -6,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError
-from halfseen.shapes import Float
+from halfseen.shapes import Float, Int
 
 
 def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") -> tuple[Rows, RowMask]:
@@ -92,3 +97,168 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
         value = flags[row : row + 1].tolist()[0]
         raise ArgumentError(f"{name}, row {row}: {value!r} is neither; give True where finished and False where cut")
     return flags.astype(np.bool_)
+
+
+def checked_covariates(
+    covariates: Any, num_rows: int, kind: str, names: list[str] | None = None
+) -> tuple[Float[np.ndarray, "n p"], list[str]]:
+    """Covariates of trajectories as float64, and what their columns are called.
+
+    Parameters
+    ----------
+    covariates
+        One row for each trajectory, shape (n, p): array-like, or a pandas or Arrow table, whose names are kept.
+    num_rows
+        Number of trajectories.
+    kind
+        The model that asks, for the message.
+    names
+        The columns that the model was fitted with; a table is brought into their order. None at the fit.
+
+    Raises
+    ------
+    ArgumentError
+        Nothing was given, the shape is wrong, a column is missing, unknown or not made of numbers, or a value is
+        missing or infinite; the row and the column are named.
+    """
+    if covariates is None:
+        raise ArgumentError(f"{kind} needs covariates, one row for each trajectory; give them, or use KaplanMeier")
+    table = _as_table(covariates)
+    if table is not None:
+        values, found = _table_values(table, names), [str(name) for name in table.columns]
+        found = found if names is None else names
+    else:
+        values = _matrix(covariates)
+        found = [f"column {j}" for j in range(values.shape[1])] if names is None else names
+    if len(values) != num_rows:
+        raise ArgumentError(
+            f"covariates has {len(values)} rows for {num_rows} trajectories; give one row per trajectory"
+        )
+    if values.shape[1] != len(found):
+        raise ArgumentError(f"covariates has {values.shape[1]} columns, and the fit had {len(found)}; give the same")
+    if values.shape[1] == 0:
+        raise ArgumentError("covariates has no columns; give at least one, or use KaplanMeier")
+    _refuse_missing(values, found)
+    return values, found
+
+
+def rows_of(covariates: Any, rows: Int[np.ndarray, " k"], num_trajectories: int) -> Any:
+    """Repeat the covariates of these trajectories, as a table if they came as one.
+
+    Raises
+    ------
+    ArgumentError
+        There is not one row for each trajectory.
+    """
+    if covariates is None:
+        return None
+    known = _known(covariates)
+    if len(known) != num_trajectories:
+        raise ArgumentError(
+            f"covariates has {len(known)} rows for {num_trajectories} trajectories; give one row per trajectory"
+        )
+    return known.iloc[rows] if isinstance(known, pd.DataFrame) else known[rows]
+
+
+def checked_question(
+    u: ArrayLike, covariates: Any, kind: str, names: list[str]
+) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "m p"]]:
+    """Times asked about, and the covariates that go with them.
+
+    Parameters
+    ----------
+    u
+        Times [s], any shape; none is NaN.
+    covariates
+        One row for each entry of the first axis of `u`, or a single row for all of them.
+    kind
+        The model that is asked, for the message.
+    names
+        The columns that it was fitted with.
+
+    Raises
+    ------
+    ArgumentError
+        A time is NaN, or the covariates are wrong or do not match the times.
+    """
+    times = checked_times(u)
+    is_single = covariates is not None and len(_known(covariates)) == 1
+    num_rows = len(times) if times.ndim and not is_single else 1
+    values, _ = checked_covariates(covariates, num_rows, kind, names)
+    return times, values
+
+
+def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> None:
+    """Refuse a covariate that is the same for all trajectories.
+
+    Raises
+    ------
+    ArgumentError
+        A covariate is constant; it is named with its value.
+    """
+    constant = covariates.min(axis=0) == covariates.max(axis=0)
+    if constant.any():
+        column = int(np.argmax(constant))
+        raise ArgumentError(
+            f"covariates, {names[column]}: {covariates[0, column]:g} in every row, which tells no trajectory from "
+            "another; leave it out"
+        )
+
+
+def _known(covariates: Any) -> pd.DataFrame | np.ndarray:
+    table = _as_table(covariates)
+    return np.atleast_1d(np.asarray(covariates)) if table is None else table
+
+
+def _as_table(covariates: Any) -> pd.DataFrame | None:
+    if isinstance(covariates, pd.Series):
+        return covariates.to_frame()
+    if hasattr(covariates, "column_names"):
+        return covariates.to_pandas()
+    return covariates if isinstance(covariates, pd.DataFrame) else None
+
+
+def _matrix(covariates: Any) -> Float[np.ndarray, "n p"]:
+    try:
+        values = np.asarray(covariates, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"covariates is not made of numbers ({error}); encode categories as numbers") from error
+    if values.ndim != 2:
+        raise ArgumentError(
+            f"covariates has shape {values.shape}; give one row per trajectory and one column per covariate"
+        )
+    return values
+
+
+def _table_values(table: pd.DataFrame, names: list[str] | None) -> Float[np.ndarray, "n p"]:
+    table = table.set_axis([str(name) for name in table.columns], axis=1)
+    if table.columns.has_duplicates:
+        twice = table.columns[table.columns.duplicated()][0]
+        raise ArgumentError(f"covariates has two columns {twice!r}; rename one")
+    if names is not None:
+        missing, unknown = set(names) - set(table.columns), set(table.columns) - set(names)
+        if missing or unknown:
+            wrong = f"lacks {sorted(missing)[0]!r}" if missing else f"has {sorted(unknown)[0]!r}, unknown to the fit"
+            raise ArgumentError(f"covariates {wrong}; give the columns of the fit: {', '.join(names)}")
+        table = table.loc[:, names]
+    if all(isinstance(kind, np.dtype) and kind.kind in "biuf" for kind in table.dtypes):
+        return np.ascontiguousarray(table.to_numpy(dtype=np.float64))
+    columns = []
+    for name in table.columns:
+        try:
+            columns.append(np.asarray(table[name].astype("float64")))
+        except (TypeError, ValueError) as error:
+            raise ArgumentError(
+                f"covariates, {name}: not made of numbers ({error}); encode its categories as numbers"
+            ) from error
+    return np.stack(columns, axis=1) if columns else np.empty((len(table), 0))
+
+
+def _refuse_missing(values: Float[np.ndarray, "n p"], names: list[str]) -> None:
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        row, column = wrong[0]
+        raise ArgumentError(
+            f"covariates, row {row}, {names[column]}: {values[row, column]} is no value; fill it in, or leave the "
+            "trajectory out knowingly"
+        )

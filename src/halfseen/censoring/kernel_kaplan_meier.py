@@ -1,4 +1,8 @@
-"""Kaplan–Meier in a neighbourhood: Beran's conditional product-limit estimate for the censoring time C (design, §2).
+"""How wide a neighbourhood should be, by cross-validation: the likelihood of trajectories that were held out.
+
+The local product-limit curve itself, for many questions at once in bounded memory.
+
+Kaplan–Meier in a neighbourhood: Beran's conditional product-limit estimate for the censoring time C (design, §2).
 
 ========  ==============================================================================================
 symbol    here
@@ -11,19 +15,187 @@ s         ``times_``: the distinct times at which trajectories were cut [s]
 ========  ==============================================================================================
 """
 
+from collections.abc import Iterator
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from halfseen.censoring.bandwidth import BANDWIDTHS, cross_validated
-from halfseen.censoring.covariates import checked_covariates, checked_question, refuse_constant
-from halfseen.censoring.inputs import checked_ends
-from halfseen.censoring.local_curve import KERNELS, LocalCurve
+from halfseen.arrays import RowMask, Rows
+from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
+from halfseen.censoring.partial_likelihood import CutOrder, cut_order
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
+
+# In standard deviations; at infinity the covariates say nothing.
+BANDWIDTHS = (0.1, 0.18, 0.32, 0.56, 1.0, 1.8, 3.2, np.inf)
+NUM_BINS = 10
+# Held-out trajectories that are asked about, at most: enough to choose among eight widths.
+MAX_QUESTIONS = 1000
+# Proportion of each forecast that is spread uniformly, so that one improbable cut does not decide alone.
+UNIFORM_PROPORTION = 0.01
+
+
+def cross_validated(
+    ends: Rows,
+    finished: RowMask,
+    covariates: Float[np.ndarray, "n p"],
+    kernel: str,
+    num_folds: int,
+    rng: np.random.Generator,
+) -> dict[float, float]:
+    """Mean log-likelihood of a held-out trajectory for each of `BANDWIDTHS`.
+
+    The cut times are coarsened to ten bins (t_b, t_{b+1}] between their quantiles. A trajectory cut in bin b has
+    likelihood Ĝ(t_b) − Ĝ(t_{b+1}) given its covariates, and a trajectory that finished at x has Ĝ(x⁻): the cut comes no
+    sooner. Where cut and finish are independent given the covariates, this is a proper score, and needs no weights.
+
+    Parameters
+    ----------
+    ends
+        Observed end of each trajectory [s].
+    finished
+        False where cut; some trajectory is.
+    covariates
+        Standardised covariates.
+    kernel
+        One of `KERNELS`.
+    num_folds
+        Folds; each is foretold from the others.
+    rng
+        Deals the trajectories to folds, and draws those that are asked about where there are more than `MAX_QUESTIONS`.
+    """
+    fold = rng.permutation(np.arange(len(ends)) % num_folds)
+    asked = np.zeros(len(ends), dtype=bool)
+    asked[rng.permutation(len(ends))[:MAX_QUESTIONS]] = True
+    edges = _edges(ends[~finished])
+    totals = dict.fromkeys(BANDWIDTHS, 0.0)
+    for held_out in range(num_folds):
+        train, test = fold != held_out, (fold == held_out) & asked
+        curve = LocalCurve.of_trajectories(ends[train], finished[train], covariates[train])
+        u = np.column_stack([np.tile(np.nextafter(edges, np.inf), (test.sum(), 1)), ends[test]])
+        for width in BANDWIDTHS:
+            seen = curve.survival(u, covariates[test], width, kernel)
+            totals[width] += _log_likelihood(seen[:, :-1], seen[:, -1], ends[test], finished[test], edges)
+    return {width: total / int(asked.sum()) for width, total in totals.items()}
+
+
+def _edges(cut_ends: Rows) -> Float[np.ndarray, " e"]:
+    """Right ends of the bins [s]; the last is open, and holds the last cut."""
+    inner = np.quantile(cut_ends, np.arange(1, NUM_BINS) / NUM_BINS, method="inverted_cdf")
+    return np.unique(inner)
+
+
+def _log_likelihood(
+    after_edges: Float[np.ndarray, "m e"], at_end: Rows, ends: Rows, finished: RowMask, edges: Float[np.ndarray, " e"]
+) -> float:
+    """Sum over trajectories; a forecast that does not exist counts as the even one alone."""
+    num_bins = len(edges) + 1
+    one, none = np.ones((len(ends), 1)), np.zeros((len(ends), 1))
+    levels = np.concatenate([one, after_edges, none], axis=1)
+    mine = np.searchsorted(edges, ends, side="left")
+    rows = np.arange(len(ends))
+    forecast = np.where(finished, at_end, levels[rows, mine] - levels[rows, mine + 1])
+    even = np.where(finished, (num_bins - mine) / num_bins, 1.0 / num_bins)
+    forecast = np.where(np.isnan(forecast), 0.0, forecast)
+    return float(np.log((1.0 - UNIFORM_PROPORTION) * forecast + UNIFORM_PROPORTION * even).sum())
+
+
+# Floats in one block of questions × trajectories: 32 MB.
+BLOCK_SIZE = 4_000_000
+# Beyond this many bandwidths a trajectory says nothing: exp(−8²/2) is 1e-14.
+GAUSSIAN_REACH = 8.0
+
+
+def _gaussian(squared: np.ndarray) -> np.ndarray:
+    return np.where(squared <= GAUSSIAN_REACH**2, np.exp(-squared / 2), 0.0)
+
+
+def _epanechnikov(squared: np.ndarray) -> np.ndarray:
+    return np.maximum(1.0 - squared, 0.0)
+
+
+KERNELS = {"gaussian": _gaussian, "epanechnikov": _epanechnikov}
+
+
+@dataclass(frozen=True)
+class LocalCurve:
+    """Trajectories in the order in which they leave.
+
+    Parameters
+    ----------
+    covariates
+        Standardised covariates of the trajectories, in that order.
+    trajectories
+        The order, and where the cuts stand in it.
+    """
+
+    covariates: Float[np.ndarray, "n p"]
+    trajectories: CutOrder
+
+    @classmethod
+    def of_trajectories(cls, ends: Rows, finished: RowMask, covariates: Float[np.ndarray, "n p"]) -> "LocalCurve":
+        """Sort trajectories by their ends [s], finishes before cuts at equal times."""
+        trajectories = cut_order(ends, finished)
+        return cls(covariates[trajectories.order], trajectories)
+
+    @property
+    def times(self) -> Float[np.ndarray, " k"]:
+        """Distinct times at which trajectories were cut [s]."""
+        return self.trajectories.times
+
+    def survival(
+        self, u: Float[np.ndarray, "m q"], covariates: Float[np.ndarray, "m p"], bandwidth: float, kernel: str
+    ) -> Float[np.ndarray, "m q"]:
+        """Ĝ(u⁻ | z), NaN where nobody near z was watched at some cut before u.
+
+        Parameters
+        ----------
+        u
+            Times asked about [s], a row of them for each question.
+        covariates
+            Standardised covariates of the questions.
+        bandwidth
+            In standard deviations.
+        kernel
+            One of `KERNELS`.
+        """
+        distinct, question = np.unique(covariates, axis=0, return_inverse=True)
+        question = question.reshape(-1)
+        step = np.searchsorted(self.times, u, side="left")
+        seen = np.ones(u.shape)
+        rows = np.argsort(question, kind="stable")
+        bounds = np.searchsorted(question[rows], np.arange(len(distinct) + 1))
+        for block in _blocks(len(distinct), len(self.covariates)):
+            levels = self._levels(distinct[block], bandwidth, kernel)
+            mine = rows[bounds[block.start] : bounds[block.stop]]
+            seen[mine] = levels[question[mine, None] - block.start, step[mine]]
+        return seen
+
+    def _levels(self, covariates: Float[np.ndarray, "b p"], bandwidth: float, kernel: str) -> Float[np.ndarray, "b K"]:
+        """Ĝ before the first cut and after each, one row for each question."""
+        trajectories = self.trajectories
+        ones = np.ones((len(covariates), 1))
+        if len(trajectories.times) == 0:
+            return ones
+        from scipy.spatial.distance import cdist
+
+        with np.errstate(over="ignore"):
+            near = KERNELS[kernel](np.square(cdist(covariates, self.covariates) / bandwidth))
+        # One column more: nobody is left after the last trajectory.
+        watched = np.pad(np.cumsum(near[:, ::-1], axis=1)[:, ::-1], ((0, 0), (0, 1)))
+        before, after = watched[:, trajectories.first], watched[:, trajectories.first + trajectories.num_cuts]
+        stays = np.divide(after, before, out=np.full(before.shape, np.nan), where=before > 0)
+        return np.concatenate([ones, np.cumprod(stays, axis=1)], axis=1)
+
+
+def _blocks(num_questions: int, num_trajectories: int) -> Iterator[slice]:
+    size = max(1, BLOCK_SIZE // max(1, num_trajectories))
+    for start in range(0, num_questions, size):
+        yield slice(start, min(start + size, num_questions))
 
 
 class KernelKaplanMeier(Estimator):

@@ -1,10 +1,16 @@
-"""What a censoring model is: anything that, once fitted to the ends of trajectories, tells P(C ≥ u | z)."""
+"""What a censoring model is: what tells P(C ≥ u | z), once fitted to the ends of trajectories; and models by name."""
 
+from copy import deepcopy
+from types import NoneType
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from halfseen.censoring.cox import Cox
+from halfseen.censoring.kaplan_meier import KaplanMeier
+from halfseen.censoring.kernel_kaplan_meier import KernelKaplanMeier
+from halfseen.errors import ArgumentError
 from halfseen.shapes import Float
 
 
@@ -63,3 +69,55 @@ def is_fitted(model: Any) -> bool:
 def uses_covariates(model: CensoringModel) -> bool:
     """Tell whether a model conditions on covariates; a model that does not say so does not."""
     return bool(getattr(model, "uses_covariates", False))
+
+
+MODELS = {"kaplan-meier": KaplanMeier, "cox": Cox, "kernel": KernelKaplanMeier}
+CENSORING_NAMES = tuple(MODELS)
+"""Names that `named_model` takes."""
+
+
+def named_model(censoring: str | CensoringModel) -> CensoringModel:
+    """Make a model of one's own to fit.
+
+    Parameters
+    ----------
+    censoring
+        ``"kaplan-meier"``, ``"cox"`` or ``"kernel"``; or a model, which is copied, with what it was fitted to.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such name, or the object is no model.
+    """
+    if isinstance(censoring, str) and censoring in MODELS:
+        return MODELS[censoring]()
+    if isinstance(censoring, (str, type)) or not isinstance(censoring, CensoringModel):
+        names = ", ".join(repr(name) for name in MODELS)
+        raise ArgumentError(f"censoring is {censoring!r}; it is {names}, or a model with fit and survival")
+    return deepcopy(censoring)
+
+
+def fitted_model(
+    model: str | CensoringModel | None, time: ArrayLike, is_finished: ArrayLike, covariates: Any
+) -> CensoringModel:
+    """Take a fitted model as it is; fit a name, or a copy of an unfitted model, to these trajectories.
+
+    Parameters
+    ----------
+    model
+        A name, a model, or None for Kaplan–Meier.
+    time
+        Observed end of each trajectory [s], shape (n,).
+    is_finished
+        False where the trajectory was cut, shape (n,).
+    covariates
+        One row for each trajectory, or None.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such model, or it cannot be fitted.
+    """
+    if not isinstance(model, (str, type, NoneType)) and is_fitted(model):
+        return model
+    return named_model("kaplan-meier" if model is None else model).fit(time, is_finished, covariates)

@@ -6,13 +6,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
-from halfseen.censoring.diagnostics import weight_diagnostics
 from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation
-from halfseen.censoring.model import CensoringModel
-from halfseen.censoring.named import fitted_model
-from halfseen.censoring.positivity_facts import PositivityFacts, Truncation, WeightedTrajectory
-from halfseen.censoring.positivity_text import text
-from halfseen.censoring.weights import refuse_improbable, survival_of_rows, trajectory_names
+from halfseen.censoring.model import CensoringModel, fitted_model
+from halfseen.censoring.positivity_facts import PositivityFacts, Truncation, WeightedTrajectory, text
+from halfseen.censoring.weights import refuse_improbable, survival_of_rows, trajectory_names, weight_diagnostics
 from halfseen.errors import ArgumentError
 from halfseen.shapes import Float
 

@@ -1,6 +1,7 @@
 """The positivity report as a figure: weights over time, and what bounding them would change."""
 
 import textwrap
+from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -8,9 +9,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from halfseen.censoring.diagnostics import FEWEST_EFFECTIVE
-from halfseen.censoring.positivity_facts import PositivityFacts
-from halfseen.censoring.positivity_text import verdict
+from halfseen.censoring.positivity_facts import PositivityFacts, verdict
+from halfseen.censoring.weights import FEWEST_EFFECTIVE
 
 INK, FAINT, TAIL_COLOUR = "#222222", "#8a8a8a", "#f3e3d3"
 # Okabe and Ito (2008).
@@ -33,9 +33,7 @@ def draw(facts: PositivityFacts) -> Figure:
     figure.legend(loc="outside lower left", ncols=4, fontsize=8.5, frameon=False)
     _draw_means(mean, facts)
     _draw_size(sizes, facts)
-    for axes in (weights, mean, sizes):
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.tick_params(labelsize=8.5)
+    _trim((weights, mean, sizes), 8.5)
     return figure
 
 
@@ -47,9 +45,14 @@ def draw_panel(facts: PositivityFacts, panel: str) -> Figure:
     {"weights": _draw_weights, "means": _draw_means, "sizes": _draw_size}[panel](axes, facts, PANEL_TITLE_CHARS)
     if axes.get_legend_handles_labels()[0]:
         figure.legend(loc="outside lower left", ncols=1, fontsize=9.0, frameon=False)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=9.0)
+    _trim((axes,), 9.0)
     return figure
+
+
+def _trim(panels: Sequence[Axes], size: float) -> None:
+    for axes in panels:
+        axes.spines[["top", "right"]].set_visible(False)
+        axes.tick_params(labelsize=size)
 
 
 def _draw_weights(axes: Axes, facts: PositivityFacts, title_chars: int = 66) -> None:
@@ -122,14 +125,8 @@ def _draw_size(axes: Axes, facts: PositivityFacts, title_chars: int = 42) -> Non
     for bound, size, row in zip(bounds, sizes, rows, strict=True):
         if row.share_removed is None:
             continue
-        axes.annotate(
-            f"{row.share_removed:.0%}",
-            (bound, size),
-            xytext=(4, 4),
-            textcoords="offset points",
-            ha="left",
-            fontsize=8.5,
-        )
+        removed = f"{row.share_removed:.0%}"
+        axes.annotate(removed, (bound, size), xytext=(4, 4), textcoords="offset points", ha="left", fontsize=8.5)
     axes.set_ylim(0, 1.15 * max(*sizes, FEWEST_EFFECTIVE, facts.num_finished))
     axes.text(bounds[-1], FEWEST_EFFECTIVE, "below 10: too few", ha="left", va="bottom", fontsize=8.5, color=CUT_INK)
     _bound_axis(axes, bounds)

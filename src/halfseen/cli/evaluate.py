@@ -107,7 +107,7 @@ def _by_logs(
         from halfseen.errors import HalfseenWarning
         from halfseen.evaluation import evaluate as evaluated
         from halfseen.evaluation.kept import earned_here, kept_promise
-        from halfseen.evaluation.stored_model import specification_of
+        from halfseen.evaluation.specification import specification_of
         from halfseen.logs import read_logs
         from halfseen.policies.folder import log_digest
 

@@ -161,7 +161,7 @@ def learn(
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as caught:
         from halfseen.errors import HalfseenWarning
-        from halfseen.learning.caution import more_cautious_learner
+        from halfseen.learning.flat_policy import more_cautious_learner
         from halfseen.logs.stream import opened, parts_of
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.json_values import plain

@@ -1,9 +1,10 @@
 """The value of a policy before it runs: off-policy evaluation on logs of which trajectories were right-censored.
 
-Read it down: `targets` (what the policy would do) → `propensity` (what the logging policy did) → `ratios` (what each
-trajectory stands for) → `fitted_q` (Q of the policy) → `doubly_robust` → `opponents` (what it is compared with),
-`logging_rule` (among them: the logging policy without its exploration) → `comparison` → `verdict`; `off_policy` puts
-them together, and `held_out` judges a way of learning by the log that was learned from.
+Read it down: `targets` (what the policy would do) → `weights` (what each trajectory stands for, by what the logging
+policy did) → `cross_fitting` (Q of the policy and the doubly robust value) → `problem` (one log, one policy) →
+`opponents` (what it is compared with), `logging_rule` (among them: the logging policy without its exploration) →
+`comparison` → `verdict`; `off_policy` puts them together, and `held_out` judges a way of learning by the log that was
+learned from.
 """
 
 from typing import TYPE_CHECKING
@@ -40,7 +41,7 @@ __getattr__ = lazy_names(
         "FixedSequence": "targets",
         "HeldOutVerdict": "held_out",
         "Opponent": "opponents",
-        "QSpec": "off_policy",
+        "QSpec": "specification",
         "evaluate": "off_policy",
         "held_out_verdict": "held_out",
     },

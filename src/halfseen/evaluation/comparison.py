@@ -10,18 +10,22 @@ true nulls one may look false by chance. Those verdicts rest on p-values that ar
 [Hochberg1988]_: its first step is that very test, so the two cannot contradict each other. For two opponents
 it holds whatever the correlation of two normal differences; for more it needs one that is not negative, and the luck of
 the policy, which all differences share, makes for that.
+
+A mean as a multiple of another to which the same trajectories add, with its interval by the delta method.
+
+With φ_i and ψ_i what trajectory i adds to the two, and r = φ̄/ψ̄, what it adds to the quotient is r + (φ_i − r ψ_i)/ψ̄:
+a paired difference, so that what moves both (the luck of a trajectory) moves the quotient little. The jackknife
+divides, too.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from halfseen.evaluation.estimate import Estimate, estimate_of, within
-from halfseen.evaluation.possible import Possible
-from halfseen.evaluation.sensitivity import undone_at
-from halfseen.evaluation.verdict import Needed, Verdict, needed, verdict_of
+from halfseen.evaluation.estimate import Estimate, Possible, estimate_of, within
+from halfseen.evaluation.verdict import Needed, Verdict, needed, undone_at, verdict_of
 from halfseen.shapes import Float
 
 WRONG_BY = 0.5
@@ -157,15 +161,19 @@ def compared(
     unit
         What rewards are counted in; None if nobody has said.
     """
-    differences = [_difference(ours, each, level) for each in theirs]
-    p = [_believed_p(ours, each, difference) for each, difference in zip(theirs, differences, strict=True)]
+    unknown = [ours.values is None or each.values is None for each in theirs]
+    differences = [None if no else ours.less(each, level) for each, no in zip(theirs, unknown, strict=True)]
+    p = [
+        None if one is None or ours.why_unknown or each.why_unknown else one.p_value
+        for each, one in zip(theirs, differences, strict=True)
+    ]
     adjusted = iter(hochberg(np.array([each for each in p if each is not None])))
     adjusted_p = [None if each is None else float(next(adjusted)) for each in p]
     found = [_comparison(ours, *each, level, unit) for each in zip(theirs, differences, p, adjusted_p, strict=True)]
     if excess is None or not excess.any():
         return tuple(found)
-    gammas = [_gamma(one, ours, each, excess) for one, each in zip(found, theirs, strict=True)]
-    return tuple(replace(one, gamma=gamma) for one, gamma in zip(found, gammas, strict=True))
+    each = zip(found, theirs, strict=True)
+    return tuple(replace(one, gamma=_gamma(one, ours, opponent, excess)) for one, opponent in each)
 
 
 def _gamma(found: Comparison, ours: Contender, opponent: Contender, excess: Float[np.ndarray, "n T"]) -> float | None:
@@ -175,15 +183,6 @@ def _gamma(found: Comparison, ours: Contender, opponent: Contender, excess: Floa
     if found.verdict == "cannot be said" or found.difference.standard_error == 0.0:
         return None
     return undone_at(found.difference, excess, ours.errors - opponent.errors)
-
-
-def _difference(ours: Contender, opponent: Contender, level: float) -> Estimate | None:
-    return None if ours.values is None or opponent.values is None else ours.less(opponent, level)
-
-
-def _believed_p(ours: Contender, opponent: Contender, difference: Estimate | None) -> float | None:
-    is_unknown = difference is None or ours.why_unknown or opponent.why_unknown
-    return None if difference is None or is_unknown else difference.p_value
 
 
 def _comparison(
@@ -197,7 +196,9 @@ def _comparison(
 ) -> Comparison:
     more = None
     if difference is not None:
-        more = needed(difference, _by_model(ours, opponent, difference), level, ours.alike_less(opponent))
+        # The difference that Q alone says, where there is a Q of both.
+        gain = ours.by_model - opponent.by_model
+        more = needed(difference, gain if np.isfinite(gain) else difference.value, level, ours.alike_less(opponent))
     if difference is None or adjusted_p is None:
         why = ours.why_unknown or opponent.why_unknown
         verdict, reason = "cannot be said", why or f"nothing is known of what {opponent.name} earns"
@@ -205,12 +206,6 @@ def _comparison(
         verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level, unit, more)
     value = None if opponent.values is None else opponent.estimate(level)
     return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason, needed=more)
-
-
-def _by_model(ours: Contender, opponent: Contender, difference: Estimate) -> float:
-    """The difference that Q alone says, where there is a Q of both."""
-    found = ours.by_model - opponent.by_model
-    return found if np.isfinite(found) else difference.value
 
 
 def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
@@ -251,3 +246,37 @@ def joint_reason(comparisons: Sequence[Comparison]) -> str:
 def _more(comparison: Comparison) -> str:
     assert comparison.difference is not None
     return f"{comparison.difference.value:.3g} more"
+
+
+def share_of(policy: Contender, today: Contender, level: float) -> Estimate | None:
+    """What a policy earns as a multiple of what another does; both meet the same mistake of what stands for cuts.
+
+    None where the other's interval holds 0, or what it earns is not above 0.
+    """
+    return _quotient(policy, today, level, lambda share: abs(policy.uncorrected - share * today.uncorrected))
+
+
+def rate_of(earned: Contender, took: Contender, level: float) -> Estimate | None:
+    """What is earned for each unit of what it took; two regressions stand for cuts, and may both be wrong.
+
+    None where nobody knows that it took anything.
+    """
+    return _quotient(earned, took, level, lambda rate: abs(earned.uncorrected) + abs(rate * took.uncorrected))
+
+
+def _quotient(
+    above: Contender, below: Contender, level: float, uncorrected_at: Callable[[float], float]
+) -> Estimate | None:
+    if above.values is None or below.values is None:
+        return None
+    lower = below.estimate(level)
+    if not lower.low > 0.0:
+        return None
+    quotient = float(above.values.mean()) / lower.value
+    influence = quotient + (above.values - quotient * below.values) / lower.value
+    size = min(above.effective_sample_size, below.effective_sample_size)
+    truncated = above.truncated + abs(quotient) * below.truncated
+    bias, without = WRONG_BY * (uncorrected_at(quotient) + truncated) / lower.value, None
+    if above.without is not None and below.without is not None and (below.without > 0.0).all():
+        without = above.without / below.without
+    return estimate_of(influence, size, level, without, bias)

@@ -1,14 +1,110 @@
-"""What is known of a policy from a log: three estimates, what its opponents earn, and a verdict."""
+"""What a policy earns in an hour of the clock: its mean reward by the mean duration of a trajectory.
+
+The mean duration is estimated just as the reward is, with the durations of completed stages for rewards. A cell that
+takes part after part earns this in the long run (renewal reward), as long as nothing passes between two trajectories.
+
+What is known of a policy from a log: three estimates, what its opponents earn, and a verdict.
+
+What can be claimed of a policy, what is guessed, and how long a log would decide, in plain words.
+"""
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, NamedTuple
 
-from halfseen.evaluation.comparison import Comparison
+import numpy as np
+
+from halfseen.evaluation.comparison import Comparison, Contender, deciding, rate_of
 from halfseen.evaluation.estimate import Estimate
-from halfseen.evaluation.per_hour import PerHour
-from halfseen.evaluation.sensitivity import in_words
-from halfseen.evaluation.verdict import Verdict
+from halfseen.evaluation.problem import Problem, logging_contribution
+from halfseen.evaluation.verdict import Needed, Verdict, in_words
+from halfseen.learning.rows import TrajectoryArrays
+
+SECONDS = 3600.0
+STILL_S = 1e-6
+"""A stage that takes no longer took no time [s]."""
+SAME_TIME = 1e-9
+"""Of the longest stage: what clocks that count differ by at most."""
+
+
+class Rate(NamedTuple):
+    """What a policy earns in an hour, and how long its trajectories take."""
+
+    per_hour: Estimate
+    """Mean reward by mean duration [reward/h]."""
+    duration_s: Estimate
+    """Mean duration of a trajectory, had nothing been cut [s]."""
+
+
+@dataclass(frozen=True)
+class PerHour:
+    """What the policy and the logging policy earn in an hour.
+
+    Parameters
+    ----------
+    policy, logging
+        None where that is not known.
+    why_unknown
+        Why, in plain words; None where both are known.
+    """
+
+    policy: Rate | None = None
+    logging: Rate | None = None
+    why_unknown: str | None = None
+
+
+def per_hour(problem: Problem, policy: Contender, logging: Contender, level: float) -> PerHour:
+    """Work out what a policy earns in an hour, and what the logging policy does.
+
+    Parameters
+    ----------
+    problem
+        The log, with the policy.
+    policy, logging
+        What trajectories add to the rewards of the two.
+    level
+        Of the intervals.
+    """
+    why = why_no_rate(problem.trajectories)
+    if why is not None:
+        return PerHour(why_unknown=why)
+    timed = with_durations(problem)
+    ours = timed.contribution(timed.judged(timed.nuisances[:-1]))
+    own = logging_contribution(timed)
+    rates = _rate(policy, ours, level), _rate(logging, own, level)
+    is_known = None not in rates
+    return PerHour(*rates, None if is_known else "how long a trajectory takes is known too little")
+
+
+def _rate(earned: Contender, took: Contender, level: float) -> Rate | None:
+    rate = rate_of(earned, took, level)
+    if rate is None:
+        return None
+    scaled = {name: SECONDS * getattr(rate, name) for name in ("value", "low", "high", "standard_error", "bias")}
+    return Rate(replace(rate, **scaled), took.estimate(level))
+
+
+def with_durations(problem: Problem) -> Problem:
+    """The same log, with durations of completed stages for rewards."""
+    trajectories = problem.trajectories
+    took_s = np.where(trajectories.is_completed, trajectories.clocks.watched_s, 0.0)
+    # What is known of the noise of rewards says nothing of durations.
+    variates = problem.log.control_variates
+    still = None if variates is None else np.zeros_like(variates)
+    log = problem.log._replace(reward=took_s, control_variates=still)
+    return problem._replace(trajectories=trajectories._replace(reward=took_s), log=log)
+
+
+def why_no_rate(trajectories: TrajectoryArrays) -> str | None:
+    """Say why the clock of a log tells no hours; None if it does."""
+    took_s, reward = (each[trajectories.is_completed] for each in (trajectories.clocks.watched_s, trajectories.reward))
+    if not len(took_s) or np.median(took_s) <= STILL_S:
+        return "stages take no time on the clock of these logs"
+    if len(took_s) > 1 and np.ptp(took_s) <= SAME_TIME * took_s.max():
+        return "all stages take the same time, so the clock of these logs seems to count stages"
+    if np.allclose(reward * took_s.sum(), took_s * reward.sum(), rtol=1e-6, atol=0.0):
+        return "the reward of a stage is its duration, in whatever unit"
+    return None
 
 
 @dataclass(frozen=True)
@@ -120,3 +216,41 @@ def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
         )
         for row in rows
     ]
+
+
+def claim_of(found: Evaluation) -> str:
+    """The least that a policy earns more than each of its opponents."""
+    if found.verdict != "better":
+        return "nothing; no policy on the way from what the log does to the best guess is surely better"
+    opponent = deciding(found.comparisons).opponent
+    return f"at least {found.difference.low:.3g}{_unit(found)} more a trajectory than {opponent}"
+
+
+def guess_of(found: Evaluation) -> str:
+    """What a policy earns more than the opponent that is hardest to beat, and what is still to be recorded."""
+    main = deciding(found.comparisons)
+    if main.difference is None or main.p is None:
+        return f"unknown; {main.reason}"
+    gain = main.difference.value
+    told = f"{abs(gain):.3g}{_unit(found)} {'more' if gain > 0 else 'less'} a trajectory than {main.opponent}"
+    if found.verdict == "better":
+        return told
+    return f"{told}, not yet provable; {more_trajectories(main.needed, found.num_trajectories)}"
+
+
+def more_trajectories(needed: Needed | None, num_trajectories: int) -> str:
+    """How many more trajectories would decide."""
+    if needed is None or np.isinf(needed.times):
+        return "no log of a size that can be recorded would show so small a difference"
+
+    def more(times: float) -> str:
+        number = (times - 1.0) * num_trajectories
+        size = 10.0 ** max(np.floor(np.log10(max(number, 1.0))) - 1.0, 0.0)
+        return f"{np.ceil(number / size) * size:,.0f}"
+
+    most = more(needed.high) if np.isfinite(needed.high) else "many"
+    return f"about {more(needed.times)} more trajectories like these would decide ({more(needed.low)} to {most})"
+
+
+def _unit(found: Evaluation) -> str:
+    return f" {found.reward_unit}" if found.reward_unit else ""

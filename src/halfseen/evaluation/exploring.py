@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.evaluation.judge import Case
+from halfseen.evaluation.off_policy import Case
 from halfseen.evaluation.states import laid_out
 from halfseen.learning.covariates import is_numeric
 from halfseen.learning.named_task import NamedActions

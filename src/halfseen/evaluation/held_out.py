@@ -8,34 +8,104 @@ such a log*: the policy that was learned from all of it differs a little from ea
 better.
 
 A policy that holds margins is learned once and judged several times: as it is, the *best guess*, and with more caution.
-That for which most can be claimed is *vouched for* (`vouching`), and the verdict is on it.
+That for which most can be claimed is *vouched for* (`vouched`), and the verdict is on it.
+
+The lower bound of what was chosen for its large lower bound is too large, unless the bounds of all hold at once. The
+estimates of policies that mostly do the same go up and down together, so that costs little: with R the correlation of
+what trajectories add to the gain of each, the bounds are those of a level at which the largest of as many normal
+variables stays below its quantile (max-t [WestfallYoung1993]_).
+
+*Choosing by some folds and claiming by the others* (as in [Thomas2015]_, over all folds in turn) does not keep the
+level: of eight policies that are worth the same, a claim above 0 was made in 11 % of logs instead of 2.5 %, for where
+all folds choose alike nothing is held out.
 """
 
 import warnings
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from functools import partial
+from statistics import NormalDist
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
-from halfseen.evaluation.claims import claim_of, guess_of
+from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate
-from halfseen.evaluation.evaluation import Evaluation
+from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
 from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
-from halfseen.evaluation.stored_model import specification
+from halfseen.evaluation.specification import specification
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
-from halfseen.evaluation.vouching import vouched
-from halfseen.learning.caution import has_margin
+from halfseen.learning.flat_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
-from halfseen.shapes import Int
+from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Pool, Workers
 from halfseen.workers.threads import in_one_thread
+
+NUM_DRAWS = 20_000
+
+
+class Vouched(NamedTuple):
+    """The choice among some policies."""
+
+    chosen: int
+    level: float
+    """Of one interval, so that those of all hold at once as often as was asked for."""
+
+
+def vouched(candidates: Sequence[Contender], opponents: Sequence[Contender], level: float) -> Vouched:
+    """Choose among policies.
+
+    Parameters
+    ----------
+    candidates
+        What the log knows of each; the first is taken where nothing is known of any.
+    opponents
+        What each has to beat; those of which nothing is known do not count.
+    level
+        At which the intervals of all are to hold at once.
+    """
+    theirs = [each for each in opponents if each.values is not None and each.why_unknown is None]
+    known = [each.values for each in candidates if each.values is not None and each.why_unknown is None]
+    gains = [np.stack(known) - each.values for each in theirs if known]
+    # A claim is on all opponents, and wrong only if one of them is.
+    single = max((level_of_each(each, level) for each in gains), default=level)
+    return Vouched(int(np.argmax([_least(one, theirs, single) for one in candidates])), single)
+
+
+def level_of_each(gains: Float[np.ndarray, "c n"], level: float) -> float:
+    """Level of one interval, two-sided, so that the lower ends of all hold at once as often as those of one would.
+
+    Parameters
+    ----------
+    gains
+        What each trajectory adds to each gain.
+    level
+        Of one, if there were no others.
+    """
+    spread = gains.std(axis=1)
+    varied = gains[spread > 0] - gains[spread > 0].mean(axis=1, keepdims=True)
+    if len(varied) < 2:
+        return level
+    scaled = varied / spread[spread > 0][:, None]
+    values, vectors = np.linalg.eigh(scaled @ scaled.T / scaled.shape[1])
+    drawn = np.random.default_rng(0).standard_normal((NUM_DRAWS, len(values)))
+    largest = (drawn * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).max(axis=1)
+    within = NormalDist().cdf(float(np.quantile(largest, (1.0 + level) / 2.0)))
+    return max(level, 2.0 * within - 1.0)
+
+
+def _least(one: Contender, opponents: Sequence[Contender], level: float) -> float:
+    """The smallest lower bound of what it earns more than an opponent."""
+    if one.values is None or one.why_unknown is not None:
+        return -np.inf
+    return min((one.less(each, level).low for each in opponents), default=-np.inf)
+
 
 NUM_FOLDS = 5
 
@@ -80,11 +150,9 @@ class HeldOutVerdict:
     def of_best(self) -> "HeldOutVerdict":
         """The verdict on the policy as it was learned."""
         best = self.best
-        return (
-            self
-            if best is None
-            else replace(self, verdict=best.verdict, reason=best.reason, evaluation=best, caution=1.0)
-        )
+        if best is None:
+            return self
+        return replace(self, verdict=best.verdict, reason=best.reason, evaluation=best, caution=1.0)
 
     @property
     def claims(self) -> tuple[str, ...]:
@@ -211,27 +279,15 @@ def learn_by_folds(
     same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
     policies = []
-    for policy in pool.in_order(_Learning(same, logs, fold), range(num_folds)):
+    for policy in pool.in_order(partial(_learned_without, same, logs, fold), range(num_folds)):
         policies.append(policy)
         on_progress()
     return CrossFitted(tuple(policies), fold, learner.horizon)
 
 
-@dataclass(frozen=True)
-class _Learning:
-    """Learns the policy of a fold."""
-
-    learner: CensoredQLearner
-    logs: Logs
-    fold: Int[np.ndarray, " n"]
-
-    def __call__(self, k: int) -> Any:
-        return self.learner.unfitted().fit(self.logs.select(self.logs.trajectory_ids[_others(self.fold, k)])).policy_
-
-
-def _others(fold: Int[np.ndarray, " n"], k: int) -> Int[np.ndarray, " m"]:
-    """Trajectories outside a fold."""
-    return np.flatnonzero(fold != k)
+def _learned_without(learner: CensoredQLearner, logs: Logs, fold: Int[np.ndarray, " n"], k: int) -> Any:
+    """Policy from the trajectories outside a fold."""
+    return learner.unfitted().fit(logs.select(logs.trajectory_ids[fold != k])).policy_
 
 
 def _judged(
@@ -250,12 +306,12 @@ def _judged(
     with judging(
         policy,
         logs,
-        against=against,
-        censoring=spec.censoring,
-        q=spec.q,
-        propensity="logged" if is_logged else "estimated",
-        level=level,
-        random_state=learner.random_state,
+        against,
+        spec.censoring,
+        spec.q,
+        "logged" if is_logged else "estimated",
+        level,
+        learner.random_state,
         trust=trust,
         workers=workers,
     ) as judge:

@@ -92,13 +92,8 @@ def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool
         return ""
     error = float(np.hypot(promised["standard_error"], earned.standard_error))
     less = promised["value"] - earned.value
-    words = (
-        "as promised"
-        if abs(less) <= AS_PROMISED * error
-        else "less than promised"
-        if less > 0
-        else "more than promised"
-    )
+    words = "less than promised" if less > 0 else "more than promised"
+    words = "as promised" if abs(less) <= AS_PROMISED * error else words
     range_ = f"{promised['low']:.3g} to {promised['high']:.3g}"
     return f"Promised {promised['value']:.3g} a trajectory ({range_}); it {told}: {words}."
 

@@ -1,58 +1,229 @@
-"""From a policy and a log to an `Evaluation`."""
+"""From a policy and a log to an `Evaluation`.
 
-from collections.abc import Collection, Iterator
+A log may itself look untrue: probabilities that nobody had, covariates from after the action, cuts called ends. An
+estimate that rests on it is wrong however narrow its interval is. So nothing is called better or worse by it, unless
+whoever asks says that the log is to be trusted in this.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
-from halfseen.evaluation.doubts import doubt_of
-from halfseen.evaluation.estimate import check_level
-from halfseen.evaluation.evaluation import Evaluation
-from halfseen.evaluation.judge import Judge, judge_of
-from halfseen.evaluation.opponents import DEFAULT, opponents_of
-from halfseen.evaluation.problem import problem_of
-from halfseen.evaluation.propensity import Propensity, check_propensity
-from halfseen.evaluation.second_order import with_second_order
-from halfseen.evaluation.targets import horizon_of, is_alike, task_of
-from halfseen.learning.named_task import NamedActions
-from halfseen.learning.q_model import QModel
-from halfseen.learning.q_space import CrossValidation, QSpace, StageMode, q_space_of, reg_of, stage_mode_of
-from halfseen.learning.targets import DoublyRobust, Targets, Weighted, targets_of
+from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason, share_of
+from halfseen.evaluation.cross_fitting import jackknifed
+from halfseen.evaluation.estimate import around, check_level, estimate_of
+from halfseen.evaluation.evaluation import Evaluation, per_hour
+from halfseen.evaluation.logging_rule import logging_rule
+from halfseen.evaluation.opponents import DEFAULT, LOGGING, LOGGING_RULE, Opponent, opponent_probabilities, opponents_of
+from halfseen.evaluation.problem import Nuisances, Problem, following, logging_contribution, problem_of
+from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of
+from halfseen.evaluation.targets import target_probabilities, task_of
+from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
+from halfseen.evaluation.weights import Propensity, check_propensity
+from halfseen.learning.judging import Judged
+from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
+from halfseen.logs.plausibility import cuts_called_finished, leaks, outcomes_among_covariates, untrue_probabilities
 from halfseen.workers import ALONE, Workers
 from halfseen.workers.threads import in_one_thread
 
-LARGEST_WEIGHT = 10.0
-"""Bound of 1/Ĝ where a user has said nothing of cuts."""
-
-LITTLE_REG = 1e-3
-"""λ where a user has said nothing of Q. One that held-out stages choose suits those that are seen to end, and shrinks
-away what is to be said of those that are not; the bias that it leaves is in no interval."""
+PROBABILITIES, COVARIATES, ENDINGS = TRUST = ("probabilities", "covariates", "endings")
+"""What a log may be trusted in."""
 
 
-@dataclass(frozen=True)
-class QSpec:
-    """How Q of a policy is fitted for its evaluation.
+def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[str] = ()) -> str | None:
+    """Say why no verdict can rest on a log; None where nothing speaks against it.
 
     Parameters
     ----------
+    logs
+        The log.
     task
-        What is decided; None for what the policy says.
-    q_function, reg
-        As for `halfseen.learning.CensoredQLearner`.
-    stages
-        The same; None for pooled ones where stages are alike, as on tables, else separate.
+        What is decided; of covariates, those count that it looks at.
+    has_probability
+        Whether the logged probabilities are used.
+    trust
+        Of `TRUST`: what is not to be asked.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such thing to trust in.
+    """
+    unknown = [name for name in trust if name not in TRUST]
+    if unknown:
+        raise ArgumentError(f"trust is {unknown[0]!r}; a log may be trusted in {', '.join(TRUST)}")
+    looked_at = getattr(task, "covariates", ())
+    checks = {
+        PROBABILITIES: (untrue_probabilities(logs) if has_probability else ()),
+        COVARIATES: (*(leaks(logs, looked_at) if has_probability else ()), *outcomes_among_covariates(logs, looked_at)),
+        ENDINGS: cuts_called_finished(logs),
+    }
+    for name, found in checks.items():
+        first = next(iter(found), None) if name not in trust else None
+        if first is not None:
+            return f"the log cannot be true: {first} (or trust its {name}: --trust-{name})"
+    return None
+
+
+HISTORY_COUNTS = (
+    "what went before a stage foretells its outcome beyond the covariates, so trajectories are weighted as a whole; "
+    "record what they have in common as a covariate"
+)
+"""Said where states do not tell all."""
+
+
+class Case(NamedTuple):
+    """A policy, by what a log knows of it."""
+
+    problem: Problem
+    judged: Judged
+    contender: Contender
+
+
+@dataclass(frozen=True)
+class Judge:
+    """A log that is ready to judge policies that decide about the same, each beside the same opponents.
+
+    Parameters
+    ----------
+    problem
+        The log, and the first policy.
+    logs
+        The log as it was given.
+    own
+        What the logging policy earns.
+    opponents
+        What the log knows of each.
+    notes
+        How they were found.
+    level
+        Of the intervals.
+    doubt
+        Why no verdict can rest on the log; None where nothing speaks against it.
     """
 
-    task: Task | None = None
-    q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth"] | str = "linear"
-    stages: StageMode | str | None = None
-    reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
+    problem: Problem
+    logs: Logs
+    own: Contender
+    opponents: tuple[Contender, ...]
+    notes: tuple[str, ...]
+    level: float
+    doubt: str | None = None
+
+    def problem_of(self, policy: Any) -> Problem:
+        """The same log with another policy."""
+        given = self.problem
+        return following(given, target_probabilities(policy, given.logs, given.trajectories, given.model.task))
+
+    def case(self, problem: Problem) -> Case:
+        """Fit Q of a policy, and work out what each trajectory says of it."""
+        return _case("the policy", problem, problem.nuisances)
+
+    def evaluation(self, case: Case, is_hourly: bool = False, of_each: float | None = None) -> Evaluation:
+        """Compare a policy with the opponents.
+
+        Parameters
+        ----------
+        case
+            The policy.
+        is_hourly
+            Work out what is earned in an hour of the clock, too.
+        of_each
+            Level of each interval, where the policy was chosen among some and those of all are to hold at once.
+        """
+        ours, own, level, problem = case.contender, self.own, of_each or self.level, case.problem
+        compared_ = compared(ours, self.opponents, level, problem.excess, self.logs.reward_unit)
+        shares = [share_of(each, own, level) for each in self.opponents]
+        comparisons = tuple(replace(one, share=share) for one, share in zip(compared_, shares, strict=True))
+        main, completed = deciding(comparisons), problem.completed
+        num_trajectories = problem.trajectories.num_trajectories
+        by_ratio = estimate_of(completed.influence(problem.trajectories.reward), completed.effective_sample_size, level)
+        by_model = jackknifed(case.judged.value[..., 0], problem.fold)
+        found = Evaluation(
+            importance_sampling=by_ratio,
+            fitted_q=around(*by_model, num_trajectories, int(problem.fold.max()), level),
+            doubly_robust=ours.estimate(level),
+            logging=own.estimate(level),
+            difference=main.difference or ours.less(own, level),
+            verdict=main.verdict,
+            reason=joint_reason(comparisons),
+            support=tuple(map(float, problem.support)),
+            num_trajectories=num_trajectories,
+            level=self.level,
+            comparisons=comparisons,
+            notes=(*self.notes, HISTORY_COUNTS) if problem.has_history else self.notes,
+            reward_unit=self.logs.reward_unit,
+            share=share_of(ours, own, level),
+            per_hour=per_hour(problem, ours, own, level) if is_hourly else None,
+        )
+        return found if self.doubt is None else _undecided(found, self.doubt)
+
+
+def _undecided(found: Evaluation, doubt: str) -> Evaluation:
+    """The same numbers, by which nothing is called better or worse.
+
+    What cannot be said anyway keeps its own reason, and the doubt is noted.
+    """
+
+    def open_(one: Any) -> Any:
+        return one if one.verdict == "cannot be said" else replace(one, verdict="cannot be said", reason=doubt)
+
+    notes = (doubt, *found.notes) if found.verdict == "cannot be said" else found.notes
+    return replace(open_(found), comparisons=tuple(map(open_, found.comparisons)), notes=notes)
+
+
+def _contenders(
+    opponents: Sequence[Opponent], own: Contender, problem: Problem, logs: Logs, is_logged: bool, is_default: bool
+) -> tuple[tuple[Contender, ...], tuple[str, ...]]:
+    """What the log knows of each opponent, and how that was found.
+
+    Where nobody named the opponents, one that the log does not show is left out.
+    """
+    contenders, notes, task = [], [], problem.model.task
+    for name, policy in ((each.name, each.policy) for each in opponents):
+        if isinstance(policy, str) and policy == LOGGING:
+            contenders.append(own._replace(name=name))
+            continue
+        is_taken, unseen = None, None
+        if isinstance(policy, str) and policy == LOGGING_RULE:
+            rule = logging_rule(problem.logs, problem.trajectories, task, problem.fold, is_logged)
+            notes.append(f"{name}: {rule if isinstance(rule, str) else rule.note}")
+            if isinstance(rule, str):
+                contenders += [] if is_default else [Contender(name, why_unknown=rule)]
+                continue
+            probabilities, is_taken = rule.probabilities, rule.is_taken
+        else:
+            probabilities = opponent_probabilities(policy, name, logs, problem.trajectories, task)
+            unseen = probabilities if isinstance(probabilities, str) else None
+        if isinstance(probabilities, str):
+            contenders.append(Contender(name, why_unknown=why_unknown(name, problem.support, 0.0, unseen)))
+        else:
+            theirs = following(problem, probabilities, is_taken)
+            contenders.append(_case(name, theirs, theirs.nuisances[:-1]).contender)
+    return tuple(contenders), tuple(notes)
+
+
+def _case(name: str, problem: Problem, nuisances: Sequence[Nuisances]) -> Case:
+    judged = problem.judged(nuisances)
+    settled = problem.settled(judged)
+    found = settled.contribution(judged, name)
+    why = why_unknown(
+        name,
+        settled.support,
+        found.effective_sample_size,
+        settled.unseen,
+        settled.trajectories.num_trajectories,
+        settled.trajectories_for_one,
+        FEWEST_TRAJECTORIES if settled.marginal is None else FEWEST_BY_STATES,
+    )
+    return Case(settled, judged, found._replace(why_unknown=why))
 
 
 @in_one_thread
@@ -103,7 +274,7 @@ def evaluate(
     is_hourly
         Work out what is earned in an hour of the clock, too.
     trust
-        In what the log is trusted, though it looks untrue (`halfseen.evaluation.doubts.TRUST`): without that its
+        In what the log is trusted, though it looks untrue (`halfseen.evaluation.off_policy.TRUST`): without that its
         verdict is "cannot be said".
     workers
         Who fits Q without each fold; they begin once a fit takes long. The answer is the same.
@@ -118,17 +289,7 @@ def evaluate(
         A weight is not identified.
     """
     with judging(
-        policy,
-        logs,
-        against=against,
-        censoring=censoring,
-        q=q,
-        propensity=propensity,
-        level=level,
-        random_state=random_state,
-        num_folds=num_folds,
-        trust=trust,
-        workers=workers,
+        policy, logs, against, censoring, q, propensity, level, random_state, num_folds, trust, workers
     ) as judge:
         return judge.evaluation(judge.case(judge.problem), is_hourly)
 
@@ -137,7 +298,6 @@ def evaluate(
 def judging(
     policy: Any,
     logs: Logs,
-    *,
     against: Any = None,
     censoring: Targets | CensoringModel | str | None = None,
     q: QSpec | None = None,
@@ -157,49 +317,15 @@ def judging(
         raise ArgumentError(
             f"the log has {logs.num_trajectories} trajectories, and {num_folds} folds need {2 * num_folds}; record more"
         )
-    is_logged = propensity == "logged"
-    opponents = opponents_of(DEFAULT if against is None else against, logs)
+    is_logged, is_default = propensity == "logged", against is None
+    opponents = opponents_of(DEFAULT if is_default else against, logs)
     spec, widened = default_q(policy, logs) if q is None else (q, logs)
     targets = default_targets(logs) if censoring is None else targets_of(censoring)
     model = q_model_of(policy, widened, targets, spec, random_state)
     doubt = doubt_of(logs, task_of(policy, logs) if spec.task is None else spec.task, is_logged, trust)
     problem = problem_of(policy, widened, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
     with workers.ready_if_worth() as pool:
-        shared = problem._replace(pool=pool)
-        yield judge_of(shared, logs, opponents, level, doubt, has_probability=is_logged, is_default=against is None)
-
-
-def default_targets(logs: Logs) -> Targets:
-    """Doubly robust where the log has all actions, by Cox on the clock of stages, with weights truncated; else weights.
-
-    Cuts may depend on all that a trajectory has shown so far, and on how long its stage drags on. Where a stage is
-    hardly ever seen to end, no weight is believed beyond `LARGEST_WEIGHT`; there the regression of cut stages has to
-    serve.
-    """
-    if logs.stages["action"].isna().to_numpy().any():
-        return Weighted()
-    return DoublyRobust("cox", by="pooled", truncate_at=LARGEST_WEIGHT)
-
-
-def default_q(policy: Any, logs: Logs) -> tuple[QSpec, Logs]:
-    """Q of named actions is one for all stages, given the stage and second-order terms, which the log then has."""
-    task = task_of(policy, logs)
-    if not isinstance(task, NamedActions):
-        return QSpec(task), logs
-    task, logs = with_second_order(task, logs)
-    return QSpec(task, stages="pooled", reg=LITTLE_REG), logs
-
-
-def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state: int = 0) -> QModel:
-    """Compose how Q of a policy is fitted to a log."""
-    task = task_of(policy, logs) if q.task is None else q.task
-    by_task = "pooled" if is_alike(task) else "separate"
-    return QModel(
-        horizon=horizon_of(policy, logs.horizon),
-        task=task,
-        targets=targets,
-        space=q_space_of(q.q_function),
-        reg=reg_of(q.reg),
-        stages=stage_mode_of(by_task if q.stages is None else q.stages),
-        random_state=random_state,
-    )
+        problem = problem._replace(pool=pool)
+        own = logging_contribution(problem, LOGGING)
+        theirs, notes = _contenders(opponents, own, problem, logs, is_logged, is_default)
+        yield Judge(problem, logs, own, theirs, notes, level, doubt)

@@ -1,29 +1,37 @@
-"""A log, a policy that is to be judged by it, and all that is fitted before Q: what each trajectory adds to a value."""
+"""A log, a policy that is judged by it, and all that is fitted before Q: what each trajectory adds to a value."""
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.evaluation.cross_fitting import Nuisances, nuisances_by_folds, nuisances_of
-from halfseen.evaluation.doubly_robust import cross_fitted
-from halfseen.evaluation.fitted_q import judged_by_folds
-from halfseen.evaluation.history import CLEARLY, history_deviate
-from halfseen.evaluation.marginal import Marginal, marginal_weights
-from halfseen.evaluation.possible import Possible, possible
-from halfseen.evaluation.propensity import estimated_propensity, logged_propensity
-from halfseen.evaluation.ratios import (
+from halfseen.evaluation.comparison import Contender
+from halfseen.evaluation.cross_fitting import (
+    Nuisances,
+    cross_fitted,
+    judged_without,
+    nuisances_by_folds,
+    nuisances_of,
+    of_own_fold,
+)
+from halfseen.evaluation.estimate import possible
+from halfseen.evaluation.states import CLEARLY, history_deviate, states_of
+from halfseen.evaluation.targets import is_alike, target_probabilities
+from halfseen.evaluation.weights import (
+    Marginal,
     StageWeights,
     begun_weights,
     completed_weights,
+    estimated_propensity,
     likelihood_ratios,
+    logged_propensity,
+    marginal_weights,
     mean_squared_ratio,
     single_ratios,
     uncut_before,
 )
-from halfseen.evaluation.states import states_of
-from halfseen.evaluation.targets import is_alike, target_probabilities
 from halfseen.learning.judging import Judged
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
@@ -31,29 +39,6 @@ from halfseen.learning.rows import TrajectoryArrays, Transitions
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.workers import Pool
-
-
-class Contribution(NamedTuple):
-    """What the trajectories of a log add to a value."""
-
-    values: Float[np.ndarray, " n"]
-    """What each trajectory adds; their mean is the value."""
-    without: Float[np.ndarray, " K"]
-    """The value without each fold."""
-    errors: Float[np.ndarray, "n T"]
-    """What 1/Ĝ of each completed stage is multiplied by."""
-    uncorrected: float = 0.0
-    """What the value is off by for each standard deviation that the regression of cut stages is [reward]."""
-    truncated: float = 0.0
-    """The same for each one that Q is, where weights were cut off."""
-    possible: Possible | None = None
-    """What a trajectory can earn at all."""
-    by_model: float = np.nan
-    """What Q alone says that the value is."""
-    weights: Float[np.ndarray, "n T"] | None = None
-    """Of the stages, with mean 1."""
-    deviation: float = 0.0
-    """Standard deviation of the targets of stages about Q [reward]."""
 
 
 class Problem(NamedTuple):
@@ -87,6 +72,11 @@ class Problem(NamedTuple):
     """Who fits Q."""
 
     @property
+    def is_imputed(self) -> bool:
+        """Whether begun stages have a target; else completed ones."""
+        return self.nuisances[-1].imputation is not None
+
+    @property
     def effective_sample_size(self) -> float:
         """Of the trajectories that follow the policy."""
         return self.stage_weights[-1].effective_sample_size
@@ -99,15 +89,9 @@ class Problem(NamedTuple):
     @property
     def trajectories_for_one(self) -> float:
         """How many trajectories like those of the log are worth one that follows the policy, about."""
-        if self.marginal is not None:
-            size = self.effective_sample_size
-            return self.trajectories.num_trajectories / size if size > 0 else np.inf
-        in_spite_of_cuts = as_logged(self).effective_sample_size
-        return (
-            self.squared_ratio * self.trajectories.num_trajectories / in_spite_of_cuts
-            if in_spite_of_cuts > 0
-            else np.inf
-        )
+        size = (self if self.marginal else as_logged(self)).effective_sample_size
+        squared = 1.0 if self.marginal else self.squared_ratio
+        return squared * self.trajectories.num_trajectories / size if size > 0 else np.inf
 
     @property
     def completed(self) -> StageWeights:
@@ -127,54 +111,45 @@ class Problem(NamedTuple):
 
     def history_deviate(self, judged: Judged) -> float:
         """How clearly the history of a stage tells more of it than its state."""
-        target, taken = (
-            np.asarray(leaf)[self.fold, np.arange(len(self.fold))] for leaf in (judged.target, judged.taken)
-        )
-        is_imputed = self.nuisances[-1].imputation is not None
-        return history_deviate(
-            target - taken,
-            self.trajectories.is_begun if is_imputed else self.trajectories.is_completed,
-            self.trajectories,
-            self.beyond,
-        )
+        own, has_target = of_own_fold(judged, self.fold), self.trajectories.is_completed
+        has_target = self.trajectories.is_begun if self.is_imputed else has_target
+        return history_deviate(own.target - own.taken, has_target, self.trajectories, self.beyond)
 
     def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
-        """What Qs of the policy say, each fitted with one of these."""
-        return judged_by_folds(self.model, self.log, self.trajectories.reward, self.fold, nuisances, self.pool)
+        """What the Qs of the policy say that were fitted without each fold; and last that of all, if asked for."""
+        fit = partial(judged_without, self.model, self.log, self.trajectories.reward, self.fold)
+        return Judged(*map(np.stack, zip(*self.pool.in_order(fit, enumerate(nuisances)), strict=True)))
 
-    def contribution(self, judged: Judged) -> Contribution:
+    def contribution(self, judged: Judged, name: str = "") -> Contender:
         """What each trajectory adds to the doubly robust value."""
-        own = judged.taken
+        own = of_own_fold(judged, self.fold)
         # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it
         # may stand for Q, and then the value is right even where a model of the policy says another action.
+        taken = own.value if self.is_revealed else own.taken
         judged = judged._replace(taken=judged.value) if self.is_revealed else judged
         values, without = cross_fitted(judged, self.stage_weights[:-1], self.fold)
-        trajectory = np.arange(len(self.fold))
-        value, taken, own = (np.asarray(leaf)[self.fold, trajectory] for leaf in (judged.value, judged.taken, own))
-        successor = np.concatenate([value[:, 1:], np.zeros_like(value[:, :1])], axis=1)
+        successor = np.concatenate([own.value[:, 1:], np.zeros_like(own.value[:, :1])], axis=1)
         target = self.trajectories.reward + np.where(self.trajectories.is_last, 0.0, successor)
-        residual = target - taken
-        deviation, within = self.deviation(target - own), possible(self.trajectories)
-        lost = self.marginal.lost if self.marginal else 0.0
-        return Contribution(
+        deviation, within = self.deviation(target - own.taken), possible(self.trajectories)
+        return Contender(
+            name,
             within.moved_within(values),
             without,
-            self.errors(residual),
-            self.uncorrected_weight * deviation,
-            lost * deviation,
-            within,
-            float(value[:, 0].mean()),
-            self.stage_weights[-1].normalised,
-            deviation,
+            self.errors(target - taken),
+            uncorrected=self.uncorrected_weight * deviation,
+            truncated=self.marginal.lost * deviation if self.marginal else 0.0,
+            possible=within,
+            by_model=float(own.value[:, 0].mean()),
+            weights=self.stage_weights[-1].normalised,
+            deviation=deviation,
+            effective_sample_size=self.effective_sample_size,
         )
 
     def errors(self, residual: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
         """What 1/Ĝ of each completed stage is multiplied by, where the stage adds its weighted residual."""
-        uncut, weights = self.nuisances[-1].uncut, self.completed
-        per = uncut
-        if self.marginal:
-            weights = self.marginal.by_fold[-1]
-            per = uncut if self.nuisances[-1].imputation is None else uncut_before(uncut)
+        uncut = self.nuisances[-1].uncut
+        weights = self.marginal.by_fold[-1] if self.marginal else self.completed
+        per = uncut_before(uncut) if self.marginal and self.is_imputed else uncut
         return np.where(uncut > 0, weights.normalised / np.where(uncut > 0, per, 1.0) * residual, 0.0)
 
     @property
@@ -183,10 +158,10 @@ class Problem(NamedTuple):
 
         They end so late that completed ones stand for them by no weight, or by a truncated one.
         """
-        given = self.nuisances[-1]
-        if given.imputation is None:
+        imputation = self.nuisances[-1].imputation
+        if imputation is None:
             return 0.0
-        missing = np.where(self.trajectories.is_begun, 1.0 - given.imputation.share, 0.0)
+        missing = np.where(self.trajectories.is_begun, 1.0 - imputation.share, 0.0)
         return max(0.0, float((self.stage_weights[-1].normalised * missing).sum() / self.trajectories.num_trajectories))
 
     def deviation(self, residual: Float[np.ndarray, "n T"]) -> float:
@@ -211,51 +186,46 @@ def problem_of(
             f"censoring is {model.targets.name!r}, which gives no weights, but {int((~logs.is_finished).sum())} "
             "trajectories were cut; choose 'kaplan-meier', 'cox' or 'kernel'"
         )
-    probabilities = target_probabilities(policy, logs, trajectories, model.task)
+    task, is_begun = model.task, trajectories.is_begun
+    probabilities = target_probabilities(policy, logs, trajectories, task)
     whole = nuisances_of(model, trajectories)
     log = model.weighted(trajectories, whole.weight, whole.imputation, model.folds(trajectories.num_trajectories))
-    needed = (trajectories.is_begun if whole.imputation else trajectories.is_completed) & trajectories.has_action
+    needed = (is_begun if whole.imputation else trajectories.is_completed) & trajectories.has_action
     if propensity == "logged":
         likely = logged_propensity(trajectories, needed)
     else:
-        is_pooled = model.stages == "pooled" and is_alike(model.task)
+        is_pooled = model.stages == "pooled" and is_alike(task)
         likely = estimated_propensity(trajectories, needed, model.blocks(probabilities.shape[-1]), is_pooled)
     fold = rng.permutation(trajectories.num_trajectories) % num_folds
     nuisances = (*nuisances_by_folds(model, trajectories, whole, fold), whole)
     alike, support = np.ones_like(likely), np.ones(logs.horizon)
-    task = model.task
-    beyond = (
-        states_of(logs, trajectories, task.categories, left_out=task.covariates)
-        if isinstance(task, NamedActions)
-        else np.zeros((*trajectories.is_begun.shape, 0))
-    )
+    beyond = np.zeros((*is_begun.shape, 0))
+    if isinstance(task, NamedActions):
+        beyond = states_of(logs, trajectories, task.categories, left_out=task.covariates)
     given = Problem(logs, trajectories, log, model, fold, likely, nuisances, alike, support, beyond, None)
     return following(given, probabilities)
 
 
 def following(
-    problem: Problem,
-    probabilities: Float[np.ndarray, "n T A"],
-    is_taken: Bool[np.ndarray, "n T"] | None = None,
+    problem: Problem, probabilities: Float[np.ndarray, "n T A"], is_taken: Bool[np.ndarray, "n T"] | None = None
 ) -> Problem:
     """The same log, with another policy; `is_taken` is whether it takes the logged action, where the log says so."""
     trajectories = problem.trajectories
     followed = probabilities if is_taken is None else _one_hot(trajectories) * is_taken[..., None]
     uncut = np.stack([given.uncut for given in problem.nuisances])
     single = single_ratios(followed, problem.likely, trajectories)
-    is_imputed = problem.nuisances[-1].imputation is not None
+    marginal = None
     # A set of objects is no state of covariates that all actions share.
-    has_states = problem.model.task.is_shared
+    if problem.model.task.is_shared:
+        marginal = marginal_weights(single, uncut, trajectories, problem.beyond, problem.fold, problem.is_imputed)
     return problem._replace(
         log=problem.log._replace(policy=probabilities),
-        ratio=likelihood_ratios(followed, problem.likely, trajectories),
-        squared_ratio=mean_squared_ratio(followed, problem.likely, trajectories),
+        ratio=likelihood_ratios(single, trajectories),
+        squared_ratio=mean_squared_ratio(single, trajectories),
         support=_support(followed, trajectories)[: problem.logs.horizon],
         unseen=_unseen(probabilities, trajectories, problem.model),
         is_revealed=is_taken is not None,
-        marginal=marginal_weights(single, uncut, trajectories, problem.beyond, problem.fold, is_imputed)
-        if has_states
-        else None,
+        marginal=marginal,
         has_history=False,
     )
 
@@ -263,27 +233,28 @@ def following(
 def as_logged(problem: Problem) -> Problem:
     """The same log, with the logged action for a policy: ρ is 1, and no propensity is needed."""
     log = problem.log._replace(policy=_one_hot(problem.trajectories))
-    return problem._replace(
-        log=log, ratio=np.ones_like(problem.ratio), squared_ratio=1.0, is_revealed=False, marginal=None
-    )
+    ratio = np.ones_like(problem.ratio)
+    return problem._replace(log=log, ratio=ratio, squared_ratio=1.0, is_revealed=False, marginal=None)
 
 
-def logging_contribution(problem: Problem) -> Contribution:
+def logging_contribution(problem: Problem, name: str = "") -> Contender:
     """What each trajectory adds to the logging policy's value; doubly robust, too, where targets are imputed."""
     own = as_logged(problem)
     if own.log.imputation is not None:
-        return own.contribution(own.judged(own.nuisances[:-1]))
-    reward, without = own.trajectories.reward, []
-    for k, given in enumerate(own.nuisances[:-1]):
-        kept = own.fold != k
-        without.append(own.weights(given).take(kept).influence(reward[kept]).mean())
-    values = own.weights(own.nuisances[-1]).influence(reward)
-    return Contribution(
+        return own.contribution(own.judged(own.nuisances[:-1]), name)
+    reward, whole = own.trajectories.reward, own.stage_weights[-1]
+    kept = [own.fold != k for k in range(len(own.nuisances) - 1)]
+    each = zip(own.stage_weights, kept, strict=False)
+    without = np.array([weights.take(rows).influence(reward[rows]).mean() for weights, rows in each])
+    values = whole.influence(reward)
+    return Contender(
+        name,
         values,
-        np.array(without),
+        without,
         own.errors(reward),
         possible=possible(own.trajectories),
         by_model=float(values.mean()),
+        effective_sample_size=whole.effective_sample_size,
     )
 
 

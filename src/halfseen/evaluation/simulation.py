@@ -3,6 +3,7 @@
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -63,8 +64,25 @@ class WorldComparison:
     difference: Estimate
 
 
-def evaluate_in_world(
+def evaluate_in_world(policy: Policy, scenes: Sequence[Scene], config: WorldConfig, **how: Any) -> WorldEvaluation:
+    """Let a policy play; the same seed meets every policy with the same tables.
+
+    Parameters
+    ----------
+    policy, scenes, config, **how
+        As for `compare_in_world`.
+
+    Raises
+    ------
+    ArgumentError, PolicyError, SceneError
+        As by `compare_in_world`.
+    """
+    return compare_in_world(policy, {}, scenes, config, **how)[0]
+
+
+def compare_in_world(
     policy: Policy,
+    opponents: Mapping[str, Policy],
     scenes: Sequence[Scene],
     config: WorldConfig,
     *,
@@ -73,13 +91,15 @@ def evaluate_in_world(
     seed: int = 0,
     level: float = 0.95,
     on_progress: Callable[[int], object] = lambda done: None,
-) -> WorldEvaluation:
-    """Let a policy play; the same seed meets every policy with the same tables.
+) -> tuple[WorldEvaluation, tuple[WorldComparison, ...]]:
+    """Let a policy and others play the same tables.
 
     Parameters
     ----------
     policy
         What decides, for the robot that is free where there are several.
+    opponents
+        Other policies by their names; each plays all the episodes, too.
     scenes
         Where episodes begin, in turn.
     config
@@ -103,37 +123,6 @@ def evaluate_in_world(
         The policy is for another number of robots, or of their decisions.
     SceneError
         A scene does not tell a team where its objects stand.
-    """
-    return compare_in_world(
-        policy, {}, scenes, config, team=team, episodes=episodes, seed=seed, level=level, on_progress=on_progress
-    )[0]
-
-
-def compare_in_world(
-    policy: Policy,
-    opponents: Mapping[str, Policy],
-    scenes: Sequence[Scene],
-    config: WorldConfig,
-    *,
-    team: Team | None = None,
-    episodes: int = 10_000,
-    seed: int = 0,
-    level: float = 0.95,
-    on_progress: Callable[[int], object] = lambda done: None,
-) -> tuple[WorldEvaluation, tuple[WorldComparison, ...]]:
-    """Let a policy and others play the same tables.
-
-    Parameters
-    ----------
-    policy, scenes, config, team, episodes, seed, level, on_progress
-        As for `evaluate_in_world`; each policy plays all the episodes.
-    opponents
-        Policies by their names.
-
-    Raises
-    ------
-    ArgumentError, PolicyError, SceneError
-        As by `evaluate_in_world`.
     """
     policies, world = (policy, *opponents.values()), TableWorld.of(team, config)
     layouts, played = world.layouts(scenes), world.played_config

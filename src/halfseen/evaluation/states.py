@@ -1,13 +1,37 @@
-"""All that a log tells of the state of a stage, whether or not Q looks at it."""
+"""All that a log tells of the state of a stage, whether or not Q looks at it.
 
-from collections.abc import Sequence
+The mean of a weight among all that are in the same state, E[ω | S], for several weightings of a log at once.
+
+    m(s) = f(s) + Σ_c K_h(s − c) Σ_{i at c} (ω_i − f(S_i)) / Σ_c K_h(s − c) n_c,
+
+a mean over neighbours [Nadaraya1964]_ [Watson1964]_ of what a first guess f leaves. f is 0, or linear by ridge
+regression; neighbours are counted at the nearest of few places c, so that a long log costs what its rows do. Among the
+two guesses and some widths h, up to one that makes neighbours of all, the one is taken that foretells the weights of
+trajectories that were left out best. Weights are no less than 0, and their mean is kept: m is scaled to the sum of ω.
+
+Whether what went before a stage foretells its outcome beyond what its state and action do.
+
+Weights by states (`marginal`) stand on S_t carrying all that matters of the history. Residuals Y_t − Q̂_t of stages
+from the second on, by a Q̂ that never saw the trajectory, and the history h_t = (A_{t−1}, φ(S_{t−1}), R_{t−1}) are both
+freed from what φ(S_t) and A_t say linearly, and then should have nothing to do with each other: with U_i = Σ_t h̃_it
+r̃_it,
+
+    W = (Σ_i U_i)ᵀ (Σ_i U_i U_iᵀ)⁻¹ (Σ_i U_i)
+
+is χ² with as many degrees of freedom as h has columns, whatever stages of one trajectory share [LiangZeger1986]_. It is
+told as the normal deviate that is as rare [WilsonHilferty1931]_. A log is large enough for this long before it is for
+the weights that the policy needs, for every stage counts alike.
+"""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from halfseen.learning.covariates import Categories, Covariates, fit_covariates, learned_categories
 from halfseen.learning.rows import TrajectoryArrays, stage_places
 from halfseen.logs import Logs
-from halfseen.shapes import Float
+from halfseen.shapes import Bool, Float, Int
 
 
 def states_of(
@@ -38,3 +62,182 @@ def laid_out(rows: Float[np.ndarray, "m F"], logs: Logs, trajectories: Trajector
     found = np.zeros((*trajectories.is_begun.shape, rows.shape[1]))
     found[stage_places(logs)] = rows
     return found
+
+
+WIDTHS = (0.15, 0.3, 0.6, 1.2, np.inf)
+"""h, in standard deviations of a covariate, by which states are neighbours."""
+
+MOST_PLACES = 200
+"""Where more states differ, so many stand for them."""
+
+RIDGE = 1.0
+"""Of the linear guess on standardised covariates: a prior of one row."""
+
+
+class Neighbours(NamedTuple):
+    """Which places states are near."""
+
+    nearest: Int[np.ndarray, " m"]
+    """Place of each row."""
+    squared: Float[np.ndarray, "m C"]
+    """Mean squared difference to each place, over covariates."""
+
+
+def mean_by_state(
+    weight: Float[np.ndarray, "B m"], states: Sequence[Float[np.ndarray, "m _"]], is_fitted: Bool[np.ndarray, "B m"]
+) -> Float[np.ndarray, "B m"]:
+    """Work out m of every row, for each of B weightings.
+
+    Parameters
+    ----------
+    weight
+        ω of each row.
+    states
+        Covariates; where there are several sets of them, the one is taken that foretells the weights best.
+    is_fitted
+        Rows that each weighting is fitted to; by the others the form is chosen.
+    """
+    scaled = [standardised(some) for some in states]
+    each = [found for some in scaled for found in _forms(weight, some, neighbours(some), is_fitted)]
+    errors = [float(np.sum(np.where(is_fitted, 0.0, weight - found) ** 2)) for found in each]
+    return _with_sums(each[int(np.argmin(errors))], weight, is_fitted)
+
+
+def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
+    """Covariates that differ, with mean 0 and standard deviation 1."""
+    spread = states.std(axis=0)
+    differs = spread > 1e-9 * np.maximum(1.0, np.abs(states).max(axis=0, initial=0.0))
+    return (states[:, differs] - states[:, differs].mean(axis=0)) / spread[differs]
+
+
+def neighbours(scaled: Float[np.ndarray, "m F"]) -> Neighbours:
+    """Find the places that stand for states: all that differ, or as many of them as are allowed, drawn."""
+    places = np.unique(scaled, axis=0)
+    if len(places) > MOST_PLACES:
+        places = places[np.random.default_rng(0).choice(len(places), MOST_PLACES, replace=False)]
+    lengths = (scaled**2).sum(axis=1)[:, None] + (places**2).sum(axis=1) - 2.0 * scaled @ places.T
+    squared = np.maximum(lengths, 0.0) / max(scaled.shape[1], 1)
+    return Neighbours(squared.argmin(axis=1), squared)
+
+
+def _forms(
+    weight: Float[np.ndarray, "B m"],
+    scaled: Float[np.ndarray, "m F"],
+    near: Neighbours,
+    is_fitted: Bool[np.ndarray, "B m"],
+) -> Iterator[Float[np.ndarray, "B m"]]:
+    """Give m by each guess and width."""
+    is_at = np.zeros(near.squared.shape)
+    is_at[np.arange(len(is_at)), near.nearest] = 1.0
+    counts = is_fitted @ is_at
+    for guess in (np.zeros_like(weight), linear(weight, scaled, is_fitted)):
+        sums = np.where(is_fitted, weight - guess, 0.0) @ is_at
+        mean = sums.sum(axis=1, keepdims=True) / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
+        for width in WIDTHS:
+            kernel = np.exp(-near.squared / (2.0 * width**2))
+            mass = counts @ kernel.T
+            is_near = mass > 1e-9
+            local = np.where(is_near, sums @ kernel.T / np.where(is_near, mass, 1.0), mean)
+            yield np.maximum(guess + local, 0.0)
+
+
+def linear(
+    weight: Float[np.ndarray, "B m"], scaled: Float[np.ndarray, "m F"], is_fitted: Bool[np.ndarray, "B m"]
+) -> Float[np.ndarray, "B m"]:
+    """Foretell weights by a linear function of covariates, with a ridge on all but the constant."""
+    design = np.column_stack([np.ones(len(scaled)), scaled])
+    penalty = np.diag([1e-9, *[RIDGE] * scaled.shape[1]])
+    gram = np.einsum("bm,mp,mq->bpq", is_fitted, design, design, optimize=True) + penalty
+    cross = np.where(is_fitted, weight, 0.0) @ design
+    return np.linalg.solve(gram, cross[..., None])[..., 0] @ design.T
+
+
+def _with_sums(
+    found: Float[np.ndarray, "B m"], weight: Float[np.ndarray, "B m"], is_fitted: Bool[np.ndarray, "B m"]
+) -> Float[np.ndarray, "B m"]:
+    """The same, with the sum of the weights that it was fitted to."""
+    has, wanted = (np.where(is_fitted, each, 0.0).sum(axis=1, keepdims=True) for each in (found, weight))
+    return np.where(has > 0, found * wanted / np.where(has > 0, has, 1.0), weight)
+
+
+CLEARLY = 3.72
+"""From this deviate on, which chance exceeds once in 10,000 logs, states are not believed to tell all."""
+
+ROWS_PER_COLUMN = 5
+"""Fewer stages than so many for each column, and φ(S_t) counts the same after every action."""
+
+
+def history_deviate(
+    residual: Float[np.ndarray, "n T"],
+    has_target: Bool[np.ndarray, "n T"],
+    trajectories: TrajectoryArrays,
+    beyond: Float[np.ndarray, "n T G"],
+) -> float:
+    """W as a normal deviate; −∞ where no stage has one before it.
+
+    Parameters
+    ----------
+    residual
+        Y_t − Q̂_t, held out.
+    has_target
+        Stages that have one.
+    trajectories
+        The log.
+    beyond
+        Covariates of each stage that Q does not look at.
+    """
+    trajectory, before = np.nonzero(has_target[:, 1:])
+    if not len(trajectory):
+        return -np.inf
+    now, taken = before + 1, np.eye(trajectories.is_possible.shape[-1])
+    states = np.concatenate([trajectories.features[:, :, 0], beyond], axis=2)
+    known = _known(states[trajectory, now], taken[trajectories.action[trajectory, now]])
+    history = np.column_stack(
+        [
+            taken[trajectories.action[trajectory, before]][:, 1:],
+            states[trajectory, before],
+            trajectories.reward[trajectory, before],
+        ]
+    )
+    freed = _freed(np.column_stack([history, residual[trajectory, now]]), known)
+    history, left = _varied(freed[:, :-1], history), freed[:, -1]
+    score = np.zeros((trajectories.num_trajectories, history.shape[1]))
+    np.add.at(score, trajectory, history * left[:, None])
+    return _deviate(*wald(score))
+
+
+def wald(score: Float[np.ndarray, "n H"]) -> tuple[float, int]:
+    """W, and its degrees of freedom: directions in which scores differ."""
+    if not score.shape[1]:
+        return 0.0, 0
+    spread, directions = np.linalg.eigh(score.T @ score)
+    kept = spread > 1e-8 * spread.max()
+    along = directions[:, kept].T @ score.sum(axis=0)
+    return float(np.sum(along**2 / spread[kept])), int(kept.sum())
+
+
+def _deviate(squared: float, freedom: int) -> float:
+    if freedom == 0:
+        return -np.inf
+    part = 2.0 / (9.0 * freedom)
+    return float(((squared / freedom) ** (1.0 / 3.0) - (1.0 - part)) / np.sqrt(part))
+
+
+def _known(features: Float[np.ndarray, "m F"], taken: Float[np.ndarray, "m A"]) -> Float[np.ndarray, "m C"]:
+    """A constant and φ(S_t) for each action, or φ(S_t) for all of them where stages are few."""
+    wide = np.column_stack([np.ones(len(features)), features])
+    if taken.shape[1] * wide.shape[1] * ROWS_PER_COLUMN > len(features):
+        return np.column_stack([taken, features])
+    return (taken[:, :, None] * wide[:, None, :]).reshape(len(features), -1)
+
+
+def _freed(columns: Float[np.ndarray, "m H"], known: Float[np.ndarray, "m C"]) -> Float[np.ndarray, "m H"]:
+    """What a regression on `known` leaves of each column."""
+    return columns - known @ np.linalg.lstsq(known, columns, rcond=1e-9)[0]
+
+
+def _varied(freed: Float[np.ndarray, "m H"], whole: Float[np.ndarray, "m H"]) -> Float[np.ndarray, "m G"]:
+    """Columns of which something is left, with standard deviation 1."""
+    spread = freed.std(axis=0)
+    kept = spread > 1e-3 * np.maximum(whole.std(axis=0), 1e-12)
+    return freed[:, kept] / spread[kept]

@@ -8,9 +8,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.caution import more_cautious
 from halfseen.learning.covariates import fit_covariates
-from halfseen.learning.flat_policy import NamedActionPolicy
+from halfseen.learning.flat_policy import NamedActionPolicy, more_cautious
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task, named_task

@@ -15,8 +15,7 @@ from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import StageMode
 from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
 from halfseen.learning.rows import TrajectoryArrays, Transitions, q_values
-from halfseen.learning.sums import Regression
-from halfseen.learning.values import or_nothing
+from halfseen.learning.sums import Regression, or_nothing
 from halfseen.shapes import Float, Int
 from halfseen.workers.threads import one_thread
 

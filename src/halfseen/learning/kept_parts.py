@@ -4,8 +4,6 @@ What cannot be kept is no loss but of time: whoever asks lays it out anew, to th
 the user and gone after the passes; its arrays are mapped, so that a pass reads no more of them than it looks at.
 """
 
-import json
-import math
 import os
 import shutil
 from collections.abc import Iterator
@@ -16,20 +14,6 @@ from tempfile import TemporaryDirectory
 from typing import Any
 from uuid import uuid4
 
-import numpy as np
-
-from halfseen.censoring import StageClocks
-from halfseen.learning.rows import TrajectoryArrays
-from halfseen.learning.sums import Columns, Rows, StateChoices
-from halfseen.learning.task import Encoded
-from halfseen.learning.values import Norms
-
-KINDS: dict[str, Any] = {
-    kind.__name__: kind for kind in (TrajectoryArrays, StageClocks, Encoded, Rows, Columns, StateChoices, Norms, tuple)
-}
-"""Records that a part is made of."""
-ALIGNED = 64
-"""Bytes; every array begins at a multiple."""
 MOST_SHARE = 0.5
 """Of the room that there is on the disk, for all that is kept of a log."""
 
@@ -84,49 +68,15 @@ class KeptParts:
 
 
 def _write(file: Path, part: Any) -> None:
-    """Write a line of JSON, which says what lies in what, and then the bytes of the arrays."""
-    leaves: list[np.ndarray] = []
-    head = json.dumps(_described(part, leaves)).encode()
-    with file.open("wb") as opened:
-        opened.write(head + b" " * (-(len(head) + 1) % ALIGNED) + b"\n")
-        for leaf in leaves:
-            opened.write(np.ascontiguousarray(leaf).data)
-            opened.write(bytes(-leaf.nbytes % ALIGNED))
+    import joblib
 
-
-def _described(part: Any, leaves: list[np.ndarray]) -> Any:
-    if type(part) in KINDS.values():
-        return {type(part).__name__: [_described(each, leaves) for each in part]}
-    if not isinstance(part, np.ndarray):
-        return part
-    if part.dtype == object:
-        return {"texts": part.tolist()}
-    by_column = part.flags.f_contiguous and not part.flags.c_contiguous
-    leaves.append(part.T if by_column else part)
-    return {"array": [part.dtype.str, part.shape, "F" if by_column else "C"]}
+    joblib.dump(part, file)
 
 
 def _read(file: Path) -> Any:
-    with file.open("rb") as opened:
-        head = opened.readline()
-    data, at = np.memmap(file, np.uint8, "r"), len(head)
+    import joblib
 
-    def built(described: Any) -> Any:
-        nonlocal at
-        if not isinstance(described, dict):
-            return described
-        ((kind, held),) = described.items()
-        if kind == "texts":
-            return np.array(held, dtype=object)
-        if kind != "array":
-            return tuple(map(built, held)) if kind == "tuple" else KINDS[kind](*map(built, held))
-        dtype, shape, order = np.dtype(held[0]), tuple(held[1]), held[2]
-        num_bytes = dtype.itemsize * math.prod(shape)
-        leaf = data[at : at + num_bytes].view(dtype).reshape(shape, order=order)
-        at += num_bytes + -num_bytes % ALIGNED
-        return leaf
-
-    return built(json.loads(head))
+    return joblib.load(file, mmap_mode="r")
 
 
 def num_bytes_of(part: Any) -> int:

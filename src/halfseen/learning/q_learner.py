@@ -31,8 +31,8 @@ from halfseen.learning.q_space import (
     stage_mode_of,
 )
 from halfseen.learning.recursion import QFunctions
+from halfseen.learning.rows import unseen_in_words
 from halfseen.learning.streaming import learned_from
-from halfseen.learning.support import unseen_in_words
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
 from halfseen.learning.task import AUTO, Task, learner_of, named_task
 from halfseen.logs import Logs, LogStream

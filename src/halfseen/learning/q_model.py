@@ -21,9 +21,17 @@ from halfseen.learning.imputation import DurationModel, fit_duration_model, impu
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_space import CrossValidation, KernelMap, LinearQ, QSpace, Reg, StageMode
 from halfseen.learning.recursion import QFunctions, fit_q
-from halfseen.learning.rows import Imputation, TrajectoryArrays, Transitions, trajectory_arrays
+from halfseen.learning.rows import (
+    Imputation,
+    Support,
+    TrajectoryArrays,
+    Transitions,
+    refuse_all_cut,
+    refuse_too_few,
+    support_of,
+    trajectory_arrays,
+)
 from halfseen.learning.sums import Regression
-from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few, support_of
 from halfseen.learning.targets import Targets, Weighted
 from halfseen.learning.task import LearnedQ, RewardedStages, Task
 from halfseen.logs import Logs

@@ -211,12 +211,7 @@ SMOOTH = KernelQ(num_landmarks=48, trend=(3.0, 1.5))
 """A quadratic and a smooth remainder. Its numbers were chosen on logs of the pick cell, of kin of the clinical trial
 and of a world of 20 covariates, all of seeds below 1000; `benchmarks/learners.py` judges by others."""
 
-Q_SPACES: dict[str, QSpace] = {
-    "linear": LinearQ(),
-    "quadratic": QuadraticQ(),
-    "kernel": KernelQ(),
-    "smooth": SMOOTH,
-}
+Q_SPACES: dict[str, QSpace] = {"linear": LinearQ(), "quadratic": QuadraticQ(), "kernel": KernelQ(), "smooth": SMOOTH}
 
 
 @dataclass(frozen=True)

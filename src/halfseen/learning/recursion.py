@@ -42,13 +42,15 @@ from halfseen.learning.sums import (
     Columns,
     Crosses,
     Moments,
+    Norms,
     Regression,
     Rows,
+    Successor,
     crosses_of,
     moments_of,
     packed,
+    values_of,
 )
-from halfseen.learning.values import Norms, Successor, values_of
 from halfseen.shapes import Float
 
 

@@ -150,10 +150,7 @@ class Errors(NamedTuple):
 
 
 def standard_errors(
-    ridge: Ridge,
-    penalty: Float[np.ndarray, " K"],
-    squares: Float[np.ndarray, " K"],
-    counts: Float[np.ndarray, "3 K"],
+    ridge: Ridge, penalty: Float[np.ndarray, " K"], squares: Float[np.ndarray, " K"], counts: Float[np.ndarray, "3 K"]
 ) -> Errors:
     """Tell how well a fit is known.
 

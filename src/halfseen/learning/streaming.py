@@ -20,16 +20,15 @@ import numpy as np
 
 from halfseen.arrays import mapped
 from halfseen.censoring import StageClocks, WeightDiagnostics
-from halfseen.censoring.diagnostics import WeightTally, weight_diagnostics
 from halfseen.censoring.stage_clocks import stacked
+from halfseen.censoring.weights import WeightTally, weight_diagnostics
 from halfseen.learning.judging import with_stages
 from halfseen.learning.kept_parts import KeptParts, kept_parts
 from halfseen.learning.q_model import QModel, sampled
 from halfseen.learning.q_space import CrossValidation
 from halfseen.learning.recursion import QFunctions, Step, StepSums, backward, sums_of_step
-from halfseen.learning.rows import TrajectoryArrays
+from halfseen.learning.rows import Support, TrajectoryArrays, refuse_all_cut, refuse_too_few
 from halfseen.learning.sums import Rows, packed
-from halfseen.learning.support import Support, refuse_all_cut, refuse_too_few
 from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.folder import Folder

@@ -11,7 +11,7 @@ import halfseen
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import HalfseenWarning
 from halfseen.evaluation import Evaluation, evaluate
-from halfseen.evaluation.stored_model import specification_of
+from halfseen.evaluation.specification import specification_of
 from halfseen.evaluation.targets import task_of
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs

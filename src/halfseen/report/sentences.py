@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.evaluation import Evaluation
 from halfseen.evaluation.comparison import deciding
-from halfseen.evaluation.per_hour import Rate
+from halfseen.evaluation.evaluation import Rate
 from halfseen.evaluation.verdict import FEWEST_TRAJECTORIES
 from halfseen.pages.numbers import amount, percent, significant, with_interval
 from halfseen.pages.sentences import as_sentence, counted, listed

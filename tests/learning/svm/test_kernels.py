@@ -12,16 +12,18 @@ from sklearn.metrics import pairwise
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVR
-from halfseen.learning.svm import set_kernel
+from halfseen.learning.svm import kernels as set_kernel
 from halfseen.learning.svm.kernels import (
     BLOCK_ENTRIES,
+    SetKernel,
+    all_objects,
+    as_sets,
     checked_gram,
     kernel_diagonal,
     named_kernel,
     row_blocks,
     scale_gamma,
 )
-from halfseen.learning.svm.set_kernel import SetKernel, all_objects, as_sets
 
 REFERENCES = {
     "linear": (lambda x, z: pairwise.linear_kernel(x, z), lambda x, z: np.dot(x, z)),

@@ -15,7 +15,7 @@ import pandas as pd
 from halfseen.arrays import Rows
 from halfseen.cell.calibration.attempts import FACTS
 from halfseen.learning.svm.estimators import CensoredSVC
-from halfseen.learning.svm.set_kernel import SetKernel
+from halfseen.learning.svm.kernels import SetKernel
 from halfseen.shapes import Float
 from halfseen.tables.grasp.inputs import checked_attempts, splits_of
 from halfseen.tables.grasp.svm_grasp import linear_and_gaussian, smoothest

@@ -19,7 +19,7 @@ import numpy as np
 from halfseen.arrays import Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics
 from halfseen.estimator import Estimator, check_fitted
-from halfseen.learning.newton_each import Derivatives, minimise_each
+from halfseen.learning.behaviour import Derivatives, minimise_each
 from halfseen.logs.frames import FrameLike
 from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp.grasp_table import History

@@ -21,7 +21,7 @@ import pandas as pd
 from halfseen.arrays import RowIds, RowMask, Rows, stacked
 from halfseen.censoring import is_fitted
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
-from halfseen.learning.newton_each import Derivatives, Thetas, minimise_each
+from halfseen.learning.behaviour import Derivatives, Thetas, minimise_each
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.tables.features import succession

@@ -1,0 +1,207 @@
+"""How Q of a policy and the cuts are modelled for its evaluation: by default, or as a stored policy was learned.
+
+By default the four models behind a doubly robust value are linear in the covariates, the stage and second-order terms,
+so that each of them may bend, and stages can share one Q.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import combinations_with_replacement
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from halfseen.censoring import CENSORING_NAMES
+from halfseen.evaluation.targets import horizon_of, is_alike, task_by, task_of
+from halfseen.learning.covariates import Covariates
+from halfseen.learning.flat_policy import NamedActionPolicy
+from halfseen.learning.named_task import NamedActions
+from halfseen.learning.q_model import QModel
+from halfseen.learning.q_space import CrossValidation, QSpace, StageMode, q_space_of, reg_of, stage_mode_of
+from halfseen.learning.targets import DoublyRobust, Targets, Weighted, named_targets
+from halfseen.learning.task import Task
+from halfseen.logs import Logs
+from halfseen.policies.folder import StoredPolicy, q_space_of_record
+from halfseen.policies.of_team import refuse_log_of_team
+
+LARGEST_WEIGHT = 10.0
+"""Bound of 1/Ĝ where a user has said nothing of cuts."""
+
+LITTLE_REG = 1e-3
+"""λ where a user has said nothing of Q. One that held-out stages choose suits those that are seen to end, and shrinks
+away what is to be said of those that are not; the bias that it leaves is in no interval."""
+
+
+@dataclass(frozen=True)
+class QSpec:
+    """How Q of a policy is fitted for its evaluation.
+
+    Parameters
+    ----------
+    task
+        What is decided; None for what the policy says.
+    q_function, reg
+        As for `halfseen.learning.CensoredQLearner`.
+    stages
+        The same; None for pooled ones where stages are alike, as on tables, else separate.
+    """
+
+    task: Task | None = None
+    q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth"] | str = "linear"
+    stages: StageMode | str | None = None
+    reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
+
+
+def default_targets(logs: Logs) -> Targets:
+    """Doubly robust where the log has all actions, by Cox on the clock of stages, with weights truncated; else weights.
+
+    Cuts may depend on all that a trajectory has shown so far, and on how long its stage drags on. Where a stage is
+    hardly ever seen to end, no weight is believed beyond `LARGEST_WEIGHT`; there the regression of cut stages has to
+    serve.
+    """
+    if logs.stages["action"].isna().to_numpy().any():
+        return Weighted()
+    return DoublyRobust("cox", by="pooled", truncate_at=LARGEST_WEIGHT)
+
+
+def default_q(policy: Any, logs: Logs) -> tuple[QSpec, Logs]:
+    """Q of named actions is one for all stages, given the stage and second-order terms, which the log then has."""
+    task = task_of(policy, logs)
+    if not isinstance(task, NamedActions):
+        return QSpec(task), logs
+    task, logs = with_second_order(task, logs)
+    return QSpec(task, stages="pooled", reg=LITTLE_REG), logs
+
+
+def q_model_of(policy: Any, logs: Logs, targets: Targets, q: QSpec, random_state: int = 0) -> QModel:
+    """Compose how Q of a policy is fitted to a log."""
+    task = task_of(policy, logs) if q.task is None else q.task
+    by_task = "pooled" if is_alike(task) else "separate"
+    return QModel(
+        horizon=horizon_of(policy, logs.horizon),
+        task=task,
+        targets=targets,
+        space=q_space_of(q.q_function),
+        reg=reg_of(q.reg),
+        stages=stage_mode_of(by_task if q.stages is None else q.stages),
+        random_state=random_state,
+    )
+
+
+TRAJECTORIES_PER_TERM = 10
+"""Second-order terms need as many trajectories each; where there are fewer, covariates stay as they are."""
+
+
+def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Logs]:
+    """Add the stage and second-order terms to what a task looks at, and columns of them to its log."""
+    fitted = task.fitted(logs, logs.horizon)
+    terms = _terms(fitted.looks_at, logs.stages)
+    if len(terms) * TRAJECTORIES_PER_TERM > logs.num_trajectories:
+        terms = {}
+    names = list(dict.fromkeys([*task.covariates, "stage", *terms]))
+    wider = NamedActions(task.actions, names, fitted.categories)
+    return wider, Logs(logs.stages.assign(**terms), logs.trajectories, logs.objects, reward_unit=logs.reward_unit)
+
+
+def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Products of standardised covariates; the square of one with two values says nothing new."""
+    columns = zip(looks_at.names, looks_at.encode(frame).T, strict=True)
+    scaled = {name: _standardised(values) for name, values in columns if name != "stage"}
+    pairs = combinations_with_replacement(scaled, 2)
+    wanted = [(a, b) for a, b in pairs if a != b or len(np.unique(scaled[a])) > 2]
+    return {f"{a}*{b}": scaled[a] * scaled[b] for a, b in wanted}
+
+
+def _standardised(values: np.ndarray) -> np.ndarray:
+    spread = values.std()
+    return (values - values.mean()) / (spread if spread > 0 else 1.0)
+
+
+@dataclass(frozen=True)
+class EvaluationSpec:
+    """What `evaluate` is to be given.
+
+    Parameters
+    ----------
+    censoring
+        What stands for what cuts took away.
+    q
+        How Q of the policy is fitted; None for the way of `evaluate`.
+    """
+
+    censoring: Targets
+    q: QSpec | None
+
+    def as_dict(self) -> dict[str, Any]:
+        """How cuts were dealt with, ready for JSON."""
+        by = getattr(self.censoring, "by", None)
+        is_doubly_robust = isinstance(self.censoring, DoublyRobust)
+        return {"augmented": is_doubly_robust, "censoring": self.censoring.name, "censoring_by": by}
+
+
+def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> EvaluationSpec:
+    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`).
+
+    Raises
+    ------
+    PolicyError
+        The log is of a team, and the policy of one robot's tables.
+    """
+    refuse_log_of_team(stored, logs)
+    return specification(stored.policy, stored.record["learner"], logs, **chosen)
+
+
+def specification(
+    policy: Any,
+    learned: Mapping[str, Any],
+    logs: Logs,
+    *,
+    censoring: str | None = None,
+    censoring_by: str | None = None,
+    censoring_covariates: list[str] | None = None,
+    truncate_at: float | None = None,
+    augmented: bool | None = None,
+) -> EvaluationSpec:
+    """Say how to evaluate a policy: with the cuts that it was learned with, if any were named, but for what is chosen.
+
+    Q of named actions is fitted as `evaluate` does by itself, for what is good enough to choose an action by may be
+    too plain to tell its value.
+
+    Parameters
+    ----------
+    policy
+        The policy.
+    learned
+        The parameters that it was learned with. A model of the cuts that has no name, is none, or is Kaplan and Meier's
+        as if nothing was said, gives way to that of `default_targets`.
+    logs
+        The log that it is evaluated on.
+    censoring, censoring_by, censoring_covariates, truncate_at
+        As for `named_targets`; None for those of the policy, and of doubly robust targets no weight above
+        `LARGEST_WEIGHT`.
+    augmented
+        Doubly robust towards cuts; None where the log has all actions.
+    """
+    own = learned.get("censoring")
+    is_complete = bool(logs.stages["action"].notna().all())
+    is_augmented = is_complete if augmented is None else augmented
+    q = None
+    if not isinstance(policy, NamedActionPolicy):
+        task = task_by(policy, reduces_variance=bool(learned.get("reduces_variance", True)))
+        q = QSpec(task, q_space_of_record(learned), learned.get("stages"))
+    is_chosen = any(one is not None for one in (censoring, censoring_by, censoring_covariates, truncate_at))
+    if is_augmented and is_complete and not is_chosen and own not in ("cox", "kernel"):
+        return EvaluationSpec(default_targets(logs), q)
+    model = censoring or (own if own in CENSORING_NAMES else "kaplan-meier")
+    bound = learned.get("truncate_at") if truncate_at is None else truncate_at
+    # What cuts were said to depend on holds for the same model alone.
+    depends_on = learned.get("censoring_covariates") if own == model else None
+    targets = named_targets(
+        model,
+        by=censoring_by or learned.get("censoring_by") or "trajectory",
+        covariates=depends_on if censoring_covariates is None else censoring_covariates,
+        truncate_at=LARGEST_WEIGHT if bound is None and is_augmented else bound,
+        is_doubly_robust=is_augmented,
+    )
+    return EvaluationSpec(targets, q)
