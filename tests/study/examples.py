@@ -20,7 +20,7 @@ from halfseen.study.experiments.clutter.table import table_of
 from halfseen.study.experiments.grasp.design import MODEL_NAMES
 from halfseen.study.pipeline import TREATMENTS, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, ONE_STEP
-from halfseen.tables.assisted.learner import MODEL, RULE
+from halfseen.tables.learner import MODEL, RULE
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 

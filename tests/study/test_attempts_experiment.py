@@ -22,7 +22,7 @@ from halfseen.study.experiments.attempts.sources import fit_of, frame_of
 from halfseen.study.experiments.attempts.splits import sizes_of, split_of
 from halfseen.study.statistics import holm
 from halfseen.study.store import as_json
-from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
+from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
 
 TINY = Attempts(num_tables=(6, 12), num_folds=2)
 

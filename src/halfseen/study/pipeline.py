@@ -49,11 +49,11 @@ from halfseen.study.experiment import Setting
 from halfseen.study.policies import logging_policy
 from halfseen.study.told import LinearFit, helped, told_by
 from halfseen.study.tried import tried_in
-from halfseen.tables.assisted.learner import Assisted
 from halfseen.tables.encoding import encoded_states
+from halfseen.tables.evidence import Evidence
 from halfseen.tables.features import table_features
-from halfseen.tables.grasp.choice import choose_by
-from halfseen.tables.laws.evidence import Evidence
+from halfseen.tables.grasp_choice import choose_by
+from halfseen.tables.learner import Assisted
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.workers.threads import one_thread
 from halfseen.world import random

@@ -1,7 +1,7 @@
 """What the laws fitted to a log of the study are, and what is learned with their help: from its arrays, at every size.
 
 A log is written and read once, for what it tells of laws; what its first n trajectories tell is a part of that. All
-else that `halfseen.tables.assisted.learner` reads off `Logs` is at hand.
+else that `halfseen.tables.learner` reads off `Logs` is at hand.
 """
 
 from contextlib import suppress
@@ -14,12 +14,12 @@ import pandas as pd
 from halfseen.errors import HalfseenError
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import TrajectoryArrays
-from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, rule_or_linear
-from halfseen.tables.assisted.policy import RulePolicy
-from halfseen.tables.assisted.weighted_log import layouts_of, weighed
-from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.tables.grasp.choice import grasp_model_by
-from halfseen.tables.laws.evidence import Evidence, evidence_of
+from halfseen.tables.assisted import RulePolicy
+from halfseen.tables.evidence import Evidence, evidence_of
+from halfseen.tables.grasp_choice import grasp_model_by
+from halfseen.tables.grasp_models import BetaGrasp
+from halfseen.tables.law_test import layouts_of, weighed
+from halfseen.tables.learner import Assisted, Chosen, assisted_by, rule_or_linear
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes

@@ -9,15 +9,15 @@ from scipy.stats import norm
 from simulated_tables import CALIBRATED, SEEING, evidence
 
 from fitted_laws import FITTED
-from halfseen.tables.laws.evidence import Labels, of_first
-from halfseen.tables.laws.recorder import seeing_of
-from halfseen.tables.laws.seeing import (
+from halfseen.tables.evidence import Labels, of_first
+from halfseen.tables.law_seeing import (
     INDEPENDENT_PRIOR,
     Independent,
     Persistent,
     facing_of,
     masses,
     persistent_prior,
+    seeing_of,
     views_of,
 )
 from halfseen.world import PersistentSeeing, WorldConfig

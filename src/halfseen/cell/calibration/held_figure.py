@@ -16,7 +16,7 @@ from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_
 from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, draw_bars, draw_grid, named_curves, write_legend, write_title
 from halfseen.pages.palette import BLUE, RED
 from halfseen.shapes import Float, Int
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 
 TITLE = "How often attempts held, and what the law that was fitted to them says"
 PARTS = 3

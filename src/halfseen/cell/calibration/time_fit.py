@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 import pandas as pd
 
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 
 FEWEST_MISSES = 5
 """With fewer, a miss is taken to last as long as an attempt that holds."""
@@ -33,7 +33,7 @@ def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
         As `halfseen.cell.calibration.trials.trials` gives them; attempts that found nothing to try count for the rest
         alone.
     censoring
-        As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
+        As in `halfseen.tables.grasp_models.BetaGrasp`.
     """
     decided = checked_attempts(trials, censoring)
     rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])

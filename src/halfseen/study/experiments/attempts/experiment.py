@@ -18,7 +18,7 @@ from halfseen.study.experiments.attempts.section import section_of
 from halfseen.study.experiments.attempts.sources import frame_of, read_attempts, source_of
 from halfseen.study.experiments.attempts.splits import sizes_of, split_of
 from halfseen.study.experiments.attempts.tables import tables_of
-from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
+from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
 from halfseen.workers.threads import one_thread
 
 SUREST = 1e-9

@@ -12,9 +12,8 @@ from halfseen.cell.calibration.held_given_past import held_given_past
 from halfseen.cell.calibration.trials import FACTS
 from halfseen.study.experiments.attempts.design import BETA, LAW, RATE, SVM, SVM_FACTS, SVM_SET, SVMS
 from halfseen.study.experiments.attempts.set_svm import said_by_set_svm
-from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
-from halfseen.tables.grasp.svm_grasp import SVMGrasp
+from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
+from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
 
 
 def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:

@@ -15,7 +15,7 @@ from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_
 from halfseen.shapes import Float
 from halfseen.study.experiments.attempts.sources import Source, fit_of, frame_of
 from halfseen.study.statistics import LEVEL
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.config import WorldConfig
 
 ASSUMED = "assumed"

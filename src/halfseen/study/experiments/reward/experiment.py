@@ -16,8 +16,8 @@ from halfseen.study.pipeline import SELECTION, Learned, Played, Source, episodes
 from halfseen.study.policies import FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, planner
 from halfseen.study.timing import measured_times
 from halfseen.study.told import told_by
-from halfseen.tables.assisted.learner import LINEAR as LINEAR_BASIS
 from halfseen.tables.laws import fitted_to
+from halfseen.tables.learner import LINEAR as LINEAR_BASIS
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutKind
 

@@ -12,7 +12,7 @@ from halfseen.study.frames import stacked
 from halfseen.study.policies import HEURISTICS, LEARNED
 from halfseen.study.statistics import adjusted, mean_columns, paired_test, signed_rank_test, tested_columns
 from halfseen.study.wording import is_reward
-from halfseen.tables.assisted.learner import MODEL
+from halfseen.tables.learner import MODEL
 
 MEASURES = {
     "reward": "reward of a trajectory",
