@@ -6,10 +6,10 @@ grasp is to succeed, learned from attempts) → `encoding` (logs → features, a
 one seam) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the trajectory
 so far → the state to decide in). Of several robots: `agent_logs`, what each made by itself.
 
-Beside them, a world whose laws were fitted to the same log, for planners that know no law: `evidence` → `law_grasping`
-and `law_seeing` → `laws`; and the learners that start from what these laws imply: `look_ahead` (the look one step
-ahead) → `excess` (what it misses) → `assisted` (the policies) → `law_test` (does the log contradict the laws) →
-`learner`.
+Beside them, a world whose laws were fitted to the same log, for planners that know no law: `evidence` →
+`law_grasping`, `law_seeing` and `recorder` → `laws`; and the learners that start from what these laws imply:
+`look_ahead` (the look one step ahead) → `excess` (what it misses) → `assisted` (the policies) → `law_test` (does the
+log contradict the laws) → `learner`.
 """
 
 from typing import TYPE_CHECKING

@@ -40,34 +40,18 @@ the rest. How much of its surface an object shows in full view is no parameter. 
 log says this only if its recorder took them for news. So the recorder has chosen: where a log counts what was seen of
 an object, looks that show no more are no news in it, and will be none to the policy that acts on such states; where it
 counts nothing, every look moved the log-odds, and will again.
-
-**The recorder's law** is read back from its own log-odds. Each label moved the log-odds of DIRTY of its object by
-
-    log P(label | dirty) − log P(label | clean),
-
-a known function of the recorder's law and of what was in view. So the law is what reproduces the moves: robust least
-squares, exact but for rounding where the recorder was of that family. A robot that works remembers now and then what
-hides an object otherwise than its camera saw it, so `MOST` of the moves must be reproduced, not all. Where no law does,
-nothing is read.
-
-A recorder's law may be wrong, and then its log-odds mislead whoever goes by them. The labels themselves tell: were the
-recorder right, twice the log-likelihood ratio of the best law of the family to the recorder's would be χ², with as many
-degrees of freedom as the family has numbers [Wilks1938]_. Unless that is beyond `LEVEL`, the recorder's law is the
-centre of the prior of the fit by labels; else they are fitted without it, as where a log holds no log-odds of its own.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.shapes import Bool, Float
-from halfseen.tables.assisted import Mending
+from halfseen.shapes import Float
 from halfseen.tables.evidence import Labels, Prior, least
-from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing, label_evidence
+from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing
 
 Theta = Float[np.ndarray, " k"]
 """Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power; of
@@ -320,163 +304,3 @@ def persistent_likelihood(theta: Theta, known: Intervals, dirty_share: float) ->
     hazard = expit(theta.reshape(2, -1))
     slope = count[:, :-1] * (1.0 - hazard) - later[:, :-1] * hazard
     return float(np.log(likelihood).sum()), slope.ravel()
-
-
-LEVEL = 0.01
-"""Probability with which a right recorder is taken for a wrong one, at most."""
-
-MOVE_ROUNDING = 2e-3
-"""Root mean square of what is left of moves that are rounded."""
-
-MOST = 0.95
-"""Share of the moves that one law must have made."""
-
-ENOUGH = 1000
-"""Moves among which a law is looked for; `MOST` of all must bear it out."""
-
-PARTS = (4, 12)
-"""In how many parts of what an object shows in full view a recorder's own curves are looked for."""
-
-RECORDER_SPREAD = 0.1
-"""Standard deviation of the prior about the recorder's law, in logits."""
-
-
-class Recorder(NamedTuple):
-    """What log-odds tell of who recorded them."""
-
-    theta: Rows
-    """Numbers of the law, in the family that the log speaks for."""
-    error: float
-    """Root mean square of what is left of `MOST` of the moves."""
-
-    @property
-    def is_consistent(self) -> bool:
-        """Whether one law made them."""
-        return self.error <= MOVE_ROUNDING
-
-
-def read_back(
-    told: Labels, law_of: Callable[[Rows], KnownSeeing], centre: Rows, bounds: tuple[float, float]
-) -> Recorder:
-    """Find the law whose labels would have moved the log-odds as they moved.
-
-    Parameters
-    ----------
-    told
-        The labels.
-    law_of
-        The law of some numbers.
-    centre
-        Where the search begins; numbers that no label tells stay there.
-    bounds
-        Within which each number lies.
-    """
-    from scipy.optimize import least_squares
-
-    some = Labels(*(values[:: 1 + len(told.moved) // ENOUGH] for values in told))
-
-    def left(theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
-        return np.concatenate([moved_by(law_of(theta), some) - some.moved, 1e-4 * (theta - centre)])
-
-    def read(loss: str) -> Recorder:
-        theta = least_squares(left, centre, bounds=bounds, loss=loss, f_scale=MOVE_ROUNDING).x
-        squares = np.sort((moved_by(law_of(theta), told) - told.moved) ** 2)
-        return Recorder(theta, float(np.sqrt(np.mean(squares[: int(np.ceil(MOST * len(squares)))]))))
-
-    exact = read("linear")
-    return exact if exact.is_consistent else read("soft_l1")
-
-
-def moved_by(law: KnownSeeing, told: Labels) -> Rows:
-    """By how much the labels move the log-odds under a law."""
-    if_dirty, if_clean = law.positive(told.occlusion, told.seen, told.is_held)
-    return np.asarray(label_evidence(if_dirty, if_clean, told.says_dirty), dtype=np.float64)
-
-
-def speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
-    """Whether labels reject a law, given its log-likelihood and the best of its family."""
-    from scipy.special import chdtri
-
-    return bool(2.0 * (best - log_likelihood) > chdtri(num_numbers, LEVEL))
-
-
-class SeenBy(NamedTuple):
-    """A law of seeing, and what became of the recorder's."""
-
-    law: AssumedSeeing | PersistentSeeing
-    recorder: AssumedSeeing | PersistentSeeing | None
-    """The law that made the log's own log-odds; None where no law of the family did."""
-    is_rejected: bool = False
-    """Whether the labels speak against it."""
-
-
-def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
-    """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
-
-    Parameters
-    ----------
-    told
-        The labels; without any, the law's numbers are the prior's.
-    dirty_share
-        π, which is known.
-    known
-        A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
-    """
-    families: list[Any] = [Independent(told, dirty_share)]
-    if told.is_persistent:
-        families = [Persistent(told, dirty_share, num_parts) for num_parts in PARTS]
-    plain = families[0]
-    about = None if known is None else plain.theta_of(known)
-    unaided = plain.prior if about is None else Prior(about, RECORDER_SPREAD)
-    each = ((family, read_back(told, family.law, family.prior.mode, family.bounds)) for family in families)
-    found = next((pair for pair in each if pair[1].is_consistent), None) if len(told.trajectory) else None
-    if found is None:
-        return SeenBy(plain.law(plain.fitted(unaided)), None)
-    family, recorder = found
-    best = family.fitted(Prior(recorder.theta, family.prior.spread))
-    reached = family.log_likelihood(recorder.theta), family.log_likelihood(best)
-    if speaks_against(*reached, len(recorder.theta)):
-        return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
-    return SeenBy(family.law(family.fitted(Prior(recorder.theta, RECORDER_SPREAD))), family.law(recorder.theta))
-
-
-NUM_KNOTS = 16
-
-
-def mending_of(told: Labels, law: KnownSeeing, dirty_share: float) -> Mending | None:
-    """Learn it from the labels of a log; None where it has none.
-
-    Parameters
-    ----------
-    told
-        The labels, those of each object in order.
-    law
-        What they are to mean.
-    dirty_share
-        P(DIRTY) before any label.
-    """
-    if not len(told.trajectory):
-        return None
-    prior = np.log(dirty_share) - np.log1p(-dirty_share)
-    order = np.argsort(told.object, kind="stable")
-    begins = np.append(True, np.diff(told.object[order]) != 0)
-    recorded, mended = (prior + _running(moves[order], begins) for moves in (told.moved, moved_by(law, told)))
-    persistent = law if isinstance(law, PersistentSeeing) else None
-    if persistent is not None:
-        is_found = told.says_dirty[order]
-        recorded, mended = recorded[is_found], mended[is_found]
-    # What was never seen is as before.
-    recorded, mended = np.append(recorded, prior), np.append(mended, prior)
-    edges = np.unique(np.quantile(recorded, np.linspace(0.0, 1.0, NUM_KNOTS + 1)))
-    part = np.searchsorted(edges[1:-1], recorded, side="right")
-    count = np.bincount(part)
-    x, y = (np.bincount(part, each)[count > 0] / count[count > 0] for each in (recorded, mended))
-    x, is_new = np.unique(x.astype(np.float32), return_index=True)
-    return Mending(x, np.maximum.accumulate(y).astype(np.float32)[is_new], float(prior), persistent)
-
-
-def _running(moves: Float[np.ndarray, " n"], begins: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Sums of the moves of each object so far."""
-    total = np.cumsum(moves)
-    first = np.flatnonzero(begins)
-    return total - np.repeat(total[first] - moves[first], np.diff(np.append(first, len(moves))))

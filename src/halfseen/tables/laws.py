@@ -34,7 +34,7 @@ from halfseen.tables.evidence import (
 )
 from halfseen.tables.grasp_attempts import attempts, rows_of_attempts
 from halfseen.tables.law_grasping import choose_grasping
-from halfseen.tables.law_seeing import seeing_of
+from halfseen.tables.recorder import seeing_of
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping

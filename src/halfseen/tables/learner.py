@@ -36,7 +36,6 @@ from halfseen.tables.evidence import Evidence, brought_by, evidence_of
 from halfseen.tables.excess import counting_time, fitted_excess, fitted_team_excess
 from halfseen.tables.grasp_choice import grasp_model_of
 from halfseen.tables.grasp_models import BetaGrasp
-from halfseen.tables.law_seeing import mending_of, seeing_of
 from halfseen.tables.law_test import (
     LawTest,
     WeightedLog,
@@ -49,6 +48,7 @@ from halfseen.tables.law_test import (
 )
 from halfseen.tables.laws import FittedLaws, fitted_laws, laws_in_words, paid_in, paid_in_team
 from halfseen.tables.policy import table_probabilities
+from halfseen.tables.recorder import mending_of, seeing_of
 from halfseen.workers import Workers
 from halfseen.workers.threads import in_one_thread, one_thread
 from halfseen.world.actions import Verb

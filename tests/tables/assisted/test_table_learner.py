@@ -17,9 +17,9 @@ from halfseen.tables import learner as learning
 from halfseen.tables.assisted import AssistedPolicy, RulePolicy
 from halfseen.tables.encoding import states_alone
 from halfseen.tables.evidence import evidence_of
-from halfseen.tables.law_seeing import mending_of
 from halfseen.tables.laws import dirty_and_clean, fitted_laws, paid_in, price_of_each
 from halfseen.tables.policy import LinearTablePolicy
+from halfseen.tables.recorder import mending_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, WorldConfig
 from halfseen.world.random import key_of
 from halfseen.world.rollout import evaluate

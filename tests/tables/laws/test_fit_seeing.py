@@ -17,9 +17,9 @@ from halfseen.tables.law_seeing import (
     facing_of,
     masses,
     persistent_prior,
-    seeing_of,
     views_of,
 )
+from halfseen.tables.recorder import seeing_of
 from halfseen.world import PersistentSeeing, WorldConfig
 from halfseen.world.seeing import AssumedSeeing, label_evidence
 
