@@ -22,7 +22,7 @@ from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
-from halfseen.tables.independent import IndependentPolicies
+from halfseen.tables.policy import IndependentPolicies
 from halfseen.world import WorldConfig, random
 from halfseen.world.policy import Policy, UniformPolicy
 from halfseen.world.state import Workspace

@@ -37,7 +37,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin
-from halfseen.tables.independent import IndependentPolicies
+from halfseen.tables.policy import IndependentPolicies
 from halfseen.world import ExploringPolicy, Robot, TableWorld, Team, WorldConfig, random
 from halfseen.world.actions import WAIT, wait_of
 from halfseen.world.rollout import play

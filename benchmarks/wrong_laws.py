@@ -28,10 +28,10 @@ from halfseen.planners.control import controlled_rewards
 from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import EVALUATION, Source, random_key
 from halfseen.study.setting import look_at
-from halfseen.tables.assisted import learner as learning
+from halfseen.tables import learner as learning
+from halfseen.tables.law_grasping import Exponential, Logistic
+from halfseen.tables.law_seeing import Independent
 from halfseen.tables.laws import FittedLaws, fitted_laws
-from halfseen.tables.laws.grasping import Exponential, Logistic
-from halfseen.tables.laws.seeing import Independent
 from halfseen.world import WorldConfig, random
 from halfseen.world.logs import to_logs
 from halfseen.world.rollout import evaluate

@@ -20,7 +20,7 @@ from halfseen.errors import LogError, PolicyError
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder.files import write_files
 from halfseen.scene import table_paths
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "physical_cell" / "logs"
 """Logs of 700 tables."""

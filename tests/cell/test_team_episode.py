@@ -23,8 +23,8 @@ from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.named import PLANNER, named_policy
 from halfseen.planners.rules import TeamOfRules
 from halfseen.tables.agent_logs import agent_view
+from halfseen.tables.features import NUM_TEAM_FEATURES
 from halfseen.tables.policy import LinearTeamPolicy
-from halfseen.tables.team_features import NUM_FEATURES
 from halfseen.world import random
 from halfseen.world.actions import FINISH, VERB_NAMES, WAIT, ActionSpace, Verb, possible_actions, wait_of
 from halfseen.world.config import WorldConfig
@@ -262,7 +262,7 @@ def decided_by_log(policy, logs):
 
 def learned():
     """A learned policy, as far as anybody can tell who does not know what it learned."""
-    shape = (PAIR_CONFIG.num_stages, 1, NUM_FEATURES + 1)
+    shape = (PAIR_CONFIG.num_stages, 1, NUM_TEAM_FEATURES + 1)
     return LinearTeamPolicy(np.random.default_rng(1).normal(size=shape).astype(np.float32), num_robots=2)
 
 

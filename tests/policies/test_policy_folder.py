@@ -19,13 +19,11 @@ from halfseen.policies.folder import log_digest, read_policy, write_policy
 from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.team_kind import FEATURES_VERSION as TEAM_VERSION
 from halfseen.tables import BetaGrasp
-from halfseen.tables.assisted.mending import Mending
-from halfseen.tables.assisted.policy import RulePolicy
-from halfseen.tables.features import FEATURES_VERSION, table_features
-from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.assisted import Mending, RulePolicy
+from halfseen.tables.features import FEATURES_VERSION, table_features, team_features
+from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import decisions
 from halfseen.tables.present import first_state
-from halfseen.tables.team_features import team_features
 from halfseen.world import Robots, Scene, TableState, Verb, Workspace
 from halfseen.world.actions import VERB_NAMES
 from halfseen.world.logs import states_of

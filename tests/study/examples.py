@@ -19,7 +19,7 @@ from halfseen.study.pipeline import episodes_in_turn
 from halfseen.study.policies import HEURISTICS, ONE_STEP
 from halfseen.study.setting import Setting
 from halfseen.study.treatments import TREATMENTS
-from halfseen.tables.assisted.learner import MODEL, RULE
+from halfseen.tables.learner import MODEL, RULE
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 

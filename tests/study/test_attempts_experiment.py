@@ -18,7 +18,7 @@ from halfseen.study.experiments.attempts_repetition import MODEL_NAMES, fit_of, 
 from halfseen.study.experiments.attempts_set_svm import SEEN, of_one_kind, sets_of
 from halfseen.study.setting import Setting
 from halfseen.study.store import as_json
-from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
+from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
 
 TINY = Attempts(num_tables=(6, 12), num_folds=2)
 

@@ -15,15 +15,16 @@ from halfseen.tables.explain import LearnedExplainer
 from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
+    NUM_TEAM_FEATURES,
+    NUM_WASH,
     WASH_DIRTY,
     WASH_EASE,
     table_columns,
     table_features,
+    team_features,
 )
-from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.present import first_state
-from halfseen.tables.team_features import NUM_FEATURES as NUM_TEAM_FEATURES
-from halfseen.tables.team_features import NUM_WASH, team_features
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, wait_of, worthwhile_actions
 from halfseen.world.rollout import evaluate, play

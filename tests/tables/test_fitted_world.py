@@ -10,8 +10,8 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.planners import POMDPPolicy
 from halfseen.tables import fit_world
+from halfseen.tables.evidence import evidence_of
 from halfseen.tables.laws import fitted_to
-from halfseen.tables.laws.evidence import evidence_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.grasping import KnownGrasping
 from halfseen.world.rollout import evaluate

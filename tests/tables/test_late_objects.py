@@ -8,8 +8,8 @@ from halfseen.errors import LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.tables.encoding import logged_actions
+from halfseen.tables.evidence import evidence_of
 from halfseen.tables.features import table_features
-from halfseen.tables.laws.evidence import evidence_of
 from halfseen.world import ActionSpace, WorldConfig
 from halfseen.world.actions import possible_actions
 from halfseen.world.logs import states_of

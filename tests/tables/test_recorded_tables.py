@@ -12,10 +12,9 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.tables import TableTask, TeamTask, agent_view, fit_world
 from halfseen.tables.encoding import states_alone, team_states
-from halfseen.tables.features import table_features, table_q
-from halfseen.tables.laws.evidence import evidence_of
-from halfseen.tables.laws.seeing import Independent
-from halfseen.tables.team_features import team_features
+from halfseen.tables.evidence import evidence_of
+from halfseen.tables.features import table_features, table_q, team_features
+from halfseen.tables.law_seeing import Independent
 from halfseen.world import Robots, TableState, Workspace, WorldConfig
 from halfseen.world.actions import possible_actions
 from picked import picked

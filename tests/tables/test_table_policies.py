@@ -13,7 +13,7 @@ from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.tables import TableTask
 from halfseen.tables.encoding import table_covariates
-from halfseen.tables.prior import logged_dirty_share
+from halfseen.tables.present import logged_dirty_share
 from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.cuts import cut, cut_rate

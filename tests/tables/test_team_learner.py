@@ -10,7 +10,7 @@ from halfseen.logs import Logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
 from halfseen.tables import BetaGrasp, IndependentPolicies
-from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import decisions
 from halfseen.tables.task import CAUTION
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random

@@ -7,8 +7,7 @@ from halfseen.cell.tables_seen import tables_seen
 from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.planners.rules import ReservingPolicy, TeamOfRules
-from halfseen.tables.independent import IndependentPolicies
-from halfseen.tables.policy import LinearTeamPolicy
+from halfseen.tables.policy import IndependentPolicies, LinearTeamPolicy
 from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, Team, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 

@@ -194,7 +194,7 @@ class CensoredQLearner(Estimator):
         grasp, reduces_variance, base
             Of the task.
         laws
-            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.assisted.team_learner`), unless
+            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.TeamLearner`), unless
             `base` is given, or something is said of Q, its stages, λ or pessimism; None without laws.
         **parameters
             Of the learner.

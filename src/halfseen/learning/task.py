@@ -164,8 +164,8 @@ def named_task(name: str, **parameters: Any) -> Task:
 
 
 LAWS = {
-    "table": "halfseen.tables.assisted.learner:TableLearner",
-    "team": "halfseen.tables.assisted.team_learner:TeamLearner",
+    "table": "halfseen.tables.learner:TableLearner",
+    "team": "halfseen.tables.learner:TeamLearner",
 }
 """Learners that fit laws to the log, by the name of the task."""
 OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO}

@@ -120,7 +120,7 @@ def _laws(has_laws: bool, prior: Any) -> dict[str, Any]:
 
 def _grasp_named(name: str | None) -> Any:
     if name == "beta":
-        from halfseen.tables.grasp.beta_grasp import BetaGrasp
+        from halfseen.tables.grasp_models import BetaGrasp
 
         return BetaGrasp()
     return None if name == "laplace" else AUTO

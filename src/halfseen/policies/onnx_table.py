@@ -13,7 +13,7 @@ from onnx import TensorProto, helper
 from halfseen.errors import ArgumentError
 from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, kernel_features, leaning
 from halfseen.tables.features import LEAST_IN_SIGHT, LIKELY_ODDS, NUM_FEATURES, NUM_TABLE_FEATURES, ROUNDING
-from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world.actions import ActionSpace
 from halfseen.world.config import WorldConfig

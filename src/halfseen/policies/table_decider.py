@@ -12,9 +12,8 @@ from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_f
 from halfseen.policies.reasons import values_by_name
 from halfseen.policies.table_reason import table_reason
 from halfseen.shapes import Float
-from halfseen.tables.assisted.explain import implied
-from halfseen.tables.assisted.policy import LawPolicy
-from halfseen.tables.explain import Grounds, table_grounds
+from halfseen.tables.assisted import LawPolicy
+from halfseen.tables.explain import Grounds, implied, table_grounds
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.present import Present
 from halfseen.world.actions import ActionSpace, Verb

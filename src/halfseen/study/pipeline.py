@@ -33,14 +33,14 @@ from halfseen.shapes import Float
 from halfseen.study.policies import logging_policy
 from halfseen.study.setting import Setting
 from halfseen.study.treatments import CENSORING, trajectory_arrays, treated, tried_in
-from halfseen.tables.assisted.learner import Assisted, Chosen, assisted_by, rule_or_linear
-from halfseen.tables.assisted.policy import RulePolicy
-from halfseen.tables.assisted.weighted_log import layouts_of, weighed
+from halfseen.tables.assisted import RulePolicy
 from halfseen.tables.encoding import encoded_states
+from halfseen.tables.evidence import Evidence, evidence_of
 from halfseen.tables.features import table_features
-from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.tables.grasp.choice import choose_by, grasp_model_by
-from halfseen.tables.laws.evidence import Evidence, evidence_of
+from halfseen.tables.grasp_choice import choose_by, grasp_model_by
+from halfseen.tables.grasp_models import BetaGrasp
+from halfseen.tables.law_test import layouts_of, weighed
+from halfseen.tables.learner import Assisted, Chosen, assisted_by, rule_or_linear
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.workers.threads import one_thread
 from halfseen.world import random

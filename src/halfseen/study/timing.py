@@ -14,8 +14,7 @@ from halfseen.shapes import Float
 from halfseen.study.pipeline import Source
 from halfseen.study.policies import FITTED_RULE, STRONGEST_RULE, Contender, Kind
 from halfseen.study.setting import Setting
-from halfseen.tables.assisted.policy import AssistedPolicy
-from halfseen.tables.assisted.synthetic import Excess
+from halfseen.tables.assisted import AssistedPolicy, Excess
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world import random

@@ -1,15 +1,15 @@
-"""The task of tables: where the learners meet the world.
+"""The task of tables: where the learners meet the world, for any number of robots.
 
-Read down: `features` and `team_features` (what Q looks at) → `grasp` (how likely a grasp is to succeed, learned from
-attempts) → `encoding` (logs → features, and what cuts may depend on) → `prior` → `rewards` (less noise in the targets)
-→ `policy` (what was learned, and what policies would have done) → `task` (all of it behind one seam, for any number of
-robots) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the trajectory
-so far → the state to decide in). Of several robots: `agent_logs`, `independent` (each for itself).
+Read down: `features` (what Q looks at) → `grasp_attempts`, `grasp_models`, `grasp_table`, `grasp_choice` (how likely a
+grasp is to succeed, learned from attempts) → `encoding` (logs → features, and what cuts may depend on) → `rewards`
+(less noise in the targets) → `policy` (what was learned, and what policies would have done) → `task` (all of it behind
+one seam) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the trajectory
+so far → the state to decide in). Of several robots: `agent_logs`, what each made by itself.
 
-Beside them, `laws`: a world whose laws were fitted to the same log, for planners that know no law; and `assisted`, the
-learner that starts from what these laws imply: `features` and `synthetic` (the look one step ahead, and what it
-misses), `mending` (log-odds made anew), `policy`, `law_test` (does the log contradict the laws), `choice` (by which
-policy, if it does), `learner`.
+Beside them, a world whose laws were fitted to the same log, for planners that know no law: `evidence` →
+`law_grasping`, `law_seeing` and `recorder` → `laws`; and the learners that start from what these laws imply:
+`look_ahead` (the look one step ahead) → `excess` (what it misses) → `assisted` (the policies) → `law_test` (does the
+log contradict the laws) → `learner`.
 """
 
 from typing import TYPE_CHECKING
@@ -18,15 +18,13 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.tables.agent_logs import agent_view
-    from halfseen.tables.assisted.learner import TableLearner
-    from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
+    from halfseen.tables.assisted import AssistedPolicy, RulePolicy
     from halfseen.tables.explain import LearnedExplainer
-    from halfseen.tables.grasp.attempts import attempts
-    from halfseen.tables.grasp.beta_grasp import BetaGrasp
-    from halfseen.tables.grasp.svm_grasp import SVMGrasp
-    from halfseen.tables.independent import IndependentPolicies
+    from halfseen.tables.grasp_attempts import attempts
+    from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
     from halfseen.tables.laws import fit_world
-    from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy
+    from halfseen.tables.learner import TableLearner, TeamLearner
+    from halfseen.tables.policy import IndependentPolicies, LinearTablePolicy, LinearTeamPolicy
     from halfseen.tables.task import TableTask, TeamTask
 
 __all__ = [
@@ -40,6 +38,7 @@ __all__ = [
     "SVMGrasp",
     "TableLearner",
     "TableTask",
+    "TeamLearner",
     "TeamTask",
     "agent_view",
     "attempts",
@@ -49,19 +48,20 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "AssistedPolicy": "assisted.policy",
-        "BetaGrasp": "grasp.beta_grasp",
-        "IndependentPolicies": "independent",
+        "AssistedPolicy": "assisted",
+        "BetaGrasp": "grasp_models",
+        "IndependentPolicies": "policy",
         "LearnedExplainer": "explain",
         "LinearTablePolicy": "policy",
         "LinearTeamPolicy": "policy",
-        "RulePolicy": "assisted.policy",
-        "SVMGrasp": "grasp.svm_grasp",
-        "TableLearner": "assisted.learner",
+        "RulePolicy": "assisted",
+        "SVMGrasp": "grasp_models",
+        "TableLearner": "learner",
         "TableTask": "task",
+        "TeamLearner": "learner",
         "TeamTask": "task",
         "agent_view": "agent_logs",
-        "attempts": "grasp.attempts",
+        "attempts": "grasp_attempts",
         "fit_world": "laws",
     },
 )

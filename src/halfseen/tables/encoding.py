@@ -16,8 +16,7 @@ from halfseen.logs import Logs
 from halfseen.logs.columns import refuse, shown, value_at
 from halfseen.shapes import Bool, Int
 from halfseen.suggestions import did_you_mean
-from halfseen.tables.features import table_features
-from halfseen.tables.team_features import team_features
+from halfseen.tables.features import table_features, team_features
 from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, wait_of, worthwhile_actions
 from halfseen.world.log_checks import TABLE, checked_tables, robots_in
 from halfseen.world.log_rows import begun_objects

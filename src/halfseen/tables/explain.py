@@ -31,6 +31,13 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
 else:
     CensoredQLearner = Logs = Any  # A decision is put into words without a learner.
+from typing import Any
+
+from halfseen.arrays import mapped
+from halfseen.planners.belief import belief_of
+from halfseen.planners.one_step import ATTEMPT_S, NOW, left_price, table_of
+from halfseen.tables.assisted import AssistedPolicy, LawPolicy
+from halfseen.tables.look_ahead import ahead_of
 
 _HIDES = 0.1
 """Share of another object from which on an object counts as hiding it."""
@@ -44,6 +51,7 @@ _MOST_TOLD = 2
 """Objects behind another that are told of one by one."""
 
 _HIDDEN = ((_HIDES, ""), (0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
+
 _DIRTY = (
     (0.1, "almost surely clean"),
     (0.25, "probably clean"),
@@ -319,3 +327,55 @@ def _stretched(
     stretched = np.full(draws.shape, -np.inf)
     stretched[:, is_known] = q[is_known] + factor * deviation
     return stretched
+
+
+def implied(policy: LawPolicy, state: TableState, action: int) -> str:
+    """Say what the laws of a policy's log imply for an action.
+
+    Parameters
+    ----------
+    policy
+        What decides.
+    state
+        One table, with an object on it.
+    action
+        A possible action.
+
+    Examples
+    --------
+    >>> from halfseen.tables.present import first_state
+    >>> from halfseen.world import Scene, WorldConfig
+    >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10, dirty_share=0.6).state
+    >>> policy = AssistedPolicy(WorldConfig())
+    >>> implied(policy, state, 2)
+    'by the laws of its log a grasp holds with 0.87, and the WASH pays 1.62 on average'
+    >>> implied(policy, state, 4)
+    'by the laws of its log a grasp holds with 0.87, and the look is worth 3.09, for 0.30'
+    >>> implied(policy, state, 0)
+    'by the laws of its log 1.2 dirty objects would be left, for 6.0'
+    """
+    config, mended = policy.config, mapped(np.asarray, policy.mended(state))
+    ahead = ahead_of(config, table_of(belief_of(config, mended)))
+    told = "by the laws of its log"
+    if action == FINISH:
+        price = float(left_price(config, ahead.table))
+        count = price / float(config.reward_dirty_left) if config.reward_dirty_left else 0.0
+        return f"{told} {count:.1f} dirty objects would be left, for {-price:.1f}"
+    space = ActionSpace(state.num_objects)
+    verb, target = int(space.verb(action)), int(space.target(action))
+    expected = ahead.look.expected[0]
+    chance = float(expected[NOW][target])
+    further = _further(policy, ahead, action)
+    if verb == Verb.WASH:
+        pays = float(ahead.look.worth[target])
+        return f"{told} a grasp holds with {chance:.2f}, and the WASH pays {pays:.2f} on average{further}"
+    cost = -float(config.reward_lift_per_s) * (float(config.transport_s) + float(expected[ATTEMPT_S][target]))
+    worth = float(ahead.values[1][action - 1] - ahead.control) + cost
+    return f"{told} a grasp holds with {chance:.2f}, and the look is worth {worth:.2f}, for {cost:.2f}{further}"
+
+
+def _further(policy: LawPolicy, ahead: Any, action: int) -> str:
+    """What further steps add, where that was simulated."""
+    if not isinstance(policy, AssistedPolicy) or policy.excess is None:
+        return ""
+    return f"; further steps add {float(policy.excess(ahead)[action - 1]):.2f}"

@@ -1,8 +1,7 @@
 """A learned Q of tables as a policy: coefficients, and nothing of the learner; and what policies would have done.
 
 K robots share one table; a state without robots is of one that works alone. Q is linear in the features of an action
-(`halfseen.tables.features`, or `halfseen.tables.team_features` where there are robots), with one block of coefficients
-for each verb, or one for all.
+(`halfseen.tables.features`), with one block of coefficients for each verb, or one for all.
 """
 
 from collections.abc import Callable, Sequence
@@ -11,16 +10,16 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from halfseen.arrays import STATIC, Array, at, library_of, record
+from halfseen.arrays import STATIC, Array, at, library_of, mapped, record
 from halfseen.errors import ArgumentError
 from halfseen.learning.behaviour import leaning, seen_among
 from halfseen.learning.q_space import KernelMap
 from halfseen.learning.rows import q_values
 from halfseen.shapes import Bool, Float, Int
-from halfseen.tables.features import table_features, table_q
-from halfseen.tables.team_features import team_features
+from halfseen.tables.features import table_features, table_q, team_features
 from halfseen.world import random
-from halfseen.world.actions import WAIT, ActionSpace, possible_actions, worthwhile_actions
+from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, worthwhile_actions
+from halfseen.world.others import is_decider
 from halfseen.world.policy import (
     Decision,
     ExploringPolicy,
@@ -278,3 +277,50 @@ def _check_number(policy: Any, states: TableState) -> None:
 def _decision(policy: Any, states: TableState) -> Decision:
     keys = np.broadcast_to(random.key_of(0), (*states.is_object.shape[:-1], 2))
     return policy.decide(states, keys)
+
+
+@record
+class IndependentPolicies:
+    """A team without coordination; what another robot is at, or near, is to each as if it were not there.
+
+    Parameters
+    ----------
+    policies
+        Policy of each robot, such as one that learned from its own view of a log (`halfseen.tables.agent_view`).
+
+    Raises
+    ------
+    ArgumentError
+        There is none.
+    """
+
+    policies: tuple[Policy, ...]
+
+    def __post_init__(self) -> None:
+        if not self.policies:
+            raise ArgumentError("policies is (): give the policy of each robot, at least one")
+
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return len(self.policies)
+
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Let the policy of the robot that decides choose."""
+        table, xp = own_table(state), library_of(state.log_odds)
+        found, *rest = [policy.decide(table, key) for policy in self.policies]
+        for robot, other in enumerate(rest, start=1):
+            is_its_turn = state.decider == robot
+            found = mapped(lambda new, old, turn=is_its_turn: xp.where(turn, new, old), other, found)
+        return found
+
+
+def own_table(state: TableState) -> TableState:
+    """The table as the robot that decides sees it as if alone: what it could begin with now, and its own decisions."""
+    robots: Any = state.robots
+    xp = library_of(state.log_odds)
+    is_free = possible_actions(state)[..., ActionSpace(state.num_objects).of(Verb.WASH)]
+    own_to_go = xp.sum(xp.where(is_decider(state), robots.decisions_to_go, 0), axis=-1)
+    to_go = xp.maximum(own_to_go, 1).astype(state.steps_to_go.dtype)
+    alone = {"robots": None, "workspace": None, "decider": None, "attempt_robot": None}
+    return replace(state, is_on_table=is_free, steps_to_go=to_go, **alone)

@@ -38,9 +38,14 @@ from halfseen.tables.encoding import (
     team_states,
 )
 from halfseen.tables.features import ease_of
-from halfseen.tables.grasp.choice import choose_grasp, grasp_model_of
-from halfseen.tables.independent import IndependentPolicies
-from halfseen.tables.policy import LinearTablePolicy, LinearTeamPolicy, decisions, table_probabilities
+from halfseen.tables.grasp_choice import choose_grasp, grasp_model_of
+from halfseen.tables.policy import (
+    IndependentPolicies,
+    LinearTablePolicy,
+    LinearTeamPolicy,
+    decisions,
+    table_probabilities,
+)
 from halfseen.world.actions import (
     FINISH,
     TARGETED,
@@ -73,7 +78,7 @@ class TableTask:
         What tells the probability of a grasp: None for the rule of succession; `BetaGrasp` or `SVMGrasp`, which is
         fitted to the attempts of the log unless it is fitted already; any `GraspModel`; or ``"auto"``, the rule of
         succession unless a Beta regression foretells the log's own attempts better, by each robot's own where robots
-        clearly differ (`halfseen.tables.grasp.choice`); until it is fitted, the rule of succession.
+        clearly differ (`halfseen.tables.grasp_choice`); until it is fitted, the rule of succession.
     reduces_variance
         Takes the noise of dirty or clean and that of the labels out of the targets of eq. 3; it rests on the log-odds
         of DIRTY being right (see `rewards`).

@@ -11,9 +11,9 @@ from halfseen.arrays import mapped
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import left_price, one_step_q, table_of
 from halfseen.planners.rollout import sampled_values
-from halfseen.tables.assisted.features import NUM_FEATURES, NUM_OWN, NUM_TABLE, ahead_of
-from halfseen.tables.assisted.policy import AssistedPolicy
-from halfseen.tables.assisted.synthetic import Excess, after_each, features_of, fitted_excess, rows_of
+from halfseen.tables.assisted import AssistedPolicy, Excess
+from halfseen.tables.excess import after_each, features_of, fitted_excess, rows_of
+from halfseen.tables.look_ahead import NUM_EXCESS_FEATURES, NUM_OWN, NUM_TABLE, ahead_of
 from halfseen.world import Scene, WorldConfig, random
 from halfseen.world.policy import UniformPolicy
 from halfseen.world.rollout import play
@@ -62,7 +62,7 @@ def test_nothing_missed_is_the_look_one_step_ahead(config):
 def test_excess_is_its_coefficients_times_the_features_within_the_range_that_was_fitted():
     rng = np.random.default_rng(0)
     shape = (FITTED.horizon, 2)
-    coefficients = rng.normal(size=(*shape, 1 + NUM_FEATURES)).astype(np.float32)
+    coefficients = rng.normal(size=(*shape, 1 + NUM_EXCESS_FEATURES)).astype(np.float32)
     excess = Excess(coefficients, np.full(shape, -1.0, dtype=np.float32), np.full(shape, 2.0, dtype=np.float32))
     states = states_in_play(FITTED, 6)
     ahead = ahead_in(FITTED, states)

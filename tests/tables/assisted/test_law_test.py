@@ -11,9 +11,8 @@ from halfseen.arrays import mapped
 from halfseen.learning import CensoredQLearner
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import control_value, left_price, outlook_of, rule_and_control, setting_of, table_of
-from halfseen.tables.assisted.law_test import hotelling_test, residuals_of
-from halfseen.tables.assisted.weighted_log import weighted_log
 from halfseen.tables.encoding import states_alone
+from halfseen.tables.law_test import hotelling_test, residuals_of, weighted_log
 from halfseen.world import AssumedSeeing, WorldConfig
 
 HORIZON = FITTED.horizon

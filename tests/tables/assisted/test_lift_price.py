@@ -8,9 +8,8 @@ from small_tables import logs_of
 
 from fitted_laws import FITTED
 from halfseen.planners.belief import belief_of, expected_attempt_s
-from halfseen.tables.assisted.lift_price import with_lift_price
-from halfseen.tables.assisted.weighted_log import weighted_log
 from halfseen.tables.encoding import states_alone
+from halfseen.tables.law_test import weighted_log, with_lift_price
 from halfseen.world import ActionSpace, Verb
 from halfseen.world.state import occlusion
 

@@ -13,14 +13,13 @@ from halfseen.learning import CensoredQLearner
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.tables import TableLearner
-from halfseen.tables.assisted import learner as learning
-from halfseen.tables.assisted.mending import mending_of
-from halfseen.tables.assisted.policy import AssistedPolicy, RulePolicy
+from halfseen.tables import learner as learning
+from halfseen.tables.assisted import AssistedPolicy, RulePolicy
 from halfseen.tables.encoding import states_alone
-from halfseen.tables.laws import fitted_laws
-from halfseen.tables.laws.evidence import evidence_of
-from halfseen.tables.laws.prices import dirty_and_clean, paid_in, price_of_each
+from halfseen.tables.evidence import evidence_of
+from halfseen.tables.laws import dirty_and_clean, fitted_laws, paid_in, price_of_each
 from halfseen.tables.policy import LinearTablePolicy
+from halfseen.tables.recorder import mending_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, WorldConfig
 from halfseen.world.random import key_of
 from halfseen.world.rollout import evaluate

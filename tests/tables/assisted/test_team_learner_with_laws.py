@@ -12,15 +12,15 @@ from halfseen.planners import GreedyPolicy
 from halfseen.planners.futures import future_rewards
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.rules import ReservingPolicy
-from halfseen.tables.assisted import team_learner as learning
-from halfseen.tables.assisted import team_synthetic as synthetic
-from halfseen.tables.assisted.team_features import NUM_TEAM_FEATURES, team_described
-from halfseen.tables.assisted.team_learner import TeamLearner, team_laws
-from halfseen.tables.assisted.team_policy import AssistedTeamPolicy, TeamExcess
-from halfseen.tables.assisted.weighted_log import layouts_of
+from halfseen.tables import excess as synthetic
+from halfseen.tables import learner as learning
+from halfseen.tables.assisted import AssistedTeamPolicy, TeamExcess
 from halfseen.tables.encoding import team_states
-from halfseen.tables.laws.team_evidence import brought_by, is_plain_look, shown_by_washing
-from halfseen.tables.laws.team_prices import paid_in_team
+from halfseen.tables.evidence import brought_by, is_plain_look, shown_by_washing
+from halfseen.tables.law_test import layouts_of
+from halfseen.tables.laws import paid_in_team
+from halfseen.tables.learner import TeamLearner, team_laws
+from halfseen.tables.look_ahead import NUM_TEAM_EXCESS_FEATURES, team_described
 from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, random
 from halfseen.world.actions import possible_actions
 from halfseen.world.rollout import evaluate, play
@@ -101,8 +101,9 @@ def test_washing_shows_what_was_dirty(world):
 
 
 def test_the_laws_of_a_right_recorder_are_read_and_not_rejected(logs, world):
-    config, told = team_laws(logs, team_states(logs, 2 * HORIZON))
-    assert "read from the log’s own log-odds" in told
+    laws = team_laws(logs, team_states(logs, 2 * HORIZON))
+    config = laws.config
+    assert "read from the log’s own log-odds" in laws.sentence
     views = np.linspace(0.05, 1.0, 8)
     found, true = config.seeing.found_by(views), world.config.seeing.found_by(views)
     assert np.abs(np.asarray(found) - np.asarray(true)).max() < 0.05
@@ -135,7 +136,7 @@ def test_log_odds_that_are_too_sure_of_themselves_are_not_relied_upon(logs):
     objects["log_odds"] = prior + 4.0 * (objects["log_odds"] - prior)
     wrong = type(logs)(logs.stages, logs.trajectories, objects)
     learner = CensoredQLearner.for_team(2, HORIZON).fit(wrong)
-    assert learner.assisted_.basis == learning.WITHOUT_LAWS
+    assert learner.assisted_.basis == learning.LINEAR
     assert learner.policy_ is learner.linear_policy_
     assert any("the log contradicts the laws" in said for said in learner.chosen_)
 
@@ -146,7 +147,7 @@ def test_a_second_that_costs_nothing_is_counted_all_the_same(world):
 
 
 def test_e_is_cautious_of_all_but_the_myopic_action_and_makes_no_more_of_waiting(states, world):
-    drawn = np.random.default_rng(0).normal(size=NUM_TEAM_FEATURES).astype(np.float32)
+    drawn = np.random.default_rng(0).normal(size=NUM_TEAM_EXCESS_FEATURES).astype(np.float32)
     q = MyopicPolicy(world.played_config).q_values(states)
     excess = TeamExcess(drawn, -0.5, 0.5, caution=0.2)(states, q)
     best = q.argmax(axis=-1)[:, None]
@@ -183,7 +184,7 @@ def test_futures_of_what_is_tried_are_those_of_all(states, world):
 
 def test_a_row_is_what_an_action_did_better_than_the_myopic_one(states, world):
     config, key = world.played_config, random.fold_in(random.key_of(5), np.arange(40))
-    tried = synthetic.simulated(config, states, key, 3)
+    tried = synthetic.team_simulated(config, states, key, 3)
     future_key, try_key = random.split(key)
     base = MyopicPolicy(config)
     q = base.q_values(states)

@@ -6,7 +6,7 @@ import pytest
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.grasp_attempts import attempts
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import cut, cut_rate

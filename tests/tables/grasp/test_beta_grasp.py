@@ -16,8 +16,8 @@ from tried import beta_attempts, cut_some
 from halfseen.censoring import KaplanMeier, censoring_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.tables import BetaGrasp, SVMGrasp
-from halfseen.tables.grasp.beta_grasp import CENTRE, SPREAD, fitted_thetas, negative_log_posteriors, predictive
-from halfseen.tables.grasp.inputs import checked_attempts, checked_history, kinds
+from halfseen.tables.grasp_attempts import checked_attempts, checked_history, kinds
+from halfseen.tables.grasp_models import CENTRE, SPREAD, fitted_thetas, negative_log_posteriors, predictive
 
 
 def history(occlusion, successes, failures):

@@ -16,11 +16,10 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
 from halfseen.tables import BetaGrasp, TeamTask
-from halfseen.tables.features import table_columns
-from halfseen.tables.grasp.choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp, fit_grip_effect
-from halfseen.tables.grasp.choice import GRIP_SPREAD as SPREAD
-from halfseen.tables.grasp.grasp_table import GraspByRobot, GraspTable, GripEffect, tabulate
-from halfseen.tables.team_features import NUM_LIFT, NUM_WASH, team_features
+from halfseen.tables.features import NUM_LIFT, NUM_WASH, table_columns, team_features
+from halfseen.tables.grasp_choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp, fit_grip_effect
+from halfseen.tables.grasp_choice import GRIP_SPREAD as SPREAD
+from halfseen.tables.grasp_table import GraspByRobot, GraspTable, GripEffect, tabulate
 from halfseen.world import FittedGrasping, Robot, Scene, TableWorld, UniformPolicy, Verb, WorldConfig, random
 from halfseen.world.transition import start, step
 from picked import leaves_of, picked

@@ -11,7 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.tables import BetaGrasp, LinearTablePolicy, SVMGrasp, attempts
 from halfseen.tables.features import NUM_FEATURES, table_features
-from halfseen.tables.grasp.grasp_table import GraspTable, tabulate
+from halfseen.tables.grasp_table import GraspTable, tabulate
 from halfseen.world import Scene, TableWorld, UniformPolicy, WorldConfig, random
 from halfseen.world.policy import GraspModel
 from halfseen.world.rollout import play

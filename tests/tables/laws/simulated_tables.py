@@ -3,7 +3,7 @@
 import numpy as np
 
 from halfseen.planners import GreedyPolicy
-from halfseen.tables.laws.evidence import evidence_of
+from halfseen.tables.evidence import evidence_of
 from halfseen.world import ExploringPolicy, FittedGrasping, PersistentSeeing, Scene, TableWorld, WorldConfig
 from halfseen.world.logs import to_logs
 

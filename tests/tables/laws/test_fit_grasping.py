@@ -10,8 +10,8 @@ from scipy.special import expit
 from scipy.stats import lognorm, norm
 from simulated_tables import CALIBRATED, GRASPING, evidence
 
-from halfseen.tables.laws.evidence import AT_LIMIT, Watched, of_first
-from halfseen.tables.laws.grasping import Exponential, Logistic, choose_grasping, misses_at_limit_alone
+from halfseen.tables.evidence import AT_LIMIT, Watched, of_first
+from halfseen.tables.law_grasping import Exponential, Logistic, choose_grasping, misses_at_limit_alone
 from halfseen.world import AssumedGrasping, FittedGrasping, WorldConfig
 
 LIMIT_S = 9.5

@@ -9,9 +9,8 @@ from scipy.stats import norm
 from simulated_tables import CALIBRATED, SEEING, evidence
 
 from fitted_laws import FITTED
-from halfseen.tables.laws.evidence import Labels, of_first
-from halfseen.tables.laws.recorder import seeing_of
-from halfseen.tables.laws.seeing import (
+from halfseen.tables.evidence import Labels, of_first
+from halfseen.tables.law_seeing import (
     INDEPENDENT_PRIOR,
     Independent,
     Persistent,
@@ -20,6 +19,7 @@ from halfseen.tables.laws.seeing import (
     persistent_prior,
     views_of,
 )
+from halfseen.tables.recorder import seeing_of
 from halfseen.world import PersistentSeeing, WorldConfig
 from halfseen.world.seeing import AssumedSeeing, label_evidence
 

@@ -8,9 +8,9 @@ from simulated_tables import CALIBRATED, recorded, scene
 
 from fitted_laws import FITTED
 from halfseen.logs import Logs
-from halfseen.tables.laws.evidence import evidence_of
-from halfseen.tables.laws.grasping import choose_grasping
-from halfseen.tables.laws.recorder import seeing_of
+from halfseen.tables.evidence import evidence_of
+from halfseen.tables.law_grasping import choose_grasping
+from halfseen.tables.recorder import seeing_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, FittedGrasping, PersistentSeeing, WorldConfig
 
 GRIP = [0.5, -0.5, 0.0, 1.0, -1.0]

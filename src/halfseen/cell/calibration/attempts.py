@@ -21,7 +21,7 @@ from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import as_floats, refuse, require_columns
 from halfseen.shapes import Float, Int
-from halfseen.tables.grasp.attempts import attempts
+from halfseen.tables.grasp_attempts import attempts
 
 FACTS = tuple(each.name for each in fields(Facts))
 """What is seen of an object that may make it hard to grip."""
@@ -44,8 +44,8 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        As `halfseen.tables.grasp.attempts.attempts`, with `FACTS` and attempt_s, the time until it was known whether
-        the attempt held (NaN where it was cut) [s].
+        As `halfseen.tables.grasp_attempts.attempts`, with `FACTS` and attempt_s, the time until it was known whether the
+        attempt held (NaN where it was cut) [s].
 
     Raises
     ------

@@ -30,7 +30,7 @@ from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, draw_bars, draw_grid,
 from halfseen.pages.drawing import drawn
 from halfseen.pages.palette import BLUE, RED
 from halfseen.shapes import Float, Int
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 HELD_TITLE = "How often attempts held, and what the law that was fitted to them says"

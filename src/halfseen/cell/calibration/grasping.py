@@ -25,7 +25,7 @@ from scipy.special import expit, log_expit, logsumexp, softmax
 from halfseen.cell.calibration.attempts import FACTS
 from halfseen.errors import LogError
 from halfseen.shapes import Float, Int
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 
 CENTRES, SCALES = (
     {"is_lying": 0.0, "width_m": 0.075, "room_m": 0.04},
@@ -88,7 +88,7 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     trials
         As `halfseen.cell.calibration.attempts.trials` gives them.
     censoring
-        As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
+        As in `halfseen.tables.grasp_models.BetaGrasp`.
 
     Raises
     ------

@@ -23,7 +23,7 @@ from halfseen.logs import Logs
 from halfseen.perception.labels import FACING_SHARE
 from halfseen.perception.view import View
 from halfseen.shapes import Float
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import FittedGrasping
 from halfseen.world.scene import Scene
@@ -55,7 +55,7 @@ def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
         As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
         alone.
     censoring
-        As in `halfseen.tables.grasp.beta_grasp.BetaGrasp`.
+        As in `halfseen.tables.grasp_models.BetaGrasp`.
     """
     decided = checked_attempts(trials, censoring)
     rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])

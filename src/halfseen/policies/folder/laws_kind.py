@@ -13,11 +13,9 @@ from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_kind import TableFacts, check_facts, counts_views, facts_schema, least_rewards
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of
 from halfseen.policies.folder.world_values import values_of_world, world_of_values
-from halfseen.tables.assisted.features import FEATURES_VERSION, NUM_FEATURES
-from halfseen.tables.assisted.mending import Mending
-from halfseen.tables.assisted.policy import AssistedPolicy, LawPolicy, RulePolicy
-from halfseen.tables.assisted.synthetic import Excess
-from halfseen.tables.prior import prior_facts
+from halfseen.tables.assisted import AssistedPolicy, Excess, LawPolicy, Mending, RulePolicy
+from halfseen.tables.look_ahead import EXCESS_VERSION, NUM_EXCESS_FEATURES
+from halfseen.tables.present import prior_facts
 from halfseen.world.actions import Verb
 from halfseen.world.seeing import PersistentSeeing
 
@@ -27,7 +25,7 @@ else:
     Logs = Any  # Who reads a policy loads no log.
 
 _VERBS = [verb.name for verb in Verb]
-_FEATURES = {"of": "laws", "version": FEATURES_VERSION, "number": NUM_FEATURES}
+_FEATURES = {"of": "laws", "version": EXCESS_VERSION, "number": NUM_EXCESS_FEATURES}
 _BASES = {"model": AssistedPolicy, "rule": RulePolicy}
 _EXCESS = ("coefficients", "low", "high")
 _MENDING = ("recorded", "mended")
@@ -124,7 +122,7 @@ def _wanted(arrays: Arrays, horizon: int, basis: str) -> dict[str, tuple[int, ..
     if any(name.startswith("mending.") for name in arrays):
         wanted |= dict.fromkeys((f"mending.{name}" for name in _MENDING), sizes_of(arrays, "mending.recorded", 1))
     if basis == "model" and any(name.startswith("excess.") for name in arrays):
-        shapes = ((horizon, 2, 1 + NUM_FEATURES), (horizon, 2), (horizon, 2))
+        shapes = ((horizon, 2, 1 + NUM_EXCESS_FEATURES), (horizon, 2), (horizon, 2))
         wanted |= {f"excess.{name}": shape for name, shape in zip(_EXCESS, shapes, strict=True)}
     if basis == "rule" and GRASP in arrays:
         levels, most, _ = sizes_of(arrays, GRASP, 3)

@@ -22,7 +22,7 @@ from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of, is_seen_of, seen_verbs
 from halfseen.tables.features import FEATURES_VERSION, NUM_FEATURES
 from halfseen.tables.policy import LinearTablePolicy
-from halfseen.tables.prior import PriorFacts, dirty_share, prior_facts
+from halfseen.tables.present import PriorFacts, dirty_share, prior_facts
 from halfseen.world.actions import Verb
 
 if TYPE_CHECKING:

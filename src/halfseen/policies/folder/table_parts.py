@@ -9,7 +9,7 @@ from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP
 from halfseen.policies.folder.json_values import horizon_of, typed
 from halfseen.shapes import Bool
-from halfseen.tables.grasp.grasp_table import GraspTable
+from halfseen.tables.grasp_table import GraspTable
 from halfseen.world.policy import GraspModel
 
 

@@ -8,8 +8,7 @@ import numpy as np
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder.arrays import Arrays
 from halfseen.policies.folder.table_kind import TableKind, policy_in, schema_of
-from halfseen.tables.independent import IndependentPolicies
-from halfseen.tables.policy import LinearTablePolicy
+from halfseen.tables.policy import IndependentPolicies, LinearTablePolicy
 from halfseen.world.policy import Policy
 
 ALONE = "alone"

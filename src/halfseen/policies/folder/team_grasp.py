@@ -8,7 +8,7 @@ import numpy as np
 from halfseen.errors import PolicyError
 from halfseen.policies.folder.arrays import GRASP, PER_GRIP, Arrays
 from halfseen.policies.folder.table_parts import grasp_arrays, grasp_of
-from halfseen.tables.grasp.grasp_table import GraspByRobot, GraspTable
+from halfseen.tables.grasp_table import GraspByRobot, GraspTable
 from halfseen.world.policy import GraspModel
 
 _OWN = "own."

@@ -14,8 +14,8 @@ from halfseen.policies.folder.table_parts import is_seen_of, seen_verbs
 from halfseen.policies.folder.team_base import base_arrays, base_of, base_schema, split_arrays
 from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
 from halfseen.tables.features import FEATURES_VERSION as TABLE_FEATURES_VERSION
+from halfseen.tables.features import NUM_TEAM_FEATURES
 from halfseen.tables.policy import LinearTeamPolicy
-from halfseen.tables.team_features import NUM_FEATURES
 from halfseen.world.actions import VERB_NAMES
 
 if TYPE_CHECKING:
@@ -31,7 +31,7 @@ _FEATURES = {
     "of": "team",
     "version": FEATURES_VERSION,
     "version_of_tables": TABLE_FEATURES_VERSION,
-    "number": NUM_FEATURES,
+    "number": NUM_TEAM_FEATURES,
 }
 _OTHERWISE = ("grasp", "is_seen", "kernel_map", "base")
 _STATIC = tuple(field.name for field in fields(LinearTeamPolicy) if field.metadata.get("static"))
@@ -101,7 +101,7 @@ class TeamKind:
             Its features are not those of this halfseen, its number of robots is none, or arrays do not fit.
         """
         _check_schema(record)
-        shape = Shape(horizon_of(record), 1, NUM_FEATURES, np.float32)
+        shape = Shape(horizon_of(record), 1, NUM_TEAM_FEATURES, np.float32)
         arrays, of_base = split_arrays(arrays)
         arrays, of_grasp = split_grasp(arrays, record["schema"]["num_robots"])
         check_arrays(arrays, shape, may_grasp=True, others=_ARRAYS)

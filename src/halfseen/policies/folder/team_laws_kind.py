@@ -11,8 +11,8 @@ from halfseen.policies.folder.arrays import Arrays, check_shapes
 from halfseen.policies.folder.json_values import check_features, horizon_of, typed
 from halfseen.policies.folder.seen_tables import TABLE_RANGES, seen_tables
 from halfseen.policies.folder.world_values import values_of_world, world_of_values
-from halfseen.tables.assisted.team_features import NUM_TEAM_FEATURES, TEAM_FEATURES_VERSION
-from halfseen.tables.assisted.team_policy import AssistedTeamPolicy, TeamExcess
+from halfseen.tables.assisted import AssistedTeamPolicy, TeamExcess
+from halfseen.tables.look_ahead import NUM_TEAM_EXCESS_FEATURES, TEAM_EXCESS_VERSION
 from halfseen.world.actions import VERB_NAMES
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ else:
     Logs = Any  # Who reads a policy loads no log.
 
 _VERBS = list(VERB_NAMES)
-_FEATURES = {"of": "team-laws", "version": TEAM_FEATURES_VERSION, "number": NUM_TEAM_FEATURES}
+_FEATURES = {"of": "team-laws", "version": TEAM_EXCESS_VERSION, "number": NUM_TEAM_EXCESS_FEATURES}
 _COEFFICIENTS = "excess.coefficients"
 _NUMBERS = ("low", "high", "caution")
 
@@ -81,7 +81,7 @@ class TeamLawsKind:
                 f"{config.num_stages} decisions of all together: learn the policy anew"
             )
         bounds = schema.get("excess")
-        check_shapes(arrays, {} if bounds is None else {_COEFFICIENTS: (NUM_TEAM_FEATURES,)}, np.float32)
+        check_shapes(arrays, {} if bounds is None else {_COEFFICIENTS: (NUM_TEAM_EXCESS_FEATURES,)}, np.float32)
         if bounds is None:
             return AssistedTeamPolicy(config)
         bounds = typed(schema, "excess", dict, "the bounds of what is added to the look")

@@ -34,7 +34,7 @@ from halfseen.study.experiments import attempts_repetition as known
 from halfseen.study.experiments.attempts_repetition import AttemptsRepetition, Source, fit_of, frame_of
 from halfseen.study.experiments.attempts_words import ASSUMED, BETTER, UNDECIDED, WORSE, section_of
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp.inputs import checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.config import WorldConfig
 
 NUM_PREDICTION_BINS = 5

@@ -21,9 +21,8 @@ from halfseen.shapes import Int
 from halfseen.study.experiment import PieceOf, Row
 from halfseen.study.experiments.attempts_set_svm import said_by_set_svm
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.tables.grasp.inputs import can_hold_out, checked_attempts
-from halfseen.tables.grasp.svm_grasp import SVMGrasp
+from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
+from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
 from halfseen.workers.threads import one_thread
 
 RATE, BETA, SVM, SVM_FACTS, SVM_SET, LAW = "rate", "beta", "svm", "svm-facts", "svm-set", "law"

@@ -17,8 +17,8 @@ from halfseen.cell.calibration.attempts import FACTS
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.learning.svm.kernels import SetKernel
 from halfseen.shapes import Float
-from halfseen.tables.grasp.inputs import checked_attempts, splits_of
-from halfseen.tables.grasp.svm_grasp import linear_and_gaussian, smoothest
+from halfseen.tables.grasp_attempts import checked_attempts, splits_of
+from halfseen.tables.grasp_models import linear_and_gaussian, smoothest
 
 SEEN = ("occlusion", *FACTS)
 KINDS = NOW, HELD, MISSED = range(3)

@@ -26,12 +26,10 @@ from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Se
 from halfseen.study.pipeline import CUT_KIND, HELD_OUT, Source
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.beta_grasp import BetaGrasp
-from halfseen.tables.grasp.choice import fit_grip_effect
-from halfseen.tables.grasp.grasp_table import GraspEstimator, tabulate
-from halfseen.tables.grasp.inputs import can_hold_out
-from halfseen.tables.grasp.svm_grasp import SVMGrasp
+from halfseen.tables.grasp_attempts import attempts, can_hold_out
+from halfseen.tables.grasp_choice import fit_grip_effect
+from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
+from halfseen.tables.grasp_table import GraspEstimator, tabulate
 from halfseen.workers.threads import one_thread
 from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import cut

@@ -14,7 +14,7 @@ from halfseen.study.experiments.reward_repetition import KEYS, RewardRepetition,
 from halfseen.study.experiments.reward_words import MEASURES, section_of
 from halfseen.study.policies import BEST, LEARNED
 from halfseen.study.setting import Setting
-from halfseen.tables.assisted.learner import MODEL
+from halfseen.tables.learner import MODEL
 
 WORTH = ["effective_sample_size", "largest_weight", "by_laws"]
 Rewards = Float[np.ndarray, " R"]

@@ -27,8 +27,8 @@ from halfseen.study.pipeline import CUT_KIND, SELECTION, Learned, Played, Source
 from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Contender
 from halfseen.study.setting import Setting
 from halfseen.study.timing import measured_times
-from halfseen.tables.assisted.learner import LINEAR as LINEAR_BASIS
 from halfseen.tables.laws import fitted_to
+from halfseen.tables.learner import LINEAR as LINEAR_BASIS
 from halfseen.world.config import WorldConfig
 
 NUM_TIMED_STATES = 60

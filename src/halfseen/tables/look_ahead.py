@@ -1,4 +1,4 @@
-"""What is not in the look one step ahead, and E looks at: numbers of a belief under known laws, by verb and target.
+"""What E looks at, which learns what the look one step ahead misses: numbers of a belief under known laws.
 
 The look (`halfseen.planners.one_step`) values what lies beyond one attempt by a rule that leaves each object or tries
 it once. What it misses depends on what there is to be tried, what may yet be revealed, and how scarce steps are. All
@@ -12,6 +12,18 @@ around           the same where it is held up, and put back
 own              what the target is worth more to be tried, once it was held up
 bare             what the target hides of others, times how doubtful and unseen they are
 ===============  ===================================================================================================
+
+E of a team looks at what the myopic look makes of each action, and what follows it on the team's table:
+
+=====================  ==============================================================================================
+1                      by verb, WAIT among them
+short, near            by verb: what the myopic look takes the action to fall short of the best, and (short + 1)₊
+what follows           the numbers of `features.team_features`: what is under way, what the team can still
+                       clear, who reaches it, and for how long all will be busy
+=====================  ==============================================================================================
+
+With one robot the look at what labels may still reveal told E what it needed. With several the schedule matters as
+much, of which the myopic look knows only that a second is shared.
 """
 
 from typing import NamedTuple
@@ -33,15 +45,19 @@ from halfseen.planners.one_step import (
     values_by,
 )
 from halfseen.shapes import Float
+from halfseen.tables.features import NUM_TEAM_FEATURES, team_features
+from halfseen.world.actions import VERB_NAMES, WAIT, ActionSpace
 from halfseen.world.config import WorldConfig
+from halfseen.world.state import TableState
 
-FEATURES_VERSION = 1
+EXCESS_VERSION = 1
 """Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
 
 NUM_TABLE, NUM_OWN = 14, 30
-NUM_FEATURES = NUM_TABLE + NUM_OWN
 
-_ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
+NUM_EXCESS_FEATURES = NUM_TABLE + NUM_OWN
+
+ZERO, ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 
 
 class Ahead(NamedTuple):
@@ -66,7 +82,7 @@ class Ahead(NamedTuple):
 def ahead_of(config: WorldConfig, table: Table, look: Outlook | None = None) -> Ahead:
     """Look ahead, and describe what is seen."""
     look = outlook_of(config, table, setting_of((config,), table)) if look is None else look
-    each = tries_then(config, look, (_ZERO,))
+    each = tries_then(config, look, (ZERO,))
     values = values_by(config, table, look, each)
     return Ahead(table, look, values, control_value(table, look), *_described(config, table, look, each[0], values))
 
@@ -84,18 +100,18 @@ def _described(
     holds, again = expected[NOW], expected[MISSED_THEN_HELD] / xp.maximum(expected[MISSED], _TINY)
 
     def if_there(each: Array) -> Array:
-        return xp.where(there, each, _ZERO)
+        return xp.where(there, each, ZERO)
 
-    worth, gain = if_there(look.worth), if_there(xp.maximum(look.worth, _ZERO))
-    total, wanted = gain.sum(axis=0), ((worth > _ZERO) * _ONE).sum(axis=0)
+    worth, gain = if_there(look.worth), if_there(xp.maximum(look.worth, ZERO))
+    total, wanted = gain.sum(axis=0), ((worth > ZERO) * ONE).sum(axis=0)
     steps = table.steps_to_go.astype(np.float32)
-    scarce, unseen = xp.maximum(wanted - steps, _ZERO), if_there(_ONE - table.seen)
-    doubt = if_there(4.0 * p * (_ONE - p))
+    scarce, unseen = xp.maximum(wanted - steps, ZERO), if_there(ONE - table.seen)
+    doubt = if_there(4.0 * p * (ONE - p))
     others = total - gain
     reveal, around = (if_there(of_row[1:-1].sum(axis=1) - others) for of_row in gains)
     own = if_there(gains[0, -1] - gain)
     occluded = if_there(look.occluded[0])
-    hidden = xp.where(there, xp.maximum(look.occluded[0] - look.occluded[1:-1], _ZERO), _ZERO)
+    hidden = xp.where(there, xp.maximum(look.occluded[0] - look.occluded[1:-1], ZERO), ZERO)
     bare, bare_dirty, second = (
         if_there((hidden * each).sum(axis=1)) for each in (doubt * unseen, (p > 0.5) * unseen, reveal)
     )
@@ -103,8 +119,8 @@ def _described(
     lift_net = if_there(holds * (own + around) + config.reward_lift_per_s * own_s)
     in_order = xp.sort(gain, axis=0)[::-1]
     number = np.arange(len(p)).reshape(-1, *(1,) * (p.ndim - 1))
-    within = xp.where(number < steps, in_order, _ZERO).sum(axis=0)
-    count = (there * _ONE).sum(axis=0)
+    within = xp.where(number < steps, in_order, ZERO).sum(axis=0)
+    count = (there * ONE).sum(axis=0)
     most_lift = lift_net.max(axis=0)
     of_table = [
         total / 10.0,
@@ -117,10 +133,10 @@ def _described(
         own.sum(axis=0) / 3.0,
         bare.sum(axis=0),
         most_lift,
-        xp.maximum(most_lift, _ZERO),
+        xp.maximum(most_lift, ZERO),
         reveal.sum(axis=0) / 3.0,
         (doubt * unseen).sum(axis=0) / 3.0,
-        (gain * (_ONE - holds)).sum(axis=0) / 5.0,
+        (gain * (ONE - holds)).sum(axis=0) / 5.0,
     ]
     by_target = [
         worth / 5.0,
@@ -137,12 +153,12 @@ def _described(
         bare,
         bare_dirty,
         second,
-        gain * (_ONE - holds) / 5.0,
-        (gain <= _ZERO) * holds,
+        gain * (ONE - holds) / 5.0,
+        (gain <= ZERO) * holds,
         holds * reveal,
         holds * own,
-        (table.seen <= _ZERO) * _ONE,
-        (p > 0.8) * _ONE,
+        (table.seen <= ZERO) * ONE,
+        (p > 0.8) * ONE,
         gain * scarce / 10.0,
         reveal * scarce / 3.0,
         own * scarce / 3.0,
@@ -153,18 +169,18 @@ def _described(
     best, second_best = _best_two(above)
     short = if_there(above - best)
     beyond = if_there(control - total)
-    rival = if_there(xp.where(short >= -1e-6, second_best - best, _ZERO))
+    rival = if_there(xp.where(short >= -1e-6, second_best - best, ZERO))
     of_verb = [
         short / 5.0,
         beyond / 5.0,
-        xp.maximum(short + _ONE, _ZERO),
-        xp.maximum(beyond + _ONE, _ZERO),
+        xp.maximum(short + ONE, ZERO),
+        xp.maximum(beyond + ONE, ZERO),
         rival / 5.0,
     ]
     # What is not there has no features; one product for all is faster than one for each.
     both = xp.stack(by_target)[:, None]
     both = xp.broadcast_to(both, (len(by_target), *above.shape))
-    own_features = xp.where(there, xp.concatenate([xp.stack(of_verb), both]), _ZERO).astype(np.float32)
+    own_features = xp.where(there, xp.concatenate([xp.stack(of_verb), both]), ZERO).astype(np.float32)
     return xp.stack(of_table).astype(np.float32), own_features
 
 
@@ -176,4 +192,31 @@ def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[
     best = flat.max(axis=0)
     number = np.arange(len(flat)).reshape(-1, *(1,) * (flat.ndim - 1))
     rest = xp.where(number == first, np.float32(-np.inf), flat).max(axis=0)
-    return xp.maximum(best, _ZERO), xp.maximum(xp.minimum(best, _ZERO), rest)
+    return xp.maximum(best, ZERO), xp.maximum(xp.minimum(best, ZERO), rest)
+
+
+TEAM_EXCESS_VERSION = 1
+"""Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
+
+NUM_VERBS = len(VERB_NAMES)
+
+NUM_TEAM_EXCESS_FEATURES = 3 * NUM_VERBS + NUM_TEAM_FEATURES
+
+
+def team_described(state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A F"]:
+    """Describe every action of the robot that decides.
+
+    Parameters
+    ----------
+    state
+        Tables of a team.
+    q
+        What the myopic look makes of each action; −∞ where it is impossible.
+    """
+    xp = library_of(q)
+    verb = np.append(ActionSpace(state.num_objects).verbs, WAIT)
+    is_verb = xp.asarray(np.eye(NUM_VERBS, dtype=np.float32)[verb])
+    short = xp.where(q > -np.inf, q - xp.max(q, axis=-1, keepdims=True), ZERO)
+    numbers = (xp.ones_like(short), short / np.float32(5.0), xp.maximum(short + ONE, ZERO))
+    by_verb = [each[..., None] * is_verb for each in numbers]
+    return xp.concatenate([*by_verb, team_features(state)], axis=-1).astype(np.float32)

@@ -50,7 +50,7 @@ import numpy as np
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.shapes import Float
-from halfseen.tables.laws.evidence import Labels, Prior, least
+from halfseen.tables.evidence import Labels, Prior, least
 from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, PersistentSeeing
 
 Theta = Float[np.ndarray, " k"]

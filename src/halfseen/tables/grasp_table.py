@@ -3,7 +3,7 @@
 What shows of a grip stands beside a model of grasps that does not look at it. A cell sees more of an object than how
 much of it is hidden: that it lies, that it is wide, that there is no room. Its law makes of that the mean of the
 object's grip offset (`halfseen.world.state`). How much of the mean counts beside occlusion and past attempts is learned
-from the attempts themselves (`halfseen.tables.grasp.choice.fit_grip_effect`):
+from the attempts themselves (`halfseen.tables.grasp_choice.fit_grip_effect`):
 
     P(held | p, grip) = expit(logit p + shift + per_grip · grip),
 

@@ -25,9 +25,9 @@ from halfseen.learning.behaviour import Derivatives, Thetas, minimise_each
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.tables.features import succession
-from halfseen.tables.grasp.attempts import attempts
-from halfseen.tables.grasp.beta_grasp import Theta, fitted_thetas, predictive
-from halfseen.tables.grasp.grasp_table import (
+from halfseen.tables.grasp_attempts import Decided, attempts, checked_attempts, checked_covariates, kinds
+from halfseen.tables.grasp_models import Theta, fitted_thetas, predictive
+from halfseen.tables.grasp_table import (
     SURE,
     GraspByRobot,
     GraspEstimator,
@@ -37,7 +37,6 @@ from halfseen.tables.grasp.grasp_table import (
     table_of,
     tabulate,
 )
-from halfseen.tables.grasp.inputs import Decided, checked_attempts, checked_covariates, kinds
 from halfseen.workers.threads import one_thread
 from halfseen.world.log_checks import robots_in
 from halfseen.world.policy import GraspModel
@@ -57,6 +56,7 @@ GRIP_SPREAD = np.array([1.0, 0.5])
 """Standard deviations of the normal prior on shift and per_grip, about 0: few attempts say little of either."""
 
 KEPT = "the probability of a grasp is the rule of succession’s"
+
 BY_ROBOT = (
     "the probability of a grasp is learned from each robot’s own attempts: held out, these foretell them better than "
     "those of all"
@@ -92,7 +92,7 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
     Parameters
     ----------
     tried
-        As `halfseen.tables.grasp.attempts` gives them, with the robot of each if there are several.
+        As `halfseen.tables.grasp_attempts.attempts` gives them, with the robot of each if there are several.
     horizon
         T.
     num_robots
@@ -229,7 +229,7 @@ def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
     model
         Fitted.
     tried
-        As `halfseen.tables.grasp.attempts.attempts` gives them.
+        As `halfseen.tables.grasp_attempts.attempts` gives them.
 
     Raises
     ------

@@ -55,14 +55,13 @@ import numpy as np
 
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.shapes import Float
-from halfseen.tables.laws.evidence import AT_LIMIT, Prior, Watched, least
+from halfseen.tables.evidence import AT_LIMIT, Prior, Watched, least
 from halfseen.world.grasping import AssumedGrasping, FittedGrasping, GraspLaw
 
 REACH = np.array([10.0, 15.0, 2.5, 5.0, 5.0, 4.0])
 """How far from the prior's mode a number of the logistic family may go."""
 
 _LOG_ROOT_2_PI = 0.5 * np.log(2.0 * np.pi)
-
 
 PRIOR_SPREAD = 0.25
 """Of a prior about a law that is given, as a share of the weak one's."""

@@ -21,22 +21,28 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.arrays import Rows
-from halfseen.shapes import Float
-from halfseen.tables.laws.evidence import Labels, Prior
-from halfseen.tables.laws.seeing import Independent, Persistent
+from halfseen.shapes import Bool, Float
+from halfseen.tables.assisted import Mending
+from halfseen.tables.evidence import Labels, Prior
+from halfseen.tables.law_seeing import Independent, Persistent
 from halfseen.world.seeing import AssumedSeeing, KnownSeeing, PersistentSeeing, label_evidence
 
 LEVEL = 0.01
 """Probability with which a right recorder is taken for a wrong one, at most."""
-ROUNDING = 2e-3
+
+MOVE_ROUNDING = 2e-3
 """Root mean square of what is left of moves that are rounded."""
+
 MOST = 0.95
 """Share of the moves that one law must have made."""
+
 ENOUGH = 1000
 """Moves among which a law is looked for; `MOST` of all must bear it out."""
+
 PARTS = (4, 12)
 """In how many parts of what an object shows in full view a recorder's own curves are looked for."""
-SPREAD = 0.1
+
+RECORDER_SPREAD = 0.1
 """Standard deviation of the prior about the recorder's law, in logits."""
 
 
@@ -51,7 +57,7 @@ class Recorder(NamedTuple):
     @property
     def is_consistent(self) -> bool:
         """Whether one law made them."""
-        return self.error <= ROUNDING
+        return self.error <= MOVE_ROUNDING
 
 
 def read_back(
@@ -78,7 +84,7 @@ def read_back(
         return np.concatenate([moved_by(law_of(theta), some) - some.moved, 1e-4 * (theta - centre)])
 
     def read(loss: str) -> Recorder:
-        theta = least_squares(left, centre, bounds=bounds, loss=loss, f_scale=ROUNDING).x
+        theta = least_squares(left, centre, bounds=bounds, loss=loss, f_scale=MOVE_ROUNDING).x
         squares = np.sort((moved_by(law_of(theta), told) - told.moved) ** 2)
         return Recorder(theta, float(np.sqrt(np.mean(squares[: int(np.ceil(MOST * len(squares)))]))))
 
@@ -126,7 +132,7 @@ def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None
         families = [Persistent(told, dirty_share, num_parts) for num_parts in PARTS]
     plain = families[0]
     about = None if known is None else plain.theta_of(known)
-    unaided = plain.prior if about is None else Prior(about, SPREAD)
+    unaided = plain.prior if about is None else Prior(about, RECORDER_SPREAD)
     each = ((family, read_back(told, family.law, family.prior.mode, family.bounds)) for family in families)
     found = next((pair for pair in each if pair[1].is_consistent), None) if len(told.trajectory) else None
     if found is None:
@@ -136,4 +142,46 @@ def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None
     reached = family.log_likelihood(recorder.theta), family.log_likelihood(best)
     if speaks_against(*reached, len(recorder.theta)):
         return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
-    return SeenBy(family.law(family.fitted(Prior(recorder.theta, SPREAD))), family.law(recorder.theta))
+    return SeenBy(family.law(family.fitted(Prior(recorder.theta, RECORDER_SPREAD))), family.law(recorder.theta))
+
+
+NUM_KNOTS = 16
+
+
+def mending_of(told: Labels, law: KnownSeeing, dirty_share: float) -> Mending | None:
+    """Learn it from the labels of a log; None where it has none.
+
+    Parameters
+    ----------
+    told
+        The labels, those of each object in order.
+    law
+        What they are to mean.
+    dirty_share
+        P(DIRTY) before any label.
+    """
+    if not len(told.trajectory):
+        return None
+    prior = np.log(dirty_share) - np.log1p(-dirty_share)
+    order = np.argsort(told.object, kind="stable")
+    begins = np.append(True, np.diff(told.object[order]) != 0)
+    recorded, mended = (prior + _running(moves[order], begins) for moves in (told.moved, moved_by(law, told)))
+    persistent = law if isinstance(law, PersistentSeeing) else None
+    if persistent is not None:
+        is_found = told.says_dirty[order]
+        recorded, mended = recorded[is_found], mended[is_found]
+    # What was never seen is as before.
+    recorded, mended = np.append(recorded, prior), np.append(mended, prior)
+    edges = np.unique(np.quantile(recorded, np.linspace(0.0, 1.0, NUM_KNOTS + 1)))
+    part = np.searchsorted(edges[1:-1], recorded, side="right")
+    count = np.bincount(part)
+    x, y = (np.bincount(part, each)[count > 0] / count[count > 0] for each in (recorded, mended))
+    x, is_new = np.unique(x.astype(np.float32), return_index=True)
+    return Mending(x, np.maximum.accumulate(y).astype(np.float32)[is_new], float(prior), persistent)
+
+
+def _running(moves: Float[np.ndarray, " n"], begins: Bool[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
+    """Sums of the moves of each object so far."""
+    total = np.cumsum(moves)
+    first = np.flatnonzero(begins)
+    return total - np.repeat(total[first] - moves[first], np.diff(np.append(first, len(moves))))

@@ -1,0 +1,262 @@
+"""Policies that are learned of tables with the help of fitted laws, of one robot and of a team.
+
+*Mending.* A recorder may have got log-odds wrong; then they are what its labels say under the fitted law. A policy sees
+log-odds, not labels. Along the log both are known, and what the fitted law makes of the same labels rises with what the
+recorder made of them: means between quantiles, straight lines between these. Where a look that shows nothing new is no
+news, and nothing was found, what was seen of an object says all: then the fitted law is asked.
+"""
+
+from dataclasses import replace
+from typing import ClassVar
+
+import numpy as np
+
+from halfseen.arrays import Array, at, library_of, record
+from halfseen.planners.belief import belief_of
+from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
+from halfseen.planners.myopic import MyopicPolicy
+from halfseen.planners.one_step import laid_out, left_price, table_of
+from halfseen.shapes import Bool, Float, Int
+from halfseen.tables.look_ahead import (
+    NUM_EXCESS_FEATURES,
+    NUM_TABLE,
+    NUM_TEAM_EXCESS_FEATURES,
+    Ahead,
+    ahead_of,
+    team_described,
+)
+from halfseen.world.actions import ActionSpace, Verb
+from halfseen.world.config import WorldConfig
+from halfseen.world.number import Number
+from halfseen.world.policy import Decision, GraspModel, surely
+from halfseen.world.random import Key
+from halfseen.world.seeing import PersistentSeeing
+from halfseen.world.state import TableState
+
+
+@record
+class Mending:
+    """Log-odds as a law has them, by what was recorded and seen.
+
+    Parameters
+    ----------
+    recorded, mended
+        A rising function of log-odds, straight between these.
+    prior
+        Log-odds before any label; what is recorded below it was looked at, and nothing was found.
+    law
+        Of what was looked at and found clean; None where each look is news, and the function holds for all.
+    """
+
+    recorded: Float[np.ndarray, " k"]
+    mended: Float[np.ndarray, " k"]
+    prior: Number
+    law: PersistentSeeing | None = None
+
+    def __call__(self, state: TableState) -> TableState:
+        """The same state, its log-odds made anew."""
+        xp = library_of(state.log_odds)
+        log_odds = xp.interp(state.log_odds, self.recorded, self.mended)
+        if self.law is not None:
+            log_odds = xp.where(state.log_odds < self.prior, self.prior + _of_nothing(self.law, state.seen), log_odds)
+        return replace(state, log_odds=log_odds.astype(np.float32))
+
+
+def _of_nothing(law: PersistentSeeing, seen: Array) -> Array:
+    """Log-odds that it adds to have found nothing in this share of the surface."""
+    xp, (if_dirty, if_clean) = library_of(seen), law.found_by(seen)
+    return xp.log(xp.maximum(1.0 - if_dirty, 1e-6)) - xp.log(xp.maximum(1.0 - if_clean, 1e-6))
+
+
+@record
+class Excess:
+    """E, linear by verb and steps to go; 0 for FINISH and with one step to go."""
+
+    coefficients: Float[np.ndarray, "T 2 F"]
+    """The offset first."""
+    low: Float[np.ndarray, "T 2"]
+    high: Float[np.ndarray, "T 2"]
+
+    @classmethod
+    def none(cls, horizon: int) -> "Excess":
+        """E ≡ 0."""
+        low, high = np.zeros((2, horizon, 2), dtype=np.float32)
+        return cls(np.zeros((horizon, 2, 1 + NUM_EXCESS_FEATURES), dtype=np.float32), low, high)
+
+    def __call__(self, ahead: Ahead) -> Float[Array, " C *B"]:
+        """E of WASH and LIFT of each object."""
+        xp, to_go = library_of(ahead.own, self.coefficients), ahead.table.steps_to_go - 1
+        weights, low, high = (_by_steps(each, to_go) for each in (self.coefficients, self.low, self.high))
+        of_table = weights[:, 0] + (weights[:, 1 : 1 + NUM_TABLE] * ahead.of_table).sum(axis=1)
+        own = xp.einsum("vf...,fvn...->vn...", weights[:, 1 + NUM_TABLE :], ahead.own)
+        values = xp.clip(of_table[:, None] + own, low[:, None], high[:, None])
+        return values.reshape(-1, *values.shape[2:])
+
+
+def _by_steps(each: Float[Array, "T ..."], to_go: Int[Array, "*B"]) -> Float[Array, "..."]:
+    """Those of the steps to go of each table, the axes of the batch last."""
+    xp, num_axes = library_of(each, to_go), np.ndim(to_go)
+    return xp.moveaxis(xp.take(each, to_go, axis=0), range(num_axes), range(-num_axes, 0))
+
+
+@record
+class LawPolicy:
+    """Decides by fitted laws: argmax of `q_values`.
+
+    Parameters
+    ----------
+    config
+        The world with its fitted laws.
+    mending
+        Makes log-odds anew where the recorder got them wrong; None where it did not.
+    """
+
+    config: WorldConfig
+    mending: Mending | None = None
+
+    num_robots: ClassVar[int] = 1
+
+    @property
+    def horizon(self) -> int:
+        """T."""
+        return self.config.horizon
+
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Choose; deterministic."""
+        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
+
+    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
+        """Q of every action; −∞ where an action is impossible, or never taken."""
+        raise NotImplementedError
+
+    def mended(self, state: TableState) -> TableState:
+        """The state, with log-odds as the laws have them."""
+        return state if self.mending is None else self.mending(state)
+
+
+@record
+class AssistedPolicy(LawPolicy):
+    """Q_1 + E_h: the look one step ahead, and what it misses (`synthetic`).
+
+    Parameters
+    ----------
+    config, mending
+        As of `LawPolicy`.
+    excess
+        E; None for the look alone.
+    is_seen
+        Which verbs the log has seen completed, the others are never taken; None for all.
+    """
+
+    excess: Excess | None = None
+    is_seen: Bool[Array, " V"] | None = None
+
+    @property
+    def grasp(self) -> GraspModel:
+        """P(an attempt succeeds), as the fitted law has it."""
+        return TrueGrasp(self.config)
+
+    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
+        """Q of every action; −∞ where an action is impossible."""
+        ahead = ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
+        left = left_price(self.config, ahead.table)
+        above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
+        q = laid_out(left, left + above)
+        if self.is_seen is None:
+            return q
+        xp, verbs = library_of(q, self.is_seen), ActionSpace(state.num_objects).verbs
+        return xp.where(xp.asarray(self.is_seen)[verbs], q, np.float32(-np.inf))
+
+
+@record
+class RulePolicy(LawPolicy):
+    """The rule of thumb that counts history and penalty: where the log contradicts the laws, it relies on them least.
+
+    Parameters
+    ----------
+    config, mending
+        As of `LawPolicy`.
+    grasp
+        What tells the probability of a grasp; None for the fitted law.
+    """
+
+    grasp: GraspModel | None = None
+
+    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
+        """What a WASH is worth above leaving all; 0 of FINISH, −∞ of LIFT."""
+        rule = GreedyPolicy(self.config, uses_history=True, counts_penalty=True, grasp=self.grasp)
+        worth = rule.worth(self.mended(state))
+        zero = library_of(worth).zeros_like(worth[..., 0])
+        return ActionSpace(state.num_objects).join(zero, {Verb.WASH: worth})
+
+
+EXCESS_CAUTION = 0.1
+
+
+@record
+class TeamExcess:
+    """E of a team, linear: by how much an action is worth more beside the myopic one than the myopic look says."""
+
+    coefficients: Float[np.ndarray, " F"]
+    low: Number
+    high: Number
+    """E is kept within these."""
+    caution: Number = EXCESS_CAUTION
+    """By how much an action must be better than the myopic one."""
+
+    @classmethod
+    def none(cls) -> "TeamExcess":
+        """E ≡ 0."""
+        return cls(np.zeros(NUM_TEAM_EXCESS_FEATURES, dtype=np.float32), 0.0, 0.0)
+
+    def __call__(self, state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A"]:
+        """E of every action, less the caution; 0 of the best one by `q`, which is what the myopic look makes of each.
+
+        WAIT, which is asked again after each event, is never made more of: errors would add up.
+        """
+        xp = library_of(q, self.coefficients)
+        values, best = team_described(state, q) @ self.coefficients, xp.argmax(q, axis=-1)[..., None]
+        beside = xp.clip(values - at(values, best[..., 0])[..., None], self.low, self.high)
+        beside = xp.concatenate([beside[..., :-1], xp.minimum(beside[..., -1:], np.float32(0.0))], axis=-1)
+        is_best = xp.arange(q.shape[-1]) == best
+        return xp.where(is_best, np.float32(0.0), beside - self.caution).astype(np.float32)
+
+
+@record
+class AssistedTeamPolicy:
+    """Decides one robot at a time: argmax of the myopic look under fitted laws and E, what it misses.
+
+    Parameters
+    ----------
+    config
+        The team with its fitted laws, and the price at which a second is counted.
+    excess
+        E; None for the myopic look alone.
+    """
+
+    config: WorldConfig
+    excess: TeamExcess | None = None
+
+    @property
+    def num_robots(self) -> int:
+        """K."""
+        return self.config.num_robots
+
+    @property
+    def num_stages(self) -> int:
+        """Decisions of all robots together, for which it was learned."""
+        return self.config.num_stages
+
+    @property
+    def horizon(self) -> int:
+        """The same."""
+        return self.config.num_stages
+
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Choose; deterministic."""
+        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
+
+    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
+        """Worth of every action above leaving all as it is, WAIT last; −∞ where it is impossible."""
+        q = MyopicPolicy(self.config).q_values(state)
+        return q if self.excess is None else q + self.excess(state, q)

@@ -1,0 +1,355 @@
+"""The learners of tables: model-assisted censored Q-learning, of one robot or of a team one robot at a time.
+
+1. *Laws*, and of a team prices, fitted to the log under censoring (`laws`).
+2. *Q = look + E*: the look one step ahead under them, and what it misses (`excess`).
+3. *Does the log contradict the laws?* Tested on the weighted log (`law_test`). Where it does, the policy of one robot
+   is the rule of thumb that relies on them least, or linear eq. 3 where the log clearly speaks for it; that of a team
+   is what it learns without laws: each alone, and one Q for the team upon it.
+
+*Which of two policies a log speaks for.* Q of each policy is fitted by eq. 3 with its own action in place of the best
+one, in the linear class without laws, to all trajectories and to all but each of some groups; the delete-a-group
+jackknife tells the standard error of the difference of their values. Importance ratios of whole trajectories would say
+nothing here: each deviation from what was logged divides by a probability of some 3 %.
+"""
+
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import KW_ONLY, dataclass, field, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from halfseen.arrays import expit
+from halfseen.errors import ArgumentError, HalfseenError
+from halfseen.learning.judging import judged
+from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.q_model import QModel
+from halfseen.learning.recursion import fit_q
+from halfseen.learning.rows import TrajectoryArrays, stage_places
+from halfseen.learning.streaming import sample_of
+from halfseen.logs import Logs, LogStream
+from halfseen.planners.belief import known_seeing
+from halfseen.shapes import Float
+from halfseen.tables.assisted import AssistedPolicy, AssistedTeamPolicy, RulePolicy
+from halfseen.tables.encoding import states_alone, team_states
+from halfseen.tables.evidence import Evidence, brought_by, evidence_of
+from halfseen.tables.excess import counting_time, fitted_excess, fitted_team_excess
+from halfseen.tables.grasp_choice import grasp_model_of
+from halfseen.tables.grasp_models import BetaGrasp
+from halfseen.tables.law_test import (
+    LawTest,
+    WeightedLog,
+    hotelling_test,
+    layouts_of,
+    residuals_of,
+    tested_on_team,
+    weighted_log,
+    with_lift_price,
+)
+from halfseen.tables.laws import FittedLaws, fitted_laws, laws_in_words, paid_in, paid_in_team
+from halfseen.tables.policy import table_probabilities
+from halfseen.tables.recorder import mending_of, seeing_of
+from halfseen.workers import Workers
+from halfseen.workers.threads import in_one_thread, one_thread
+from halfseen.world.actions import Verb
+from halfseen.world.config import WorldConfig
+from halfseen.world.policy import Policy
+from halfseen.world.state import Layout, TableState
+
+MODEL, RULE, LINEAR = "model", "rule", "linear"
+KNOWN = ("FINISH", "WASH", "LIFT")
+"""Verbs that laws say something of."""
+NUM_GROUPS = 8
+"""Groups of trajectories of the jackknife."""
+GAIN_LEVEL = 0.99
+"""Of its one-sided bound."""
+FEWEST_TO_CHOOSE = 20
+"""Trajectories below which nothing is chosen by them."""
+UNPRICED_PER_ROBOT_S = 0.018
+"""At which a second of each of several robots is counted where the log pays nothing for time [1/s]. Counted as
+nothing, they wait for whatever may still be seen and try what hardly pays: two take .65 of the seconds of one, where a
+little less reward lets them take .52."""
+
+
+class Assisted(NamedTuple):
+    """What was learned with the help of laws."""
+
+    policy: Policy
+    basis: str
+    """What it is built on: the model, a rule, or linear eq. 3 without laws."""
+    laws: FittedLaws
+    test: LawTest
+    sentences: tuple[str, ...]
+
+
+@dataclass(eq=False, repr=False)
+class TableLearner(CensoredQLearner):
+    """Learns a policy of tables from logs of which some were cut, with the help of laws fitted to the same log.
+
+    Parameters
+    ----------
+    horizon, actions, covariates, q_function, censoring, stages, reg, pessimism, random_state
+        As of `CensoredQLearner`: linear eq. 3 without laws, which is learned beside, and decides where the log
+        contradicts the laws and, of one robot, speaks for it.
+    world
+        What is known of prices and times; None to read them off the log. Its laws are not looked at.
+    prior_law
+        Laws about which those of the log are fitted, such as a cell's own; None for weak priors.
+
+    Attributes
+    ----------
+    assisted_ : Assisted or None
+        The laws, what the log says of them, and what the policy is built on; None where none can be fitted.
+    linear_policy_ : LinearTablePolicy or LinearTeamPolicy
+        What linear eq. 3 learns without laws.
+    """
+
+    _: KW_ONLY
+    world: WorldConfig | None = None
+    prior_law: WorldConfig | None = None
+
+    assisted_: Assisted | None = field(init=False)
+    linear_policy_: Any = field(init=False)
+
+    @in_one_thread
+    def fit(self, logs: Logs | LogStream, workers: Workers | None = None) -> "TableLearner":
+        """Learn from a log; of a `LogStream`, the laws from a sample of its trajectories.
+
+        Raises
+        ------
+        ArgumentError, LogError, PositivityError
+            As of `CensoredQLearner.fit`.
+        """
+        super().fit(logs, workers)
+        self.linear_policy_ = self.policy_
+        some = logs if isinstance(logs, Logs) else sample_of(logs, self.random_state)
+        try:
+            found = self._assisted(some)
+        except HalfseenError as error:
+            self.assisted_, self.chosen_ = None, (*self.chosen_, f"Q is linear eq. 3 without laws: {error}")
+            return self
+        self.assisted_, self.policy_ = found, found.policy
+        # What was chosen for linear eq. 3 matters where that decides.
+        self.chosen_ = (*(self.chosen_ if found.basis == LINEAR else ()), *found.sentences)
+        return self
+
+    def _assisted(self, logs: Logs) -> Assisted:
+        found = assisted_by_laws(logs, self.model_, self.policy_, self.world, self.prior_law)
+        assert self.model_.support is not None
+        # A verb that was never completed is never taken, whatever laws imply for it.
+        seen = np.any(self.model_.support.is_seen(self.model_.stages), axis=0)
+        if seen.all() or not isinstance(found.policy, AssistedPolicy):
+            return found
+        return found._replace(policy=replace(found.policy, is_seen=seen))
+
+
+def assisted_by_laws(
+    logs: Logs,
+    model: QModel,
+    linear: Policy,
+    known: WorldConfig | None = None,
+    prior: WorldConfig | None = None,
+) -> Assisted:
+    """Fit laws to a log, and learn with their help.
+
+    Parameters
+    ----------
+    logs
+        A log of one robot's tables.
+    model
+        Of linear eq. 3, fitted to the log but for Q.
+    linear
+        What that learns.
+    known, prior
+        As `TableLearner` takes them.
+
+    Raises
+    ------
+    ArgumentError
+        There is a verb of which no law says what comes of it.
+    LogError
+        The log breaks a rule of tables, or does not tell what became of its attempts.
+    """
+    unknown = [verb.name for verb in Verb if verb.name not in KNOWN]
+    if unknown:
+        raise ArgumentError(f"no law says what comes of {', '.join(unknown)}")
+    states = states_alone(logs, model.horizon)
+    if known is None:
+        is_dirty = np.where(states.is_on_table, expit(states.log_odds.astype(np.float64)), 0.0)
+        known = paid_in(logs, model.horizon, is_dirty.sum(axis=-1)[stage_places(logs)])
+
+    def without(rule: RulePolicy) -> Chosen:
+        with suppress(HalfseenError):
+            rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
+        return rule_or_linear(rule, linear, model, model.lay_out(logs), states)
+
+    evidence, log = evidence_of(logs, known), weighted_log(logs, states)
+    return assisted_by(evidence, log, layouts_of(states), known, model.random_state, without, prior)
+
+
+def assisted_by(
+    evidence: Evidence,
+    log: WeightedLog | str,
+    layouts: Layout,
+    known: WorldConfig,
+    seed: int,
+    without: Callable[[RulePolicy], "Chosen"],
+    prior: WorldConfig | None = None,
+) -> Assisted:
+    """Learn from what a log tells of laws, and test them on it: what `assisted_by_laws` does once all is read.
+
+    Parameters
+    ----------
+    evidence
+        What it tells.
+    log
+        On which the laws are tested; or why they cannot be.
+    layouts
+        Tables that its trajectories began with.
+    known, prior
+        As `TableLearner` takes them; prices and times must be told.
+    seed
+        Of the synthetic trajectories.
+    without
+        Chooses what the policy is where the log contradicts the laws; it is given the rule of thumb.
+    """
+    laws = fitted_laws(evidence, known, prior)
+    mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
+    sentences = [laws.sentence, laws_in_words(laws, evidence.tried)]
+    test = LawTest(0.0, 1.0, {})
+    if isinstance(log, str):
+        sentences.append(log)
+    else:
+        log = log if mending is None else log._replace(states=mending(log.states))
+        config, priced = with_lift_price(laws.config, log)
+        laws, test = laws._replace(config=config), hotelling_test(residuals_of(config, log), len(log.weight))
+        sentences += [*([] if priced is None else [priced]), test.sentence]
+    if not test.is_rejected:
+        policy = AssistedPolicy(laws.config, mending, fitted_excess(laws.config, layouts, seed))
+        return Assisted(policy, MODEL, laws, test, tuple(sentences))
+    policy, basis, why = without(RulePolicy(laws.config, mending))
+    return Assisted(policy, basis, laws, test, (*sentences, why))
+
+
+class Chosen(NamedTuple):
+    """What the policy is where the log contradicts the laws, what it is built on, and a sentence on why."""
+
+    policy: Policy
+    basis: str
+    why: str
+
+
+def rule_or_linear(
+    rule: RulePolicy, linear: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
+) -> Chosen:
+    """The rule, or linear eq. 3 where the log clearly speaks for that.
+
+    Parameters
+    ----------
+    rule, linear
+        The two.
+    model
+        Of linear eq. 3, fitted to the log but for Q.
+    trajectories, states
+        The log, as that model sees it.
+    """
+    gain, low = gain_of(linear, rule, model, trajectories, states)
+    if low > 0.0:
+        why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"
+        return Chosen(linear, LINEAR, why)
+    why = (
+        "the policy is the rule that counts history and penalty: the log does not clearly speak for linear eq. 3 "
+        f"(it is worth {gain:.2g} more, perhaps {low:.2g})"
+    )
+    return Chosen(rule, RULE, why)
+
+
+def gain_of(
+    policy: Policy, over: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
+) -> tuple[float, float]:
+    """By how much a policy is worth more than another, and the lower bound of it; the rest as of `rule_or_linear`."""
+    from scipy.special import stdtrit
+
+    if trajectories.num_trajectories < FEWEST_TO_CHOOSE:
+        return 0.0, -np.inf
+    group = np.random.default_rng([model.random_state, 5]).permutation(trajectories.num_trajectories) % NUM_GROUPS
+    value, other = (_values(each, model, trajectories, states, group) for each in (policy, over))
+    gain = value - other
+    without = np.array([gain[k][group != k].mean() for k in range(NUM_GROUPS)])
+    error = np.sqrt((NUM_GROUPS - 1) / NUM_GROUPS * np.sum((without - without.mean()) ** 2))
+    found = float(gain[-1].mean())
+    return found, found - float(stdtrit(NUM_GROUPS - 1, GAIN_LEVEL)) * float(error)
+
+
+def _values(
+    policy: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState, group: np.ndarray
+) -> Float[np.ndarray, "G1 n"]:
+    """V̂_1(S_1) of every trajectory, by Qs that were fitted without each group, and last to all."""
+    log = model.transitions(trajectories)._replace(policy=table_probabilities(policy, states))
+    regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
+    found = []
+    with one_thread():
+        for k in range(NUM_GROUPS + 1):
+            q = fit_q(log.counted((group != k).astype(np.float64)), regression)
+            found.append(judged(q, log, regression.block_of_action, regression.stages, log.reward).value[:, 0])
+    return np.stack(found)
+
+
+@dataclass(eq=False, repr=False)
+class TeamLearner(TableLearner):
+    """Learns a policy of a team; all that `TableLearner` takes, and more.
+
+    Parameters
+    ----------
+    unpriced_per_robot_s
+        At which a second of each of several robots is counted where the log pays nothing for time; 0 or above [1/s].
+    """
+
+    _: KW_ONLY
+    unpriced_per_robot_s: float | int = UNPRICED_PER_ROBOT_S
+
+    def _assisted(self, logs: Logs) -> Assisted:
+        states = team_states(logs, self.horizon)
+        laws = team_laws(logs, states, self.world, self.prior_law)
+        config, told, log = laws.config, laws.sentence, weighted_log(logs, states, is_team=True)
+        test = LawTest(0.0, 1.0, {})
+        if not isinstance(log, str):
+            test = tested_on_team(config, logs, states, brought_by(logs, states), log.weight)
+        said = log if isinstance(log, str) else test.sentence
+        if test.is_rejected:
+            why = f"{said}, so the policy is what is learned without them"
+            return Assisted(self.linear_policy_, LINEAR, laws, test, (told, why))
+        num_sharing = config.num_robots if config.num_robots > 1 else 0
+        counted = counting_time(config, num_sharing * float(self.unpriced_per_robot_s))
+        policy = AssistedTeamPolicy(counted, fitted_team_excess(counted, layouts_of(states), self.random_state))
+        return Assisted(policy, MODEL, laws, test, (told, said, *_counted_in_words(config, counted)))
+
+
+def team_laws(
+    logs: Logs, states: TableState, known: WorldConfig | None = None, prior: WorldConfig | None = None
+) -> FittedLaws:
+    """Fit laws and prices to the log of a team, and say what became of the recorder's law of seeing.
+
+    Log-odds are left as they were recorded, and the law that made them goes with them, whatever labels say: what both
+    are worth is tested on the log, with all else.
+    """
+    known = paid_in_team(logs, states) if known is None else known
+    evidence = evidence_of(logs, known)
+    laws = fitted_laws(evidence, known, prior)
+    if not laws.is_mended:
+        return laws
+    recorder = seeing_of(evidence.told, evidence.dirty_share).recorder
+    if recorder is None:
+        return laws._replace(sentence="no one law of seeing made the log’s log-odds: it is fitted to the labels")
+    config = replace(laws.config, seeing=recorder)
+    return FittedLaws(config, False, "the law of seeing is the one that made the log’s own log-odds")
+
+
+def _counted_in_words(paid: WorldConfig, counted: WorldConfig) -> tuple[str, ...]:
+    """Say so where seconds are counted that the log does not pay for."""
+    if paid.reward_per_s == counted.reward_per_s:
+        return ()
+    return (
+        f"the log pays nothing for time; a second is counted {-float(counted.reward_per_s):.3g}, so that robots do not "
+        "wait for what hardly pays (unpriced_per_robot_s=0 counts none)",
+    )
