@@ -8,7 +8,7 @@ import numpy as np
 
 from halfseen.policies import NamedDecider, decider_of, read_policy
 from halfseen.policies.decision import Decider
-from halfseen.policies.folder.kinds import kind_of
+from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.record import as_json
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.of_team import UNDECIDED, refuse_team
@@ -83,6 +83,6 @@ def _warm(stored: StoredPolicy, decider: Decider) -> None:
 
 def _digest(stored: StoredPolicy) -> str:
     digest = hashlib.sha256(as_json(stored.record))
-    for name, array in sorted(kind_of(stored.record).arrays_of(stored.policy).items()):
+    for name, array in sorted(kind_named(stored.record["kind"]).arrays_of(stored.policy).items()):
         digest.update(name.encode() + array.tobytes())
     return digest.hexdigest()[:12]

@@ -10,13 +10,13 @@ import safetensors.numpy
 
 from halfseen.errors import PolicyError, within
 from halfseen.policies.certainty import LASTING_ERROR, QError
-from halfseen.policies.folder.arrays import laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, read_files
-from halfseen.policies.folder.json_values import horizon_of
-from halfseen.policies.folder.kinds import kind_of
+from halfseen.policies.folder.kinds import kind_named, laid_out
 from halfseen.policies.folder.record import from_json
-from halfseen.policies.folder.seen import check_seen
 from halfseen.policies.ranges import Range
+
+TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
+"""Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +48,7 @@ class StoredPolicy:
     @property
     def horizon(self) -> int:
         """Number T of stages that a trajectory may have."""
-        return horizon_of(self.record)
+        return int(self.record["schema"]["horizon"])
 
     @property
     def verdict(self) -> Mapping[str, Any] | None:
@@ -83,15 +83,11 @@ class StoredPolicy:
         for entry in self.record["seen"]:
             first, last = entry["stages"]
             if first <= stage <= last or not is_by_stage:
-                return {name: _range(seen) for name, seen in entry["ranges"].items()}
+                return {
+                    name: seen if isinstance(seen, dict) else (float(seen[0]), float(seen[1]))
+                    for name, seen in entry["ranges"].items()
+                }
         return None
-
-
-def _range(seen: Any) -> Range:
-    if isinstance(seen, dict):
-        return seen
-    low, high = seen
-    return float(low), float(high)
 
 
 def read_policy(folder: str | Path) -> StoredPolicy:
@@ -121,7 +117,13 @@ def read_policy(folder: str | Path) -> StoredPolicy:
 
 def policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
     """Put a policy together again; all of it is checked."""
-    kind = kind_of(record)
+    kind = kind_named(record["kind"])
     policy = kind.policy_of(record, arrays)
-    check_seen(record.get("seen"), kind.range_names(policy))
+    names = policy.covariates if kind.is_flat else TABLE_RANGES
+    for entry in record["seen"]:
+        if set(entry["ranges"]) != set(names):
+            raise PolicyError(
+                f"seen does not give the range of {', '.join(names) or 'nothing'} in the log, but of "
+                f"{', '.join(entry['ranges']) or 'nothing'}; learn the policy anew"
+            )
     return policy
