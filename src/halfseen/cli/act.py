@@ -65,8 +65,7 @@ def act(
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
-    from halfseen.policies.observations import read_observation
-    from halfseen.policies.of_team import UNDECIDED, refuse_team
+    from halfseen.policies.observations import UNDECIDED, read_observation, refuse_team
 
     if picture is not None:
         refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])

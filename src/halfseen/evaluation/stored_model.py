@@ -12,7 +12,7 @@ from halfseen.learning.targets import DoublyRobust, Targets, named_targets
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
-from halfseen.policies.of_team import refuse_log_of_team
+from halfseen.policies.folder.stored import refuse_log_of_team
 
 
 @dataclass(frozen=True)

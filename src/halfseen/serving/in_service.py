@@ -11,7 +11,7 @@ from halfseen.policies.decision import Decider
 from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.record import as_json
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.of_team import UNDECIDED, refuse_team
+from halfseen.policies.observations import UNDECIDED, refuse_team
 from halfseen.policies.ranges import middle_of
 
 MOST_WARMED = 12

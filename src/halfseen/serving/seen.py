@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from halfseen.errors import HalfseenError
 from halfseen.policies.decision import Decision
-from halfseen.policies.named_decider import NamedDecider
-from halfseen.policies.named_observation import checked_stage, known_covariates
+from halfseen.policies.named_decider import NamedDecider, checked_stage, known_covariates
 from halfseen.serving.in_service import InService
 from halfseen.serving.refusal import Refusal
 from halfseen.serving.trajectories import Begun, RecordedTrajectories

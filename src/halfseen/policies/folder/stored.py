@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import safetensors
 import safetensors.numpy
@@ -15,8 +15,18 @@ from halfseen.policies.folder.kinds import kind_named, laid_out
 from halfseen.policies.folder.record import from_json
 from halfseen.policies.ranges import Range
 
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Who reads a policy loads no log.
+
 TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
 """Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
+UNDECIDED = (
+    "which looks at what each robot is at, and that is not given here; ask read_policy(FOLDER).policy.decide of a "
+    "halfseen.world.TableState"
+)
+"""What comes of it, where it is to decide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,3 +137,52 @@ def policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
                 f"{', '.join(entry['ranges']) or 'nothing'}; learn the policy anew"
             )
     return policy
+
+
+def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = None) -> None:
+    """Refuse a policy of a team.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    trouble
+        Why it is of no use here, and what to do instead.
+    folder
+        Where it was read.
+
+    Raises
+    ------
+    PolicyError
+        It is one of a team.
+    """
+    if stored.num_robots is not None:
+        where = "the policy" if folder is None else f"{folder}: it"
+        raise PolicyError(
+            f"{where} decides for a team of {stored.num_robots} robot{'' if stored.num_robots == 1 else 's'}, {trouble}"
+        )
+
+
+def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
+    """Refuse a log of several robots for a policy of one robot's tables, and one of one robot for a policy of a team.
+
+    Raises
+    ------
+    PolicyError
+        The log is of several robots, or of a team of one; or it is not, and the policy is a team's.
+    """
+    if not stored.is_table and stored.num_robots is None:
+        return
+    # Policies of named actions do without the world.
+    from halfseen.world.log_checks import robots_in
+
+    if stored.num_robots is not None and not robots_in(logs):
+        raise PolicyError(
+            f"the log is of one robot, and the policy decides for a team of {stored.num_robots}; give a log of such a "
+            "team"
+        )
+    if stored.is_table and robots_in(logs):
+        raise PolicyError(
+            f"the log is of a team of {robots_in(logs)}, and the policy decides for one robot; take the part of one, "
+            "halfseen.tables.agent_view(logs, robot)"
+        )
