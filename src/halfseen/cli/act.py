@@ -65,7 +65,8 @@ def act(
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
-    from halfseen.policies.observations import UNDECIDED, read_observation, refuse_team
+    from halfseen.policies.folder.stored import UNDECIDED, refuse_team
+    from halfseen.policies.observations import read_observation
 
     if picture is not None:
         refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])

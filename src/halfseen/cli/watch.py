@@ -182,7 +182,8 @@ def _show_cloud(
         return
     from halfseen.errors import PolicyError
     from halfseen.policies import decider_of, read_policy
-    from halfseen.policies.observations import UNDECIDED, read_observation, refuse_team
+    from halfseen.policies.folder.stored import UNDECIDED, refuse_team
+    from halfseen.policies.observations import read_observation
     from halfseen.tables.present import Present
 
     stored = read_policy(policy)
