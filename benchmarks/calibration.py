@@ -26,7 +26,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.planners import GreedyPolicy, solve_table
 from halfseen.planners.explanation import DEGREES_OF_FREEDOM, PlannerError, expected_q, explain, own_error, rollouts_of
 from halfseen.policies import certainty, decider_of
-from halfseen.policies.folder.stages_left import stages_left
+from halfseen.policies.folder.log_facts import stages_left
 from halfseen.tables import explain as explained_tables
 from halfseen.tables.explain import LASTING_ERROR, LearnedExplainer
 from halfseen.tables.present import Present

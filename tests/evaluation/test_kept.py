@@ -10,7 +10,8 @@ from halfseen.errors import PolicyError
 from halfseen.evaluation.estimate import around
 from halfseen.evaluation.kept import drifts_of, kept_promise
 from halfseen.logs import Logs
-from halfseen.policies.promise import check_promise, promised_states
+from halfseen.policies.folder.log_facts import promised_states
+from halfseen.policies.folder.record import Promise, converted
 
 COLUMNS = ("weight", "shine", "colour", "jams")
 
@@ -113,5 +114,5 @@ def test_what_was_earned_is_beside_what_was_promised(value, is_own, words):
 )
 def test_what_is_no_promise_is_refused(promise):
     with pytest.raises((PolicyError, KeyError)):
-        check_promise(promise)
-    check_promise({"value": None, "stages": PROMISED})
+        converted(promise, Promise)
+    converted({"value": None, "stages": PROMISED}, Promise)

@@ -10,7 +10,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import NamedObservation, decider_of, read_policy
 from halfseen.policies.certainty import certainty
-from halfseen.policies.folder.stages_left import stage_counts, stages_left
+from halfseen.policies.folder.log_facts import stage_counts, stages_left
 from small_logs import flat_log
 
 EVERY, BOTH = np.ones(3, dtype=bool), np.ones(2, dtype=bool)

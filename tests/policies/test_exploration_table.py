@@ -8,7 +8,7 @@ import pytest
 from halfseen.errors import ArgumentError
 from halfseen.policies.decision import Decision
 from halfseen.policies.exploration_table import MOST_EXPLORED, as_csv, read_exploration
-from halfseen.serving.exploring import taken
+from halfseen.serving.recording import taken
 
 ACTIONS, COLUMNS = ("look", "grasp", "shake"), ("clutter", "colour")
 TEXT = "stage,clutter,action,probability\n<= 1.5,<= 0.5,look,0.4\n<= 1.5,,shake,0.2\n"

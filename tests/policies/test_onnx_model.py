@@ -14,8 +14,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.onnx_model import onnx_model
-from halfseen.policies.onnx_table import table_inputs
+from halfseen.policies.onnx_model import onnx_model, table_inputs
 from halfseen.tables import BetaGrasp
 from halfseen.world.state import NO_ATTEMPT, TableState
 from small_logs import flat_log, table_log

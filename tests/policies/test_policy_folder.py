@@ -17,7 +17,7 @@ from halfseen.logs import Logs, read_logs
 from halfseen.policies import decider_of
 from halfseen.policies.folder import log_digest, read_policy, write_policy
 from halfseen.policies.folder.kinds import kind_named
-from halfseen.policies.folder.team_kind import FEATURES_VERSION as TEAM_VERSION
+from halfseen.policies.folder.table_kinds import TEAM_VERSION
 from halfseen.tables import BetaGrasp
 from halfseen.tables.assisted import Mending, RulePolicy
 from halfseen.tables.features import FEATURES_VERSION, table_features, team_features
@@ -94,7 +94,7 @@ def test_a_policy_of_a_team_comes_back_with_what_it_improves_upon_and_decides_fo
 def through_a_folder(policy):
     """A policy of a team through what a folder holds of it."""
     kind = kind_named("team")
-    told_of = {"kind": "team", "schema": kind.schema(policy, []), "versions": {}}
+    told_of = {"kind": "team", "schema": kind.schema(policy), "versions": {}}
     return kind.policy_of(json.loads(json.dumps(told_of)), kind.arrays_of(policy))
 
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from halfseen.learning import FlatPolicy
-from halfseen.policies.flat_reason import flat_reason
-from halfseen.policies.table_reason import table_reason
+from halfseen.policies.named_decider import flat_reason
+from halfseen.policies.table_decider import table_reason
 from halfseen.tables.explain import Grounds
 from halfseen.tables.present import first_state
 from halfseen.world import Scene

@@ -16,9 +16,9 @@ from halfseen.evaluation.targets import task_of
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.pages.drawing import MOST_MARKERS, inline_svg
-from halfseen.policies.decider import decider_of
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.named_decider import NamedObservation
+from halfseen.policies.observations import decider_of
 from halfseen.report import content as content_module
 from halfseen.report import findings as found_in
 from halfseen.report.findings import find

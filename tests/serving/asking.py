@@ -6,7 +6,7 @@ from starlette.testclient import TestClient
 
 from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
-from halfseen.serving.trajectories import RecordedTrajectories
+from halfseen.serving.recording import RecordedTrajectories
 
 
 @contextmanager

@@ -17,7 +17,7 @@ from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths
 from halfseen.serving.app import Served, app_of
-from halfseen.serving.bounds import Bounded
+from halfseen.serving.limits import Bounded
 from small_logs import HIDES, flat_log, table_log
 
 SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}

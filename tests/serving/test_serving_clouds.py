@@ -31,7 +31,7 @@ from halfseen.policies.folder import write_policy
 from halfseen.policies.table_observation import Past, see_table
 from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
-from halfseen.serving.trajectories import RecordedTrajectories
+from halfseen.serving.recording import RecordedTrajectories
 from halfseen.world.logs import states_of
 
 # The middle one hides the last in part.

@@ -51,8 +51,8 @@ def act(policy: Path, cloud: Path, history: Path | None, labels: Path | None, la
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
+    from halfseen.policies.folder.stored import UNDECIDED, refuse_team
     from halfseen.policies.observations import read_observation
-    from halfseen.policies.of_team import UNDECIDED, refuse_team
 
     how = SimpleNamespace(**chosen)
     if how.picture is not None:

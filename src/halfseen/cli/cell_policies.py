@@ -36,7 +36,7 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
     if name in NAMES:
         return named_policy(name, config, random_share)
     from halfseen.errors import PolicyError
-    from halfseen.policies.of_team import refuse_team
+    from halfseen.policies.folder.stored import refuse_team
 
     stored = _stored(name)
     refuse_team(stored, "and one arm clears the table; give a policy of one robot", name)

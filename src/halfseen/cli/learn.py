@@ -164,7 +164,7 @@ def learn(
         from halfseen.learning.flat_policy import more_cautious_learner
         from halfseen.logs.stream import opened, parts_of
         from halfseen.policies.folder import read_policy, write_policy
-        from halfseen.policies.folder.json_values import plain
+        from halfseen.policies.folder.record import plain
         from halfseen.policies.learner_choice import learner_for
         from halfseen.policies.shares import action_shares
 

@@ -69,9 +69,9 @@ def serve(
 
     from halfseen.serving.answering import Answering
     from halfseen.serving.app import Served, app_of
-    from halfseen.serving.server import bound_socket
-    from halfseen.serving.server import serve as answer
-    from halfseen.serving.trajectories import RecordedTrajectories
+    from halfseen.serving.limits import bound_socket
+    from halfseen.serving.limits import serve as answer
+    from halfseen.serving.recording import RecordedTrajectories
 
     _check_token(host, token)
     # A folder of logs is begun only where there is something to record.

@@ -166,8 +166,8 @@ def _show_cloud(
         return
     from halfseen.errors import PolicyError
     from halfseen.policies import decider_of, read_policy
+    from halfseen.policies.folder.stored import UNDECIDED, refuse_team
     from halfseen.policies.observations import read_observation
-    from halfseen.policies.of_team import UNDECIDED, refuse_team
     from halfseen.tables.present import Present
 
     stored = read_policy(policy)

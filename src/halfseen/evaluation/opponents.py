@@ -16,8 +16,7 @@ from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import read_policy
-from halfseen.policies.rule import Rule
-from halfseen.policies.rule_table import read_rule_table
+from halfseen.policies.rule_table import Rule, read_rule_table
 from halfseen.shapes import Float
 from halfseen.suggestions import did_you_mean
 

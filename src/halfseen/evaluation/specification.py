@@ -23,7 +23,7 @@ from halfseen.learning.targets import DoublyRobust, Targets, Weighted, named_tar
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
-from halfseen.policies.of_team import refuse_log_of_team
+from halfseen.policies.folder.stored import refuse_log_of_team
 
 LARGEST_WEIGHT = 10.0
 """Bound of 1/Ĝ where a user has said nothing of cuts."""

@@ -1,11 +1,11 @@
 """Policies at work: kept in folders, asked for decisions, and what they do.
 
-Read down: `folder` (policies on disk) → `decision` (the port: what is asked, and what is answered) → `ranges` (what
-lies outside the logs), `reasons` with `flat_reason`, `table_reason` (why) → `named_decider`, `table_decider`, `decider`
-(policies behind the port) → `named_observation`, `table_observation`, `observations` (files → what is decided from;
-what is of tables is loaded for tables alone) → `shares` (what a policy does in the states of a log) → `learner_choice`
-(which learner suits a log). `of_team` refuses the policy or the log of a team where one robot's is needed. `rule`,
-`rule_table`: rules of thumb as policies of named actions.
+Read down: `folder` (policies on disk) → `decision` (the port: what is asked, and what is answered, and how a reason
+begins) → `ranges` (what lies outside the logs), `certainty` (how sure Q is) → `named_decider`, `table_decider`
+(policies behind the port, and why) → `history`, `table_observation` (a cloud → what is decided from; loaded for tables
+alone) → `observations` (policies and files → deciders and what they decide from) → `shares` (what a policy does in the
+states of a log) → `learner_choice` (which learner suits a log). `rule_table`: rules of thumb as policies of named
+actions.
 """
 
 from typing import TYPE_CHECKING
@@ -13,12 +13,11 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.policies.decider import decider_of
     from halfseen.policies.decision import Decider, Decision
     from halfseen.policies.folder import StoredPolicy, read_policy, write_policy
     from halfseen.policies.named_decider import NamedDecider, NamedObservation
-    from halfseen.policies.rule import Rule
-    from halfseen.policies.rule_table import RuleTable, read_rule_table
+    from halfseen.policies.observations import decider_of
+    from halfseen.policies.rule_table import Rule, RuleTable, read_rule_table
     from halfseen.policies.table_decider import TableDecider
 
 __all__ = [
@@ -43,11 +42,11 @@ __getattr__ = lazy_names(
         "Decision": "decision",
         "NamedDecider": "named_decider",
         "NamedObservation": "named_decider",
-        "Rule": "rule",
+        "Rule": "rule_table",
         "RuleTable": "rule_table",
         "StoredPolicy": "folder",
         "TableDecider": "table_decider",
-        "decider_of": "decider",
+        "decider_of": "observations",
         "read_policy": "folder",
         "read_rule_table": "rule_table",
         "write_policy": "folder",

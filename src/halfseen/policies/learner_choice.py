@@ -109,15 +109,6 @@ def _of_team(
     return LearnerChoice(learner, num_robots=num_robots)
 
 
-def _laws(has_laws: bool, prior: Any) -> dict[str, Any]:
-    """Parameters that say whether laws help, and about which law they are fitted."""
-    if prior is None:
-        return {"laws": AUTO if has_laws else None}
-    if not has_laws:
-        raise ArgumentError("--prior-law is given and --no-laws, too; leave one of them out")
-    return {"laws": AUTO, "prior_law": prior}
-
-
 def _grasp_named(name: str | None) -> Any:
     if name == "beta":
         from halfseen.tables.grasp_models import BetaGrasp

@@ -1,18 +1,21 @@
-"""Decisions of a policy of named actions."""
+"""Decisions of a policy of named actions: from the covariates of one stage, and why."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from io import BytesIO
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.lazy import Frame
 from halfseen.learning.flat_policy import FlatPolicy, Valued
 from halfseen.policies.certainty import QError, certainty
-from halfseen.policies.decision import Decision
-from halfseen.policies.flat_reason import flat_reason
-from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
-from halfseen.policies.reasons import values_by_name
+from halfseen.policies.decision import SAME_VALUE, Decision, lead, next_best, values_by_name
+from halfseen.policies.folder.stored import StoredPolicy
+from halfseen.policies.ranges import Range, Ranges, RangesOfStage, beyond, everything, middle_of, refuse_far
+from halfseen.reading import json_of, read_bytes, read_text, reason_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,3 +122,182 @@ class NamedDecider:
         of_stage = self.q_error.stages_from(stage, policy.horizon), self.q_error.lasting
         blocks, is_possible = np.arange(len(q)), policy.is_possible[stage - 1]
         return certainty(q, error[:, None], blocks, is_possible, *of_stage).by_name(names)
+
+
+def flat_reason(
+    policy: FlatPolicy,
+    row: Mapping[str, Any],
+    stage: int,
+    ranges: Ranges | None,
+    chance_best: Mapping[str, float] | None = None,
+) -> str:
+    """Say why the best action of a policy of named actions is best.
+
+    The covariate that is told of is the one without which the action would lead by least: were it in the middle of
+    what the log showed, the category that it showed most often, or, of what is 0 or 1, the other of the two.
+
+    Parameters
+    ----------
+    policy
+        A policy.
+    row
+        The covariates of one state: numbers, and text of categories that the policy knows.
+    stage
+        The stage, from 1.
+    ranges
+        What the log showed of each covariate; None if no trajectory came so far.
+    chance_best
+        Probability that no action is better, by name; nothing where nobody knows it.
+    """
+    # What is true or false may be changed to a number.
+    instead = {} if ranges is None else {name: _instead(ranges[name], row[name]) for name in policy.covariates}
+    rows = [row, *({**row, name: value} for name, value in instead.items())]
+    each = policy.valued(policy.looks_at.encode_known(rows), stage).scores
+    q = np.where(policy.is_possible[stage - 1], each[0], -np.inf)
+    best = int(np.argmax(q))
+    names = [str(name) for name in policy.actions]
+    start, other = lead(names, q, best, chance_best or {}), next_best(q, best)
+    if not policy.covariates or ranges is None or other is None:
+        return f"{start}."
+    left = each[1:, best] - each[1:, other]
+    least = int(np.argmin(left))
+    name = policy.covariates[least]
+    if q[best] - q[other] - left[least] < SAME_VALUE:
+        return f"{start}; none of what it looks at speaks for it more than what is usual in the logs does."
+    is_value, is_other = _written(row[name], 6), _written(instead[name], 3)
+    would = f"worth {abs(left[least]):.2f} {'more' if left[least] >= 0 else 'less'} than {names[other]}"
+    usual = "" if _is_switch(ranges[name], row[name]) else f", {_usual(ranges[name])} in the logs"
+    return f"{start}; that {name} is {is_value} speaks for it most: were it {is_other}{usual}, it would be {would}."
+
+
+def _instead(seen: Range, value: Any) -> float | str:
+    """What a covariate might have been: of 0 and 1 the other; among whole numbers a whole number."""
+    if _is_switch(seen, value):
+        return 1.0 - float(value)
+    middle = middle_of(seen)
+    is_whole = not isinstance(seen, Mapping) and all(float(one).is_integer() for one in (*seen, value))
+    return float(np.floor(middle)) if is_whole else middle
+
+
+def _is_switch(seen: Range, value: Any) -> bool:
+    return not isinstance(seen, Mapping) and tuple(seen) == (0.0, 1.0) and float(value) in (0.0, 1.0)
+
+
+def _usual(seen: Range) -> str:
+    return "most often" if isinstance(seen, Mapping) else "the middle"
+
+
+def _written(value: Any, num_digits: int) -> str:
+    return value if isinstance(value, str) else f"{float(value):.{num_digits}g}"
+
+
+STATE_FILES = (".json", ".csv")
+
+
+def read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) -> NamedObservation:
+    """Read the covariates of one stage.
+
+    Parameters
+    ----------
+    stored
+        A policy of named actions.
+    file, stage
+        As `read_observation` takes them.
+
+    Raises
+    ------
+    HalfseenError
+        The file cannot be read, or does not fit the policy.
+    """
+    policy = stored.policy
+    if file.suffix not in STATE_FILES:
+        raise PolicyError(
+            f"{file}: the policy is of named actions and looks at {_looks_at(policy)}, not at clouds; give them as "
+            ".json or .csv"
+        )
+    states = _read_states(file, policy.categories)
+    if len(states) != 1:
+        raise PolicyError(f"{file}: it holds {len(states)} states; give one: a JSON object, or a header and one row")
+    values, said = known_covariates(policy, states[0], str(file)), states[0].get("stage")
+    if said is not None and stage not in (None, said):
+        raise ArgumentError(f"--stage is {stage}, but {file} says {said}; leave one of them out")
+    return NamedObservation(values, checked_stage(said if said is not None else stage or 1, stored.horizon, str(file)))
+
+
+def known_covariates(policy: FlatPolicy, state: Mapping[str, Any], where: str) -> dict[str, float | str]:
+    """Take what a policy looks at from a state in memory, as `NamedDecider.decide_known` does.
+
+    Parameters
+    ----------
+    policy
+        A policy of named actions.
+    state
+        Covariates by name, and whatever else there is.
+    where
+        Where it comes from, for messages.
+
+    Raises
+    ------
+    PolicyError
+        A covariate is missing, no finite number, null or of an unknown category.
+    """
+    looks_at, texts = policy.looks_at, policy.categories
+    if not all(name in state and looks_at.is_known(name, state[name]) for name in policy.covariates):
+        # What is not plain is looked at as if it stood in a file.
+        row = _row(state, where)
+        _check_row(row, policy, where)
+        state = {name: row[name].iloc[0] for name in policy.covariates}
+    return {name: (str if name in texts else float)(state[name]) for name in policy.covariates}
+
+
+def checked_stage(stage: Any, horizon: int, where: str) -> int:
+    """Take a stage as a number.
+
+    Raises
+    ------
+    PolicyError
+        The policy knows no such stage.
+    """
+    if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= horizon):
+        raise PolicyError(f"{where}: stage is {stage}; it is a whole number from 1 to the policy's horizon, {horizon}")
+    return int(stage)
+
+
+def _looks_at(policy: FlatPolicy) -> str:
+    return ", ".join(policy.covariates) or "no covariates"
+
+
+def _check_row(row: Frame, policy: FlatPolicy, where: str) -> None:
+    """Refuse a row without what the policy looks at."""
+    missing = [name for name in policy.covariates if name not in row.columns]
+    if missing:
+        raise PolicyError(
+            f"{where}: the policy looks at {_looks_at(policy)}, and there is no {missing[0]!r} among "
+            f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
+        )
+    try:
+        policy.looks_at.encode(row)
+    except LogError as error:
+        raise PolicyError(f"{where}: {error}") from error
+
+
+def _read_states(file: Path, texts: Iterable[str]) -> list[dict[str, Any]]:
+    try:
+        if file.suffix == ".json":
+            state = json_of(read_text(file))
+            return [state] if isinstance(state, dict) else []
+        import pandas as pd
+
+        exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
+        return pd.read_csv(BytesIO(read_bytes(file)), **exact).to_dict("records")
+    except (OSError, ValueError) as error:
+        raise PolicyError(f"{file}: it cannot be read ({reason_of(error)}); give one state as .json or .csv") from error
+
+
+def _row(state: Mapping[str, Any], where: str) -> Frame:
+    import pandas as pd
+
+    try:
+        return pd.DataFrame([dict(state)])
+    except OverflowError as error:
+        raise PolicyError(f"{where}: a number of it is too large for any covariate; look at its unit") from error

@@ -1,6 +1,11 @@
-"""What ONNX graphs of policies are written with, and the parts that all of them have.
+"""What ONNX graphs of policies are written with, the parts that all of them have, and that of named actions.
 
-Each function is the line of `KernelMap`, or of `halfseen.learning.behaviour`, that it is named after.
+Each function is the line of `KernelMap`, `halfseen.learning.behaviour` or `FlatPolicy.valued` that it is named after.
+
+Inputs of a policy of named actions are the covariates of n states as numbers, in double precision, in the order of
+`Covariates.names`, and the stage, from 1; outputs are what the policy goes by, −∞ where an action is not possible, and
+the number of the best action. The metadata of the model name actions and covariates; text among these is an indicator
+of each category but the first.
 """
 
 from typing import Any
@@ -8,6 +13,7 @@ from typing import Any
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
+from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.learning.q_space import KernelMap
 
 OPSET, IR_VERSION = 18, 9
@@ -89,3 +95,47 @@ def leaning(graph: Graph, utility: str, possible: str) -> str:
     chance = graph("Div", np.float64(1.0), graph("Max", num_possible, np.float64(2.0)))
     far = graph("Div", graph("Sub", odds, chance), graph("Sub", np.float64(1.0), chance))
     return graph("Clip", far, np.float64(0.0), np.float64(1.0))
+
+
+COVARIATES, STAGE = "covariates", "stage"
+
+
+def flat_graph(policy: FlatPolicy) -> tuple[Any, dict[str, Any]]:
+    """Write a policy of named actions as an ONNX model, and what is to be known of it."""
+    graph = Graph(np.float64)
+    at = graph("Sub", STAGE, np.int64(1))
+    possible = graph("Gather", policy.is_possible, at)
+    features = COVARIATES if policy.kernel_map is None else kernel_features(graph, COVARIATES, policy.kernel_map)
+    ones = graph("Expand", np.float64(1.0), graph("Concat", graph("Shape", COVARIATES, end=1), np.array([1]), axis=0))
+    design = graph("Concat", ones, features, axis=1)
+    each = graph("Gather", policy.coefficients, at)
+    scores = graph("MatMul", design, graph("Transpose", each, perm=[1, 0]))
+    if policy.margin is not None:
+        margins = _margins(graph, policy, design, at)
+        if policy.behaviour is not None:
+            utility = graph("MatMul", graph("Concat", ones, COVARIATES, axis=1), policy.behaviour.T)
+            margins = graph("Mul", graph("Sub", np.float64(1.0), leaning(graph, utility, possible)), margins)
+        scores = graph("Sub", scores, margins)
+    graph("Where", possible, scores, np.float64(-np.inf), to=SCORES)
+    graph("ArgMax", SCORES, axis=1, keepdims=0, to=ACTION)
+    told = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
+    return _model(graph, policy), told
+
+
+def _margins(graph: Graph, policy: FlatPolicy, design: str, at: str) -> str:
+    """‖Mᵀ (1, features)‖ of each action."""
+    each = graph("MatMul", design, graph("Gather", policy.margin, at))
+    squares = graph("ReduceSum", graph("Mul", each, each), np.array([2]), keepdims=0)
+    return graph("Transpose", graph("Sqrt", squares), perm=[1, 0])
+
+
+def _model(graph: Graph, policy: FlatPolicy) -> Any:
+    inputs = [
+        helper.make_tensor_value_info(COVARIATES, TensorProto.DOUBLE, ["n", policy.looks_at.num_features]),
+        helper.make_tensor_value_info(STAGE, TensorProto.INT64, []),
+    ]
+    outputs = [
+        helper.make_tensor_value_info(SCORES, TensorProto.DOUBLE, ["n", len(policy.actions)]),
+        helper.make_tensor_value_info(ACTION, TensorProto.INT64, ["n"]),
+    ]
+    return graph.model(inputs, outputs)

@@ -1,16 +1,29 @@
-"""A policy as an ONNX model, for controllers without Python; its metadata say what it takes and gives, in JSON."""
+"""A policy as an ONNX model, for controllers without Python; its metadata say what it takes and gives, in JSON.
+
+Of tables it is the formulas of `halfseen.tables.features`, operator by operator. Inputs are the fields of `TableState`,
+for a fixed number of objects; those of objects that are not there are 0 and False. Outputs are what the policy goes by
+for each action, −∞ where it is not possible, and the number of the best one. Each function is the one of `features`,
+`GraspTable` or `LinearTablePolicy` that it is named after.
+"""
 
 import json
+from typing import Any, NamedTuple
 
+import numpy as np
 import onnx
-from onnx import helper
+from onnx import TensorProto, helper
 
 import halfseen
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.onnx_flat import flat_graph
+from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, flat_graph, kernel_features, leaning
+from halfseen.tables.features import LEAST_IN_SIGHT, LIKELY_ODDS, NUM_FEATURES, NUM_TABLE_FEATURES, ROUNDING
+from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import LinearTablePolicy
+from halfseen.world.actions import ActionSpace
+from halfseen.world.config import WorldConfig
+from halfseen.world.state import Layout, TableState, initial_state
 
 
 def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
@@ -36,8 +49,6 @@ def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
             raise ArgumentError("a number of objects is for policies of tables, and this one is not: leave it out")
         model, told = flat_graph(policy)
     elif isinstance(policy, LinearTablePolicy) and stored.is_table:
-        from halfseen.policies.onnx_table import table_graph
-
         model, told = table_graph(policy, stored.horizon, num_objects or _most_objects(stored))
     else:
         without = "; learn it without laws (halfseen learn --no-laws)" if stored.is_table else ""
@@ -57,3 +68,216 @@ def _most_objects(stored: StoredPolicy) -> int:
     if most is None:
         raise ArgumentError("the policy does not say how many objects its log showed: give the number (--objects)")
     return int(most)
+
+
+class _State(NamedTuple):
+    """What is worked out of a state before its features."""
+
+    is_dirty: str
+    in_sight: str
+    laid_bare: str
+    """[j, i], how much more of j would be without i."""
+    successes: str
+    failures: str
+
+
+def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tuple[Any, dict[str, Any]]:
+    """Write a policy of tables as an ONNX model, and what is to be known of it.
+
+    Parameters
+    ----------
+    policy
+        The policy.
+    horizon
+        Number T of stages that a trajectory may have.
+    num_objects
+        Most objects that a table has.
+
+    Raises
+    ------
+    ArgumentError
+        The grasp model is no table of numbers.
+    """
+    graph, actions = Graph(np.float32), ActionSpace(num_objects)
+    raw = _features(graph, num_objects, policy.grasp)
+    phi = raw if policy.kernel_map is None else kernel_features(graph, raw, policy.kernel_map)
+    design, verbs = _with_one(graph, phi, actions), actions.verbs
+    at = graph("Sub", _as_count(graph, "steps_to_go"), np.int64(1))
+    possible = _possible(graph, policy, at, verbs)
+    scores = _dot(graph, design, graph("Gather", graph("Gather", policy.coefficients, at), verbs))
+    if policy.margin is not None:
+        margins = _margins(graph, policy, design, at, verbs)
+        if policy.behaviour is not None:
+            utility = _dot(graph, _with_one(graph, raw, actions), np.asarray(policy.behaviour)[verbs])
+            lean = leaning(graph, utility, possible)
+            margins = graph("Mul", graph("Sub", np.float32(1.0), lean), margins)
+        scores = graph("Sub", scores, margins)
+    graph("Where", possible, scores, np.float32(-np.inf), to=SCORES)
+    graph("ArgMax", SCORES, axis=0, keepdims=0, to=ACTION)
+    told = {"actions": list(actions.names), "objects": num_objects, "horizon": horizon}
+    return graph.model(_inputs(horizon, num_objects), _outputs(actions)), told
+
+
+def table_inputs(state: TableState) -> dict[str, np.ndarray]:
+    """Give the fields of a state as the inputs of the model."""
+    return {name: np.asarray(value) for name, value in vars(state).items() if value is not None}
+
+
+def _inputs(horizon: int, num_objects: int) -> list[Any]:
+    none = np.zeros(num_objects, dtype=np.float32)
+    layout = Layout(np.zeros((num_objects, num_objects), dtype=np.float32), np.ones(num_objects, dtype=bool), none)
+    fields = table_inputs(initial_state(WorldConfig(horizon=horizon), layout))
+    kinds = {name: helper.np_dtype_to_tensor_dtype(field.dtype) for name, field in fields.items()}
+    return [helper.make_tensor_value_info(name, kinds[name], field.shape) for name, field in fields.items()]
+
+
+def _outputs(actions: ActionSpace) -> list[Any]:
+    scores = helper.make_tensor_value_info(SCORES, TensorProto.FLOAT, [actions.num_actions])
+    return [scores, helper.make_tensor_value_info(ACTION, TensorProto.INT64, [])]
+
+
+def _features(graph: Graph, num_objects: int, grasp: Any) -> str:
+    """φ of every action, a row each."""
+    state, columns = _state(graph, num_objects), _Columns(graph)
+    ease = _ease(graph, state) if grasp is None else _probability(graph, grasp, state)
+    columns.describe(state, ease)
+    summed = [
+        graph.total(graph("Where", "is_on_table", each, np.float32(0.0)), 0, keeps=True) for each in columns.table
+    ]
+    table = graph("Concat", *summed, columns.idle, axis=0)
+    every = graph("Expand", graph("Unsqueeze", table, np.array([0])), np.array([num_objects, NUM_TABLE_FEATURES]))
+    first = graph("Unsqueeze", graph("Slice", table, np.array([0]), np.array([1])), np.array([0]))
+    rows = [graph("Concat", first, np.zeros((1, NUM_FEATURES - 1)), axis=1)]
+    for values in (columns.washed, columns.lifted):
+        own = graph("Concat", *(graph("Unsqueeze", value, np.array([1])) for value in values), axis=1)
+        padding = np.zeros((num_objects, NUM_FEATURES - NUM_TABLE_FEATURES - len(values)))
+        rows.append(graph("Concat", every, own, *([padding] if padding.size else []), axis=1))
+    return graph("Concat", *rows, axis=0)
+
+
+def _state(graph: Graph, num_objects: int) -> _State:
+    """Counts of attempts, and who is in sight."""
+    in_column = graph("Unsqueeze", "is_on_table", np.array([0]))
+    seen = graph("Max", graph("Sub", np.float32(1.0), "hides"), np.float32(LEAST_IN_SIGHT))
+    left = graph("Where", in_column, seen, np.float32(1.0))
+    in_sight = graph("ReduceProd", left, np.array([1]), keepdims=0)
+    more = graph("Sub", graph("Reciprocal", left), np.float32(1.0))
+    more = graph("Mul", graph("Unsqueeze", in_sight, np.array([1])), more)
+    laid_bare = graph("Where", graph("Unsqueeze", "is_on_table", np.array([1])), more, np.float32(0.0))
+    tried = graph("Unsqueeze", _as_count(graph, "attempt_object"), np.array([0]))
+    is_mine = graph("Equal", tried, np.arange(num_objects)[:, None])
+    held = graph("Unsqueeze", "attempt_succeeded", np.array([0]))
+    counts = [graph.total(graph.as_number(graph("And", is_mine, which)), 1) for which in (held, graph("Not", held))]
+    return _State(graph("Sigmoid", "log_odds"), in_sight, laid_bare, *counts)
+
+
+def _ease(graph: Graph, state: _State) -> str:
+    """In sight, times the rule of succession."""
+    odds = graph("Add", np.float32(LIKELY_ODDS), graph("Exp", graph("Neg", "grip")))
+    likelier = graph("Div", np.float32(1.0 + LIKELY_ODDS), odds)
+    held = graph("Add", np.float32(1.0), state.successes)
+    rate = graph("Div", held, graph("Add", held, state.failures))
+    return graph("Mul", state.in_sight, graph("Mul", rate, likelier))
+
+
+def _probability(graph: Graph, grasp: Any, state: _State) -> str:
+    """Read a table of P(held)."""
+    if not isinstance(grasp, GraspTable):
+        raise ArgumentError(f"grasp is a {type(grasp).__name__}, no table of numbers, and ONNX can hold no other")
+    num_cells, most = grasp.probabilities.shape[0] - 1, grasp.probabilities.shape[-1] - 1
+    shown = graph("Where", graph("Unsqueeze", "is_on_table", np.array([0])), _not_hidden(graph), np.float32(1.0))
+    occluded = graph("Sub", np.float32(1.0), graph("ReduceProd", shown, np.array([1]), keepdims=0))
+    place = graph("Mul", graph("Clip", occluded, np.float32(0.0), np.float32(1.0)), np.float32(num_cells))
+    below = graph("Clip", graph("Floor", place), np.float32(0.0), np.float32(num_cells - 1))
+    counts = [_index(graph, graph("Min", each, np.float32(most))) for each in (state.successes, state.failures)]
+
+    def read(level: str) -> str:
+        at = graph("Concat", _index(graph, level), *counts, axis=1)
+        return graph("GatherND", np.asarray(grasp.probabilities), at)
+
+    low, high = read(below), read(graph("Add", below, np.float32(1.0)))
+    chance = graph("Add", low, graph("Mul", graph("Sub", place, below), graph("Sub", high, low)))
+    shift = graph("Exp", graph("Mul", "grip", -np.float32(grasp.per_grip)))
+    misses = graph("Mul", graph("Sub", np.float32(1.0), chance), graph("Sub", shift, np.float32(1.0)))
+    return graph("Div", chance, graph("Add", np.float32(1.0), misses))
+
+
+def _not_hidden(graph: Graph) -> str:
+    return graph("Sub", np.float32(1.0), "hides")
+
+
+def _index(graph: Graph, value: str) -> str:
+    return graph("Unsqueeze", _as_count(graph, value), np.array([1]))
+
+
+def _as_count(graph: Graph, value: str) -> str:
+    name = f"n{len(graph.nodes)}"
+    graph.nodes.append(helper.make_node("Cast", [value], [name], to=TensorProto.INT64))
+    return name
+
+
+class _Columns:
+    """What the features are made of, as `halfseen.tables.features.table_columns` finds it."""
+
+    def __init__(self, graph: Graph) -> None:
+        self.graph = graph
+
+    def describe(self, state: _State, ease: str) -> None:
+        """Find all columns."""
+        graph, p, unseen = self.graph, state.is_dirty, self._less(np.float32(1.0), "seen")
+        win, sure = (graph("Relu", self._less(p, np.float32(least))) for least in (0.5, 0.75))
+        doubt = self._by(np.float32(4.0), self._by(p, self._less(np.float32(1.0), p)))
+        is_seen = graph("Greater", "seen", np.float32(0.0))
+        shown = graph("Where", is_seen, np.float32(0.0), state.in_sight)
+        soon = self._by(ease, self._win_after_look(p, shown))
+        clearer = self._by(ease, self._less(self._by(ease, self._win_after_look(p, unseen)), soon))
+        unseen_doubt = self._by(doubt, unseen)
+        bare_win, bare_doubt = (self._by(ease, self._behind(state, value)) for value in (win, unseen_doubt))
+        at_stake = [win, self._by(win, ease), sure, self._by(sure, ease)]
+        best = graph("Where", "is_on_table", soon, np.float32(0.0))
+        largest = graph("ReduceMax", best, np.array([0]), keepdims=1)
+        self.idle = graph("Exp", self._by(largest, np.float32(-8.0)))
+        ones = graph("Add", self._by(p, np.float32(0.0)), np.float32(1.0))
+        self.table = [p, ones, *at_stake, doubt, ease, self._by(doubt, ease), soon]
+        self.washed = [bare_win, bare_doubt, p, self._by(p, ease), ease, *at_stake, soon, self._by(soon, ease)]
+        is_gained = graph("Greater", clearer, np.float32(ROUNDING))
+        gained = graph("Where", is_gained, clearer, np.float32(0.0))
+        self.lifted = [bare_doubt, unseen_doubt, ease, self._by(unseen_doubt, ease), gained]
+
+    def _behind(self, state: _State, value: str) -> str:
+        row = self.graph("MatMul", self.graph("Unsqueeze", value, np.array([0])), state.laid_bare)
+        return self.graph("Squeeze", row, np.array([0]))
+
+    def _win_after_look(self, p: str, shown: str) -> str:
+        step, over = self.graph("Div", shown, np.float32(4.0)), self._less(p, np.float32(0.5))
+        either = [self.graph("Relu", self.graph(operator, over, step)) for operator in ("Add", "Sub")]
+        return self._by(np.float32(0.5), self.graph("Add", *either))
+
+    def _by(self, one: Any, other: Any) -> str:
+        return self.graph("Mul", one, other)
+
+    def _less(self, one: Any, other: Any) -> str:
+        return self.graph("Sub", one, other)
+
+
+def _with_one(graph: Graph, features: str, actions: ActionSpace) -> str:
+    return graph("Concat", np.ones((actions.num_actions, 1)), features, axis=1)
+
+
+def _dot(graph: Graph, design: str, coefficients: Any) -> str:
+    return graph.total(graph("Mul", design, coefficients), 1)
+
+
+def _margins(graph: Graph, policy: LinearTablePolicy, design: str, at: str, verbs: np.ndarray) -> str:
+    each = graph("Gather", graph("Gather", np.asarray(policy.margin), at), verbs)
+    deviations = graph("MatMul", graph("Unsqueeze", design, np.array([1])), each)
+    return graph("Squeeze", graph("Sqrt", graph.total(graph("Mul", deviations, deviations), 2)), np.array([1]))
+
+
+def _possible(graph: Graph, policy: LinearTablePolicy, at: str, verbs: np.ndarray) -> str:
+    allowed = graph("Concat", np.ones(1, dtype=bool), "is_on_table", "is_on_table", axis=0)
+    if policy.is_seen is None:
+        return allowed
+    both = graph("And", allowed, graph("Gather", graph("Gather", np.asarray(policy.is_seen), at), verbs))
+    is_none = graph("Equal", graph.total(graph.as_number(both), 0, keeps=True), np.float32(0.0))
+    return graph("Or", both, graph("And", allowed, is_none))

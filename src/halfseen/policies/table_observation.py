@@ -13,9 +13,8 @@ from halfseen.perception import Label, View, perceive, read_cloud
 from halfseen.perception.kind import other_things_in_words
 from halfseen.perception.label_files import labels_of
 from halfseen.perception.labels import WORDS
-from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.named_observation import STATE_FILES
-from halfseen.policies.of_team import refuse_log_of_team
+from halfseen.policies.folder.stored import StoredPolicy, refuse_log_of_team
+from halfseen.policies.named_decider import STATE_FILES
 from halfseen.tables.present import Present, first_state, labelled
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import AssumedSeeing, KnownSeeing

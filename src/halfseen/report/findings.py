@@ -16,7 +16,7 @@ from halfseen.evaluation.targets import task_of
 from halfseen.learning.flat_policy import FlatPolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
-from halfseen.policies.folder.json_values import plain
+from halfseen.policies.folder.record import plain
 from halfseen.report.log_findings import Watched, log_findings, positivity_of, watched
 from halfseen.report.policy_findings import Band, QCurve, choices, most_telling, q_curves, telling
 from halfseen.report.policy_map import PolicyMap, policy_maps

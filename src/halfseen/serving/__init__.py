@@ -1,10 +1,8 @@
 """A policy that answers over HTTP: what `halfseen act` says, to whatever controller asks, without a Python of its own.
 
-Read down: `refusal` (what is said where a request is refused) → `in_service` (a policy that is warm) → `exploring` (now
-and then another action, with its probability) → `trajectories` (what was decided becomes the next log) → `table_state`,
-`seen` (requests → what a policy decides from, and what is recorded of it) → `answering` (a question, an answer) →
-`openapi`, `page` (what can be asked, for programs and for people) → `bounds` (who may ask, how much and how slowly) →
-`forms`, `hang_up`, `app` → `server`.
+Read down: `limits` (who may ask, how much and how slowly; the server) → `recording` (what was decided becomes the next
+log, and now and then it is another action, with its probability) → `table_state` (the objects of a table, as a log has
+them) → `answering` (a question, an answer) → `openapi` (what can be asked) → `app`.
 """
 
 from typing import TYPE_CHECKING
@@ -14,11 +12,11 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.serving.answering import Answering
     from halfseen.serving.app import Served, app_of
-    from halfseen.serving.trajectories import RecordedTrajectories
+    from halfseen.serving.recording import RecordedTrajectories
 
 __all__ = ["Answering", "RecordedTrajectories", "Served", "app_of"]
 
 __getattr__ = lazy_names(
     __name__,
-    {"Answering": "answering", "RecordedTrajectories": "trajectories", "Served": "app", "app_of": "app"},
+    {"Answering": "answering", "RecordedTrajectories": "recording", "Served": "app", "app_of": "app"},
 )

@@ -2,9 +2,12 @@
 
 import asyncio
 import json
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable
+from contextlib import asynccontextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,16 +22,44 @@ from starlette.routing import Route
 
 from halfseen.errors import HalfseenError
 from halfseen.reading import json_of
-from halfseen.serving.answering import Answering
-from halfseen.serving.bounds import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded
-from halfseen.serving.forms import cloud_in
-from halfseen.serving.hang_up import reloading_at_hang_up
-from halfseen.serving.in_service import InService, taken_into_service
-from halfseen.serving.openapi import described
-from halfseen.serving.page import page_of
-from halfseen.serving.refusal import Refusal
-from halfseen.serving.seen import Seen, seen_in_cloud, seen_in_state
-from halfseen.serving.trajectories import RecordedTrajectories
+from halfseen.serving.answering import Answering, InService, Seen, seen_in_cloud, seen_in_state, taken_into_service
+from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, Refusal, cloud_in
+from halfseen.serving.openapi import described, page_of
+from halfseen.serving.recording import RecordedTrajectories
+
+
+@asynccontextmanager
+async def reloading_at_hang_up(reload: Callable[[], Awaitable[Any]]) -> AsyncIterator[None]:
+    """Reload at SIGHUP for a while, where there is such a signal; what cannot be read is told on stderr.
+
+    Parameters
+    ----------
+    reload
+        Reads the files again, or raises `HalfseenError` and leaves all as it was.
+    """
+    hang_up: Any = getattr(signal, "SIGHUP", None)
+    if hang_up is None or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    loop, running = asyncio.get_running_loop(), set()
+
+    async def tell() -> None:
+        try:
+            await reload()
+        except HalfseenError as error:
+            print(f"halfseen: {error}; the policy before goes on", file=sys.stderr)
+
+    def begin() -> None:
+        task = loop.create_task(tell())
+        running.add(task)
+        task.add_done_callback(running.discard)
+
+    loop.add_signal_handler(hang_up, begin)
+    try:
+        yield
+    finally:
+        loop.remove_signal_handler(hang_up)
+
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw

@@ -15,7 +15,7 @@ from halfseen.logs.columns import as_floats
 from halfseen.perception import View, perceive, read_cloud
 from halfseen.perception.tracking import matched
 from halfseen.policies import Decision, StoredPolicy, decider_of
-from halfseen.policies.of_team import refuse_log_of_team, refuse_team
+from halfseen.policies.folder.stored import refuse_log_of_team, refuse_team
 from halfseen.tables.present import Present
 from halfseen.watch.of_cloud import seen_stage
 from halfseen.watch.stage_view import StageView, Watched

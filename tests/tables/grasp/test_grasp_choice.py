@@ -14,7 +14,8 @@ from halfseen.censoring import censoring_weights
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.policies.folder.team_grasp import split_grasp, team_grasp_arrays, team_grasp_of
+from halfseen.policies.folder.kinds import check_shapes
+from halfseen.policies.folder.table_kinds import grasp_arrays, grasp_of, grasp_shapes
 from halfseen.tables import BetaGrasp, TeamTask
 from halfseen.tables.features import NUM_LIFT, NUM_WASH, table_columns, team_features
 from halfseen.tables.grasp_choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp, fit_grip_effect
@@ -284,9 +285,9 @@ def test_what_is_about_an_object_goes_by_who_is_at_it():
 
 def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():
     model, _, _ = by_robot()
-    arrays = team_grasp_arrays(model)
-    shared, own = split_grasp(arrays, 2)
-    again = team_grasp_of(shared, own)
+    arrays = grasp_arrays(model)
+    check_shapes(arrays, grasp_shapes(arrays, 2), np.float32)
+    again = grasp_of(arrays)
     assert isinstance(again, GraspByRobot)
     for one, other in zip(leaves_of(again), leaves_of(model), strict=True):
         np.testing.assert_array_equal(one, other)
@@ -294,8 +295,8 @@ def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():
     twos = {**arrays, "own.grasp.chances": arrays["own.grasp.chances"] * 0.0 + 2.0}
     for given, num_robots, told in (
         (arrays, 3, "asks for float32 of shape"),
-        (without, 2, "'own.grasp.per_grip' or 'grasp.per_grip' is missing"),
+        (without, 2, "'own.grasp.per_grip' is missing"),
         (twos, 2, "'own.grasp.chances' holds 2.0"),
     ):
         with pytest.raises(PolicyError, match=told):
-            split_grasp(given, num_robots)
+            check_shapes(given, grasp_shapes(given, num_robots), np.float32)

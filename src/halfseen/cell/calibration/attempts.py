@@ -44,7 +44,7 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        As `halfseen.tables.grasp_attempts.attempts`, with `FACTS` and attempt_s, the time until it was known whether the
+        As `halfseen.tables.attempts`, with `FACTS` and attempt_s, the time until it was known whether the
         attempt held (NaN where it was cut) [s].
 
     Raises

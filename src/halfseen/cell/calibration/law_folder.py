@@ -28,7 +28,7 @@ from halfseen.cell.calibration.law import Law, TimeFit
 from halfseen.errors import PolicyError
 from halfseen.logs import Logs
 from halfseen.policies.folder.files import Kind, read_files, write_files
-from halfseen.policies.folder.json_values import plain
+from halfseen.policies.folder.record import plain
 from halfseen.reading import json_of
 from halfseen.world.seeing import PersistentSeeing
 

@@ -7,10 +7,9 @@
       policy.safetensors   its numbers
       policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
 
-Read down: `files` (there whole or not at all, no byte changed) → `json_values`, `arrays` (numbers and text, checked) →
-`digest`, `seen` (what the log was) → `specification` (how it was learned) → `table_parts`, `named_kind`, `table_kind`,
-`team_kind`, `kinds` (what differs between kinds of policies) → `record` (policy.json) → `stored` (read) → `log_facts`,
-`writing` (write).
+Read down: `files` (there whole or not at all, no byte changed) → `record` (the schema of policy.json) → `kinds`,
+`table_kinds`, `law_kinds` (what differs between kinds of policies, and their arrays) → `stored` (read) →
+`specification` (how it was learned), `log_facts` (what the log was), `writing` (write).
 """
 
 from typing import TYPE_CHECKING
@@ -18,8 +17,8 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.policies.folder.digest import log_digest
     from halfseen.policies.folder.files import check_target
+    from halfseen.policies.folder.log_facts import log_digest
     from halfseen.policies.folder.specification import q_space_of_record, reg_of_record, targets_of_record
     from halfseen.policies.folder.stored import StoredPolicy, read_policy
     from halfseen.policies.folder.writing import write_policy
@@ -40,7 +39,7 @@ __getattr__ = lazy_names(
     {
         "StoredPolicy": "stored",
         "check_target": "files",
-        "log_digest": "digest",
+        "log_digest": "log_facts",
         "q_space_of_record": "specification",
         "read_policy": "stored",
         "reg_of_record": "specification",

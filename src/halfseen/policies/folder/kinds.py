@@ -1,66 +1,63 @@
-"""Kinds of policies that a folder can hold; another kind is one more file and one more entry here."""
+"""Kinds of policies that a folder can hold, and their arrays, whose every shape and number is checked.
 
-from collections.abc import Mapping, Sequence
-from functools import cache
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+The kind of named actions is here, those of tables in `table_kinds` and `law_kinds`, which bring the world.
+"""
+
+from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import numpy as np
+from msgspec import Meta, Struct
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.policies.folder.arrays import Arrays
+from halfseen.learning.covariates import Covariates
+from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.q_space import KernelMap
+from halfseen.policies.folder.record import Horizon, converted
 
-if TYPE_CHECKING:
-    from halfseen.logs import Logs
+Arrays = Mapping[str, np.ndarray]
+
+COEFFICIENTS, MARGIN, BEHAVIOUR = "coefficients", "margin", "behaviour"
+GRASP = "grasp.chances"
+KERNEL_NAMES = ("centre", "scale", "landmarks", "projection", "gamma")
+TREND = "kernel.trend"
+LARGEST = 1e30
+"""Beyond it products of features and coefficients are no numbers in single precision."""
 
 
-@runtime_checkable
-class PolicyKind(Protocol):
-    """What differs between the folders of one kind of policy and those of another."""
+@dataclass(frozen=True)
+class PolicyKind:
+    """What differs between the folders of one kind of policy and those of another.
+
+    Parameters
+    ----------
+    policy_type
+        Class of the policies.
+    schema
+        What a policy looks at and chooses from, for policy.json; ``actions`` names the blocks of coefficients, unless
+        ``blocks`` does.
+    arrays_of
+        Names the arrays of a policy.
+    policy_of
+        Puts a policy together again of a record and arrays; all of it is checked.
+    is_flat
+        Whether actions are named ones; else the policy is of tables.
+    has_prior
+        Whether the schema tells what the log did of the prior, of views and of rewards, too.
+    """
 
     policy_type: type
-    """Class of the policies."""
-
-    def facts(self, logs: "Logs") -> Any:
-        """What the schema needs of a log, or of a part of it."""
-        ...
-
-    def schema(self, policy: Any, facts: Sequence[Any]) -> dict[str, Any]:
-        """What the policy looks at and chooses from, for policy.json.
-
-        ``actions`` names the blocks of coefficients, unless ``blocks`` does.
-        """
-        ...
-
-    def seen(self, logs: "Logs", policy: Any, is_by_stage: bool) -> list[dict[str, Any]]:
-        """Ranges of what the policy looks at, in the log that it was learned from."""
-        ...
-
-    def range_names(self, policy: Any) -> tuple[str, ...]:
-        """Names of these ranges."""
-        ...
-
-    def arrays_of(self, policy: Any) -> dict[str, Any]:
-        """Name the arrays of a policy."""
-        ...
-
-    def policy_of(self, record: Mapping[str, Any], arrays: Arrays) -> Any:
-        """Put a policy together again; all of it is checked."""
-        ...
+    schema: Callable[[Any], dict[str, Any]]
+    arrays_of: Callable[[Any], dict[str, np.ndarray]]
+    policy_of: Callable[[Mapping[str, Any], Arrays], Any]
+    is_flat: bool = False
+    has_prior: bool = False
 
 
-_PLACES = {
-    "flat": ("named_kind", "NamedKind"),
-    "table": ("table_kind", "TableKind"),
-    "table-laws": ("laws_kind", "LawsKind"),
-    "team": ("team_kind", "TeamKind"),
-    "team-laws": ("team_laws_kind", "TeamLawsKind"),
-}
-
-
-@cache
 def kind_named(name: str) -> PolicyKind:
-    """Load a kind; that of tables brings the world, which takes longer than what the other is asked for."""
-    module, kind = _PLACES[name]
-    return getattr(import_module(f"{__package__}.{module}"), kind)()
+    """Kind of this name; those of tables bring the world, which takes longer than what the other is asked for."""
+    return FLAT if name == "flat" else _table_kinds()[name]
 
 
 def kind_name_of(policy: Any) -> str:
@@ -71,23 +68,180 @@ def kind_name_of(policy: Any) -> str:
     ArgumentError
         It is of none.
     """
-    for name in _PLACES:
-        if isinstance(policy, kind_named(name).policy_type):
+    kinds = {"flat": FLAT, **_table_kinds()}
+    for name, kind in kinds.items():
+        if isinstance(policy, kind.policy_type):
             return name
-    types = ", ".join(kind_named(name).policy_type.__name__ for name in _PLACES)
+    types = ", ".join(kind.policy_type.__name__ for kind in kinds.values())
     raise ArgumentError(f"a {type(policy).__name__} cannot be written to a folder; these can: {types}")
 
 
-def kind_of(record: Mapping[str, Any]) -> PolicyKind:
-    """Kind that policy.json says.
+def _table_kinds() -> dict[str, PolicyKind]:
+    from halfseen.policies.folder.law_kinds import LAW_KINDS
+    from halfseen.policies.folder.table_kinds import TABLE_KINDS
+
+    return TABLE_KINDS | LAW_KINDS
+
+
+class FlatSchema(Struct):
+    """Covariates and their categories, names of the actions, and those that each stage allows."""
+
+    horizon: Horizon
+    covariates: list[str]
+    actions: list[int | str]
+    possible: list[Annotated[list[int | str], Meta(min_length=1)]]
+    categories: dict[str, list[str]] = {}
+
+    def __post_init__(self) -> None:
+        if not {*self.categories} <= {*self.covariates}:
+            raise ValueError(f"categories are of {', '.join(self.categories)}; each is of a covariate")
+        for name, each in {"actions": self.actions, "covariates": self.covariates, **self.categories}.items():
+            if len(set(each)) < len(each):
+                raise ValueError(f"{name} is {each}; each has a name of its own")
+        if len(self.possible) != self.horizon or not all({*each} <= {*self.actions} for each in self.possible):
+            raise ValueError(
+                f"possible is {self.possible}; it lists some of the actions for each of the {self.horizon} stages"
+            )
+
+
+def _flat_schema(policy: FlatPolicy) -> dict[str, Any]:
+    names = [_action_name(name) for name in policy.actions]
+    return {
+        "horizon": policy.horizon,
+        "covariates": list(policy.covariates),
+        "categories": {name: list(known) for name, known in policy.categories.items()},
+        "actions": names,
+        "possible": [[names[k] for k in np.flatnonzero(row)] for row in policy.is_possible],
+    }
+
+
+def _action_name(name: Any) -> int | str:
+    value = name.item() if isinstance(name, np.generic) else name
+    if isinstance(value, bool) or not isinstance(value, (int, str)):
+        raise ArgumentError(f"action {name!r} is neither a whole number nor text; a folder cannot hold other names")
+    return value
+
+
+def _flat_policy(record: Mapping[str, Any], arrays: Arrays) -> FlatPolicy:
+    schema = converted(record["schema"], FlatSchema)
+    categories = {name: tuple(each) for name, each in schema.categories.items()}
+    looks_at = Covariates(tuple(schema.covariates), categories)
+    check_shapes(arrays, linear_shapes(arrays, schema.horizon, len(schema.actions), looks_at.num_features), np.float64)
+    return FlatPolicy(
+        actions=tuple(schema.actions),
+        covariates=looks_at.columns,
+        is_possible=np.array([[name in names for name in schema.actions] for names in schema.possible]),
+        coefficients=arrays[COEFFICIENTS],
+        kernel_map=kernel_map_of(arrays),
+        margin=arrays.get(MARGIN),
+        behaviour=arrays.get(BEHAVIOUR),
+        categories=looks_at.categories,
+    )
+
+
+def linear_arrays(policy: Any) -> dict[str, np.ndarray]:
+    """Name the arrays of a policy and of its kernel, each in the order of its memory.
+
+    Raises
+    ------
+    ArgumentError
+        It is a batch of policies.
+    """
+    shape = np.shape(policy.coefficients)
+    if len(shape) != 3:
+        raise ArgumentError(f"coefficients have shape {shape}, a batch of policies; write them one by one")
+    kernel = policy.kernel_map
+    named = {COEFFICIENTS: policy.coefficients, MARGIN: policy.margin, BEHAVIOUR: policy.behaviour}
+    if kernel is not None:
+        named |= {f"kernel.{name}": getattr(kernel, name) for name in (*KERNEL_NAMES, "trend")}
+    return {name: np.asarray(array) for name, array in named.items() if array is not None}
+
+
+def kernel_map_of(arrays: Any) -> KernelMap | None:
+    """Put the kernel of a policy together again, if it has one."""
+    if "kernel.centre" not in arrays:
+        return None
+    return KernelMap(**{name: arrays[f"kernel.{name}"] for name in KERNEL_NAMES}, trend=arrays.get(TREND))
+
+
+def laid_out(arrays: Arrays, by_column: Container[str]) -> dict[str, np.ndarray]:
+    """Copy arrays row by row, but those that are named column by column."""
+    return {name: np.array(array, order="F" if name in by_column else "C") for name, array in arrays.items()}
+
+
+def linear_shapes(arrays: Arrays, horizon: int, num_blocks: int, num_features: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of a policy whose Q, or its kernel, looks at so many features.
 
     Raises
     ------
     PolicyError
-        There is none of this name.
+        A kernel has no projection.
     """
-    name = record.get("kind")
-    if not isinstance(name, str) or name not in _PLACES:
-        listed = ", ".join(map(repr, _PLACES))
-        raise PolicyError(f"kind is {name!r}; it is one of {listed}: learn the policy anew")
-    return kind_named(name)
+    wanted: dict[str, tuple[int, ...]] = {}
+    num_inputs = num_features
+    if any(name.startswith("kernel.") for name in arrays):
+        rows, num_inputs = sizes_of(arrays, "kernel.projection", 2)
+        sizes = ((num_features,), (num_features,), (rows, num_features), (rows, num_inputs), ())
+        wanted |= {f"kernel.{name}": size for name, size in zip(KERNEL_NAMES, sizes, strict=True)}
+    if TREND in arrays:
+        num_trend = num_features * (num_features + 3) // 2
+        wanted[TREND] = (num_trend,)
+        num_inputs += num_trend
+    wanted[COEFFICIENTS] = (horizon, num_blocks, 1 + num_inputs)
+    if MARGIN in arrays:
+        wanted[MARGIN] = (*wanted[COEFFICIENTS], 1 + num_inputs)
+    if BEHAVIOUR in arrays:
+        wanted[BEHAVIOUR] = (num_blocks, 1 + num_features)
+    return wanted
+
+
+def sizes_of(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
+    """Shape of an array with so many axes.
+
+    Raises
+    ------
+    PolicyError
+        There is none.
+    """
+    array = arrays.get(name)
+    if array is None or array.ndim != ndim:
+        what = "missing" if array is None else f"of shape {list(array.shape)}"
+        raise PolicyError(f"array {name!r} is {what}; it has {ndim} axes: learn the policy anew")
+    return array.shape
+
+
+def check_shapes(arrays: Arrays, wanted: Mapping[str, tuple[int, ...]], dtype: type) -> None:
+    """Refuse arrays that have not these shapes, or hold what is no number.
+
+    Raises
+    ------
+    PolicyError
+        The array, what it is and what it should be are named.
+    """
+    for name in sorted({*wanted, *arrays}):
+        if name not in arrays or name not in wanted:
+            trouble = "none that a policy has" if name in arrays else "missing"
+            raise PolicyError(f"array {name!r} is {trouble}; learn the policy anew")
+        array = arrays[name]
+        if array.shape != wanted[name] or array.dtype != dtype:
+            raise PolicyError(
+                f"array {name!r} is {array.dtype} of shape {list(array.shape)}, where the schema asks for "
+                f"{np.dtype(dtype)} of shape {list(wanted[name])}; learn the policy anew"
+            )
+        _check_numbers(name, array)
+
+
+def _check_numbers(name: str, array: np.ndarray) -> None:
+    if name.endswith(GRASP):
+        wrong, rule = ~((array >= 0) & (array <= 1)), "a probability lies in [0, 1]"
+    elif name in ("kernel.scale", "kernel.gamma"):
+        # A feature that never varied has an infinite scale.
+        wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it is positive"
+    else:
+        wrong, rule = ~(np.abs(array) <= LARGEST), f"it is finite, and {LARGEST:g} at most"
+    if wrong.any():
+        at = tuple(np.argwhere(wrong)[0].tolist())
+        raise PolicyError(f"array {name!r} holds {array[at]} at {list(at)}; {rule}: learn the policy anew")
+
+
+FLAT = PolicyKind(FlatPolicy, _flat_schema, linear_arrays, _flat_policy, is_flat=True)

@@ -1,17 +1,23 @@
 """What policy.json says of the log that a policy was learned from, gathered in one pass over its parts."""
 
-from collections.abc import Iterable
+import hashlib
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from itertools import zip_longest
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 
 from halfseen.logs import Logs, LogsSummary
 from halfseen.logs.summary import SummaryTally
-from halfseen.policies.folder.digest import LogDigest
 from halfseen.policies.folder.kinds import PolicyKind
-from halfseen.policies.folder.seen import joined_seen
-from halfseen.policies.folder.stages_left import stage_counts, stages_left
+from halfseen.policies.folder.stored import TABLE_RANGES
+from halfseen.shapes import Float, Int
+
+NUM_KNOTS = 21
+"""Of a distribution function, at most."""
 
 
 @dataclass(frozen=True)
@@ -24,8 +30,8 @@ class LogFacts:
         Its counts.
     sha256
         Its digest.
-    schema
-        What the policy looks at and chooses from.
+    prior
+        Where the policy's kind tells it: the prior of DIRTY, whether looks were counted, the least each verb paid.
     seen
         What states looked like.
     stages_left
@@ -36,7 +42,7 @@ class LogFacts:
 
     summary: LogsSummary
     sha256: str
-    schema: dict[str, Any]
+    prior: dict[str, Any]
     seen: list[dict[str, Any]]
     stages_left: list[float]
     reward_spread: float
@@ -56,19 +62,184 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
     is_by_stage
         Whether each stage has a Q of its own.
     """
-    digest, summary, facts = LogDigest(), SummaryTally(), []
-    seen, counts, spread = [], None, _Spread(0, 0.0, 0.0)
+    digest, summary, priors = LogDigest(), SummaryTally(), []
+    seen, counts, spread = [], np.zeros((2, 0), dtype=np.int64), _Spread(0, 0.0, 0.0)
     for part in parts:
         digest.add(part)
         summary.add(part.trajectories, part.stages, part.objects)
-        facts.append(kind.facts(part))
-        seen = joined_seen(seen, kind.seen(part, policy, is_by_stage))
-        here = stage_counts(part)
-        counts = here if counts is None else counts.plus(here)
+        if kind.has_prior:
+            priors.append(_prior(part))
+        here = _seen_named(part, policy, is_by_stage) if kind.is_flat else _seen_tables(part)
+        seen = [one or other if not (one and other) else _joined(one, other) for one, other in zip_longest(seen, here)]
+        counts = _added(counts, stage_counts(part))
         spread = spread.plus(_spread_of(part))
-    assert counts is not None
-    schema = kind.schema(policy, facts)
-    return LogFacts(summary.summary(), digest.hexdigest(), schema, seen, stages_left(counts), spread.deviation)
+    prior = _priors_joined(priors) if priors else {}
+    return LogFacts(summary.summary(), digest.hexdigest(), prior, seen, stages_left(counts), spread.deviation)
+
+
+def log_digest(logs: Logs) -> str:
+    """Give the SHA-256 of what a log says: names of tables and columns, and every value, row by row.
+
+    The same trajectories have the same, in memory, in parts and from any form on disk.
+    """
+    digest = LogDigest()
+    digest.add(logs)
+    return digest.hexdigest()
+
+
+class LogDigest:
+    """The digest of a log that comes in parts, in the order of its trajectories."""
+
+    def __init__(self) -> None:
+        self._columns: dict[str, Any] = {}
+
+    def add(self, part: Logs) -> None:
+        """Go on with the next part."""
+        for name, table in part.tables.items():
+            for column in table.columns:
+                for k, data in enumerate(_bytes_of(table[column])):
+                    self._columns.setdefault(f"{name}.{column}.{k}", hashlib.sha256()).update(data)
+
+    def hexdigest(self) -> str:
+        """Give the SHA-256 of the columns' own."""
+        columns = sorted(self._columns.items())
+        return hashlib.sha256("".join(f"{name}:{of.hexdigest()}\n" for name, of in columns).encode()).hexdigest()
+
+
+def _bytes_of(values: Any) -> Iterator[bytes]:
+    if pd.api.types.is_numeric_dtype(values.dtype):
+        yield _number_bytes(values.to_numpy(dtype=np.float64, na_value=np.nan))
+        return
+    arrow = pa.array(values, from_pandas=True)
+    if pa.types.is_list(arrow.type):
+        yield _number_bytes(np.asarray(arrow.value_lengths().fill_null(-1), dtype=np.float64))
+        yield from _bytes_of(arrow.flatten().to_pandas())
+        return
+    texts = values.astype(object).map(lambda value: repr(str(value)), na_action="ignore").fillna("null")
+    yield "".join(f"{text}\n" for text in texts).encode()
+
+
+def _number_bytes(values: np.ndarray) -> bytes:
+    # One NaN and one zero, whatever bits they came in.
+    return np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8").tobytes()
+
+
+def _seen_named(logs: Logs, policy: Any, is_by_stage: bool) -> list[dict[str, Any]]:
+    """Ranges of the covariates of named actions, and counts of categories, by stage or over all stages."""
+    frame: Any = logs.stages
+    parts = [(1, logs.horizon, frame)]
+    if is_by_stage:
+        parts = [(stage, stage, frame[frame["stage"] == stage]) for stage in range(1, logs.horizon + 1)]
+    return [
+        _entry(
+            first,
+            last,
+            len(part),
+            {name: _shown(part[name], policy.categories.get(name)) for name in policy.covariates},
+        )
+        for first, last, part in parts
+    ]
+
+
+def _shown(values: Any, categories: Sequence[str] | None) -> Any:
+    if categories is None:
+        return [float(values.min()), float(values.max())]
+    counts = values.astype(str).value_counts()
+    return {name: int(counts[name]) for name in categories if name in counts}
+
+
+def _seen_tables(logs: Logs) -> list[dict[str, Any]]:
+    """Ranges over all stages: tables are alike in every stage."""
+    from halfseen.world.log_checks import TABLE
+
+    objects: Any = logs.objects
+    there = objects[objects["location"] == TABLE]
+    num_objects = there.groupby(["trajectory", "stage"]).size()
+    each = (num_objects, there["occlusion"], there["log_odds"], there["attempt_occlusions"].map(len))
+    ranges = {name: _shown(values, None) for name, values in zip(TABLE_RANGES, each, strict=True)}
+    return [_entry(1, logs.horizon, logs.num_stages, ranges)]
+
+
+def _entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> dict[str, Any]:
+    return {"stages": [first, last], "num_states": num_states, "ranges": ranges}
+
+
+def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """What two parts of a log have seen of the same stages."""
+    ranges = {name: _wider(seen, other["ranges"][name]) for name, seen in one["ranges"].items()}
+    last = max(one["stages"][1], other["stages"][1])
+    return _entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
+
+
+def _wider(one: Any, other: Any) -> Any:
+    if isinstance(one, dict):
+        # In the order of the categories, as one log alone would have them.
+        return {name: one.get(name, 0) + other.get(name, 0) for name in sorted({*one, *other})}
+    return [min(one[0], other[0]), max(one[1], other[1])]
+
+
+def _prior(logs: Logs) -> tuple[Any, bool, dict[str, float]]:
+    from halfseen.tables.present import prior_facts
+
+    done: Any = logs.stages[logs.stages["reward"].notna()]
+    least = done.groupby("action", observed=True)["reward"].min()
+    # Where a recorder counted how much of an object has been in view, a second look may be no news.
+    counts_views = logs.objects is not None and "seen" in logs.objects.columns and (logs.objects["seen"] > 0.0).any()
+    return prior_facts(logs), bool(counts_views), {str(verb): float(paid) for verb, paid in least.items()}
+
+
+def _priors_joined(priors: Sequence[tuple[Any, bool, dict[str, float]]]) -> dict[str, Any]:
+    from halfseen.tables.present import dirty_share
+    from halfseen.world.actions import Verb
+
+    facts, counts_views, paid = zip(*priors, strict=True)
+    least = {verb.name: [each[verb.name] for each in paid if verb.name in each] for verb in Verb}
+    return {
+        "dirty_share": dirty_share(list(facts)),
+        "counts_views": any(counts_views),
+        "least_rewards": {verb: min(each) for verb, each in least.items() if each},
+    }
+
+
+def stage_counts(logs: Logs) -> Int[np.ndarray, "2 T"]:
+    """How many trajectories began each stage, and how many completed it; those of parts of a log add up."""
+    stage = logs.stages["stage"].to_numpy(dtype=np.int64)
+    is_done = logs.stages["elapsed_s"].notna().to_numpy(dtype=bool)
+    return np.stack([np.bincount(each, minlength=logs.horizon + 1)[1:] for each in (stage, stage[is_done])])
+
+
+def _added(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    horizon = max(one.shape[1], other.shape[1])
+    padded = (np.pad(each, ((0, 0), (0, horizon - each.shape[1]))) for each in (one, other))
+    return np.add(*padded)
+
+
+def stages_left(counts: Int[np.ndarray, "2 T"]) -> list[float]:
+    """Mean number of stages from each to the end, by Kaplan and Meier: what a cut took away is made up for.
+
+    Of the trajectories that completed a stage, some went on to the next; a cut within a stage tells nothing of that.
+    Over so many stages the errors of Q add up.
+
+    Parameters
+    ----------
+    counts
+        Of the whole log, as `stage_counts` gives them.
+
+    Examples
+    --------
+    Of three trajectories one was cut in stage 1; of the two others one went on.
+
+    >>> stages = {"trajectory": [0, 1, 1, 2], "stage": [1, 1, 2, 1], "elapsed_s": [1.0, 1.0, 2.0, None]}
+    >>> stages["action"] = ["A"] * 4
+    >>> trajectories = {"trajectory": [0, 1, 2], "end_s": [1.0, 2.0, 0.5], "ending": ["finished", "finished", "cut"]}
+    >>> stages_left(stage_counts(Logs(stages | {"reward": [1.0, 1.0, 1.0, None]}, trajectories)))
+    [1.5, 1.0]
+    """
+    begun, done = counts
+    left = np.ones(len(begun))
+    for k in range(len(left) - 2, -1, -1):
+        left[k] += left[k + 1] * begun[k + 1] / max(int(done[k]), 1)
+    return left.tolist()
 
 
 class _Spread(NamedTuple):
@@ -90,8 +261,50 @@ class _Spread(NamedTuple):
 
 
 def _spread_of(part: Logs) -> _Spread:
-    rewards = part.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)
-    rewards = rewards[~np.isnan(rewards)]
+    rewards = part.stages["reward"].dropna().to_numpy(dtype=np.float64)
     if not len(rewards):
         return _Spread(0, 0.0, 0.0)
     return _Spread(len(rewards), float(rewards.mean()), float(((rewards - rewards.mean()) ** 2).sum()))
+
+
+def promised_states(logs: Logs, covariates: Sequence[str]) -> list[dict[str, Any]]:
+    """Describe the covariates of each stage of a log: of numbers a distribution function, of names their shares.
+
+    Whoever serves a policy can be told by them when its cell differs from the log.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    covariates
+        Columns that the policy looks at.
+
+    Returns
+    -------
+    list of dict
+        For each stage its number, the number of states, and by covariate ``values`` with the share of states ``below``
+        or at each, or ``names`` with their ``shares``.
+    """
+    groups: Any = logs.stages.groupby("stage")
+    return [
+        {
+            "stage": int(number),
+            "num_states": len(rows),
+            "covariates": {name: _described(rows[name]) for name in covariates},
+        }
+        for number, rows in groups
+    ]
+
+
+def _described(values: Any) -> dict[str, list[Any]]:
+    if pd.api.types.is_numeric_dtype(values.dtype):
+        numbers = np.sort(values.to_numpy(dtype=np.float64))
+        knots = np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, NUM_KNOTS), method="lower"))
+        return {"values": knots.tolist(), "below": below(numbers, knots).tolist()}
+    shares = values.astype(str).value_counts(normalize=True).sort_index()
+    return {"names": shares.index.tolist(), "shares": shares.tolist()}
+
+
+def below(sorted_numbers: Float[np.ndarray, " n"], knots: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Share of numbers, in order, that lie below each knot or at it."""
+    return np.searchsorted(sorted_numbers, knots, side="right") / len(sorted_numbers)

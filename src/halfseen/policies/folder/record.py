@@ -1,19 +1,125 @@
-"""policy.json: what a policy looks at, what it was learned from and how, and what its weights are worth."""
+"""policy.json: what a policy looks at, what it was learned from and how, and what its weights are worth.
+
+The classes below are its schema; what differs between kinds of policies is in `kinds` and `table_kinds`.
+"""
 
 import json
-from collections.abc import Mapping
-from typing import Any
+import re
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any, Literal, TypeVar
 
+import msgspec
 import numpy as np
+from msgspec import Meta, Struct
+from msgspec.structs import astuple
 
 import halfseen
 from halfseen.errors import PolicyError
-from halfseen.policies.folder.json_values import names_in, plain, typed
-from halfseen.policies.folder.kinds import kind_of
-from halfseen.policies.promise import check_promise
 from halfseen.reading import json_of
 
 FORMAT, VERSION = "halfseen-policy", 2
+
+Of = TypeVar("Of")
+Horizon = Annotated[int, Meta(ge=1)]
+Share = Annotated[float, Meta(ge=0.0, le=1.0)]
+Counts = dict[str, int]
+
+
+class Seen(Struct):
+    """What the states of some stages looked like: ranges of numbers, and counts of the categories of text."""
+
+    stages: tuple[int, int]
+    ranges: dict[str, tuple[float, float] | Counts]
+    num_states: int = 0
+
+    def __post_init__(self) -> None:
+        # msgspec 0.22 reads past its memory where a tuple is in a union with a dict whose values are bounded.
+        for name, seen in {"stages": self.stages, **self.ranges}.items():
+            if min(seen.values(), default=0) < 1 if isinstance(seen, dict) else seen[0] > seen[1]:
+                shown = seen if isinstance(seen, dict) else list(seen)
+                raise ValueError(f"{name} is {shown}; it counts no state, or ends before it begins")
+
+
+class Verdict(Struct):
+    """Whether what was learned beats what made the logs."""
+
+    verdict: str
+    reason: str
+    sentence: str
+
+
+class Distribution(Struct):
+    """A distribution function at rising values, or the shares of names."""
+
+    values: list[float] | None = None
+    below: list[Share] = []
+    names: list[str] | None = None
+    shares: list[Share] = []
+
+    def __post_init__(self) -> None:
+        places, shares = (self.names, self.shares) if self.values is None else (self.values, self.below)
+        if not places or len(places) != len(shares) or (np.diff(self.values or []) <= 0.0).any():
+            raise ValueError("it has no share for each of its names, or of its values, which rise")
+
+
+class PromisedStage(Struct):
+    """The states of one stage of a log."""
+
+    stage: Horizon
+    num_states: Horizon
+    covariates: dict[str, Distribution]
+
+
+class PromisedValue(Struct):
+    """What a trajectory is worth."""
+
+    value: float
+    low: float
+    high: float
+    standard_error: float
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(astuple(self)).all():
+            raise ValueError(f"it holds {astuple(self)}, and numbers are finite")
+
+
+class Promise(Struct):
+    """What states a policy was learned for, and what it was said to be worth there."""
+
+    stages: list[PromisedStage]
+    value: PromisedValue | None = None
+
+
+class Record(Struct):
+    """What every policy.json holds; folders of before lack what has a default here."""
+
+    kind: Literal["flat", "table", "table-laws", "team", "team-laws"]
+    schema: dict[str, Any]
+    learner: dict[str, Any]
+    log: dict[str, Any]
+    diagnostics: dict[str, Any]
+    reg: dict[str, Any]
+    versions: dict[str, Any]
+    column_major: list[str]
+    seen: list[Seen]
+    warnings: list[str] = []
+    verdict: Verdict | None = None
+    promise: Promise | None = None
+    reward_spread: Annotated[float, Meta(ge=0.0)] = 0.0
+    stages_left: list[Annotated[float, Meta(ge=1.0)]] = []
+
+
+def plain(value: Any) -> Any:
+    """Write a value as JSON can: null for a number that it does not have, an object by what it prints."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return None if isinstance(value, float) and not np.isfinite(value) else value
+    if isinstance(value, Mapping):
+        return {str(key): plain(entry) for key, entry in value.items()}
+    if isinstance(value, (Sequence, np.ndarray)):
+        return [plain(entry) for entry in value]
+    return repr(value)
 
 
 def as_json(record: Mapping[str, Any]) -> bytes:
@@ -40,29 +146,31 @@ def from_json(data: bytes) -> dict[str, Any]:
             f"version {record.get('version')!r} is not the {VERSION} that halfseen {halfseen.__version__} reads; use "
             "the halfseen that wrote it, or learn the policy anew"
         )
-    kind_of(record)
-    names_in(record, "column_major", (str,))
-    for name in ("schema", "learner", "log", "diagnostics", "reg", "versions"):
-        typed(record, name, dict, "an object")
-    _check_doubts(record)
-    if record.get("promise") is not None:
-        try:
-            check_promise(record["promise"])
-        except (AttributeError, KeyError, TypeError, ValueError) as error:
-            raise PolicyError(f"promise cannot be read ({error}); learn the policy anew") from error
-    spread = typed({"reward_spread": 0.0, **record}, "reward_spread", float, "a standard deviation")
-    if not 0.0 <= spread < np.inf:
-        raise PolicyError(f"reward_spread is {spread}; it is a standard deviation: learn the policy anew")
-    left = typed({"stages_left": [], **record}, "stages_left", list, "a list")
-    if not all(isinstance(each, float) and each >= 1.0 for each in left):
-        raise PolicyError(f"stages_left is {left}; it holds a number from 1 on for each stage: learn the policy anew")
+    converted(record, Record)
     return record
 
 
-def _check_doubts(record: Mapping[str, Any]) -> None:
-    """Refuse a verdict or warnings that say nothing; folders that were written before there were any have neither."""
-    if not all(isinstance(one, str) for one in typed({"warnings": [], **record}, "warnings", list, "a list")):
-        raise PolicyError(f"warnings is {record['warnings']!r} and not a list of sentences; learn the policy anew")
-    if record.get("verdict") is not None:
-        for name in ("verdict", "reason", "sentence"):
-            typed(typed(record, "verdict", dict, "an object"), name, str, "a text")
+def converted(values: Any, kind: type[Of]) -> Of:
+    """Take values as JSON has them for those of a schema.
+
+    Raises
+    ------
+    PolicyError
+        They are none; the field, its value and what it should be are named.
+    """
+    try:
+        return msgspec.convert(values, kind)
+    except msgspec.ValidationError as error:
+        raise PolicyError(f"{_refusal(values, str(error))}; learn the policy anew") from error
+
+
+def _refusal(values: Any, told: str) -> str:
+    """The field and its value before what msgspec says of it; a check of ours names the value itself."""
+    what, _, place = told.partition(" - at ")
+    keys = [key or int(number) for key, number in re.findall(r"\.([^.\[\]`]+)|\[(\d+)\]", place.partition("[...]")[0])]
+    keys += re.findall("missing required field `(.+)`", what)
+    for key in keys:
+        values = values.get(key) if isinstance(values, dict) else values[key]
+    name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
+    is_of_msgspec = what.startswith(("Expected ", "Invalid ", "Object ", "Number "))
+    return ": ".join([*([f"{name} is {values!r}"] if is_of_msgspec and name else [name] if name else []), what])

@@ -3,20 +3,30 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import safetensors
 import safetensors.numpy
 
 from halfseen.errors import PolicyError, within
 from halfseen.policies.certainty import LASTING_ERROR, QError
-from halfseen.policies.folder.arrays import laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, read_files
-from halfseen.policies.folder.json_values import horizon_of
-from halfseen.policies.folder.kinds import kind_of
+from halfseen.policies.folder.kinds import kind_named, laid_out
 from halfseen.policies.folder.record import from_json
-from halfseen.policies.folder.seen import check_seen
 from halfseen.policies.ranges import Range
+
+if TYPE_CHECKING:
+    from halfseen.logs import Logs
+else:
+    Logs = Any  # Who reads a policy loads no log.
+
+TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
+"""Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
+UNDECIDED = (
+    "which looks at what each robot is at, and that is not given here; ask read_policy(FOLDER).policy.decide of a "
+    "halfseen.world.TableState"
+)
+"""What comes of it, where it is to decide."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +58,7 @@ class StoredPolicy:
     @property
     def horizon(self) -> int:
         """Number T of stages that a trajectory may have."""
-        return horizon_of(self.record)
+        return int(self.record["schema"]["horizon"])
 
     @property
     def verdict(self) -> Mapping[str, Any] | None:
@@ -83,15 +93,11 @@ class StoredPolicy:
         for entry in self.record["seen"]:
             first, last = entry["stages"]
             if first <= stage <= last or not is_by_stage:
-                return {name: _range(seen) for name, seen in entry["ranges"].items()}
+                return {
+                    name: seen if isinstance(seen, dict) else (float(seen[0]), float(seen[1]))
+                    for name, seen in entry["ranges"].items()
+                }
         return None
-
-
-def _range(seen: Any) -> Range:
-    if isinstance(seen, dict):
-        return seen
-    low, high = seen
-    return float(low), float(high)
 
 
 def read_policy(folder: str | Path) -> StoredPolicy:
@@ -121,7 +127,62 @@ def read_policy(folder: str | Path) -> StoredPolicy:
 
 def policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
     """Put a policy together again; all of it is checked."""
-    kind = kind_of(record)
+    kind = kind_named(record["kind"])
     policy = kind.policy_of(record, arrays)
-    check_seen(record.get("seen"), kind.range_names(policy))
+    names = policy.covariates if kind.is_flat else TABLE_RANGES
+    for entry in record["seen"]:
+        if set(entry["ranges"]) != set(names):
+            raise PolicyError(
+                f"seen does not give the range of {', '.join(names) or 'nothing'} in the log, but of "
+                f"{', '.join(entry['ranges']) or 'nothing'}; learn the policy anew"
+            )
     return policy
+
+
+def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = None) -> None:
+    """Refuse a policy of a team.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    trouble
+        Why it is of no use here, and what to do instead.
+    folder
+        Where it was read.
+
+    Raises
+    ------
+    PolicyError
+        It is one of a team.
+    """
+    if stored.num_robots is not None:
+        where = "the policy" if folder is None else f"{folder}: it"
+        raise PolicyError(
+            f"{where} decides for a team of {stored.num_robots} robot{'' if stored.num_robots == 1 else 's'}, {trouble}"
+        )
+
+
+def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
+    """Refuse a log of several robots for a policy of one robot's tables, and one of one robot for a policy of a team.
+
+    Raises
+    ------
+    PolicyError
+        The log is of several robots, or of a team of one; or it is not, and the policy is a team's.
+    """
+    if not stored.is_table and stored.num_robots is None:
+        return
+    # Policies of named actions do without the world.
+    from halfseen.world.log_checks import robots_in
+
+    if stored.num_robots is not None and not robots_in(logs):
+        raise PolicyError(
+            f"the log is of one robot, and the policy decides for a team of {stored.num_robots}; give a log of such a "
+            "team"
+        )
+    if stored.is_table and robots_in(logs):
+        raise PolicyError(
+            f"the log is of a team of {robots_in(logs)}, and the policy decides for one robot; take the part of one, "
+            "halfseen.tables.agent_view(logs, robot)"
+        )

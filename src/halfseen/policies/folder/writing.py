@@ -18,14 +18,12 @@ from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
 from halfseen.logs.suspicions import suspicions
-from halfseen.policies.folder.arrays import column_major, laid_out
 from halfseen.policies.folder.files import check_target, write_files
-from halfseen.policies.folder.kinds import kind_name_of, kind_named, kind_of
-from halfseen.policies.folder.log_facts import log_facts
-from halfseen.policies.folder.record import FORMAT, VERSION, as_json
+from halfseen.policies.folder.kinds import kind_name_of, kind_named, laid_out
+from halfseen.policies.folder.log_facts import log_facts, promised_states
+from halfseen.policies.folder.record import FORMAT, VERSION, as_json, from_json
 from halfseen.policies.folder.specification import described
 from halfseen.policies.folder.stored import policy_of
-from halfseen.policies.promise import promised_states
 
 
 def write_policy(
@@ -61,12 +59,12 @@ def write_policy(
     """
     check_fitted(learner, "policy_")
     check_target(Path(folder), overwrite)
-    record = record_of(learner, logs, verdict)
-    arrays = kind_of(record).arrays_of(learner.policy_)
-    record["column_major"] = column_major(arrays)
-    policy_of(record, arrays)
-    numbers = safetensors.numpy.save(laid_out(arrays, ()))
-    write_files(Path(folder), as_json(record), numbers, overwrite=overwrite)
+    arrays = kind_named(kind_name_of(learner.policy_)).arrays_of(learner.policy_)
+    # A product rounds by the order of its matrix in memory, and so may differ in its last bit.
+    by_column = [name for name, each in arrays.items() if each.flags.f_contiguous and not each.flags.c_contiguous]
+    text = as_json({**record_of(learner, logs, verdict), "column_major": sorted(by_column)})
+    policy_of(from_json(text), arrays)
+    write_files(Path(folder), text, safetensors.numpy.save(laid_out(arrays, ())), overwrite=overwrite)
 
 
 def record_of(
@@ -89,8 +87,9 @@ def record_of(
         An action has a name that a JSON file cannot hold.
     """
     policy, name = learner.policy_, kind_name_of(learner.policy_)
-    is_by_stage = learner.model_.stages == "separate"
-    facts = log_facts(parts_of(logs), kind_named(name), policy, is_by_stage)
+    kind, is_by_stage = kind_named(name), learner.model_.stages == "separate"
+    facts = log_facts(parts_of(logs), kind, policy, is_by_stage)
+    schema = kind.schema(policy) | facts.prior
     sample = logs if isinstance(logs, Logs) else sample_of(logs, learner.random_state)
     positivity = positivity_report(logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
     return {
@@ -102,7 +101,7 @@ def record_of(
             "numpy": np.__version__,
         },
         "kind": name,
-        "schema": facts.schema,
+        "schema": schema,
         "seen": facts.seen,
         "stages_left": facts.stages_left,
         "reward_spread": facts.reward_spread,
@@ -111,7 +110,7 @@ def record_of(
         "seed": int(learner.random_state),
         "reg": {
             "rows": "stage" if is_by_stage else "steps to go",
-            "columns": facts.schema.get("blocks", facts.schema["actions"]),
+            "columns": schema.get("blocks", schema["actions"]),
             "values": np.asarray(learner.q_functions_.reg).tolist(),
         },
         "log": {"sha256": facts.sha256, "sentence": str(facts.summary), **asdict(facts.summary)},
@@ -120,7 +119,7 @@ def record_of(
         "verdict": None if verdict is None else dict(verdict),
         "promise": {
             "value": None if verdict is None else verdict.get("value"),
-            "stages": promised_states(sample, facts.schema.get("covariates", ())),
+            "stages": promised_states(sample, schema.get("covariates", ())),
         },
     }
 

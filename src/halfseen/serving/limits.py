@@ -1,0 +1,320 @@
+"""Who may ask, how much, and how slowly: whatever comes in is bounded before anybody looks at it.
+
+The server is on one port, until somebody interrupts.
+"""
+
+import asyncio
+import contextlib
+import hmac
+import signal
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, MutableMapping
+from contextlib import asynccontextmanager
+from pathlib import Path, PurePosixPath
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+import uvicorn
+from starlette.datastructures import UploadFile
+from starlette.exceptions import HTTPException
+from starlette.requests import Request
+from uvicorn.protocols.http.h11_impl import H11Protocol
+
+from halfseen.errors import ArgumentError
+
+
+class Refusal(Exception):
+    """A request that cannot be answered; the next one can.
+
+    Parameters
+    ----------
+    status
+        Of HTTP.
+    message
+        What is wrong, where, the value and the remedy, in one line.
+    """
+
+    def __init__(self, status: int, message: str) -> None:
+        super().__init__(message)
+        self.status = status
+        self.message = " ".join(message.split())
+
+
+Message = MutableMapping[str, Any]
+Receive = Callable[[], Awaitable[Message]]
+Send = Callable[[Message], Awaitable[None]]
+Refuse = Callable[[Refusal, MutableMapping[str, Any], Receive, Send], Awaitable[None]]
+App = Callable[[MutableMapping[str, Any], Receive, Send], Awaitable[None]]
+
+LARGEST_STATE_BYTES = 1 << 20
+LARGEST_CLOUD_BYTES = 64 << 20
+SLOWEST_BODY_S = 10.0
+OF_THIS_MACHINE = ("127.0.0.1", "localhost", "[::1]")
+"""Names by which a server of this machine is asked; a page of another site that finds it has another."""
+
+
+class Bounded:
+    """Asks an ASGI app what is bounded: its body is whole before the app sees it.
+
+    Parameters
+    ----------
+    app
+        The app.
+    refuse
+        Answers a refusal.
+    token
+        That a request must bring; None where none is asked for, and then only by a name of this machine.
+    largest_bytes
+        Of a body.
+    slowest_s
+        Until a body is whole [s].
+    """
+
+    def __init__(
+        self,
+        app: App,
+        refuse: Refuse,
+        token: str | None,
+        largest_bytes: int,
+        slowest_s: float = SLOWEST_BODY_S,
+    ) -> None:
+        self._app, self._refuse, self._token = app, refuse, token
+        self._largest_bytes, self._slowest_s = largest_bytes, slowest_s
+
+    async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
+        """Answer one request, or run the app's own beginning and end."""
+        if scope["type"] != "http":
+            await self._app(scope, receive, send)
+            return
+        try:
+            headers = dict(scope["headers"])
+            self._check_asker(headers)
+            self._check_stated_size(headers)
+            try:
+                async with asyncio.timeout(self._slowest_s):
+                    body = await self._whole(receive)
+            except TimeoutError as error:
+                late = f"the request did not come whole within {self._slowest_s:g} s; send it at once"
+                raise Refusal(408, late) from error
+        except Refusal as refusal:
+            await self._refuse(refusal, scope, receive, send)
+            return
+        if body is not None:
+            await self._app(scope, _given_once(body, receive), send)
+
+    def _check_asker(self, headers: dict[bytes, bytes]) -> None:
+        if self._token is None:
+            name = headers.get(b"host", b"").decode("latin-1")
+            if (name if name.endswith("]") else name.rpartition(":")[0] or name) not in OF_THIS_MACHINE:
+                raise Refusal(403, f"host is {name!r}; this server is asked as {' or '.join(OF_THIS_MACHINE)}")
+        elif not hmac.compare_digest(headers.get(b"authorization", b""), b"Bearer " + self._token.encode()):
+            raise Refusal(401, "the token is missing or another; send the header Authorization: Bearer TOKEN")
+
+    def _check_stated_size(self, headers: dict[bytes, bytes]) -> None:
+        stated = headers.get(b"content-length", b"0")
+        if stated.isdigit() and int(stated) > self._largest_bytes:
+            raise self._too_large()
+
+    async def _whole(self, receive: Receive) -> bytes | None:
+        """Read the body; None where the client has gone."""
+        parts, num_bytes = [], 0
+        while True:
+            message = await receive()
+            if message["type"] != "http.request":
+                return None
+            parts.append(message.get("body", b""))
+            num_bytes += len(parts[-1])
+            if num_bytes > self._largest_bytes:
+                raise self._too_large()
+            if not message.get("more_body"):
+                return b"".join(parts)
+
+    def _too_large(self) -> Refusal:
+        return Refusal(413, f"the request has more than {self._largest_bytes:,} bytes; send less")
+
+
+def _given_once(body: bytes, receive: Receive) -> Receive:
+    """Give a body that was read, and after it what comes."""
+    is_given = False
+
+    async def again() -> Message:
+        nonlocal is_given
+        if is_given:
+            return await receive()
+        is_given = True
+        return {"type": "http.request", "body": body, "more_body": False}
+
+    return again
+
+
+class CloudGiven(NamedTuple):
+    """What the form holds."""
+
+    cloud: Path
+    """With the ending of the name that it was sent by."""
+    labels: Path | None
+    """What looks dirty."""
+    stage: int | None
+    """The stage to decide, from 1."""
+
+
+@asynccontextmanager
+async def cloud_in(request: Request) -> AsyncIterator[CloudGiven]:
+    """Keep the files of a form for a while.
+
+    Raises
+    ------
+    Refusal
+        It is no form, holds no cloud, or a stage that is no number.
+    """
+    form = await _form(request)
+    try:
+        with TemporaryDirectory() as folder:
+            cloud, labels = [await _kept(name, form.get(name), Path(folder)) for name in ("cloud", "labels")]
+            if cloud is None:
+                raise Refusal(422, "the form has no file 'cloud'; give one whose name ends in .pcd, .ply or .npz")
+            yield CloudGiven(cloud, labels, _stage(form.get("stage")))
+    finally:
+        await form.close()
+
+
+async def _form(request: Request) -> Any:
+    try:
+        return await request.form(max_files=2, max_fields=1, max_part_size=1 << 10)
+    except HTTPException as error:
+        raise Refusal(
+            400, f"the request is no multipart form ({error.detail}); give cloud, labels and stage"
+        ) from error
+
+
+def _stage(given: Any) -> int | None:
+    if given is None:
+        return None
+    if not (isinstance(given, str) and given.isascii() and given.isdigit() and len(given) < 10):
+        raise Refusal(422, f"stage is {str(given)[:20]!r}; it is a whole number from 1")
+    return int(given)
+
+
+async def _kept(name: str, given: Any, folder: Path) -> Path | None:
+    """Write a file of a form where what reads files finds it."""
+    if not isinstance(given, UploadFile):
+        return None
+    ending = PurePosixPath(given.filename or "").suffix
+    file = folder / f"{name}{ending if ending[1:].isalnum() and len(ending) < 10 else ''}"
+    file.write_bytes(await given.read())
+    return file
+
+
+HERE = "127.0.0.1"
+MOST_CONNECTIONS = 128
+SLOWEST_HEAD_S = 30.0
+LARGEST_HEAD_BYTES = 1 << 14
+
+
+class BoundedProtocol(H11Protocol):
+    """HTTP/1.1 in which a connection that is silent, or sends the head of a request drop by drop, is closed."""
+
+    _overdue: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin to wait for a request."""
+        super().connection_made(transport)
+        self._await_head()
+
+    def data_received(self, data: bytes) -> None:
+        """Take what came; with the whole head of a request, the waiting is over."""
+        super().data_received(data)
+        if self.cycle is not None and not self.cycle.response_complete:
+            self._stop_waiting()
+
+    def on_response_complete(self) -> None:
+        """Wait for the next request."""
+        self._await_head()
+        super().on_response_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """Wait no longer."""
+        self._stop_waiting()
+        super().connection_lost(exc)
+
+    def _await_head(self) -> None:
+        self._stop_waiting()
+        self._overdue = self.loop.call_later(SLOWEST_HEAD_S, self.transport.close)
+
+    def _stop_waiting(self) -> None:
+        if self._overdue is not None:
+            self._overdue.cancel()
+
+
+def bound_socket(host: str, port: int) -> socket.socket:
+    """Take a port before anything else is done.
+
+    Parameters
+    ----------
+    host
+        Address or name of this machine.
+    port
+        0 for any that is free.
+
+    Raises
+    ------
+    ArgumentError
+        The address is none of this machine's, or the port is taken.
+    """
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(
+            host, port, type=socket.SOCK_STREAM, flags=socket.AI_PASSIVE
+        )[0]
+        with contextlib.ExitStack() as closing:
+            taken = closing.enter_context(socket.socket(family, kind, protocol))
+            taken.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            taken.bind(address)
+            taken.listen(MOST_CONNECTIONS)
+            closing.pop_all()
+            return taken
+    except OSError as error:
+        raise ArgumentError(
+            f"--host {host} --port {port}: nobody can serve there ({error.strerror}); choose another port, or 0 for any"
+        ) from error
+
+
+@contextlib.contextmanager
+def _until_stopped() -> Iterator[None]:
+    """Let a request to end, which uvicorn raises anew once all is answered, end no more than what is inside."""
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None) -> None:
+    """Answer until somebody interrupts; requests that have come are answered first.
+
+    Parameters
+    ----------
+    app
+        What answers.
+    at
+        As `bound_socket` gives it.
+    on_start
+        Called once, when requests are answered.
+    """
+    config = uvicorn.Config(
+        app,  # type: ignore[arg-type]
+        http=BoundedProtocol,
+        ws="none",
+        loop="asyncio",
+        log_level="warning",
+        access_log=False,
+        server_header=False,
+        limit_concurrency=MOST_CONNECTIONS,
+        timeout_keep_alive=int(SLOWEST_HEAD_S),
+        timeout_graceful_shutdown=10,
+        h11_max_incomplete_event_size=LARGEST_HEAD_BYTES,
+    )
+    if on_start is not None:
+        on_start()
+    with _until_stopped():
+        uvicorn.Server(config).run(sockets=[at])
