@@ -53,9 +53,9 @@ def following(
     if not is_watched and record is None:
         yield None
         return
-    from halfseen.watch.of_cell import TablesWatch
-    from halfseen.watch.page import served
-    from halfseen.watch.recording import MARKER, write_recording
+    from halfseen.view.cell_watch import TablesWatch
+    from halfseen.view.live_page import served
+    from halfseen.view.recording import MARKER, write_recording
     from halfseen.writing import refuse_taken
 
     if record is not None:

@@ -62,7 +62,7 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
     """
     with Progress(2, "start") as bar:
         from halfseen.logs import read_logs
-        from halfseen.report.log_findings import log_findings, positivity_of
+        from halfseen.view.log_findings import log_findings, positivity_of
 
         read = read_logs(logs)
         bar.begin("look at the log")

@@ -6,12 +6,21 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, EndLabel, dodged, mark_sizes, write_end_labels, write_title
-from halfseen.pages.numbers import amount, share
-from halfseen.pages.palette import MARKERS, learned_shades
+from halfseen.figures import (
+    MARKERS,
+    PANEL_TITLE,
+    WIDTH_INCHES,
+    EndLabel,
+    dodged,
+    learned_shades,
+    mark_sizes,
+    write_end_labels,
+    write_title,
+)
 from halfseen.study.frames import where
 from halfseen.study.policies import LEARNED, Contender, Kind
 from halfseen.study.wording import TRAJECTORIES_AXIS
+from halfseen.wording import amount, share
 
 MEAN = ["mean_reward", "low", "high"]
 """Columns of a mean and its interval."""

@@ -12,15 +12,13 @@ from markupsafe import Markup
 
 from halfseen.cell.calibration.shipped import shipped_law
 from halfseen.errors import ArgumentError
-from halfseen.pages.drawing import inline_svg
-from halfseen.pages.html import rendered
-from halfseen.pages.numbers import percent, share
-from halfseen.pages.palette import HUES
-from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence
+from halfseen.figures import HUES, inline_svg
 from halfseen.study.experiment import Drawing, Experiment, Section, Setting, Tables
 from halfseen.study.laws import law_sentence
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.wording import CUT_KIND_NAMES
+from halfseen.view.page import rendered
+from halfseen.wording import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence, percent, share
 from halfseen.world.scene import Scene
 
 # Smaller proportions are within what perception errs.

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.drawing import drawn
+from halfseen.figures import drawn
 from halfseen.study.experiment import Experiment, Setting
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of

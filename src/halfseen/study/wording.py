@@ -5,9 +5,8 @@ from collections.abc import Callable, Sequence
 import pandas as pd
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.numbers import MISSING, estimated, p_value, share_in_words
-from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED
 from halfseen.study.experiment import Row
+from halfseen.wording import INCONCLUSIVE, MISSING, NOT_SUPPORTED, SUPPORTED, estimated, p_value, share_in_words
 
 TRAJECTORIES_AXIS = "logged trajectories that the policy was learned from (log scale)"
 REWARD_AXIS = "mean reward of a trajectory, on fresh episodes"

@@ -13,8 +13,17 @@ from halfseen.arrays import Rows
 from halfseen.cell.calibration.clustered_share import Share, shares_by
 from halfseen.cell.calibration.held_given_past import held_given_past
 from halfseen.cell.calibration.occlusion_bins import OCCLUSION_EDGES, occlusion_bins
-from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, draw_bars, draw_grid, named_curves, write_legend, write_title
-from halfseen.pages.palette import BLUE, RED
+from halfseen.figures import (
+    BLUE,
+    PANEL_TITLE,
+    RED,
+    WIDTH_INCHES,
+    draw_bars,
+    draw_grid,
+    named_curves,
+    write_legend,
+    write_title,
+)
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp.inputs import checked_attempts
 

@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from halfseen.cell.calibration.clustered_share import wilson
-from halfseen.pages.axes import WIDTH_INCHES, draw_bars, draw_grid, write_title
-from halfseen.pages.palette import BLUE, RED
+from halfseen.figures import BLUE, RED, WIDTH_INCHES, draw_bars, draw_grid, write_title
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 TITLE = "What labels say by how much of an object has been in view"

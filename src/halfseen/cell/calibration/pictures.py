@@ -11,8 +11,8 @@ from halfseen.cell.calibration.held_figure import draw_held, held_shares
 from halfseen.cell.calibration.labels_figure import draw_labels
 from halfseen.cell.calibration.law import Law
 from halfseen.cell.calibration.trials import glances, trials
+from halfseen.figures import drawn
 from halfseen.logs import Logs
-from halfseen.pages.drawing import drawn
 
 KINDS = ("svg", "png")
 

@@ -13,8 +13,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.axes import (
+from halfseen.figures import (
+    BLUE,
+    MARKERS,
+    ORANGE,
     PANEL_TITLE,
+    PINK,
+    RED,
+    SKY,
     dodged,
     draw_bars,
     draw_curve,
@@ -25,9 +31,6 @@ from halfseen.pages.axes import (
     write_legend,
     write_title,
 )
-from halfseen.pages.numbers import MISSING, amount, interval, share_in_words
-from halfseen.pages.palette import BLUE, MARKERS, ORANGE, PINK, RED, SKY
-from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, listed
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import MEAN
 from halfseen.study.frames import records, stacked, where
@@ -40,6 +43,17 @@ from halfseen.study.wording import (
     TRAJECTORIES_AXIS,
     estimated_in,
     learned_from,
+)
+from halfseen.wording import (
+    MISSING,
+    NOT_SUPPORTED,
+    SUPPORTED,
+    Claim,
+    amount,
+    capitalised,
+    interval,
+    listed,
+    share_in_words,
 )
 from halfseen.world.cuts import CutKind
 

@@ -16,8 +16,9 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.axes import (
+from halfseen.figures import (
     PANEL_TITLE,
+    PLANNER,
     WIDTH_INCHES,
     EndLabel,
     draw_bars,
@@ -29,9 +30,6 @@ from halfseen.pages.axes import (
     write_legend,
     write_title,
 )
-from halfseen.pages.numbers import MISSING, amount, significant
-from halfseen.pages.palette import PLANNER
-from halfseen.pages.sentences import Claim, counted, listed
 from halfseen.shapes import Float
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import MEAN, draw_level
@@ -41,6 +39,7 @@ from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_nam
 from halfseen.study.statistics import estimate_in, mean_columns
 from halfseen.study.timing import measured_times, seconds
 from halfseen.study.wording import REWARD_AXIS, estimated_in, learned_from
+from halfseen.wording import MISSING, Claim, amount, counted, listed, significant
 from halfseen.world.cuts import CutKind
 from halfseen.world.policy import Policy
 

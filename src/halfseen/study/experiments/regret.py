@@ -18,9 +18,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.axes import EndLabel, draw_bars
-from halfseen.pages.numbers import MISSING, amount, share
-from halfseen.pages.sentences import Claim
+from halfseen.figures import EndLabel, draw_bars
 from halfseen.planners.exact import TableOptimum, solve_table
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.figures import draw_by_cut_share, draw_by_size, draw_level
@@ -29,6 +27,7 @@ from halfseen.study.pipeline import EVALUATION, Source, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
 from halfseen.study.statistics import mean_columns
 from halfseen.study.wording import estimated_in, learned_from
+from halfseen.wording import MISSING, Claim, amount, share
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutKind
 from halfseen.world.scene import Scene

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from halfseen.cell.calibration import law_folder
-from halfseen.pages.palette import BLUE, INK, ORANGE, PINK, RED, SKY
+from halfseen.figures import BLUE, INK, ORANGE, PINK, RED, SKY
 
 RATE, BETA, SVM, SVM_FACTS, SVM_SET, LAW = "rate", "beta", "svm", "svm-facts", "svm-set", "law"
 MODEL_NAMES = {

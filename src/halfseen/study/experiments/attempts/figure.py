@@ -9,8 +9,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
-from halfseen.pages.axes import (
+from halfseen.figures import (
+    FAINT,
+    MARKERS,
+    ORANGE,
     PANEL_TITLE,
+    SKY,
+    SOFT,
     WIDTH_INCHES,
     dodged,
     draw_bars,
@@ -22,8 +27,6 @@ from halfseen.pages.axes import (
     write_legend,
     write_title,
 )
-from halfseen.pages.numbers import percent
-from halfseen.pages.palette import FAINT, MARKERS, ORANGE, SKY, SOFT
 from halfseen.study.experiment import Tables
 from halfseen.study.experiments.attempts.design import (
     BETA,
@@ -40,6 +43,7 @@ from halfseen.study.experiments.attempts.design import (
 )
 from halfseen.study.experiments.attempts.occlusion import ASSUMED
 from halfseen.study.frames import where
+from halfseen.wording import percent
 
 SIZES_AXIS = "tables that the model was learned from (log scale)"
 UNITS = {"log_loss": " [nats]", "brier": ""}

@@ -5,8 +5,6 @@ from functools import partial
 
 import pandas as pd
 
-from halfseen.pages.numbers import amount, p_value
-from halfseen.pages.sentences import capitalised
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.attempts.design import MEASURES, MODEL_NAMES, PAIRS, PLANNERS, SVMS, AttemptsDesign
 from halfseen.study.experiments.attempts.figure import draw
@@ -23,6 +21,7 @@ from halfseen.study.experiments.attempts.words import (
 )
 from halfseen.study.frames import records
 from halfseen.study.wording import estimated_in
+from halfseen.wording import amount, capitalised, p_value
 
 HEADING = "Physical attempts: a Beta mean or an SVM, and what occlusion does"
 NUM_LEADING = 3

@@ -6,8 +6,6 @@ import numpy as np
 import pandas as pd
 
 from halfseen.cell.calibration.grasp_fit import SCALES
-from halfseen.pages.numbers import amount, estimated, interval, p_value, percent
-from halfseen.pages.sentences import as_sentence, counted, listed
 from halfseen.study.experiment import Row, Tables
 from halfseen.study.experiments.attempts.design import (
     BETA,
@@ -26,6 +24,7 @@ from halfseen.study.experiments.attempts.design import (
 from halfseen.study.experiments.attempts.occlusion import ASSUMED
 from halfseen.study.experiments.attempts.tables import BETTER, UNDECIDED, WORSE
 from halfseen.study.frames import records, row_of, where
+from halfseen.wording import amount, as_sentence, counted, estimated, interval, listed, p_value, percent
 
 NO_ATTEMPTS = (
     "There are no attempts of a cell to test an SVM, or the fall of success with occlusion, on; `--law` names a law "

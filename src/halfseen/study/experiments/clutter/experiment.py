@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 import numpy as np
 import pandas as pd
 
-from halfseen.pages.numbers import amount, estimated, share_in_words
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Setting, Tables
 from halfseen.study.experiments.clutter.figure import draw_map
 from halfseen.study.experiments.clutter.places import ClutterDesign, Place, label_number, random_tables
@@ -16,6 +15,7 @@ from halfseen.study.experiments.clutter.words import map_sentence, map_title
 from halfseen.study.frames import records
 from halfseen.study.pipeline import EVALUATION, LOGS, PILOT, Source
 from halfseen.study.policies import HEURISTICS, LEARNED, by_name
+from halfseen.wording import amount, estimated, share_in_words
 from halfseen.world.cuts import CutKind, cut_rate
 from halfseen.world.state import pad_scenes
 

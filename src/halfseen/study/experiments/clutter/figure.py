@@ -9,12 +9,11 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import WIDTH_INCHES, write_above, write_title
-from halfseen.pages.numbers import MISSING, amount
-from halfseen.pages.palette import GAINS, INK
+from halfseen.figures import GAINS, INK, WIDTH_INCHES, write_above, write_title
 from halfseen.study.experiment import Setting
 from halfseen.study.experiments.clutter.places import FACTORS, ClutterDesign, Place, label_number, label_share
 from halfseen.study.experiments.clutter.table import ENOUGH, LEARN, NO_SCALE, UNDECIDED
+from halfseen.wording import MISSING, amount
 from halfseen.world.config import WorldConfig
 
 ROW_INCHES, HEAD_INCHES, FOOT_INCHES = 1.42, 0.75, 1.25

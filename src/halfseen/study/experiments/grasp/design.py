@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 
-from halfseen.pages.palette import BLUE, INK, ORANGE, RED, SKY
+from halfseen.figures import BLUE, INK, ORANGE, RED, SKY
 
 SUCCESSION, ORACLE, CLAIMED, RIVAL = "succession", "oracle", "svm", "beta"
 MODEL_NAMES = {

@@ -9,7 +9,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import (
+from halfseen.figures import (
+    MARKERS,
     PANEL_TITLE,
     WIDTH_INCHES,
     dodged,
@@ -22,9 +23,6 @@ from halfseen.pages.axes import (
     write_legend,
     write_title,
 )
-from halfseen.pages.numbers import amount, share_in_words
-from halfseen.pages.palette import MARKERS
-from halfseen.pages.sentences import SUPPORTED, Claim, capitalised, listed
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.grasp.design import (
     CLAIMED,
@@ -40,6 +38,7 @@ from halfseen.study.experiments.grasp.design import (
 from halfseen.study.frames import records, row_of, where
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.wording import EFFECT, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from, verdict_of
+from halfseen.wording import SUPPORTED, Claim, amount, capitalised, listed, share_in_words
 
 SCORE = "log_loss"
 """The measure that decides on the paper's claim: it is proper, and needs no policy."""

@@ -8,7 +8,8 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import (
+from halfseen.figures import (
+    BAND_OPACITY,
     PANEL_TITLE,
     WIDTH_INCHES,
     EndLabel,
@@ -18,14 +19,13 @@ from halfseen.pages.axes import (
     write_end_labels,
     write_title,
 )
-from halfseen.pages.numbers import amount, significant
-from halfseen.pages.palette import BAND_OPACITY
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.tables import BEST
 from halfseen.study.figures import MEAN, draw_by_cut_share, draw_level
 from halfseen.study.frames import row_of, where
 from halfseen.study.policies import FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Contender
 from halfseen.study.wording import REWARD_AXIS, TRAJECTORIES_AXIS
+from halfseen.wording import amount, significant
 
 GAIN = ["gain", "gain_low", "gain_high"]
 GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the true laws, on the same episodes"

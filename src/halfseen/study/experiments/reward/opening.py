@@ -11,13 +11,12 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from halfseen.pages.numbers import amount, share_in_words
-from halfseen.pages.sentences import INCONCLUSIVE, SUPPORTED, Claim
 from halfseen.study.experiment import Drawing, Setting
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.tables import BEST
 from halfseen.study.frames import records, row_of, where
 from halfseen.study.policies import LEARNED, Contender
+from halfseen.wording import INCONCLUSIVE, SUPPORTED, Claim, amount, share_in_words
 
 _WIDTH_IN, _BAR_IN = 7.2, 0.55
 _LINE_IN, _TITLE_CHARS = 0.26, 62

@@ -4,12 +4,11 @@ from collections.abc import Callable
 
 import pandas as pd
 
-from halfseen.pages.numbers import share
-from halfseen.pages.sentences import counted, listed
 from halfseen.study.experiment import Listing, Row, Setting
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.frames import records
 from halfseen.study.wording import EFFECT, estimated_in
+from halfseen.wording import counted, listed, share
 
 MARK = " *"
 """Marks a difference that the test finds."""

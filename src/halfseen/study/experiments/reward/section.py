@@ -6,8 +6,6 @@ from typing import Any
 
 import pandas as pd
 
-from halfseen.pages.numbers import MISSING, amount, percent, share, share_in_words, significant, with_interval
-from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Setting, Tables
 from halfseen.study.experiments.reward.design import RewardDesign
 from halfseen.study.experiments.reward.figure import GAIN, draw_figure1
@@ -18,6 +16,22 @@ from halfseen.study.figures import MEAN
 from halfseen.study.frames import records, row_of, where
 from halfseen.study.policies import FITTED_ONE_STEP, FITTED_RULE, LEARNED, LINEAR, STRONGEST_RULE
 from halfseen.study.wording import EFFECT, TEST_CELLS, estimated_in, gain_in, is_reward, learned_from, verdict_of
+from halfseen.wording import (
+    INCONCLUSIVE,
+    MISSING,
+    NOT_SUPPORTED,
+    SUPPORTED,
+    Claim,
+    amount,
+    capitalised,
+    counted,
+    listed,
+    percent,
+    share,
+    share_in_words,
+    significant,
+    with_interval,
+)
 
 STRONGEST = "the strongest heuristic", "the strongest planner"
 ROLE_WORDS: dict[str, str] = dict(zip(BEST, (STRONGEST[0], f"{STRONGEST[1]}, which knows the true model"), strict=True))

@@ -1,0 +1,146 @@
+"""Figures of a log: trajectories along time, and how long they were watched; and one colour for each action."""
+
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from halfseen.figures import INK, LINES, MOST_MARKERS, NARROW_INCHES, OURS, SOFT, draw_grid
+from halfseen.view.log_findings import FINISHED, UNKNOWN_ACTION, EndingRows, FollowUp, Timeline
+from halfseen.wording import counted
+
+OTHERS, OTHERS_COLOUR = "other actions", SOFT
+UNKNOWN_COLOUR = "#b9b9b9"
+THICKEST_INCHES, MOST_INCHES, FEWEST_INCHES = 0.16, 4.6, 0.5
+GAP_ROWS = 0.02
+"""Room between two ways to end, as a share of all rows."""
+CAUSE_MARKERS = "XvD^*"
+LEGEND_COLUMNS = 4
+LINE_INCHES = 0.235
+UNFINISHED_OPACITY = 0.4
+
+
+def action_colours(actions: Sequence[str]) -> dict[str, str]:
+    """Colours of actions in the order of their importance; those that are too many for the palette are `OTHERS`.
+
+    Examples
+    --------
+    >>> list(action_colours(["A", "B"]))
+    ['A', 'B']
+    >>> list(action_colours("ABCDEFGHI"))
+    ['A', 'B', 'C', 'D', 'E', 'F', 'other actions']
+    """
+    if len(actions) <= len(LINES):
+        return dict(zip(actions, LINES, strict=False))
+    return {**dict(zip(actions, LINES[:-1], strict=False)), OTHERS: OTHERS_COLOUR}
+
+
+def names_shown(actions: Iterable[str], colours: dict[str, str]) -> list[str]:
+    """What a legend of these actions names, in the order of the colours."""
+    shown = {action if action in colours else OTHERS for action in actions}
+    return [name for name in colours if name in shown]
+
+
+def draw_timeline(shown: Timeline, colours: dict[str, str]) -> Figure:
+    """Draw a line of stages for each row, with a marker for how it ended; the ways to end lie below each other."""
+    stages: Any = shown.stages
+    num_rows = shown.num_rows
+    names = names_shown(set(stages["action"]) - {UNKNOWN_ACTION}, colours)
+    keys: list[Any] = [Patch(color=colours[name], label=name) for name in names]
+    if (stages["action"] == UNKNOWN_ACTION).any():
+        keys.append(Patch(color=UNKNOWN_COLOUR, label=f"action {UNKNOWN_ACTION}"))
+    if not stages["is_completed"].all():
+        keys.append(Patch(color=INK, alpha=UNFINISHED_OPACITY, label="pale: not completed"))
+    markers = _markers(shown.endings)
+    for group, style in zip(shown.endings, markers, strict=True):
+        keys.append(Line2D([], [], ls="", ms=7, label=group.name, **style))
+    body = float(np.clip(THICKEST_INCHES * num_rows, FEWEST_INCHES, MOST_INCHES))
+    height = body + LINE_INCHES * -(-len(keys) // LEGEND_COLUMNS) + 0.12 + 0.6
+    figure = Figure(figsize=(NARROW_INCHES, height))
+    axes = figure.add_axes((0.235, 0.55 / height, 0.735, body / height))
+    places = _places(shown)
+    place = np.concatenate(places)
+    _draw_stages(axes, shown, place, colours)
+    size = float(np.clip(72.0 * body / num_rows, 4.0, 7.0))
+    ends_s = np.split(shown.end_s, np.cumsum([group.num_rows for group in shown.endings])[:-1])
+    for own_s, own, style in zip(ends_s, places, markers, strict=True):
+        axes.plot(own_s, own, ls="", ms=size, clip_on=False, zorder=4, **style)
+    axes.set_yticks(
+        [float(own.mean()) for own in places],
+        [f"{group.name}\n{counted(group.num_trajectories, 'trajectory')}" for group in shown.endings],
+    )
+    _without_spine(axes, place[-1] + 1.0, -0.5)
+    axes.set_xlim(0.0, 1.02 * float(shown.end_s.max()))
+    axes.set_xlabel("time since the trajectory began [s]")
+    figure.legend(handles=keys, loc="upper left", ncols=LEGEND_COLUMNS, frameon=False)
+    return figure
+
+
+def _without_spine(axes: Axes, bottom: float, top: float) -> None:
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    axes.set_ylim(bottom, top)
+
+
+def _places(shown: Timeline) -> list[np.ndarray]:
+    """Heights of the rows of each way to end, with a gap between two of them."""
+    gap, places, begin = GAP_ROWS * shown.num_rows + 0.4, [], 0.0
+    for group in shown.endings:
+        places.append(begin + np.arange(group.num_rows))
+        begin = float(places[-1][-1]) + 1.0 + gap
+    return places
+
+
+def _draw_stages(axes: Axes, shown: Timeline, place: np.ndarray, colours: dict[str, str]) -> None:
+    """One collection a colour, and a picture within the drawing where they are many."""
+    stages: Any = shown.stages
+    for (action, is_completed), own in stages.groupby(["action", "is_completed"], sort=False):
+        top = place[own["row"]] - 0.42
+        boxes = [
+            [(a, low), (b, low), (b, low + 0.84), (a, low + 0.84)]
+            for a, b, low in zip(own["begin_s"], own["until_s"], top, strict=True)
+        ]
+        colour = UNKNOWN_COLOUR if action == UNKNOWN_ACTION else colours.get(str(action), OTHERS_COLOUR)
+        style: Any = {"facecolors": colour, "edgecolors": "none", "alpha": 1.0 if is_completed else UNFINISHED_OPACITY}
+        axes.add_collection(PolyCollection(boxes, rasterized=len(stages) > MOST_MARKERS, **style))
+
+
+def _markers(groups: Sequence[EndingRows]) -> list[dict[str, Any]]:
+    """A stroke where a trajectory finished, and a shape of its own for each cause of a cut."""
+    shapes = iter(CAUSE_MARKERS)
+    stroke: dict[str, Any] = {"marker": "|", "color": INK, "mew": 1.3}
+    cut: dict[str, Any] = {"color": INK, "mew": 0.5, "mec": "white"}
+    return [stroke if group.name == FINISHED else cut | {"marker": next(shapes)} for group in groups]
+
+
+def draw_follow_up(shown: FollowUp) -> Figure:
+    """Draw Ĝ, below it the ends of trajectories, and below these the numbers still watched."""
+    num_rows = len(shown.ends_s)
+    heights = [2.5, 0.24 * num_rows + 0.1]
+    figure = Figure(figsize=(NARROW_INCHES, sum(heights) + 0.9))
+    curve, ends = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+    figure.subplots_adjust(left=0.235, right=0.97, top=0.97, bottom=0.73 / (sum(heights) + 0.9), hspace=0.08)
+    curve.step(shown.time_s, shown.survival, where="post", color=OURS)
+    curve.set_ylim(0.0, 1.04)
+    curve.set_ylabel("Ĝ: probability that a trajectory\nhas not been cut so far")
+    draw_grid(curve)
+    curve.tick_params(axis="x", length=0, labelbottom=False)
+    for place, (name, ends_s) in enumerate(shown.ends_s.items()):
+        colour = INK if name == FINISHED else LINES[1:][(place - 1) % (len(LINES) - 1)]
+        ends.plot(ends_s, np.full(len(ends_s), place), "|", ms=9, mew=0.9, alpha=0.7, color=colour)
+    ends.set_yticks(range(num_rows), [f"{name} ({len(ends_s):,})" for name, ends_s in shown.ends_s.items()])
+    ends.tick_params(axis="y", length=0)
+    ends.set_ylim(num_rows - 0.4, -0.6)
+    ends.set_xlim(0.0, 1.01 * shown.time_s[-1])
+    ends.set_xticks(shown.risk_time_s.tolist())
+    ends.set_xlabel("time since the trajectory began [s]", labelpad=20)
+    below: Any = {"xytext": (0, -21), "textcoords": "offset points", "va": "top", "color": OURS}
+    for time_s, count in zip(shown.risk_time_s, shown.num_watched, strict=True):
+        ends.annotate(f"{count:,}", (float(time_s), 0), xycoords=("data", "axes fraction"), ha="center", **below)
+    ends.annotate("still watched", (-0.05, 0), xycoords="axes fraction", ha="right", **below)
+    return figure
