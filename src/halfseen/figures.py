@@ -21,6 +21,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
+from matplotlib.font_manager import FontProperties
+from matplotlib.textpath import text_to_path
 from matplotlib.ticker import FixedLocator, NullLocator
 from scipy.optimize import isotonic_regression
 
@@ -42,6 +44,7 @@ _BLUES = ("#dfeefa", "#b3d7f3", "#7fbbe8", "#0068a8", "#003a5f")
 GAINS = LinearSegmentedColormap.from_list("gains", [*_GREYS, *_BLUES])
 """From where heuristics earn more to where the learned policy earns more, in ten steps; white words on the outer 4."""
 
+POINTS = 9.5
 MOST_MARKERS = 3000
 """A line of more markers becomes a picture within the drawing, which stays small however long the log."""
 DOTS_PER_INCH = {"png": 200, "svg": 150}
@@ -55,7 +58,7 @@ STYLE: Any = {
     "svg.fonttype": "none",
     "text.parse_math": False,
     "font.family": ["DejaVu Sans", "sans-serif"],
-    "font.size": 9.5,
+    "font.size": POINTS,
     **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
     **dict.fromkeys(("axes.spines.top", "axes.spines.right"), False),
     "hatch.color": SOFT,
@@ -68,6 +71,8 @@ WIDTH_INCHES, NARROW_INCHES = 9.0, 7.4
 TITLE_TOP, TITLE_POINTS, TITLE_CHARS = 0.98, 11.5, 92
 PANEL_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 9.0, "pad": 8.0}
 LABEL_GAP_INCHES = 0.175
+LEGEND_ENTRY_INCHES = 4.8 * POINTS / 72
+"""What an entry of a legend takes beside its words."""
 
 
 def learned_shades(num: int) -> Any:
@@ -112,6 +117,29 @@ def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Mark
     name = f"<title>{escape(title)}</title>"
     text = opening.sub(lambda found: f'{found[1]} id="{prefix}" role="img"{found[2]}{name}', text, count=1)
     return Markup(text.strip())
+
+
+def fitted(text: str, inches: float, most_lines: int = 2, **font: Any) -> str:
+    """Break a text into lines that are no wider than so many inches; what does not fit ends with an ellipsis."""
+    for num_chars in range(len(text), 0, -1):
+        lines = textwrap.wrap(text, num_chars) if num_chars < len(text) else [text]
+        if len(lines) > most_lines:
+            lines = [*lines[: most_lines - 1], f"{lines[most_lines - 1][: num_chars - 1]}…"]
+        if max(_width_inches(line, **font) for line in lines) <= inches:
+            return "\n".join(lines)
+    return text
+
+
+def _width_inches(text: str, **font: Any) -> float:
+    properties = FontProperties(family=STYLE["font.family"], **{"size": POINTS, **font})
+    return text_to_path.get_text_width_height_descent(text, properties, False)[0] / 72
+
+
+def legend_columns(labels: Sequence[str], inches: float, most: int) -> int:
+    """In how many columns a legend is no wider than so many inches."""
+    widths = [_width_inches(label) + LEGEND_ENTRY_INCHES for label in labels]
+    nums = range(min(most, len(labels)), 1, -1)
+    return next((num for num in nums if sum(map(max, np.array_split(widths, num))) <= inches), 1)
 
 
 def write_title(figure: Figure, title: str) -> float:

@@ -1,13 +1,16 @@
 """Trajectories along time, and what is chosen in each stage."""
 
+from itertools import combinations
+
 import numpy as np
 import pandas as pd
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from halfseen.figures import inline_svg
+from halfseen.figures import inline_svg, style
 from halfseen.logs import Logs
-from halfseen.view.log_figures import OTHERS, action_colours, draw_timeline
-from halfseen.view.log_findings import MOST_ROWS, UNKNOWN_ACTION, endings, timeline
+from halfseen.view.log_figures import OTHERS, action_colours, draw_follow_up, draw_timeline
+from halfseen.view.log_findings import MOST_ROWS, UNKNOWN_ACTION, endings, follow_up, timeline
 from halfseen.view.policy_figures import FEW_STATES, draw_choices
 
 
@@ -117,3 +120,25 @@ def test_few_states_are_small_and_hollow_and_their_number_is_told():
     hollow = [tuple(face[:3]) == (1.0, 1.0, 1.0) for face in np.asarray(marks.get_facecolors())]
     assert hollow == [count < FEW_STATES for count in (800, 40, 3)]
     assert [label.get_text() for label in figure.axes[0].get_xticklabels()] == ["1\n(800)", "2\n(40)", "3\n(3)"]
+
+
+LONG = ["the operator pressed the emergency stop", "a_collision_was_foreseen_by_the_guard_of_the_cell", "battery"]
+
+
+@pytest.mark.parametrize("num_finished", [2, 3000])
+def test_words_of_a_figure_lie_neither_over_one_another_nor_beyond_its_border(num_finished):
+    causes = [f"{name} {k}" for k, name in enumerate((LONG * 3)[:7])]
+    cut = [([1.0 + k], 2.0 + k, cause, f"{cause} once more") for k, cause in enumerate(causes)]
+    logs = log_of([([1.0, 3.0], None, None, None)] * num_finished + cut)
+    shown = timeline(logs)
+    colours = action_colours(sorted(set(shown.stages["action"])))
+    with style():
+        for figure in (draw_timeline(shown, colours), draw_follow_up(follow_up(logs))):
+            FigureCanvasAgg(figure).draw()
+            names = figure.axes[-1].get_yticklabels()
+            keys = [text for legend in figure.legends for text in legend.get_texts()]
+            boxes = [text.get_window_extent() for text in (*names, *keys)]
+            assert not [pair for pair in combinations(boxes, 2) if pair[0].overlaps(pair[1])]
+            low, high = np.min([box.min for box in boxes], axis=0), np.max([box.max for box in boxes], axis=0)
+            assert (low >= 0).all()
+            assert (high <= figure.bbox.max).all()

@@ -156,8 +156,7 @@ class CellWatch:
         """Add to the last stage what came after its decision."""
         if self.stages and self._poses:
             planned = self._cell.planned[self._arm]
-            is_old = planned is None or planned is self._old_plan
-            hand = None if is_old else _hand(self._cell, self._arm, planned)
+            hand = None if planned is None or planned is self._old_plan else _hand(self._cell, self._arm, planned)
             self.stages[-1] = replace(self.stages[-1], poses=np.stack(self._poses), hand=hand)
 
     def _begun(self, moment: Moment) -> StageView:

@@ -1,7 +1,6 @@
 """Figures of a policy: what it earns, what it chooses in the states of a log, what an action is worth, and maps."""
 
 from itertools import pairwise
-from textwrap import fill
 from typing import Any
 
 import numpy as np
@@ -11,8 +10,20 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
 from halfseen.evaluation import Estimate, Evaluation
-from halfseen.figures import ALARM, FAINT, INK, NARROW_INCHES, OURS, SOFT, THEIRS, draw_grid
-from halfseen.view.log_figures import OTHERS_COLOUR
+from halfseen.figures import (
+    ALARM,
+    FAINT,
+    INK,
+    LEGEND_ENTRY_INCHES,
+    NARROW_INCHES,
+    OURS,
+    SOFT,
+    THEIRS,
+    draw_grid,
+    fitted,
+    legend_columns,
+)
+from halfseen.view.log_figures import LEGEND_INCHES, OTHERS_COLOUR
 from halfseen.view.policy_findings import QCurve
 from halfseen.view.policy_map import PolicyMap, TableMap
 from halfseen.view.words import gains_of, values_of
@@ -48,7 +59,7 @@ def draw_values(evaluation: Evaluation) -> Figure:
     values, gap = figure.subplots(2, 1, height_ratios=[3.0 + len(theirs), float(len(gains))])
     figure.subplots_adjust(left=0.235, right=0.70, top=0.98, bottom=0.14, hspace=0.62)
     rows = {
-        **{fill(name, 18): (value, THEIRS, False) for name, value in theirs.items()},
+        **{fitted(name, 1.6, most_lines=3): (value, THEIRS, False) for name, value in theirs.items()},
         "learned, doubly robust": (evaluation.doubly_robust, OURS, True),
         "learned, importance\nsampling": (evaluation.importance_sampling, OURS, False),
         "learned, fitted Q": (evaluation.fitted_q, OURS, False),
@@ -58,7 +69,7 @@ def draw_values(evaluation: Evaluation) -> Figure:
     values.axvline(evaluation.logging.value, color=FAINT, lw=1.0, zorder=0)
     values.set_xlabel(labelled("mean reward of a trajectory", evaluation.reward_unit))
     differences = {
-        fill(name, 20): (gain, VERDICT_COLOURS[verdict], gain is evaluation.difference)
+        fitted(name, 1.6, most_lines=3): (gain, VERDICT_COLOURS[verdict], gain is evaluation.difference)
         for name, (gain, verdict) in gains.items()
     }
     _forest(gap, differences, _limits([gain for gain, _ in gains.values()], []))
@@ -121,17 +132,19 @@ def draw_choices(choices: Rows) -> Figure:
     """Draw a panel for each action: the proportion of the states of each stage in which it is taken."""
     names = drawn_actions(choices)
     columns = NUM_COLUMNS[len(names)]
-    rows = -(-len(names) // columns)
+    titles = [fitted(name, 0.85 * NARROW_INCHES / columns, weight="bold") for name in names]
+    rows, more = -(-len(names) // columns), 0.17 * any("\n" in title for title in titles)
     is_full = rows * columns == len(names)
-    head = 0.58 if is_full else 0.28
-    height = 2.2 * rows + head + 0.35
+    head = (0.58 if is_full else 0.28) + more
+    height = (2.2 + more) * rows + head + 0.35
     figure = Figure(figsize=(NARROW_INCHES, height))
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     figure.subplots_adjust(
-        left=0.105, right=0.985, top=1 - head / height, bottom=0.68 / height, hspace=0.36, wspace=0.12
+        left=0.105, right=0.985, top=1 - head / height, bottom=0.68 / height, hspace=0.36 + 0.6 * more, wspace=0.12
     )
-    for axes, name in zip(panels.flat, names, strict=False):
+    for axes, name, title in zip(panels.flat, names, titles, strict=False):
         _draw_action(axes, choices, name)
+        axes.set_title(title, loc="left", fontsize=9.5, fontweight="bold")
     _mark_stages(panels, choices, len(names))
     for axes in panels[:, 0]:
         axes.set_ylabel("proportion of the states")
@@ -158,7 +171,6 @@ def _draw_action(axes: Axes, choices: Rows, name: str) -> None:
         face = [colour if each else "white" for each in many]
         axes.scatter(stage, share, s=area.tolist(), c=face, marker=marker, edgecolors=colour, **place)
         axes.plot([], [], f"{marker}-", color=colour, ms=6, lw=1.4, label=label)
-    axes.set_title(name, loc="left", fontsize=9.5, fontweight="bold")
     draw_grid(axes)
     axes.set_ylim(0.0, 1.0)
     axes.yaxis.set_major_formatter(PercentFormatter(1.0))
@@ -185,7 +197,9 @@ def draw_curves(curves: list[QCurve], colours: dict[str, str], unit: str | None 
     names = list(dict.fromkeys(curve.covariate for curve in curves))
     valued = {name for curve in curves for name in curve.q}
     actions = [name for name in colours if name in valued]
-    legend = 0.24 * -(-len(actions) // LEGEND_COLUMNS)
+    labels = [fitted(name, LEGEND_INCHES - LEGEND_ENTRY_INCHES, most_lines=1) for name in actions]
+    columns = legend_columns(labels, LEGEND_INCHES, LEGEND_COLUMNS)
+    legend = 0.24 * -(-len(actions) // columns)
     height = 2.1 * len(stages) + 0.61 + legend
     figure = Figure(figsize=(NARROW_INCHES, height))
     panels = figure.subplots(len(stages), len(names), sharex="col", sharey="row", squeeze=False)
@@ -203,9 +217,9 @@ def draw_curves(curves: list[QCurve], colours: dict[str, str], unit: str | None 
     for row, stage in zip(panels, stages, strict=True):
         row[0].set_ylabel(f"stage {stage}: {labelled('Q', unit or 'reward')}")
     for axes, name in zip(panels[-1], names, strict=True):
-        axes.set_xlabel(name)
-    handles = [panels[0, 0].plot([], [], color=colours[action], label=action)[0] for action in actions]
-    figure.legend(handles, actions, loc="upper left", ncols=LEGEND_COLUMNS, frameon=False, fontsize=9.5)
+        axes.set_xlabel(fitted(name, 0.85 * NARROW_INCHES / len(names), most_lines=1))
+    handles = [panels[0, 0].plot([], [], color=colours[action])[0] for action in actions]
+    figure.legend(handles, labels, loc="upper left", ncols=columns, frameon=False, fontsize=9.5)
     return figure
 
 
@@ -229,14 +243,14 @@ def draw_map(shown: PolicyMap, colours: dict[str, str]) -> Figure:
         axes.plot(dots[:, 0], heights, "o", color=colour, ms=4.2, mec="white", mew=0.5, zorder=3)
     if is_map:
         axes.set_ylim(*up)
-        axes.set_ylabel(shown.covariates[1])
+        axes.set_ylabel(fitted(shown.covariates[1], 0.72 * MAP_INCHES, most_lines=1))
         axes.yaxis.set_major_locator(MaxNLocator(4))
     else:
         axes.set_ylim(len(rows) - 0.4, -1.75)
-        axes.set_yticks([-1.1, *range(len(rows))], ["the policy", *rows])
+        axes.set_yticks([-1.1, *range(len(rows))], ["the policy", *(fitted(name, 1.1, most_lines=1) for name in rows)])
         axes.tick_params(axis="y", length=0)
     axes.set_xlim(float(shown.across[0]), float(shown.across[-1]))
-    axes.set_xlabel(shown.covariates[0])
+    axes.set_xlabel(fitted(shown.covariates[0], 0.75 * MAP_WIDTH_INCHES, most_lines=1))
     axes.xaxis.set_major_locator(MaxNLocator(4))
     axes.set_title(f"stage {shown.stage}", **PANEL_NAME)
     return figure
