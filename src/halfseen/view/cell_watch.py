@@ -11,7 +11,7 @@ from typing import Any, cast
 import mujoco
 import numpy as np
 
-from halfseen.arrays import Points, expit
+from halfseen.arrays import Points
 from halfseen.cell.account import Run
 from halfseen.cell.clearing import Moment
 from halfseen.cell.live_cell import LiveCell
@@ -165,7 +165,7 @@ class CellWatch:
         assert cloud is not None, "and so there is its cloud"
         world_from_table, memory = cell.world_from_table, cell.memory
         table_from_world = np.linalg.inv(world_from_table)
-        chances = expit(np.asarray(moment.state.log_odds, dtype=np.float64))
+        chances = 1.0 / (1.0 + np.exp(-np.asarray(moment.state.log_odds, dtype=np.float64)))
         there = [number for number, each in enumerate(memory.objects) if not each.is_gone]
         known = []
         for number in there:
