@@ -24,10 +24,10 @@ from timings import Row, write
 
 from halfseen.perception import perceive, read_cloud
 from halfseen.scene import table_paths
-from halfseen.watch.drawing import viewpoint
-from halfseen.watch.of_cloud import watched_cloud
-from halfseen.watch.page import HERE, local_server, served, stop
-from halfseen.watch.stage_view import StageView, Watched
+from halfseen.view.live_page import served
+from halfseen.view.stage_view import StageView, Watched
+from halfseen.view.stages import watched_cloud
+from halfseen.view.viewer import HERE, local_server, stop
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from chromium import BROWSER, Tab, tab
@@ -77,9 +77,9 @@ def ours(stage: StageView) -> Iterator[Tab]:
 @contextmanager
 def viewer_alone(stage: StageView) -> Iterator[Tab]:
     server = local_server(0)
-    from_m, at_m = viewpoint(stage)
+    from_m, at_m = stage.viewpoint
     camera = server.initial_camera
-    camera.position, camera.look_at = tuple(from_m[0].tolist()), tuple(at_m[0].tolist())
+    camera.position, camera.look_at = tuple(from_m.tolist()), tuple(at_m.tolist())
     try:
         with tab(f"http://{HERE}:{server.get_port()}") as browser:
             points_m = stage.points_m.astype(np.float32)

@@ -33,7 +33,7 @@ from halfseen.perception.label_files import read_labels
 from halfseen.policies import read_policy
 from halfseen.policies.rule_table import read_rule_table
 from halfseen.study.store import Store
-from halfseen.watch.recording import read_recording
+from halfseen.view.recording import read_recording
 from halfseen.world import read_team
 from small_logs import flat_log
 

@@ -30,8 +30,8 @@ def _decided() -> Table:
 
 
 def _draw_decision() -> bytes:
-    from halfseen.pages.decision_picture import draw_decision
     from halfseen.policies import Decision
+    from halfseen.view.decision_picture import draw_decision
 
     rows = DECISION_NUMBERS.read()
     (chosen,) = (row for row in rows if row["reason"])

@@ -7,10 +7,10 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from halfseen.figures import BLUE, GREEN, INK, ORANGE, PINK, RED, SKY, SOFT
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import CUT
 from halfseen.logs.formats.steps import TRUNCATED, Episode, logs_of_episodes
-from halfseen.pages.palette import BLUE, GREEN, INK, ORANGE, PINK, RED, SKY, SOFT
 from pictures.guide_pages import names_after
 from pictures.picture import ROOT, plot
 from pictures.style import LEGEND, panel

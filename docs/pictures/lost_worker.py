@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import BLUE, INK, RED, SOFT
+from halfseen.figures import BLUE, INK, RED, SOFT
 from pictures.picture import plot
 from pictures.style import panel
 

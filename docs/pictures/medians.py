@@ -6,7 +6,7 @@ import io
 import numpy as np
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import ALARM, BLUE, INK, ORANGE, SOFT
+from halfseen.figures import ALARM, BLUE, INK, ORANGE, SOFT
 from pictures.guide_pages import names_after
 from pictures.picture import Table, plot, whole
 from pictures.style import LEGEND, panel

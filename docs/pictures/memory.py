@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import INK
+from halfseen.figures import INK
 from pictures.guide_pages import names_after
 from pictures.picture import Table, plot, whole
 

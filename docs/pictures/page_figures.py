@@ -6,8 +6,7 @@ from itertools import product
 import numpy as np
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import draw_grid, mark_sizes
-from halfseen.pages.palette import BLUE, GREEN, INK, ORANGE, PINK, RED, SKY, SOFT
+from halfseen.figures import BLUE, GREEN, INK, ORANGE, PINK, RED, SKY, SOFT, draw_grid, mark_sizes
 from pictures.guide_pages import numbers_in, table_of, text_of
 from pictures.picture import ROOT, plot
 from pictures.style import LEGEND, figure, panel

@@ -5,7 +5,7 @@ from collections.abc import Mapping
 import numpy as np
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import ALARM, BLUE, INK, SOFT
+from halfseen.figures import ALARM, BLUE, INK, SOFT
 from pictures.examples import importable
 from pictures.picture import Numbers, Row, Table, plot
 from pictures.style import LEGEND, panel

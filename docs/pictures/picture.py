@@ -10,7 +10,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from halfseen.pages.drawing import drawn
+from halfseen.figures import drawn
 from halfseen.writing import write_file
 
 ROOT = Path(__file__).parents[2]

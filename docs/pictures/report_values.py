@@ -11,7 +11,7 @@ def draw_report_values() -> Figure:
     from halfseen.evaluation import evaluate
     from halfseen.evaluation.specification import specification_of
     from halfseen.logs import read_logs
-    from halfseen.report.values_figure import draw_values
+    from halfseen.view.policy_figures import draw_values
 
     later = read_logs(BIN_CELL / "later_logs")
     stored = example_policy(BIN_CELL)

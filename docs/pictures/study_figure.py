@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from halfseen.pages.drawing import drawn
+from halfseen.figures import drawn
 from halfseen.writing import write_file
 from pictures.picture import NUMBERS, ROOT, Numbers, Picture, Row, Table
 

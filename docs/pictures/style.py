@@ -5,7 +5,7 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import draw_grid
+from halfseen.figures import draw_grid
 
 WIDTH_INCHES = 4.8
 """A page of a phone shows it at four fifths of that."""

@@ -3,7 +3,7 @@
 import numpy as np
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import BLUE, ORANGE, SOFT
+from halfseen.figures import BLUE, ORANGE, SOFT
 from pictures.examples import importable
 from pictures.picture import plot
 from pictures.style import LEGEND, panel

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import BLUE, GREEN, ORANGE
+from halfseen.figures import BLUE, GREEN, ORANGE
 from pictures.guide_pages import names_after
 from pictures.picture import Table, plot, whole
 from pictures.style import LEGEND, panel

@@ -2,7 +2,7 @@
 
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import BLUE, INK, SOFT
+from halfseen.figures import BLUE, INK, SOFT
 from pictures.guide_pages import names_after
 from pictures.picture import Table, plot, whole
 from pictures.style import panel

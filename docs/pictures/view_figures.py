@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.figure import Figure
 from PIL import Image
 
-from halfseen.pages.drawing import drawn
+from halfseen.figures import drawn
 from pictures.guide_pages import names_after
 from pictures.picture import Picture
 from pictures.style import WIDTH_INCHES

@@ -18,7 +18,8 @@ MARGIN_PX, TOP_PX, COLUMNS, LEGEND_PX = 14, 66, 2, 24
 PASSED_OVER = {
     "workers",
     "estimator",
-    "pages",
+    "figures",
+    "wording",
     "writing",
     "reading",
     "installation",
@@ -60,7 +61,7 @@ BOXES = (
     Box("planners", "policies", "heuristics, rollouts, exact optimum", "a planner, a baseline", 2),
     Box("policies", "decisions", "the port: decide(observation) → Decision; folders", "a kind of policy", 3),
     Box("evaluation", "a verdict", "what a policy is worth, from logs of another", "an estimator of value", 3),
-    Box("study, report, watch", "figures", "experiments drawn by pages; runs in 3-D", "a figure, an experiment", 3),
+    Box("study, view", "figures", "experiments; report of a log; runs in 3-D", "a figure, an experiment", 3),
     Box("serving, cli", "what you read", "decisions over HTTP; one file a verb: parses, prints", "a command", 3),
 )
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from halfseen.pages.palette import BLUE, INK, ORANGE, SOFT
+from halfseen.figures import BLUE, INK, ORANGE, SOFT
 from pictures.picture import ROOT, Numbers, Row, Table, plot
 from pictures.style import LEGEND, panel
 

@@ -6,7 +6,7 @@ import pytest
 from halfseen.logs import read_logs
 from halfseen.perception import perceive, read_cloud
 from halfseen.scene import table_paths
-from halfseen.watch import read_recording
+from halfseen.view.recording import read_recording
 
 TABLE = table_paths()[7]
 

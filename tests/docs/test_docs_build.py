@@ -17,9 +17,7 @@ from halfseen import cli
 
 DOCS = Path(__file__).parent.parent.parent / "docs"
 # What is run or shown, not imported, has no public names.
-PACKAGES = sorted(
-    {module.name for module in pkgutil.iter_modules(halfseen.__path__) if module.ispkg} - {"cli", "pages", "report"}
-)
+PACKAGES = sorted({module.name for module in pkgutil.iter_modules(halfseen.__path__) if module.ispkg} - {"cli"})
 
 
 @pytest.fixture(scope="module")

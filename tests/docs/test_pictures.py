@@ -12,7 +12,7 @@ from PIL import Image, ImageSequence
 from halfseen.cell import film
 from halfseen.cli import VERBS
 from halfseen.cli.messages import EXTRAS
-from halfseen.pages.drawing import drawn
+from halfseen.figures import drawn
 from pictures import way_of_the_data
 from pictures.films import FILMS
 from pictures.likeness import are_alike

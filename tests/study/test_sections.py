@@ -11,12 +11,12 @@ from matplotlib.text import Text
 
 from examples import GRASP, PLANNING, REWARD, example
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.drawing import drawn, style
-from halfseen.pages.sentences import Claim
+from halfseen.figures import drawn, style
 from halfseen.study.compare import row_of, where
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.reward_figures import opening_of
 from halfseen.study.experiments.reward_repetition import over_peer
+from halfseen.wording import Claim
 
 BY_NAME = pytest.mark.parametrize("experiment", EXPERIMENTS, ids=lambda each: each.name)
 

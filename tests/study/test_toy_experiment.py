@@ -11,14 +11,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.axes import write_title
-from halfseen.pages.sentences import Claim
+from halfseen.figures import write_title
 from halfseen.progress import Progress
 from halfseen.study.compare import columns, estimate_in, over_repetitions
 from halfseen.study.experiment import Drawing, Experiment, Listing, Section
 from halfseen.study.runner import repetition, run_all, run_study, store_of
 from halfseen.study.setting import Setting
 from halfseen.study.store import Store, as_json
+from halfseen.wording import Claim
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
 

@@ -76,7 +76,7 @@ def act(policy: Path, cloud: Path, history: Path | None, labels: Path | None, la
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))
     where = {"stage": observation.stage, "horizon": stored.horizon}
     if how.picture is not None:
-        from halfseen.pages.decision_picture import draw_decision
+        from halfseen.view.decision_picture import draw_decision
 
         draw_decision(decision, how.picture, view=table.view if table else None, **where)
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}

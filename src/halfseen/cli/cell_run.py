@@ -158,9 +158,9 @@ def _following(policy: "Policy", horizon: int, how: SimpleNamespace, overwrite: 
     if not how.is_watched and how.record is None:
         yield None
         return
-    from halfseen.watch.of_cell import TablesWatch
-    from halfseen.watch.page import served
-    from halfseen.watch.recording import MARKER, write_recording
+    from halfseen.view.cell_watch import TablesWatch
+    from halfseen.view.live_page import served
+    from halfseen.view.recording import MARKER, write_recording
     from halfseen.writing import refuse_taken
 
     if how.record is not None:

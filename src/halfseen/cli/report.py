@@ -65,7 +65,7 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
     """
     with Progress(2, "start") as bar:
         from halfseen.logs import read_logs
-        from halfseen.report.log_findings import log_findings, positivity_of
+        from halfseen.view.log_findings import log_findings, positivity_of
 
         read = read_logs(logs)
         bar.begin("look at the log")
@@ -186,9 +186,9 @@ def report(
             extra(module, "study")
         from halfseen.logs import read_logs
         from halfseen.policies.folder import read_policy
-        from halfseen.report.findings import find
-        from halfseen.report.page import check_page_target, page_of, write_page
-        from halfseen.report.sentences import answer_of
+        from halfseen.view.findings import find
+        from halfseen.view.page import check_page_target, page_of, write_page
+        from halfseen.view.words import answer_of
 
         check_page_target(out, overwrite)
         _refuse_without_policy(policy, {"against": against, **chosen})

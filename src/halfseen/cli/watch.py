@@ -15,7 +15,7 @@ from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
 
 if TYPE_CHECKING:
-    from halfseen.watch import Watched
+    from halfseen.view import Watched
 
 Shows = Callable[["Watched"], None]
 
@@ -71,7 +71,7 @@ def watch(source: Path, **chosen: Any) -> None:
     `halfseen cell run --record` writes it; or a folder of logs with --clouds, as `halfseen convert` writes them.
     """
     from halfseen.errors import ArgumentError
-    from halfseen.watch.recording import MARKER
+    from halfseen.view.recording import MARKER
 
     given = SimpleNamespace(**chosen)
     for file in given.export:
@@ -85,7 +85,7 @@ def watch(source: Path, **chosen: Any) -> None:
 
     def work(show: Shows) -> None:
         if kind == "recording":
-            from halfseen.watch.recording import read_recording
+            from halfseen.view.recording import read_recording
 
             show(read_recording(source))
         elif kind == "logs":
@@ -117,7 +117,7 @@ def _of_stages(span: tuple[int, int] | None, work: Callable[[Shows], None], show
 
 
 def _served(port: int, work: Callable[[Shows], None]) -> None:
-    from halfseen.watch.page import served
+    from halfseen.view.live_page import served
 
     with served(port) as page:
         urls = [page.url]
@@ -136,11 +136,11 @@ def _exported(files: tuple[Path, ...], work: Callable[[Shows], None]) -> None:
     work(shown.append)
     for file in files:
         if file.suffix.lower() == ".gif":
-            from halfseen.watch.moving import write_gif
+            from halfseen.view.film import write_gif
 
             write_gif(shown[-1], file)
         else:
-            from halfseen.watch.standalone import write_html
+            from halfseen.view.viewer import write_html
 
             write_html(shown[-1], file)
         say(f"{file}: {len(shown[-1].stages)} stage{'' if len(shown[-1].stages) == 1 else 's'}")
@@ -152,7 +152,7 @@ def _show_cloud(
     """Show what is seen as soon as it is, and then what is decided."""
     from halfseen.errors import ArgumentError, CloudError
     from halfseen.perception import perceive, read_cloud
-    from halfseen.watch.of_cloud import watched_cloud
+    from halfseen.view.stages import watched_cloud
 
     for option, value in (("--history", history), ("--labels", labels), ("--law", law)):
         if policy is None and value is not None:
@@ -185,7 +185,7 @@ def _show_logs(folder: Path, clouds: Path | None, number: int | None, policy: Pa
     from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies import read_policy
-    from halfseen.watch.of_logs import watched_logs
+    from halfseen.view.stages import watched_logs
 
     logs = read_logs(folder)
     if clouds is None:

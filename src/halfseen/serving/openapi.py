@@ -144,7 +144,7 @@ def _object(properties: Schema, required: list[str]) -> Schema:
 
 def page_of(api: dict[str, Any]) -> str:
     """Write the page of what `halfseen.serving.openapi.described` describes."""
-    css = files("halfseen.pages").joinpath("page.css").read_text(encoding="utf-8")
+    css = files("halfseen.view").joinpath("page.css").read_text(encoding="utf-8")
     title = escape(api["info"]["title"])
     parts = [_address(path, how, told) for path, each in api["paths"].items() for how, told in each.items()]
     return (

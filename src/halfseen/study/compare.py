@@ -8,10 +8,9 @@ import pandas as pd
 from scipy import stats
 
 from halfseen.evaluation.estimate import Estimate, around, estimate_of
-from halfseen.pages.numbers import MISSING, estimated, p_value, share_in_words
-from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED
 from halfseen.shapes import Float
 from halfseen.study.experiment import Row
+from halfseen.wording import INCONCLUSIVE, MISSING, NOT_SUPPORTED, SUPPORTED, estimated, p_value, share_in_words
 
 LEVEL = 0.95
 MEAN = ("mean_reward", "se", "low", "high")

@@ -7,12 +7,11 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.pages import axes as pages
-from halfseen.pages.axes import EndLabel, draw_bars, write_title
-from halfseen.pages.numbers import amount, share
-from halfseen.pages.palette import MARKERS, learned_shades
+from halfseen import figures as pages
+from halfseen.figures import MARKERS, EndLabel, draw_bars, learned_shades, write_title
 from halfseen.study.compare import where
 from halfseen.study.policies import LEARNED, Contender, Kind
+from halfseen.wording import amount, share
 
 INTERVAL = ["mean_reward", "low", "high"]
 """Columns of a mean reward and its interval."""

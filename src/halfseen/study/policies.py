@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
 
-from halfseen.pages.palette import INK, ORANGE, OURS, PEER, PLANNER, SOFT
+from halfseen.figures import INK, ORANGE, OURS, PEER, PLANNER, SOFT
 from halfseen.planners.named import named_policy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.world.config import WorldConfig

@@ -12,14 +12,12 @@ from markupsafe import Markup
 
 from halfseen.cell.calibration.law_folder import shipped_law
 from halfseen.errors import ArgumentError
-from halfseen.pages.drawing import inline_svg
-from halfseen.pages.html import rendered
-from halfseen.pages.numbers import percent, share
-from halfseen.pages.palette import HUES
-from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence
+from halfseen.figures import HUES, inline_svg
 from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Experiment, Section, Tables
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.setting import Setting, law_sentence
+from halfseen.view.page import rendered
+from halfseen.wording import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence, percent, share
 from halfseen.world.scene import Scene
 
 # Smaller proportions are within what perception errs.

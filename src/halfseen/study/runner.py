@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.pages.drawing import drawn
+from halfseen.figures import drawn
 from halfseen.progress import Progress
 from halfseen.study.experiment import Experiment, PieceOf, Pieces, Tables, Timed
 from halfseen.study.experiments import EXPERIMENTS

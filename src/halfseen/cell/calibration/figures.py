@@ -25,10 +25,19 @@ from halfseen.cell.calibration.attempts import (
 from halfseen.cell.calibration.calibrate import HORIZON
 from halfseen.cell.calibration.grasping import held_given_past
 from halfseen.cell.calibration.law import Law
+from halfseen.figures import (
+    BLUE,
+    PANEL_TITLE,
+    RED,
+    WIDTH_INCHES,
+    draw_bars,
+    draw_grid,
+    drawn,
+    named_curves,
+    write_legend,
+    write_title,
+)
 from halfseen.logs import Logs
-from halfseen.pages.axes import PANEL_TITLE, WIDTH_INCHES, draw_bars, draw_grid, named_curves, write_legend, write_title
-from halfseen.pages.drawing import drawn
-from halfseen.pages.palette import BLUE, RED
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing

@@ -10,17 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from halfseen import figures as pages
 from halfseen.cell.calibration.grasping import SCALES
-from halfseen.pages import axes as pages
-from halfseen.pages.numbers import amount, estimated, interval, p_value, percent
-from halfseen.pages.palette import BLUE, FAINT, INK, ORANGE, PINK, RED, SKY, SOFT
-from halfseen.pages.sentences import as_sentence, capitalised, counted, listed
+from halfseen.figures import BLUE, FAINT, INK, ORANGE, PINK, RED, SKY, SOFT
 from halfseen.study import figures
 from halfseen.study.compare import estimated_in, records, row_of, three, where
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables
 from halfseen.study.experiments import attempts_repetition as names
 from halfseen.study.experiments.attempts_repetition import COMPLETED, LAW, MEASURES, MODEL_NAMES, PAIRS, VISIBLE_ONLY
 from halfseen.study.setting import Setting
+from halfseen.wording import amount, as_sentence, capitalised, counted, estimated, interval, listed, p_value, percent
 
 ASSUMED = "assumed"
 BETTER, WORSE, UNDECIDED = "better", "worse", "no significant difference"

@@ -10,17 +10,26 @@ from typing import Any, ClassVar
 import pandas as pd
 from matplotlib.figure import Figure
 
+from halfseen import figures as pages
 from halfseen.errors import ArgumentError
-from halfseen.pages import axes as pages
-from halfseen.pages.numbers import MISSING, amount, interval, share_in_words
-from halfseen.pages.palette import BLUE, ORANGE, PINK, RED, SKY
-from halfseen.pages.sentences import NOT_SUPPORTED, SUPPORTED, Claim, capitalised, listed
+from halfseen.figures import BLUE, ORANGE, PINK, RED, SKY
 from halfseen.study import figures
 from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, stacked, where
 from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Listing, PieceOf, Pieces, Section, Tables
 from halfseen.study.pipeline import Source
 from halfseen.study.setting import Setting
 from halfseen.study.treatments import TREATMENTS
+from halfseen.wording import (
+    MISSING,
+    NOT_SUPPORTED,
+    SUPPORTED,
+    Claim,
+    amount,
+    capitalised,
+    interval,
+    listed,
+    share_in_words,
+)
 from halfseen.world.cuts import CutKind
 
 DEFAULT = TREATMENTS[0]

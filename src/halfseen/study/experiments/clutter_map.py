@@ -10,14 +10,13 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import WIDTH_INCHES, write_above, write_title
-from halfseen.pages.numbers import MISSING, amount, estimated, share_in_words
-from halfseen.pages.palette import GAINS, INK
+from halfseen.figures import GAINS, INK, WIDTH_INCHES, write_above, write_title
 from halfseen.study.compare import learned_from, records, three, where
 from halfseen.study.experiment import Drawing, Listing, Section
 from halfseen.study.experiments.clutter_places import FACTORS, ClutterDesign, Place, label_number, label_share
 from halfseen.study.policies import HEURISTICS, LEARNED, by_name
 from halfseen.study.setting import Setting
+from halfseen.wording import MISSING, amount, estimated, share_in_words
 from halfseen.world.config import WorldConfig
 
 LEARN = "learn"

@@ -13,11 +13,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from halfseen import figures as pages
+from halfseen.figures import BLUE, INK, ORANGE, RED, SKY
 from halfseen.logs.frames import FrameLike, as_frame
-from halfseen.pages import axes as pages
-from halfseen.pages.numbers import amount, share_in_words
-from halfseen.pages.palette import BLUE, INK, ORANGE, RED, SKY
-from halfseen.pages.sentences import SUPPORTED, Claim, capitalised, listed
 from halfseen.planners.heuristics import TrueGrasp
 from halfseen.shapes import Float
 from halfseen.study import compare, figures
@@ -30,6 +28,7 @@ from halfseen.tables.grasp_attempts import attempts, can_hold_out
 from halfseen.tables.grasp_choice import fit_grip_effect
 from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp_table import GraspEstimator, tabulate
+from halfseen.wording import SUPPORTED, Claim, amount, capitalised, listed, share_in_words
 from halfseen.workers.threads import one_thread
 from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import cut

@@ -15,12 +15,9 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
+from halfseen import figures as pages
 from halfseen.errors import ArgumentError
-from halfseen.pages import axes as pages
-from halfseen.pages.axes import WIDTH_INCHES, EndLabel, draw_bars, draw_zero
-from halfseen.pages.numbers import MISSING, amount, significant
-from halfseen.pages.palette import PLANNER
-from halfseen.pages.sentences import Claim, counted, listed
+from halfseen.figures import PLANNER, WIDTH_INCHES, EndLabel, draw_bars, draw_zero
 from halfseen.shapes import Float
 from halfseen.study import figures
 from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, row_of, three
@@ -30,6 +27,7 @@ from halfseen.study.pipeline import CUT_KIND, Played, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
 from halfseen.study.setting import Setting
 from halfseen.study.timing import measured_times, seconds
+from halfseen.wording import MISSING, Claim, amount, counted, listed, significant
 from halfseen.world.policy import Policy
 
 NUM_TIMED_STATES, NUM_FITS = 30, 5

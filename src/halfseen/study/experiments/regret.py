@@ -17,9 +17,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from halfseen.evaluation.estimate import Estimate
-from halfseen.pages.axes import WIDTH_INCHES, draw_bars, write_title
-from halfseen.pages.numbers import MISSING, amount, share
-from halfseen.pages.sentences import Claim
+from halfseen.figures import WIDTH_INCHES, draw_bars, write_title
 from halfseen.planners.exact import TableOptimum, solve_table
 from halfseen.study import figures
 from halfseen.study.compare import estimated_in, learned_from, mean_columns, records, row_of, stacked
@@ -27,6 +25,7 @@ from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section
 from halfseen.study.pipeline import CUT_KIND, EVALUATION, Source, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
 from halfseen.study.setting import Setting
+from halfseen.wording import MISSING, Claim, amount, share
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
 from halfseen.world.state import pad_scenes

@@ -10,10 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from halfseen.pages.axes import WIDTH_INCHES, EndLabel, draw_curve, draw_zero, write_title
-from halfseen.pages.numbers import amount, share_in_words, significant
-from halfseen.pages.palette import BAND_OPACITY
-from halfseen.pages.sentences import INCONCLUSIVE, SUPPORTED, Claim
+from halfseen.figures import BAND_OPACITY, WIDTH_INCHES, EndLabel, draw_curve, draw_zero, write_title
 from halfseen.study import figures
 from halfseen.study.compare import row_of, three, where
 from halfseen.study.experiment import Drawing
@@ -21,6 +18,7 @@ from halfseen.study.experiments.reward_repetition import RewardRepetition
 from halfseen.study.figures import INTERVAL
 from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Contender
 from halfseen.study.setting import Setting
+from halfseen.wording import INCONCLUSIVE, SUPPORTED, Claim, amount, share_in_words, significant
 
 GAIN = three("gain")
 GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the true laws, on the same episodes"

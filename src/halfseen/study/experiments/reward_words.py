@@ -6,8 +6,6 @@ from typing import Any
 
 import pandas as pd
 
-from halfseen.pages.numbers import MISSING, amount, percent, share, share_in_words, significant, with_interval
-from halfseen.pages.sentences import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, Claim, capitalised, counted, listed
 from halfseen.study import compare
 from halfseen.study.compare import EFFECT, estimated_in, learned_from, records, row_of, where
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables
@@ -16,6 +14,22 @@ from halfseen.study.experiments.reward_repetition import RewardRepetition
 from halfseen.study.figures import INTERVAL
 from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, LEARNED, LINEAR, STRONGEST_RULE
 from halfseen.study.setting import Setting
+from halfseen.wording import (
+    INCONCLUSIVE,
+    MISSING,
+    NOT_SUPPORTED,
+    SUPPORTED,
+    Claim,
+    amount,
+    capitalised,
+    counted,
+    listed,
+    percent,
+    share,
+    share_in_words,
+    significant,
+    with_interval,
+)
 
 MEASURES = {
     "reward": "reward of a trajectory",

@@ -1,0 +1,48 @@
+"""What people look at: the report of a log and a policy, pictures of decisions, and runs stage by stage, also in 3-D.
+
+The report: `log_findings` and `policy_findings`, `policy_map` (numbers) → `findings` → `words`, `log_figures`,
+`policy_figures` (the same, to be read) → `page`. Decisions: `decision_picture`. Runs: `shapes` (solids, shadows, what
+they hide) → `stage_view` (one stage, whatever it comes from) → `stages`, `cell_watch` (where stages come from) and
+`recording`; two back ends draw a stage: `film` (pictures) and `viewer` with its `live_page` (3-D).
+"""
+
+from typing import TYPE_CHECKING
+
+from halfseen.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from halfseen.view.cell_watch import CellWatch
+    from halfseen.view.recording import read_recording, write_recording
+    from halfseen.view.stage_view import Hand, Option, Part, Shown, StageView, Watched
+    from halfseen.view.stages import watched_cloud, watched_logs
+
+__all__ = [
+    "CellWatch",
+    "Hand",
+    "Option",
+    "Part",
+    "Shown",
+    "StageView",
+    "Watched",
+    "read_recording",
+    "watched_cloud",
+    "watched_logs",
+    "write_recording",
+]
+
+__getattr__ = lazy_names(
+    __name__,
+    {
+        "CellWatch": "cell_watch",
+        "Hand": "stage_view",
+        "Option": "stage_view",
+        "Part": "stage_view",
+        "Shown": "stage_view",
+        "StageView": "stage_view",
+        "Watched": "stage_view",
+        "read_recording": "recording",
+        "watched_cloud": "stages",
+        "watched_logs": "stages",
+        "write_recording": "recording",
+    },
+)

@@ -1,0 +1,277 @@
+"""Where stages come from: one cloud with a policy, or a trajectory of a log with the cloud of each stage.
+
+`halfseen convert --clouds` keeps such clouds beside a bag.
+"""
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from halfseen.arrays import Points, expit, mapped
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.logs import Logs
+from halfseen.logs.columns import as_floats
+from halfseen.perception import View, perceive, read_cloud
+from halfseen.perception.clouds import Cloud, Colours, Vector
+from halfseen.perception.solids import Hull, Vessel
+from halfseen.perception.tracking import matched
+from halfseen.policies import Decision, StoredPolicy, decider_of
+from halfseen.policies.folder.stored import refuse_log_of_team, refuse_team
+from halfseen.shapes import Float
+from halfseen.tables.present import Present
+from halfseen.view.shapes import convex_mesh, moved, revealed_by, shadow
+from halfseen.view.stage_view import Option, Shown, StageView, Watched
+from halfseen.world.log_checks import PLACE_COLUMNS
+from halfseen.world.logs import states_of
+
+Transform = Float[np.ndarray, "4 4"]
+
+CLOUD = "cloud"
+"""Column of a log's stages: the file of each stage's cloud."""
+_UNKNOWN = 0.5
+_DARKEST, _LIGHTEST = 70, 200
+_SPREAD_PERCENT = 2.0
+
+
+def watched_cloud(cloud: Cloud, view: View, now: Present | None, decision: Decision | None, horizon: int) -> Watched:
+    """Show what a camera sees and what a policy decides there.
+
+    Parameters
+    ----------
+    cloud, view
+        What the camera returned, and what was perceived in it.
+    now
+        Where the trajectory stands, its first objects those of the view; None without a policy.
+    decision
+        What was decided; None without a policy.
+    horizon
+        T of the policy [stages].
+    """
+    title = "what is seen" if now is None else f"stage {now.stage} of {horizon}"
+    if now is None or decision is None:
+        stage = _seen_stage(cloud, view, title, [_UNKNOWN] * len(view.objects))
+    else:
+        chances = expit(np.asarray(now.state.log_odds, dtype=np.float64)).tolist()
+        stage = _seen_stage(cloud, view, title, chances, decision, [now.seen] if now.seen else [])
+    return Watched(cloud.name, (stage,))
+
+
+def watched_logs(logs: Logs, clouds: Path, number: int, stored: StoredPolicy | None = None) -> Watched:
+    """Show a trajectory of a log.
+
+    Parameters
+    ----------
+    logs
+        The log; its stages name the files of their clouds.
+    clouds
+        Folder with these files.
+    number
+        Which trajectory, from 1.
+    stored
+        A policy of tables, to be asked at each stage; None for what the log says alone.
+
+    Raises
+    ------
+    HalfseenError
+        There is no such trajectory, no cloud of a stage, or the policy is of other things.
+    """
+    if not 1 <= number <= logs.num_trajectories:
+        raise ArgumentError(
+            f"--trajectory is {number}, and the log has {logs.num_trajectories} trajectories; count from 1"
+        )
+    if CLOUD not in logs.stages.columns:
+        raise ArgumentError(
+            f"stages: no column {CLOUD!r} says which file holds the cloud of each stage; write it with "
+            "`halfseen convert BAG --clouds FOLDER`"
+        )
+    name = f"trajectory {logs.trajectory_ids[number - 1]}"
+    trajectory = logs.select(logs.trajectory_ids[number - 1 : number])
+    decisions = _decisions(trajectory, stored)
+    stages, events = [], []
+    for t, row in enumerate(trajectory.stages.to_dict("records")):
+        title = f"{name}, stage {t + 1} of {trajectory.horizon}"
+        stages.append(_logged_stage(trajectory, row, clouds, title, decisions[t], events))
+        events.append(_done(row))
+    cause = trajectory.trajectories["cause"].iloc[0]
+    ending = "came to its own end" if trajectory.is_finished[0] else f"was cut: {cause}"
+    stages[-1] = replace(stages[-1], events=(*stages[-1].events, events[-1], f"the trajectory {ending}"))
+    return Watched(name, tuple(stages))
+
+
+def _logged_stage(
+    trajectory: Logs, row: dict[str, Any], clouds: Path, title: str, decision: Decision | None, events: list[str]
+) -> StageView:
+    file = row[CLOUD]
+    if not isinstance(file, str):
+        raise ArgumentError(f"{title}: no cloud was kept of it; choose another trajectory")
+    if "\0" in file or not Path(os.path.realpath(clouds / file)).is_relative_to(os.path.realpath(clouds)):
+        raise ArgumentError(f"{title}: its cloud {file!r} is not in {clouds}; give the folder that holds it")
+    cloud = read_cloud(clouds / file)
+    view = perceive(cloud)
+    stage = _seen_stage(cloud, view, title, _chances(trajectory, row["stage"], view), decision, events)
+    action = _action(row)
+    if decision is None or stage.action == action:
+        said = stage.reason or (f"{action}: what the log says was done" if action else "")
+    else:
+        said = f"the log says {action or 'nothing'} was done; the policy: {stage.reason}"
+    return replace(stage, action=action, reason=said)
+
+
+def _action(row: dict[str, Any]) -> str:
+    if pd.isna(row["action"]):
+        return ""
+    has_object = "object" in row and not pd.isna(row["object"])
+    return f"{row['action']} {row['object']}" if has_object else str(row["action"])
+
+
+def _done(row: dict[str, Any]) -> str:
+    if pd.isna(row["reward"]):
+        return f"tried: {_action(row) or 'nothing'}, not completed"
+    return f"tried: {_action(row)}, reward {row['reward']:+.2f}, at {row['elapsed_s']:.1f} s"
+
+
+def _chances(trajectory: Logs, stage: Any, view: View) -> list[float]:
+    """P(DIRTY) of each object of a view, as the log has it; one half where it says nothing."""
+    chances = [_UNKNOWN] * len(view.objects)
+    if trajectory.objects is None or "log_odds" not in trajectory.objects.columns:
+        return chances
+    rows = pd.DataFrame(trajectory.objects[trajectory.objects["stage"] == stage])
+    logged = expit(as_floats("objects", rows, "log_odds").to_numpy())
+    now = np.arange(len(rows))
+    if set(PLACE_COLUMNS) <= set(rows.columns):
+        places_m = np.stack([as_floats("objects", rows, column).to_numpy() for column in PLACE_COLUMNS], axis=1)
+        now = matched(places_m, view.places_m).now
+    for chance, number in zip(logged.tolist(), now.tolist(), strict=True):
+        if 0 <= number < len(chances):
+            chances[number] = chance
+    return chances
+
+
+def _decisions(trajectory: Logs, stored: StoredPolicy | None) -> Sequence[Decision | None]:
+    """What a policy would do at each stage."""
+    stages = range(trajectory.horizon)
+    if stored is None:
+        return [None for _ in stages]
+    refuse_team(stored, "and a log is shown with what one robot would do; leave the policy out")
+    if not stored.is_table:
+        raise PolicyError("the policy is of named actions, and shows nothing at a table; give one of tables")
+    refuse_log_of_team(stored, trajectory)
+    states, decider = states_of(trajectory, stored.horizon), decider_of(stored, extrapolates=True)
+    return [decider.decide(Present(mapped(lambda leaf, t=t: leaf[0, t], states), t + 1)) for t in stages]
+
+
+def _seen_stage(
+    cloud: Cloud,
+    view: View,
+    title: str,
+    is_dirty: Sequence[float],
+    decision: Decision | None = None,
+    events: Sequence[str] = (),
+) -> StageView:
+    """Show one look, in coordinates of its table; `is_dirty` may go on after the objects of the view."""
+    known = [
+        Known(seen.id, float(is_dirty[seen.id]), seen.occlusion, seen.solid.middle_m, seen.solid)
+        for seen in view.objects
+    ]
+    num, eye_m = len(known), eye_over_table(view, cloud)
+    cut = f", {view.num_cut} more cut by the border of the image" if view.num_cut else ""
+    stage = StageView(
+        title,
+        *coloured_points(cloud, np.linalg.inv(view.cloud_from_table)),
+        eye_m,
+        shown_objects(known, eye_m, np.eye(4)),
+        view.hides,
+        options=(),
+        action="",
+        reason="",
+        events=(f"seen: {num} object{'' if num == 1 else 's'}{cut}", *events),
+    )
+    if decision is None:
+        return stage
+    options = options_of(decision.q_values, decision.intervals, decision.chance_best)
+    doubts = tuple(decision.warnings)
+    return replace(stage, options=options, action=str(decision.action), reason=decision.reason, notes=doubts)
+
+
+def options_of(
+    q_values: Mapping[str, float | None],
+    intervals: Mapping[str, tuple[float, float]] = MappingProxyType({}),
+    chance_best: Mapping[str, float] = MappingProxyType({}),
+) -> tuple[Option, ...]:
+    """Actions that have a value, best first, with how sure that is where it is known."""
+    known = [
+        Option(name, q, *intervals.get(name, (None, None)), chance_best.get(name))
+        for name, q in q_values.items()
+        if q is not None
+    ]
+    return tuple(sorted(known, key=lambda option: -option.value))
+
+
+class Known(NamedTuple):
+    """What is known of an object, seen now or not; places are in coordinates of the table."""
+
+    number: int
+    """By which decisions call it."""
+    is_dirty: float
+    """P(DIRTY)."""
+    occlusion: float
+    """Hidden share."""
+    middle_m: Vector
+    """Where it was last seen [m]."""
+    solid: Vessel | Hull | None
+    """None where it is not in view."""
+
+
+def shown_objects(known: Sequence[Known], eye_m: Vector, frame_from_table: Transform) -> tuple[Shown, ...]:
+    """Give objects the shapes in which they are shown.
+
+    Parameters
+    ----------
+    known
+        The objects.
+    eye_m
+        Where the camera is, in coordinates of the table [m].
+    frame_from_table
+        Takes homogeneous points of the table to where they are shown.
+    """
+    solids = {each.number: convex_mesh(each.solid.outline_m()) for each in known if each.solid is not None}
+    there, shown = list(solids.values()), []
+    for number, is_dirty, occlusion, middle_m, _ in known:
+        at_m = moved(np.asarray(middle_m, dtype=np.float64)[None], frame_from_table)[0]
+        solid, behind, revealed_m = solids.get(number), None, np.zeros((0, 3))
+        if solid is not None:
+            revealed_m = moved(revealed_by(list(solids).index(number), there, eye_m), frame_from_table)
+            behind, solid = shadow(solid, eye_m).moved(frame_from_table), solid.moved(frame_from_table)
+        shown.append(Shown(number, is_dirty, occlusion, at_m, solid, behind, revealed_m))
+    return tuple(shown)
+
+
+def eye_over_table(view: View, cloud: Cloud) -> Vector:
+    """Where the camera is, in coordinates of the table [m]."""
+    return moved(np.asarray(cloud.eye_m, dtype=np.float64)[None], np.linalg.inv(view.cloud_from_table))[0]
+
+
+def coloured_points(cloud: Cloud, frame_from_cloud: Transform) -> tuple[Points, Colours]:
+    """Give what returned, and its colours; grey by height where the cloud has none.
+
+    Parameters
+    ----------
+    cloud
+        What the camera returned.
+    frame_from_cloud
+        Takes homogeneous points of the cloud to where they are shown.
+    """
+    is_return = np.isfinite(cloud.points_m).all(axis=1)
+    points_m = moved(cloud.points_m[is_return], frame_from_cloud).astype(np.float32)
+    if cloud.colours is not None:
+        return points_m, cloud.colours[is_return]
+    low_m, high_m = np.percentile(points_m[:, 2], [_SPREAD_PERCENT, 100 - _SPREAD_PERCENT])
+    share = np.clip((points_m[:, 2] - low_m) / max(high_m - low_m, 1e-6), 0.0, 1.0)
+    grey = (_DARKEST + share * (_LIGHTEST - _DARKEST)).astype(np.uint8)
+    return points_m, np.repeat(grey[:, None], 3, axis=1)

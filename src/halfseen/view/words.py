@@ -1,0 +1,285 @@
+"""What each section of the report says first: plain sentences from the numbers."""
+
+import re
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from halfseen.evaluation import Estimate, Evaluation
+from halfseen.evaluation.comparison import deciding
+from halfseen.evaluation.evaluation import Rate
+from halfseen.evaluation.verdict import FEWEST_TRAJECTORIES, Verdict
+from halfseen.view.findings import Findings, PolicyFindings
+from halfseen.view.log_findings import FollowUp, Timeline
+from halfseen.view.policy_findings import QCurve
+from halfseen.view.policy_map import PolicyMap, TableMap
+from halfseen.wording import amount, as_sentence, counted, listed, percent, significant, with_interval, with_unit
+
+VERDICTS = {
+    "better": "The learned policy is better than {}",
+    "not better": "The learned policy is not better than {}",
+    "cannot be said": "Whether the learned policy is better than {} cannot be said",
+}
+CENSORING_WORDS = {
+    "kaplan-meier": "Kaplan–Meier",
+    "cox": "Cox’s model",
+    "kernel": "kernel Kaplan–Meier",
+    "buckley-james": "Buckley–James imputation",
+    "none": "no model",
+}
+CLOCK_WORDS = {
+    "trajectory": "on the clock of the trajectory",
+    "stage": "on the clock of each stage",
+    "pooled": "one for all stages",
+}
+CLEAR_CHANGE = 0.02
+FEWEST_WATCHED = 10
+
+
+def values_of(evaluation: Evaluation) -> dict[str, Estimate]:
+    """What each baseline earns, by the name that the page gives it; the logging policy comes first."""
+    known = {_short(each.opponent): each.value for each in evaluation.comparisons if each.value is not None}
+    return {"logging policy": evaluation.logging, **known}
+
+
+def shares_of(evaluation: Evaluation) -> dict[str, Estimate | None]:
+    """What each baseline earns as a multiple of what the logging policy does; None where that is not known."""
+    shares = {_short(each.opponent): each.share for each in evaluation.comparisons if each.value is not None}
+    today = next((each.share for each in evaluation.comparisons if each.value == evaluation.logging), None)
+    if today is None and evaluation.share is not None:
+        # Of what is known to be above 0, it is itself.
+        today = Estimate(1.0, 1.0, 1.0, 0.0, evaluation.logging.effective_sample_size)
+    return {"logging policy": today, **shares}
+
+
+def gains_of(evaluation: Evaluation) -> dict[str, tuple[Estimate, Verdict]]:
+    """How much more the learned policy earns than each baseline, with the verdict on that."""
+    gains: dict[str, tuple[Estimate, Verdict]] = {
+        f"learned − {_short(each.opponent)}": (each.difference, each.verdict)
+        for each in evaluation.comparisons
+        if each.difference is not None
+    }
+    return gains or {"learned − logging policy": (evaluation.difference, evaluation.verdict)}
+
+
+def _short(name: str) -> str:
+    return name.removeprefix("the ")
+
+
+def answer(evaluation: Evaluation) -> tuple[str, str]:
+    """The verdict and why; and what to do about it, if there is something."""
+    baselines = "the logging policy"
+    if evaluation.comparisons and evaluation.verdict == "better":
+        baselines = listed([each.opponent for each in evaluation.comparisons])
+    elif evaluation.comparisons:
+        baselines = deciding(evaluation.comparisons).opponent
+    why, _, remedy = evaluation.reason.partition("; ")
+    # Who was just named need not be named again.
+    said = f"{VERDICTS[evaluation.verdict].format(baselines)}: {why.replace(f' than {baselines}', '', 1)}."
+    return _with_minus(said), _with_minus(as_sentence(remedy)) if remedy else ""
+
+
+def _with_minus(words: str) -> str:
+    """Numbers below 0 as figures and tables write them."""
+    return re.sub(r"(?<![\w.])-(?=\d)", "−", words)
+
+
+def standing(evaluation: Evaluation) -> str:
+    """What the policy earns, in per cent of what is earned today, and in an hour; "" where only the value is known."""
+    share, unit, hourly = evaluation.share, evaluation.reward_unit, evaluation.per_hour
+    parts = []
+    if share is not None:
+        value, within = in_percent(share)
+        parts.append(f"{value} of today’s" + (f" ({within})" if within else ""))
+    if hourly is not None and hourly.policy is not None and hourly.logging is not None:
+        ours, own = hourly.policy.per_hour, hourly.logging.per_hour
+        value, within = with_interval(ours.value, ours.low, ours.high)
+        today = amount(own.value, len(value.partition(".")[2]))
+        parts.append(f"{with_unit(value, unit)} an hour ({within}), where today’s is {today}")
+    if not parts or not is_believed(evaluation):
+        return ""
+    earned = with_unit(significant(evaluation.doubly_robust.value), unit)
+    return f"The best estimate is {earned} a trajectory: {listed(parts)}."
+
+
+def is_believed(evaluation: Evaluation) -> bool:
+    """Whether enough trajectories follow the policy for its value to be told in other units, too."""
+    return evaluation.doubly_robust.effective_sample_size >= FEWEST_TRAJECTORIES
+
+
+def in_percent(share: Estimate) -> tuple[str, str]:
+    """A share and its interval, in whole per cent; that of what is certain is empty."""
+    within = f"{amount(100 * share.low, 0)} to {amount(100 * share.high, 0)}\u00a0%" if share.low < share.high else ""
+    return f"{amount(100 * share.value, 0)}\u00a0%", within
+
+
+def why_no_hours(evaluation: Evaluation) -> str:
+    """Why nothing is said of an hour, if so."""
+    hourly = evaluation.per_hour
+    return "" if hourly is None or hourly.why_unknown is None else f"Nothing is said of an hour: {hourly.why_unknown}."
+
+
+def duration_words(evaluation: Evaluation) -> str:
+    """How long a trajectory takes, by the two policies."""
+    hourly = evaluation.per_hour
+    if hourly is None or hourly.policy is None or hourly.logging is None:
+        return ""
+    ours = f"{_seconds(hourly.policy)} with the learned policy and " if is_believed(evaluation) else ""
+    return (
+        f"A trajectory takes {ours}{_seconds(hourly.logging)} with the logging policy, in the mean and had nothing "
+        "been cut; what passes between two trajectories is not counted."
+    )
+
+
+def _seconds(rate: Rate) -> str:
+    value, within = with_interval(rate.duration_s.value, rate.duration_s.low, rate.duration_s.high)
+    return f"{value}\u00a0s ({within})"
+
+
+def log_answer(findings: Findings) -> tuple[str, str, str]:
+    """Of a log alone: whether all is well with it, in one word and its class; and what it holds, in a sentence."""
+    log, is_sound, doubts = findings.log, findings.positivity.is_sound, len(findings.log["suspicions"])
+    if log["num_cut"]:
+        weights = f"what was seen {'can stand' if is_sound else 'stands badly'} for what the cuts took away"
+    else:
+        weights = "every trajectory counts once" + ("" if is_sound else ", and they are few")
+    wrong = (
+        f"{counted(doubts, 'thing')} {'looks' if doubts == 1 else 'look'} wrong" if doubts else "nothing looks wrong"
+    )
+    badge, kind = ("sound", "supported") if is_sound and not doubts else ("look first", "cannot")
+    return badge, kind, f"{_held(log)}; {weights}; {wrong}."
+
+
+def _held(log: Mapping[str, Any]) -> str:
+    """How many trajectories there are, and how many of them what cut."""
+    held, is_one = counted(log["num_trajectories"], "trajectory"), log["num_trajectories"] == 1
+    if not log["num_cut"]:
+        return f"{held}, which was not cut" if is_one else f"{held}, none of them cut"
+    main = log["cuts"][0]
+    by = f"by {main['cause']}" if main["share"] == 1 else f"most often by {main['cause']}"
+    if is_one:
+        return f"{held}: it was cut, {by}"
+    return f"{held}: {percent(log['cut_share']) if log['num_finished'] else 'all'} were cut, {by}"
+
+
+def answer_of(findings: Findings) -> str:
+    """The sentence that the page opens with, for a terminal."""
+    if findings.policy is not None:
+        return findings.policy.evaluation.sentence
+    return log_answer(findings)[2].replace("\u00a0", " ")
+
+
+def notes(findings: Findings) -> list[str]:
+    """What to keep in mind before anything else."""
+    first, policy = [], findings.policy
+    if policy is not None and policy.is_own_log:
+        first = [
+            "The policy was learned from these very logs, which flatters it; judge it by logs that were kept aside."
+        ]
+    elif policy is not None and policy.record["log"].get("sha256"):
+        first = ["The policy was learned from other logs than these, as it should be."]
+    if policy is not None and policy.evaluation.sensitivity:
+        first.append(policy.evaluation.sensitivity)
+    return [*first, *(as_sentence(note) for note in findings.notes)]
+
+
+def cut_model(policy: PolicyFindings) -> str:
+    """Which model says how likely a trajectory was to be cut."""
+    name = str(policy.model["censoring"])
+    return f"{CENSORING_WORDS.get(name, name)}, {CLOCK_WORDS[policy.model['censoring_by']]}"
+
+
+def values_title(evaluation: Evaluation) -> str:
+    """What the figure of values shows."""
+    ours, unit, own = evaluation.doubly_robust, evaluation.reward_unit, significant(evaluation.logging.value)
+    if evaluation.verdict == "cannot be said":
+        within = with_unit(with_interval(ours.value, ours.low, ours.high)[1], unit)
+        told = "with the learned policy, as far as these logs tell, and"
+        return f"A trajectory earns {within} {told} {own} with the logging policy"
+    agree = all(one.low <= ours.value <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
+    others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
+    known = with_unit(significant(ours.value), unit)
+    return f"A trajectory earns {known} with the learned policy and {own} with the logging policy; {others}"
+
+
+def timeline_title(shown: Timeline, log: Mapping[str, Any]) -> str:
+    """How long trajectories took that finished, and how long those had run that were cut."""
+    if shown.num_trajectories == 1:
+        return f"The one trajectory, {shown.endings[0].name} after {significant(float(shown.end_s[0]))}\u00a0s"
+    median_s, cuts = log["finishes"]["median_s"], log["cuts"]
+    done = f"Half of the trajectories that finished took {significant(median_s)}\u00a0s or less"
+    done = "No trajectory finished" if median_s is None else done
+    if not cuts:
+        return done
+    which = "that were cut" if len(cuts) == 1 else "with the most frequent cause of cuts"
+    ran = f"had run for {significant(cuts[0]['median_s'])}\u00a0s or less"
+    return f"{done}; half of those {which}, {cuts[0]['cause']}, {ran}"
+
+
+def follow_up_title(shown: FollowUp, log: Mapping[str, Any]) -> str:
+    """What the figure of how long trajectories were watched shows."""
+    if not log["num_cut"]:
+        return "No trajectory was cut: each was watched to its own end"
+    enough = np.flatnonzero(shown.num_watched >= FEWEST_WATCHED)[-1:]
+    at_s, last_s = float(shown.risk_time_s[enough].sum()), float(shown.time_s[-1])
+    left = float(shown.survival[np.searchsorted(shown.time_s, at_s, side="right") - 1])
+    first = f"after {at_s:g}\u00a0s with probability {left:.2f}, and " if at_s else ""
+    cause, main = log["cuts"][0]["cause"], log["cuts"][0]["share"]
+    who = f"the cause of all cuts is {cause}" if main == 1 else f"the cause of most cuts, {percent(main)}, is {cause}"
+    who = who if main > 0.5 else f"the most frequent cause of cuts is {cause}, {percent(main)} of them"
+    return (
+        f"A trajectory that goes on is still uncut {first}after {last_s:.3g}\u00a0s, where the last one ended, with "
+        f"{'' if first else 'probability '}{float(shown.survival[-1]):.2f}; {who}"
+    )
+
+
+def choices_title(choices: list[dict[str, Any]]) -> str:
+    """How often the policy would do what was done, and which actions it takes more and less often."""
+    known = [row for row in choices if row["as_logged"] is not None]
+    if not known:
+        return "What was done in the states of the log is not known"
+    states = np.array([row["num_states"] for row in known], dtype=float)
+    same = float(np.average([row["as_logged"] for row in known], weights=states))
+    change = {
+        name: float(np.average([row["policy"][name] - row["logged"][name] for row in known], weights=states))
+        for name in known[0]["policy"]
+    }
+    ranked = sorted(change, key=lambda name: -change[name])
+    more = [name for name in ranked if change[name] > CLEAR_CHANGE]
+    less = [name for name in sorted(change, key=lambda name: change[name]) if change[name] < -CLEAR_CHANGE]
+    parts = [f"{listed(names[:3])} {word} often" for names, word in ((more, "more"), (less, "less")) if names]
+    changed = f"; it takes {listed(parts)}" if parts else ", and it takes each action about as often"
+    return f"In {percent(same)} of the states the policy would do what was done{changed}"
+
+
+def curves_title(curves: list[QCurve], is_cautious: bool) -> str:
+    """What the curves show, and what the policy goes by."""
+    names = listed(list(dict.fromkeys(curve.covariate for curve in curves)))
+    verb = "change" if " and " in names else "changes"
+    followed = "the highest line, where the log says enough of it" if is_cautious else "the highest line"
+    return f"What an action is worth as {names} {verb}: the policy takes {followed}"
+
+
+def map_title(maps: list[PolicyMap]) -> str:
+    """Which covariates the choice hangs on, and how much of the first map each action has."""
+    first, where = maps[0], listed(list(maps[0].covariates))
+    share = {name: float(np.mean(first.taken == name)) for name in map(str, np.unique(first.taken))}
+    named = sorted(share, key=lambda name: -share[name])
+    if len(named) == 1:
+        are = "are" if len(first.covariates) > 1 else "is"
+        return f"Whatever {where} {are}, the policy takes {named[0]} in stage {first.stage}"
+    parts = [f"{name} in {percent(share[name])}" for name in named[:3]]
+    return f"Over {where} the policy takes {listed(parts)} of the map of stage {first.stage}"
+
+
+def table_map_title(shown: TableMap) -> str:
+    """How dirty the objects seem, and how hidden they are, to which the policy does each thing."""
+    chance, hidden = ((edges[1:] + edges[:-1]) / 2.0 for edges in (shown.chance_edges, shown.hidden_edges))
+    parts = []
+    for verb, share in shown.share.items():
+        mass = np.nan_to_num(share) * shown.num_objects
+        if mass.sum() > 0:
+            dirty, covered = (float(mass.sum(axis=k) @ of / mass.sum()) for k, of in enumerate((chance, hidden)))
+            parts.append(f"{verb} is for objects that are dirty with {percent(dirty)} and hidden by {percent(covered)}")
+    return f"In the mean, {listed(parts)}" if parts else "The policy touches objects of no one kind"
