@@ -83,7 +83,7 @@ def ran(words: Any, folder: Path) -> Outcome:
     from halfseen import cli
 
     caught: list[str] = []
-    told_of = cli.unforeseen
+    told_of = cli.unexpected
 
     def noted(error: BaseException) -> str | None:
         caught.append("".join(traceback.format_exception(error)))
@@ -97,7 +97,7 @@ def ran(words: Any, folder: Path) -> Outcome:
     raised, began = "", time.monotonic()
     # Where the process dies, what it said last is read by who asked.
     with tempfile.TemporaryFile() as out, last_words(folder).open("w+b") as err:
-        patches = patch.object(tempfile, "tempdir", str(folder)), patch.object(cli, "unforeseen", noted)
+        patches = patch.object(tempfile, "tempdir", str(folder)), patch.object(cli, "unexpected", noted)
         with _into(1, out), _into(2, err), patches[0], patches[1]:
             try:
                 cli.main()
