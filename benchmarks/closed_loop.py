@@ -92,11 +92,13 @@ def _beside_truth(said: np.ndarray, found: np.ndarray) -> dict[str, float]:
 
 def ahead(policies: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, np.ndarray]]:
     """By how much the learned policy is ahead of each other one, table by table, in physics and without luck."""
-    rewards, lucks = ({name: np.array(found[of]) for name, found in policies.items()} for of in ("rewards", "lucks"))
+    rewards = {name: np.array(found["rewards"]) for name, found in policies.items()}
+    without_luck = {name: rewards[name] - np.array(found["lucks"]) for name, found in policies.items()}
     others = [name for name in policies if name != LEARNED and LEARNED in policies]
     return {
-        "in physics": {other: rewards[LEARNED] - rewards[other] for other in others},
-        "without luck": {other: rewards[LEARNED] - lucks[LEARNED] - rewards[other] + lucks[other] for other in others},
+        # Whoever has cleared fewer tables has cleared the first ones.
+        measure: {other: values[LEARNED][: len(values[other])] - values[other] for other in others}
+        for measure, values in (("in physics", rewards), ("without luck", without_luck))
     }
 
 
@@ -118,14 +120,13 @@ def compared(differences: Mapping[str, np.ndarray]) -> dict[str, dict[str, float
 
 def from_files(paths: Sequence[Path]) -> dict[str, dict[str, dict[str, float]]]:
     """Compare what runs have written: of the same tables together, of others one after the other."""
-    by_tables: dict[tuple[int, str, int], dict[str, Any]] = {}
+    by_tables: dict[tuple[int, str], dict[str, Any]] = {}
     for path in paths:
         found = json.loads(path.read_text())
-        num_tables = len(next(iter(found["policies"].values()))["rewards"])
-        by_tables.setdefault((found["seed"], found["logs"], num_tables), {}).update(found["policies"])
-    for (seed, _, num_tables), policies in by_tables.items():
+        by_tables.setdefault((found["seed"], found["logs"]), {}).update(found["policies"])
+    for (seed, _), policies in by_tables.items():
         if LEARNED not in policies:
-            raise SystemExit(f"nothing learned has cleared the {num_tables} tables of seed {seed}; give its file, too")
+            raise SystemExit(f"nothing learned has cleared the tables of seed {seed}; give its file, too")
     parts = [ahead(policies) for policies in by_tables.values()]
     return {
         measure: compared(

@@ -78,7 +78,7 @@ REFUSED = {
     "flat": [
         (of_record(version=1), "version 1 is not the 2 that halfseen"),
         (of_record(format="pickle"), "describes no policy"),
-        (of_record(kind="tree"), "kind is 'tree'"),
+        (of_record(kind="tree"), "kind is 'tree'; it is one of flat, table, table-laws, team, team-laws"),
         (record(lambda r: r.pop("seen")), "seen is None: Object missing required field"),
         (of_ranges(x1=[2.0, 1.0]), "ends before it begins"),
         (
@@ -136,7 +136,10 @@ REFUSED = {
         (of_laws(transport_s="1"), "transport_s is '1': Expected `float`, got `str`"),
         (of_laws(horizon=0.5), "laws.horizon is 0.5: Expected `int`, got `float`"),
         (of_laws(seeing=None), "laws.seeing is None: Expected `object`, got `null`"),
-        (of_seeing(family="magic"), "laws.seeing.family is 'magic': Invalid value"),
+        (
+            of_seeing(family="magic"),
+            "laws.seeing.family is 'magic'; it is one of exponential, logistic, independent, persistent",
+        ),
         (of_seeing(more=1.0), "Object contains unknown field `more`"),
         (of_seeing(floor=[0.5]), "laws.seeing.floor is [0.5]: Expected `float`, got `array`"),
         (of_schema(dirty_share=1.0), "dirty_share is 1.0"),

@@ -6,7 +6,7 @@ The classes below are its schema; what differs between kinds of policies is in `
 import json
 import re
 from collections.abc import Mapping, Sequence
-from typing import Annotated, Any, Literal, TypeVar
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -19,6 +19,7 @@ from halfseen.reading import json_of
 
 FORMAT, VERSION = "halfseen-policy", 2
 
+Kind = Literal["flat", "table", "table-laws", "team", "team-laws"]
 Of = TypeVar("Of")
 Horizon = Annotated[int, Meta(ge=1)]
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
@@ -93,7 +94,7 @@ class Promise(Struct):
 class Record(Struct):
     """What every policy.json holds; folders of before lack what has a default here."""
 
-    kind: Literal["flat", "table", "table-laws", "team", "team-laws"]
+    kind: Kind
     schema: dict[str, Any]
     learner: dict[str, Any]
     log: dict[str, Any]
@@ -146,12 +147,21 @@ def from_json(data: bytes) -> dict[str, Any]:
             f"version {record.get('version')!r} is not the {VERSION} that halfseen {halfseen.__version__} reads; use "
             "the halfseen that wrote it, or learn the policy anew"
         )
-    converted(record, Record)
+    converted(record, Record, get_args(Kind))
     return record
 
 
-def converted(values: Any, kind: type[Of]) -> Of:
+def converted(values: Any, kind: type[Of], names: Sequence[str] = ()) -> Of:
     """Take values as JSON has them for those of a schema.
+
+    Parameters
+    ----------
+    values
+        As JSON has them.
+    kind
+        The schema.
+    names
+        Those that a name may be, for a refusal of another one.
 
     Raises
     ------
@@ -161,10 +171,10 @@ def converted(values: Any, kind: type[Of]) -> Of:
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as error:
-        raise PolicyError(f"{_refusal(values, str(error))}; learn the policy anew") from error
+        raise PolicyError(f"{_refusal(values, str(error), names)}; learn the policy anew") from error
 
 
-def _refusal(values: Any, told: str) -> str:
+def _refusal(values: Any, told: str, names: Sequence[str]) -> str:
     """The field and its value before what msgspec says of it; a check of ours names the value itself."""
     what, _, place = told.partition(" - at ")
     keys = [key or int(number) for key, number in re.findall(r"\.([^.\[\]`]+)|\[(\d+)\]", place.partition("[...]")[0])]
@@ -172,5 +182,9 @@ def _refusal(values: Any, told: str) -> str:
     for key in keys:
         values = values.get(key) if isinstance(values, dict) else values[key]
     name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
+    if names and what.startswith(("Invalid enum", "Invalid value")):
+        return f"{name} is {repr(values)[:80]}; it is one of {', '.join(names)}"
     is_of_msgspec = what.startswith(("Expected ", "Invalid ", "Object ", "Number "))
-    return ": ".join([*([f"{name} is {values!r}"] if is_of_msgspec and name else [name] if name else []), what])
+    return ": ".join(
+        [*([f"{name} is {repr(values)[:80]}"] if is_of_msgspec and name else [name] if name else []), what]
+    )
