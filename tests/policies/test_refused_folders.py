@@ -138,7 +138,7 @@ REFUSED = {
         (of_laws(seeing=None), "laws.seeing is None: Expected `object`, got `null`"),
         (
             of_seeing(family="magic"),
-            "laws.seeing.family is 'magic'; it is one of exponential, logistic, independent, persistent",
+            "laws.seeing.family is 'magic'; it is one of independent, persistent",
         ),
         (of_seeing(more=1.0), "Object contains unknown field `more`"),
         (of_seeing(floor=[0.5]), "laws.seeing.floor is [0.5]: Expected `float`, got `array`"),

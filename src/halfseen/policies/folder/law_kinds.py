@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import fields
-from itertools import chain, starmap
+from itertools import starmap
 from typing import Annotated, Any, Literal, Union
 
 import msgspec
@@ -51,7 +51,6 @@ _FAMILIES: dict[str, dict[str, Any]] = {
     "seeing": {"independent": AssumedSeeing, "persistent": PersistentSeeing},
 }
 """Of laws that a folder can hold, by law and name."""
-_KNOWN_FAMILIES = tuple(chain.from_iterable(_FAMILIES.values()))
 _OF_ROBOTS, _CURVES = ("speed", "reward_per_s", "drop_out_rate"), ("views", "sensitivity", "false_alarms")
 
 
@@ -170,7 +169,7 @@ def _laws_arrays(policy: Any) -> dict[str, np.ndarray]:
 
 def _laws_policy(record: Mapping[str, Any], arrays: Any) -> LawPolicy:
     check_features(record["schema"], _FEATURES, VERBS, record["versions"])
-    schema = converted(record["schema"], LawsSchema, _KNOWN_FAMILIES)
+    schema = converted(record["schema"], LawsSchema, _FAMILIES)
     converted(record["schema"], PriorSchema)
     config, is_rule = _world_of(schema.laws), schema.basis == "rule"
     wanted = grasp_shapes(arrays) if is_rule else {}
@@ -219,7 +218,7 @@ def _team_laws_arrays(policy: AssistedTeamPolicy) -> dict[str, np.ndarray]:
 
 def _team_laws_policy(record: Mapping[str, Any], arrays: Arrays) -> AssistedTeamPolicy:
     check_features(record["schema"], _TEAM_FEATURES, TEAM_VERBS, record["versions"])
-    schema = converted(record["schema"], TeamLawsSchema, _KNOWN_FAMILIES)
+    schema = converted(record["schema"], TeamLawsSchema, _FAMILIES)
     config, bounds = _world_of(schema.laws), schema.excess
     if (schema.num_robots, schema.horizon) != (config.num_robots, config.num_stages):
         raise PolicyError(

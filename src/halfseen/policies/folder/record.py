@@ -5,7 +5,8 @@ The classes below are its schema; what differs between kinds of policies is in `
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from types import MappingProxyType
 from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import msgspec
@@ -147,11 +148,11 @@ def from_json(data: bytes) -> dict[str, Any]:
             f"version {record.get('version')!r} is not the {VERSION} that halfseen {halfseen.__version__} reads; use "
             "the halfseen that wrote it, or learn the policy anew"
         )
-    converted(record, Record, get_args(Kind))
+    converted(record, Record, {"kind": get_args(Kind)})
     return record
 
 
-def converted(values: Any, kind: type[Of], names: Sequence[str] = ()) -> Of:
+def converted(values: Any, kind: type[Of], names: Mapping[str, Collection[str]] = MappingProxyType({})) -> Of:
     """Take values as JSON has them for those of a schema.
 
     Parameters
@@ -161,7 +162,7 @@ def converted(values: Any, kind: type[Of], names: Sequence[str] = ()) -> Of:
     kind
         The schema.
     names
-        Those that a name may be, for a refusal of another one.
+        By field: the names that it, or what stands in it, may have; a refusal lists them.
 
     Raises
     ------
@@ -174,7 +175,7 @@ def converted(values: Any, kind: type[Of], names: Sequence[str] = ()) -> Of:
         raise PolicyError(f"{_refusal(values, str(error), names)}; learn the policy anew") from error
 
 
-def _refusal(values: Any, told: str, names: Sequence[str]) -> str:
+def _refusal(values: Any, told: str, names: Mapping[str, Collection[str]]) -> str:
     """The field and its value before what msgspec says of it; a check of ours names the value itself."""
     what, _, place = told.partition(" - at ")
     keys = [key or int(number) for key, number in re.findall(r"\.([^.\[\]`]+)|\[(\d+)\]", place.partition("[...]")[0])]
@@ -182,9 +183,9 @@ def _refusal(values: Any, told: str, names: Sequence[str]) -> str:
     for key in keys:
         values = values.get(key) if isinstance(values, dict) else values[key]
     name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
-    if names and what.startswith(("Invalid enum", "Invalid value")):
-        return f"{name} is {repr(values)[:80]}; it is one of {', '.join(names)}"
-    is_of_msgspec = what.startswith(("Expected ", "Invalid ", "Object ", "Number "))
-    return ": ".join(
-        [*([f"{name} is {repr(values)[:80]}"] if is_of_msgspec and name else [name] if name else []), what]
-    )
+    known = next((names[key] for key in reversed(keys) if key in names), None)
+    if known is not None and what.startswith(("Invalid enum", "Invalid value")):
+        return f"{name} is {repr(values)[:80]}; it is one of {', '.join(known)}"
+    if name and what.startswith(("Expected ", "Invalid ", "Object ", "Number ")):
+        name = f"{name} is {repr(values)[:80]}"
+    return f"{name}: {what}" if name else what
