@@ -183,7 +183,7 @@ def _refusal(values: Any, told: str, names: Mapping[str, Collection[str]]) -> st
     for key in keys:
         values = values.get(key) if isinstance(values, dict) else values[key]
     name = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in keys).lstrip(".")
-    known = next((names[key] for key in reversed(keys) if key in names), None)
+    known = next((names[str(key)] for key in reversed(keys) if str(key) in names), None)
     if known is not None and what.startswith(("Invalid enum", "Invalid value")):
         return f"{name} is {repr(values)[:80]}; it is one of {', '.join(known)}"
     if name and what.startswith(("Expected ", "Invalid ", "Object ", "Number ")):
