@@ -286,7 +286,7 @@ def _draw(design: Grasp, tables: Tables, title: str) -> Figure:
         series, columns = {model: LOOKS[model] for model in models}, three(f"{measure}_over_oracle")
         figures.draw_series(axes, grasp, ("model", "num_trajectories"), series, columns, dodge=1.10)
         pages.mark_sizes(axes, design.num_trajectories)
-        figures.name_panel(axes, words, "logged trajectories that the model was learned from (log scale)")
+        figures.name_panel(axes, words, "trajectories that it was learned from (log scale)")
     above = float(row_of(grasp, model=SUCCESSION)[f"{SCORE}_over_oracle"])
     note = f"the rule of succession, which ignores occlusion, lies {amount(above)} above"
     at: Any = {"xycoords": "axes fraction", "ha": "right", "va": "top", "fontsize": 8.0}
