@@ -11,8 +11,9 @@ from click.testing import CliRunner
 
 from halfseen.cli import halfseen
 from halfseen.errors import LogError
-from halfseen.logs import LogRecorder, read_logs
+from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.formats import is_older, read_older, write_csv
+from refusals import refused
 from small_logs import flat_log, table_log
 
 
@@ -86,10 +87,40 @@ def test_a_journal_of_version_1_is_read_and_its_holes_stay_holes(tmp_path):
 def test_version_1_is_refused_with_the_command_that_converts_it(tmp_path, form):
     folder = tmp_path / "logs"
     {**WRITERS, "journal": journal_of_version_1}[form](flat_log(), folder)
-    with pytest.raises(LogError) as refused:
+    with pytest.raises(LogError) as caught:
         read_logs(folder)
-    command = re.search(r"convert it: halfseen (convert \S+ --out )NEW$", str(refused.value))[1]
+    command = re.search(r"convert it: halfseen (convert \S+ --out )NEW$", str(caught.value))[1]
     result = CliRunner().invoke(halfseen, [*command.split(), str(tmp_path / "new")], catch_exceptions=False)
     assert result.exit_code == 0, result.output
     assert not is_older(tmp_path / "new")
     assert read_logs(tmp_path / "new").num_trajectories in (2, 40)
+
+
+BROKEN = {
+    "logs.json": [b"[", b"[]", b'{"format": "halfseen-logs", "rows": 7}'],
+    "paths.parquet": [b"", b"PAR1", b"no table at all"],
+    "stages.parquet": [b"x" * 99],
+}
+
+
+@pytest.mark.parametrize(("name", "content"), [(name, one) for name, all_of in BROKEN.items() for one in all_of])
+def test_what_is_broken_is_refused_with_its_folder(tmp_path, name, content):
+    parquet_of_version_1(flat_log(), tmp_path / "logs")
+    (tmp_path / "logs" / name).write_bytes(content)
+    with refused(f"^{tmp_path / 'logs'}.*", LogError):
+        read_older(tmp_path / "logs")
+    command = ["convert", str(tmp_path / "logs"), "--out", str(tmp_path / "new")]
+    assert isinstance(CliRunner().invoke(halfseen, command).exception, LogError)
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_table_without_rows_and_a_covariate_called_paths_keep_their_columns(tmp_path):
+    log = flat_log()
+    parquet_of_version_1(Logs(log.stages.assign(width=1.0), log.trajectories), tmp_path / "logs")
+    file = tmp_path / "logs" / "stages.parquet"
+    table = pq.read_table(file)
+    pq.write_table(table.rename_columns([{"width": "paths"}.get(name, name) for name in table.column_names]), file)
+    assert "paths" in read_older(tmp_path / "logs").stages
+    pq.write_table(table.slice(0, 0), file)
+    with refused(f"^{tmp_path / 'logs'}.*it has 0 rows where", LogError):
+        read_older(tmp_path / "logs")

@@ -9,23 +9,29 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import pyarrow as pa
 import pyarrow.parquet as pq
 
+from halfseen.errors import HalfseenError, LogError
 from halfseen.logs import folder as parquet
-from halfseen.logs.folder import Place
+from halfseen.logs.folder import Place, asking
 from halfseen.logs.formats import csv_folder
 from halfseen.logs.journal import OLDER, VERSION, journal_line, journal_parts
 from halfseen.logs.logs import Logs
-from halfseen.reading import TABLE, opened
+from halfseen.reading import TABLE, json_of, opened, reason_of
 
-TODAY = {"path": "trajectory", "paths": "trajectories", "run_path": "run_trajectory"}
-"""What tables, columns and keys are called now, by their former names."""
+TABLES = {"paths": "trajectories"}
+COLUMNS = {"path": "trajectory", "run_path": "run_trajectory"}
+"""What tables and columns are called now, by their former names."""
+
+_BROKEN = (OSError, ValueError, LookupError, TypeError, AttributeError, pa.ArrowException)
 
 
 def is_older(folder: Place) -> bool:
     """Whether a folder holds logs of version 1."""
-    files = [folder / "paths.parquet", folder / "paths.csv"]
-    return any(file.exists() for file in files) or (isinstance(folder, Path) and _is_older_journal(folder))
+    with asking(folder):
+        is_table = any((folder / f"paths.{kind}").exists() for kind in ("parquet", "csv"))
+    return is_table or (isinstance(folder, Path) and _is_older_journal(folder))
 
 
 def read_older(folder: Place) -> Logs:
@@ -39,38 +45,43 @@ def read_older(folder: Place) -> Logs:
     Raises
     ------
     LogError
-        As `read_logs` has it.
+        A file is missing or broken, or the tables break an invariant.
     """
     with _as_of_today(folder) as translated:
-        is_csv = (translated / "stages.csv").exists()
-        return csv_folder.read_csv(translated) if is_csv else Logs(**parquet.read_folder(translated))
+        try:
+            is_csv = (translated / "stages.csv").exists()
+            return csv_folder.read_csv(translated) if is_csv else Logs(**parquet.read_folder(translated))
+        except HalfseenError as error:
+            # What is wrong with the translation is wrong with the folder.
+            raise LogError(f"{folder}: {str(error).replace(f'{translated}/', '')}") from error
 
 
 @contextmanager
 def _as_of_today(folder: Place) -> Iterator[Path]:
     with TemporaryDirectory() as made:
-        # Messages name the folder as it is called.
-        translated = Path(made) / folder.name
-        translated.mkdir()
-        for file in folder.iterdir():
-            name = TODAY.get(file.stem, file.stem) + file.suffix
-            if file.suffix in _TRANSLATIONS:
-                _TRANSLATIONS[file.suffix](file, translated / name)
+        translated = Path(made)
+        with asking(folder):
+            files = [file for file in folder.iterdir() if file.suffix in _TRANSLATIONS]
+        for file in files:
+            try:
+                with asking(folder):
+                    _TRANSLATIONS[file.suffix](file, translated / (TABLES.get(file.stem, file.stem) + file.suffix))
+            except _BROKEN as error:
+                raise LogError(f"{file}: it cannot be read ({reason_of(error)}); copy it again") from error
         yield translated
 
 
 def _table(file: Place, to: Path) -> None:
     with file.open("rb") as source:
         opened = pq.ParquetFile(source)
-        names = [TODAY.get(name, name) for name in opened.schema_arrow.names]
-        schema = opened.read_row_group(0).rename_columns(names).schema if opened.num_row_groups else None
-        with pq.ParquetWriter(to, schema or opened.schema_arrow) as writer:
+        schema = pa.schema([field.with_name(COLUMNS.get(field.name, field.name)) for field in opened.schema_arrow])
+        with pq.ParquetWriter(to, schema) as writer:
             for number in range(opened.num_row_groups):
-                writer.write_table(opened.read_row_group(number).rename_columns(names))
+                writer.write_table(opened.read_row_group(number).rename_columns(schema.names))
 
 
 def _manifest(file: Place, to: Path) -> None:
-    manifest = json.loads(file.read_text(encoding="utf-8"))
+    manifest = json_of(file.read_text(encoding="utf-8"))
     counted = {"rows": manifest.get("rows"), "tables": manifest.get("tables")}
     renamed: dict[str, Any] = {key: _renamed(value) for key, value in counted.items() if value is not None}
     version = {parquet.FORMAT: parquet.VERSION, csv_folder.FORMAT: csv_folder.VERSION}.get(str(manifest.get("format")))
@@ -79,7 +90,9 @@ def _manifest(file: Place, to: Path) -> None:
 
 def _cells(file: Place, to: Path) -> None:
     heading, *rows = file.read_bytes().split(b"\n", 1)
-    names = re.sub(r'(?<![^,"])(path|run_path)(?![^,"\r])', lambda found: TODAY[found[1]], heading.decode("utf-8-sig"))
+    names = re.sub(
+        r'(?<![^,"])(path|run_path)(?![^,"\r])', lambda found: COLUMNS[found[1]], heading.decode("utf-8-sig")
+    )
     to.write_bytes(b"\n".join([names.encode(), *rows]))
 
 
@@ -95,7 +108,7 @@ def _journal(file: Place, to: Path) -> None:
                 above = checksum = int(stated, 16) if re.fullmatch(rb"[0-9a-f]{8}", stated) else None
                 target.write(line)
                 continue
-            event: dict[str, Any] = {str(TODAY.get(key, key)): value for key, value in json.loads(body).items()}
+            event: dict[str, Any] = {str(COLUMNS.get(key, key)): value for key, value in json.loads(body).items()}
             event |= {"version": VERSION} if event["event"] == "journal" else {}
             written, checksum = journal_line(event, checksum if begins == above and checksum is not None else 0)
             above = int(stated, 16)
@@ -109,7 +122,7 @@ def _follows(body: bytes, begin: int | None, stated: bytes) -> bool:
 def _renamed(value: Any) -> Any:
     if not isinstance(value, dict):
         return value
-    return {TODAY.get(key, key): _renamed(inner) for key, inner in value.items()}
+    return {(TABLES | COLUMNS).get(key, key): _renamed(inner) for key, inner in value.items()}
 
 
 _TRANSLATIONS = {".parquet": _table, ".json": _manifest, ".csv": _cells, ".jsonl": _journal}
