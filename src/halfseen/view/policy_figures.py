@@ -55,8 +55,9 @@ Rows = list[dict[str, Any]]
 def draw_values(evaluation: Evaluation) -> Figure:
     """Draw what the policies earn, and below it the differences with a line at 0."""
     theirs, gains = values_of(evaluation), gains_of(evaluation)
-    figure = Figure(figsize=(NARROW_INCHES, 2.45 + 0.625 * (len(theirs) + len(gains))))
-    values, gap = figure.subplots(2, 1, height_ratios=[3.0 + len(theirs), float(len(gains))])
+    # Names of differences take up to three lines.
+    figure = Figure(figsize=(NARROW_INCHES, 2.45 + 0.625 * len(theirs) + 0.85 * len(gains)))
+    values, gap = figure.subplots(2, 1, height_ratios=[3.0 + len(theirs), 1.4 * len(gains)])
     figure.subplots_adjust(left=0.235, right=0.70, top=0.98, bottom=0.14, hspace=0.62)
     rows = {
         **{fitted(name, 1.6, most_lines=3): (value, THEIRS, False) for name, value in theirs.items()},
