@@ -3,8 +3,7 @@
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -34,7 +33,19 @@ UNKNOWN = "How sure this is nobody knows: the policy was learned without pessimi
 @options.extrapolate
 @options.as_json
 @options.unused_seed
-def act(policy: Path, cloud: Path, history: Path | None, labels: Path | None, law: str | None, **chosen: Any) -> None:
+def act(
+    policy: Path,
+    cloud: Path,
+    history: Path | None,
+    stage: int | None,
+    labels: Path | None,
+    law: str | None,
+    picture: Path | None,
+    overwrite: bool,
+    extrapolate: bool,
+    as_json: bool,
+    seed: int,
+) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why, and how sure that is.
 
     For a policy of tables, CLOUD is a point cloud as `halfseen look` takes; if it has colour, what looks dirty counts.
@@ -54,9 +65,8 @@ def act(policy: Path, cloud: Path, history: Path | None, labels: Path | None, la
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team
     from halfseen.policies.observations import read_observation
 
-    how = SimpleNamespace(**chosen)
-    if how.picture is not None:
-        refuse_output(how.picture, "a picture", PICTURES, how.overwrite, [cloud, *([labels] if labels else [])])
+    if picture is not None:
+        refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
     stored = read_policy(policy)
     refuse_team(stored, UNDECIDED, policy)
     counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
@@ -70,20 +80,20 @@ def act(policy: Path, cloud: Path, history: Path | None, labels: Path | None, la
     if stored.is_table:
         from halfseen.policies.table_observation import read_table
 
-        table = read_table(stored, cloud, history, how.stage, labels, known)
-    observation = table.present if table else read_observation(stored, cloud, history, how.stage, labels)
-    decision = decider_of(stored, extrapolates=how.extrapolate).decide(observation)
+        table = read_table(stored, cloud, history, stage, labels, known)
+    observation = table.present if table else read_observation(stored, cloud, history, stage, labels)
+    decision = decider_of(stored, extrapolates=extrapolate).decide(observation)
     decision = replace(decision, warnings=(*decision.warnings, *stored.doubts))
     where = {"stage": observation.stage, "horizon": stored.horizon}
-    if how.picture is not None:
+    if picture is not None:
         from halfseen.view.decision_picture import draw_decision
 
-        draw_decision(decision, how.picture, view=table.view if table else None, **where)
+        draw_decision(decision, picture, view=table.view if table else None, **where)
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
     seen = getattr(observation, "seen", "")  # of tables only
     report |= {"seen": seen} if seen else {}
     lines = _lines(decision, seen, table.other_things if table else "", **where)
-    say(json.dumps(report, indent=2, allow_nan=False) if how.as_json else "\n".join(lines))
+    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horizon: int) -> list[str]:

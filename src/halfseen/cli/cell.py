@@ -12,7 +12,6 @@ import warnings
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -96,7 +95,19 @@ def start_opengl() -> None:
 @options.seed("law")
 @options.as_json
 @options.overwrite("a law that is")
-def calibrate(out: Path, given: Path | None, arm: Path | None, workers: "Workers", **chosen: Any) -> None:
+def calibrate(
+    out: Path,
+    attempts: int,
+    visible_only: int,
+    given: Path | None,
+    arm: Path | None,
+    flange: str | None,
+    joints: list[str] | None,
+    workers: "Workers",
+    seed: int,
+    as_json: bool,
+    overwrite: bool,
+) -> None:
     """Let the cell lift what stands on fresh tables, at random, and estimate its laws from that.
 
     Tables are cut by what cuts a cell: an attempt that takes too long, an emergency stop, a lost camera. The folder
@@ -110,18 +121,17 @@ def calibrate(out: Path, given: Path | None, arm: Path | None, workers: "Workers
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target
 
-    how = SimpleNamespace(**chosen)
-    refuse = partial(check_target, out, how.overwrite, LAW)
+    refuse = partial(check_target, out, overwrite, LAW)
     refuse()
     if given is not None and arm is not None:
         raise ArgumentError(f"--arm is {arm}, but {given} holds attempts of some arm already; leave it out")
-    robot, arm_name = robot_for(arm, how.flange, how.joints)
-    origin: dict[str, Any] = {"seed": how.seed, "arm": arm_name}
+    robot, arm_name = robot_for(arm, flange, joints)
+    origin: dict[str, Any] = {"seed": seed, "arm": arm_name}
 
     def fitted(logs: "Logs", contrast: "Logs | None") -> dict[str, Any]:
         law = law_of(logs)
         record = {**origin, "log": str(logs.summary())}
-        write_law(law, out, record, logs=logs, contrast=contrast, overwrite=how.overwrite)
+        write_law(law, out, record, logs=logs, contrast=contrast, overwrite=overwrite)
         return _report_of(law, logs) | origin
 
     if given is not None:
@@ -133,22 +143,22 @@ def calibrate(out: Path, given: Path | None, arm: Path | None, workers: "Workers
         report = fitted(read_logs(given / ATTEMPTS if is_law else given), contrast)
     else:
         # What was recorded goes when the law is written, not before: attempts take hours.
-        what = f"calibrate, seed {how.seed}" + (f", arm {arm_name}" if arm else "")
+        what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm else "")
         with (
             working_folder(out, what, refuse) as folder,
-            Progress(how.attempts + how.visible_only, "calibrate", "attempts") as bar,
+            Progress(attempts + visible_only, "calibrate", "attempts") as bar,
             workers.ready() as pool,
         ):
-            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=how.seed, pool=pool)
-            logs = try_on(how.attempts, folder=folder, conditions=conditions, on_table=bar.update)
+            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=seed, pool=pool)
+            logs = try_on(attempts, folder=folder, conditions=conditions, on_table=bar.update)
             contrast = None
-            if how.visible_only:
+            if visible_only:
                 conditions = replace(conditions, grasping="visible-only")
                 contrast = try_on(
-                    how.visible_only, folder=folder / VISIBLE_ONLY, conditions=conditions, on_table=bar.update
+                    visible_only, folder=folder / VISIBLE_ONLY, conditions=conditions, on_table=bar.update
                 )
             report = fitted(logs, contrast)
-    say(json.dumps(report, indent=2, allow_nan=False) if how.as_json else "\n".join(_lines(out, report)))
+    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
 
 
 def _report_of(law: "Law", logs: "Logs") -> dict[str, Any]:

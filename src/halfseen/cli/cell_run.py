@@ -8,7 +8,6 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -32,7 +31,9 @@ DRAWING = 3
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
 @policy_option
 @options.path("--out", required=True, told="Folder that the logs are written to.")
-@options.whole("--tables", least=2, most=options.MOST_EPISODES, default=50, told="Number of fresh tables.")
+@options.whole(
+    "--tables", "num_tables", least=2, most=options.MOST_EPISODES, default=50, told="Number of fresh tables."
+)
 @options.law(options.SHIPPED)
 @click.option("--stops/--no-stops", default=True, show_default=True, help="Whether something may cut a table.")
 @options.share(
@@ -49,7 +50,25 @@ DRAWING = 3
 @options.seed("logs")
 @options.as_json
 @options.overwrite("logs that are")
-def run(name: str, out: Path, law: str, arm: Path | None, workers: "Workers", overwrite: bool, **chosen: Any) -> None:
+def run(
+    name: str,
+    out: Path,
+    num_tables: int,
+    law: str,
+    stops: bool,
+    random_share: float,
+    is_watched: bool,
+    port: int,
+    record: Path | None,
+    num_arms: int,
+    arm: Path | None,
+    flange: str | None,
+    joints: list[str] | None,
+    workers: "Workers",
+    seed: int,
+    as_json: bool,
+    overwrite: bool,
+) -> None:
     """Let a policy clear fresh tables in physics: look, decide, act, look again, until FINISH, ten steps or a cut.
 
     The same seed gives every policy the same tables. What comes of it stands beside what the simulated world foretells
@@ -67,22 +86,22 @@ def run(name: str, out: Path, law: str, arm: Path | None, workers: "Workers", ov
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
     refuse()
-    how = SimpleNamespace(**chosen)
-    stations = stations_for(how.num_arms, arm)
-    robot, arm_name = robot_for(arm, how.flange, how.joints)
+    stations = stations_for(num_arms, arm)
+    robot, arm_name = robot_for(arm, flange, joints)
     belief = belief_of(law, arm_name)
-    policy = _policy(name, how.random_share, belief.config, how.num_arms)
-    conditions = Conditions(robot=robot, stations=stations, stops=Stops() if how.stops else None)
+    policy = _policy(name, random_share, belief.config, num_arms)
+    conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
     who = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
-    what = f"run, seed {how.seed}, {who}, stops {how.stops}, random share {how.random_share}"
+    what = f"run, seed {seed}, {who}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm else ""
-    what += f", {how.num_arms} arms" if stations else ""
-    tables = range(how.tables)
-    with _following(policy, how.num_arms * belief.config.horizon, how, overwrite) as follow:
-        campaign = Campaign(policy, belief, conditions, how.seed, follow=follow)
+    what += f", {num_arms} arms" if stations else ""
+    tables = range(num_tables)
+    watched = _following(policy, num_arms * belief.config.horizon, is_watched, port, record, overwrite)
+    with watched as follow:
+        campaign = Campaign(policy, belief, conditions, seed, follow=follow)
         with (
             working_folder(out, what, refuse) as folder,
-            Progress(how.tables, "run", "tables") as bar,
+            Progress(num_tables, "run", "tables") as bar,
             (workers if follow is None else Workers(1)).ready() as pool,
         ):
             runs = []
@@ -90,11 +109,11 @@ def run(name: str, out: Path, law: str, arm: Path | None, workers: "Workers", ov
                 runs.append(each)
                 bar.update()
             logs = logs_of(folder, tables)
-            summary = summarised(runs, logs, policy, belief.config, how.seed)
+            summary = summarised(runs, logs, policy, belief.config, seed)
             logs.write(out, overwrite=overwrite)
-        report = {"folder": str(out), "policy": name, "arm": arm_name, "arms": how.num_arms}
+        report = {"folder": str(out), "policy": name, "arm": arm_name, "arms": num_arms}
         report |= {"sentence": str(logs.summary()), **asdict(summary)}
-        say(json.dumps(report, indent=2) if how.as_json else "\n".join(_lines(report)))
+        say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _policy(name: str, random_share: float, config: Any, num_arms: int) -> "Policy":
@@ -153,9 +172,11 @@ def _together(counts: dict[str, int | float]) -> str:
 
 
 @contextmanager
-def _following(policy: "Policy", horizon: int, how: SimpleNamespace, overwrite: bool) -> "Iterator[Follow | None]":
+def _following(
+    policy: "Policy", horizon: int, is_watched: bool, port: int, record: Path | None, overwrite: bool
+) -> "Iterator[Follow | None]":
     """Follow tables while they are cleared, if asked to; then write what was seen, and show it until interrupted."""
-    if not how.is_watched and how.record is None:
+    if not is_watched and record is None:
         yield None
         return
     from halfseen.view.cell_watch import TablesWatch
@@ -163,17 +184,17 @@ def _following(policy: "Policy", horizon: int, how: SimpleNamespace, overwrite: 
     from halfseen.view.recording import MARKER, write_recording
     from halfseen.writing import refuse_taken
 
-    if how.record is not None:
-        refuse_taken(how.record, overwrite, MARKER, "recording")
+    if record is not None:
+        refuse_taken(record, overwrite, MARKER, "recording")
     with ExitStack() as stack:
         watch = TablesWatch(policy, horizon)
-        page = stack.enter_context(served(how.port)) if how.is_watched else None
+        page = stack.enter_context(served(port)) if is_watched else None
         if page is not None:
             click.echo(f"{page.url}  (Ctrl+C ends)", err=True)
             watch.on_change = page.show
         yield watch.follow
-        if how.record is not None and watch.watched is not None:
-            write_recording(watch.watched, how.record, overwrite=overwrite)
+        if record is not None and watch.watched is not None:
+            write_recording(watch.watched, record, overwrite=overwrite)
         if page is not None:
             page.wait()
 

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any
 
 import click
@@ -64,7 +63,15 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 @options.overwrite("a file of --export that is")
 @options.port
 @options.unused_seed
-def watch(source: Path, **chosen: Any) -> None:
+def watch(
+    source: Path,
+    export: tuple[Path, ...],
+    stages: tuple[int, int] | None,
+    overwrite: bool,
+    port: int,
+    seed: int,
+    **given: Any,
+) -> None:
     """Show in the browser what was seen and decided, in 3-D, and why. Nothing leaves this machine.
 
     SOURCE is a point cloud as `halfseen look` takes it, with --policy for what is decided there; a recording, as
@@ -73,14 +80,13 @@ def watch(source: Path, **chosen: Any) -> None:
     from halfseen.errors import ArgumentError
     from halfseen.view.recording import MARKER
 
-    given = SimpleNamespace(**chosen)
-    for file in given.export:
-        refuse_output(file, "an exported run", FORMS, given.overwrite, [source])
+    for file in export:
+        refuse_output(file, "an exported run", FORMS, overwrite, [source])
     if not source.exists():
         raise ArgumentError(f"{source}: no such file or folder; give a cloud, a recording or a folder of logs")
     kind = "recording" if (source / MARKER).is_file() else "logs" if source.is_dir() else "cloud"
     for name, kinds in OF_KINDS.items():
-        if chosen[name] is not None and kind not in kinds:
+        if given[name] is not None and kind not in kinds:
             raise ArgumentError(f"--{name} is of {' or '.join(kinds)}, and {source} is a {kind}; leave it out")
 
     def work(show: Shows) -> None:
@@ -89,15 +95,15 @@ def watch(source: Path, **chosen: Any) -> None:
 
             show(read_recording(source))
         elif kind == "logs":
-            _show_logs(source, given.clouds, given.trajectory, given.policy, show)
+            _show_logs(source, given["clouds"], given["trajectory"], given["policy"], show)
         else:
-            _show_cloud(source, given.policy, given.history, given.labels, given.law, show)
+            _show_cloud(source, given["policy"], given["history"], given["labels"], given["law"], show)
 
-    shown = partial(_of_stages, given.stages, work)
-    if given.export:
-        _exported(given.export, shown)
+    shown = partial(_of_stages, stages, work)
+    if export:
+        _exported(export, shown)
     else:
-        _served(given.port, shown)
+        _served(port, shown)
 
 
 def _of_stages(span: tuple[int, int] | None, work: Callable[[Shows], None], show: Shows) -> None:
