@@ -149,11 +149,7 @@ def test_what_is_still_to_be_recorded_is_said():
     said = more_trajectories(one.needed, 100)
     assert said.startswith("about ")
     assert "more trajectories like these would decide (" in said
-    assert more_trajectories(replace_times(one.needed, np.inf), 100).startswith("no log of a size")
-
-
-def replace_times(more, times):
-    return more._replace(times=times)
+    assert more_trajectories(replace(one.needed, times=np.inf), 100).startswith("no log of a size")
 
 
 def test_a_guess_of_which_nothing_is_known_says_why():

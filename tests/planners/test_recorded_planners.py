@@ -23,8 +23,8 @@ from halfseen.planners.rollout import sampled_values
 from halfseen.world import ExploringPolicy, random
 from halfseen.world.rollout import play
 from picked import picked
-from world.worlds import recorded_scenes as scenes
-from world.worlds import world_of
+from world.world_cases import recorded_scenes as scenes
+from world.world_cases import world_of
 
 RECORDED = np.load(Path(__file__).parents[1] / "recorded" / "planners.npz")
 CASES = sorted({name.rsplit("/", 1)[0] for name in RECORDED if not name.startswith("exact")})

@@ -3,7 +3,7 @@ import pytest
 from halfseen.world import UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
-from world.worlds import random_scene
+from world.world_cases import random_scene
 
 NUM_EPISODES = 3000
 

@@ -19,7 +19,7 @@ from halfseen.world.table_in_play import default_scene, default_team
 from halfseen.world.table_world import TableWorld
 from other_laws import Nudging, Persisting
 from own_laws import LOGISTIC, SCENE, robots
-from world.worlds import FITTED_SCENES, random_scene
+from world.world_cases import FITTED_SCENES, random_scene
 
 ONE = Team((Robot((0.0, 0.0), 5.0),))
 FRAIL = Team((Robot((-0.5, 0.0), 0.8, drop_out_rate=0.1), Robot((0.5, 0.0), 0.8)))

@@ -27,7 +27,7 @@ from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from other_laws import Nudging, Persisting
 from picked import picked
-from world.worlds import THREE
+from world.world_cases import THREE
 
 OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
 LIFT = ActionSpace(3).of(Verb.LIFT).start

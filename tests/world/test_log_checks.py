@@ -10,7 +10,7 @@ from halfseen.tables.agent_logs import agent_view
 from halfseen.world import TableWorld, UniformPolicy
 from halfseen.world.logs import states_of
 from played_teams import logged, played, team_of
-from world.worlds import FITTED_SCENES
+from world.world_cases import FITTED_SCENES
 
 
 @pytest.fixture(scope="module")

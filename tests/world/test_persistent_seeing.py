@@ -15,7 +15,7 @@ from halfseen.world.seeing import is_independent, label_evidence
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import picked, repeated
-from world.worlds import THREE
+from world.world_cases import THREE
 
 LOOKS = st.lists(st.tuples(st.sampled_from(np.linspace(0.0, 1.0, 11).tolist()), st.booleans()), min_size=1, max_size=5)
 LIFT = ActionSpace(3).of(Verb.LIFT).start

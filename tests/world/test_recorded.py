@@ -10,7 +10,7 @@ from halfseen.arrays import known_to_jax, mapped
 from halfseen.world import UniformPolicy, random, rollout
 from halfseen.world.transition import start, step
 from picked import leaves_of, picked
-from world.worlds import TEAMS, recorded_scenes, world_of
+from world.world_cases import TEAMS, recorded_scenes, world_of
 
 RECORDED = np.load(Path(__file__).parents[1] / "recorded" / "world.npz")
 NAMES = sorted({name.rsplit("/", 1)[0] for name in RECORDED if name.count("/") > 1 or "/is_taken" in name})

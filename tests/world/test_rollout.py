@@ -9,7 +9,7 @@ from halfseen.world.rollout import evaluate, evaluate_each, evaluate_some, play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import leaves_of, picked, repeated
-from world.worlds import InTurn, Suspicious, random_scene
+from world.world_cases import InTurn, Suspicious, random_scene
 
 CONFIG, KEY = WorldConfig(), random.key_of(1)
 

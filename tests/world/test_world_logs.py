@@ -20,7 +20,7 @@ from other_laws import Nudging, Persisting
 from own_laws import LOGISTIC, SCENE, world_of
 from picked import leaves_of, picked
 from played_teams import NUM_OBJECTS, logged, team_of
-from world.worlds import FITTED_SCENES, THREE
+from world.world_cases import FITTED_SCENES, THREE
 
 OTHER = WorldConfig(grasping=Nudging(), seeing=Persisting(), horizon=6)
 RATES = (0.03, 0.01, 0.0)

@@ -67,6 +67,7 @@ def evaluate(
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy
+    from halfseen.policies.folder.record import plain
 
     in_world = how.pop("in_world")
     if in_world == (logs is not None):
@@ -88,7 +89,7 @@ def evaluate(
     else:
         report, lines = _by_logs(stored, logs, seed, level, **how)
     report = {"policy": str(policy), "seed": seed, **report}
-    say(json.dumps(report, indent=2) if is_json else "\n".join(lines))
+    say(json.dumps(plain(report), indent=2, allow_nan=False) if is_json else "\n".join(lines))
 
 
 def _by_logs(

@@ -28,9 +28,10 @@ would be another under other weights is left out. Γ of 1 trusts the model, and
 2 is a cause which doubles or halves the odds.
 """
 
+from dataclasses import dataclass
 from math import exp, log
 from statistics import NormalDist
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -60,7 +61,8 @@ MANY_TIMES = 100.0
 """More than so many times as many trajectories nobody records."""
 
 
-class Needed(NamedTuple):
+@dataclass(frozen=True)
+class Needed:
     """How many times as many trajectories decide, at least 1; ∞ where no log of a size that can be recorded does."""
 
     times: float

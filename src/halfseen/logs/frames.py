@@ -8,6 +8,7 @@ import pandas as pd
 import pyarrow as pa
 
 from halfseen.errors import LogError
+from halfseen.reading import reason_of
 
 LARGEST_FRACTION = 2**53
 """Beyond it, fractions tell no whole numbers apart."""
@@ -48,9 +49,10 @@ def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.D
     """
     try:
         frame = data if isinstance(data, pd.DataFrame) else _from_other(data)
-    except (ValueError, TypeError, pa.ArrowException) as error:
+    except (ValueError, TypeError, LookupError, AttributeError, pa.ArrowException) as error:
+        # What pandas noted of an Arrow table may be broken.
         raise LogError(
-            f"{name}: not a table ({error}); give a pandas frame, an Arrow table or a dict of arrays"
+            f"{name}: not a table ({reason_of(error)}); give a pandas frame, an Arrow table or a dict of arrays"
         ) from error
     labels = [label for label in frame.columns if not isinstance(label, str)]
     if labels:

@@ -62,7 +62,7 @@ class LogStream:
         self.reward_unit = self.as_folder.reward_unit
         for name in self.as_folder.num_rows:
             with within(self.folder):
-                columns = as_frame(name, self.as_folder.opened(name).schema_arrow.empty_table())
+                columns = as_frame(name, self.as_folder.opened(name).schema_arrow.remove_metadata().empty_table())
                 require_columns(name, columns, NEEDED[name])
         # A table of millions of trajectories is larger than all that is held beside it.
         ends = [
@@ -145,7 +145,8 @@ class LogStream:
     def stage_columns(self, *names: str) -> Iterator[pd.DataFrame]:
         """Read some columns of the stages alone, row by row as they stand."""
         for batch in self.as_folder.batches("stages", list(names)):
-            yield batch.to_pandas()
+            # What pandas once noted of the table may be broken, and nothing rests on it.
+            yield batch.replace_schema_metadata().to_pandas()
 
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
