@@ -1,9 +1,8 @@
-# docker build --build-arg VERSION=0.1.0 --tag halfseen .    (`make image` asks git for the version)
+# docker build --tag halfseen .
 # docker run --rm --network none --volume "$PWD:/work" halfseen inspect logs
 
 FROM python:3.13-slim AS wheel
-ARG VERSION=0.0.0.dev0
-ENV SETUPTOOLS_SCM_PRETEND_VERSION=$VERSION PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
+ENV PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_CACHE_DIR=1
 WORKDIR /source
 COPY LICENSE README.md constraints.txt pyproject.toml ./
 COPY src src

@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: study test test-slow check docs pictures clouds benchmarks fuzz wheel-test release audit image clean
+.PHONY: study test test-slow check docs pictures clouds benchmarks fuzz wheel-test newest release audit image clean
 
 study: .venv/.installed
 	$(BIN)/halfseen study --out runs/study
@@ -23,13 +23,13 @@ check: .venv/.installed
 docs: .venv/.installed
 	$(BIN)/python -m sphinx -W --keep-going -q -E -a -b html docs runs/docs
 
-# All of them, or ONLY=name; with ANEW=1 their numbers, too, which takes as long as the study.
+# All of them, or ONLY=name; with REMAKE=1 their numbers, too, which takes as long as the study.
 pictures: .venv/.installed
-	PYTHONPATH=docs $(BIN)/python -m pictures $(ONLY) $(if $(ANEW),--anew)
+	PYTHONPATH=docs $(BIN)/python -m pictures $(ONLY) $(if $(REMAKE),--remake)
 
 clouds: .venv/.installed
 	$(BIN)/python -m halfseen.scene
-	$(BIN)/python -m halfseen.cell.tables_seen
+	$(BIN)/python -m halfseen.cell.facts
 
 # Broken inputs and command lines; what fails is written to runs/fuzz. CASES and SEED say how many, and which.
 fuzz: .venv/.installed
@@ -42,21 +42,26 @@ benchmarks: .venv/.installed
 wheel-test:
 	$(PYTHON) -m release.walk
 
-# What is to be given away: dist. A commit without a tag is built, too; a tag that the changelog does not tell of is not.
+# The way of the README with the newest of all that the wheel asks for, by each Python that is here: what breaks with a new
+# version of something shows here first.
+newest:
+	$(PYTHON) -m release.walk --newest
+
+# What is to be given away: dist. A version that the changelog does not date is refused; REHEARSE=1 builds it all the same.
 release: .venv/.tools
-	$(BIN)/python -m release
+	$(BIN)/python -m release $(if $(REHEARSE),--rehearse)
 
 # Whether faults of what is pinned are known. A package that cannot be looked up fails, too: it was not found to be well.
 audit: .venv/.tools
 	$(BIN)/pip-audit --strict --disable-pip --no-deps --progress-spinner off --requirement constraints.txt
 
-image: .venv/.installed
-	docker build --build-arg VERSION="$$($(BIN)/hatchling version)" --tag halfseen .
+image:
+	docker build --tag halfseen .
 
 clean:
 	rm -rf .venv runs
 
-.venv/.installed: pyproject.toml constraints.txt
+.venv/.installed: pyproject.toml constraints.txt src/halfseen/__init__.py
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "halfseen needs Python 3.11 or newer: set PYTHON=python3.11")'
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'

@@ -96,7 +96,7 @@ def ahead(policies: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, np.n
     without_luck = {name: rewards[name] - np.array(found["lucks"]) for name, found in policies.items()}
     others = [name for name in policies if name != LEARNED and LEARNED in policies]
     return {
-        # Whoever has cleared fewer tables has cleared the first ones.
+        # Anyone who has cleared fewer tables has cleared the first ones.
         measure: {other: values[LEARNED][: len(values[other])] - values[other] for other in others}
         for measure, values in (("in physics", rewards), ("without luck", without_luck))
     }

@@ -13,8 +13,7 @@ import numpy as np
 from timings import Row, write
 
 from halfseen.arrays import mapped
-from halfseen.study.policies import HEURISTICS, horizon_planner
-from halfseen.study.timing import decision_times_ms
+from halfseen.study.policies import HEURISTICS, decision_times_ms, horizon_planner
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.world import Scene, TableState, UniformPolicy, WorldConfig, random

@@ -2,7 +2,7 @@
 
 python benchmarks/half_seen.py [--tables 100] [--washes 0] [--stains 10] [--seed 2028] [--law FOLDER] [--out FILE]
 
-Of fresh tables every look is taken with many sets of stains, each drawn anew and remembered apart: what is in view
+Of fresh tables every look is taken with many sets of stains, each resampled and remembered apart: what is in view
 costs seconds, what is on it a tenth of one. Each cup is dirty in as many of them as the prior says. With --washes, cups
 that are drawn at random are washed one after the other, and objects are counted as they looked at last, so that views
 from later looks, and cups that were moved, count, too. Beside them stand the WASHes of the logs in
@@ -29,7 +29,7 @@ from scipy.special import expit
 from tqdm import tqdm
 
 from halfseen.cell.calibration.law_folder import read_law, shipped_law
-from halfseen.cell.camera import Eye
+from halfseen.cell.camera import CellCamera
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, rows_of
 from halfseen.cell.workcell import Workcell
@@ -65,7 +65,7 @@ class ManyStains:
     def __call__(self, view: View, cloud: Cloud) -> Sequence[Label]:
         """Label each object of a view, and remember what other stains would have told."""
         cell, camera = self.cell, self.cell.table.camera
-        ideal, memory = Eye(cell.cell, camera).view(), cell.memory
+        ideal, memory = CellCamera(cell.cell, camera).view(), cell.memory
         poses = [cell.cell.cup(index) for index in range(cell.cell.num_cups)]
         for surfaces, known in zip(self._surfaces, self._known, strict=True):
             known.extend(replace(each, glances=[]) for each in memory.objects[len(known) :])

@@ -23,7 +23,7 @@ from worlds.world import World
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.suspicions import suspicions
+from halfseen.logs.data_quality import data_warnings
 
 WORLDS: dict[str, Callable[[], World]] = {"cell": Cell, "trial": Trial, "haze": Haze, "wide": Wide}
 Tables = tuple[Any, Any]
@@ -95,7 +95,7 @@ def kinds_of(stages: Any, trajectories: Any) -> set[str]:
         logs = Logs(stages, trajectories)
     except LogError:
         return set(KINDS.values())
-    return {each.kind for each in suspicions(logs)}
+    return {each.kind for each in data_warnings(logs)}
 
 
 def main() -> None:

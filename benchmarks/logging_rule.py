@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.evaluation import Opponent, evaluate
+from halfseen.evaluation import Baseline, evaluate
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.learning import DoublyRobust, NamedActions
 from halfseen.learning.rows import trajectory_arrays
@@ -78,7 +78,7 @@ def compared(rule: Any, num_logs: int, propensity: str) -> dict[str, Any]:
     found = []
     for seed in range(num_logs):
         logs = cell_trajectories.simulate(COMPARED_TRAJECTORIES, 1000 + seed)
-        against = Opponent("logging-rule", "rule")
+        against = Baseline("logging-rule", "rule")
         answer = evaluate(
             named(rule), logs, against=against, censoring=BY_COX, propensity=propensity, random_state=seed
         )

@@ -22,9 +22,9 @@ import mujoco
 import numpy as np
 from timings import Row, write
 
-from halfseen.cell import Eye, LiveCell, Robot, cell_model
+from halfseen.cell import CellCamera, LiveCell, Robot, cell_model
 from halfseen.perception import perceive
-from halfseen.scene import random_table
+from halfseen.scene.draw import num_cups_of, random_table
 from halfseen.scene.moving import Sight, with_rays
 from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.view import IdealView, ideal_view
@@ -33,9 +33,9 @@ NUM_CUPS, LOOK_BAR_S, PERCEIVE_BAR_S = 6, 0.25, 0.35
 OVER_THE_TABLE_RAD = (0.0, 3.0, 1.2, 0.0, 0.0, 0.0)
 
 
-def eyes(num_tables: int) -> list[Eye]:
+def eyes(num_tables: int) -> list[CellCamera]:
     """An eye over each table; the arm is at home, or reaches over every other table."""
-    tables = (table for table in map(random_table, range(10_000)) if table.num_cups == NUM_CUPS)
+    tables = (random_table(seed) for seed in range(10_000) if num_cups_of(seed) == NUM_CUPS)
     made = []
     for index, table in zip(range(num_tables), tables, strict=False):
         robot = Robot()
@@ -44,11 +44,11 @@ def eyes(num_tables: int) -> list[Eye]:
             for name, angle in zip(robot.joint_names, OVER_THE_TABLE_RAD, strict=True):
                 cell.data.joint(name).qpos = angle
             mujoco.mj_forward(cell.model, cell.data)
-        made.append(Eye(cell, table.camera))
+        made.append(CellCamera(cell, table.camera))
     return made
 
 
-def by_rays(eye: Eye, empty: IdealView) -> IdealView:
+def by_rays(eye: CellCamera, empty: IdealView) -> IdealView:
     """All that moves by MuJoCo's rays."""
     sight = Sight(eye.cell.model, eye.cell.data, eye.camera, eye.sensor.baseline_m)
     return with_rays(empty, sight, (FURNITURE_GROUP,), (ROBOT_GROUP, CUP_GROUP))
@@ -66,7 +66,7 @@ def seconds(run: Callable[[], object]) -> float:
     return time.process_time() - begin
 
 
-def timed(eye: Eye, num_runs: int) -> tuple[dict[str, list[float]], float]:
+def timed(eye: CellCamera, num_runs: int) -> tuple[dict[str, list[float]], float]:
     """Seconds that each part took, turn by turn, and how far the two views are apart [m]."""
     cell = eye.cell
     empty = ideal_view(cell.model, eye.camera, eye.sensor.baseline_m, cell.data, (FURNITURE_GROUP,))

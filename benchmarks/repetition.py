@@ -1,6 +1,6 @@
 """What a repetition of Figure 1 takes without planners: 24 fits with laws and all evaluations, by part; medians, JSON.
 
-python benchmarks/repetition.py [--out runs/benchmarks/repetition.json] [--repetitions 4]
+python benchmarks/repetition.py [--out runs/benchmarks/repetition.json] [--repetitions 4] [--trajectories 25 …]
 
 Bar: 40 s of CPU for all, so that 40 repetitions take a quarter of an hour on two cores. By the control variate they
 tell as much of how policies differ as 10,000 did without it.
@@ -42,7 +42,7 @@ def repeat(setting: Setting, design: Reward, rates: list[float], index: int) -> 
     """Make one repetition, and tell the CPU time of its parts [s]."""
     clock, source = Clock(), Source.of(setting, index)
     episodes = source.play(max(design.num_trajectories))
-    clock.passed("play 800 trajectories")
+    clock.passed(f"play {max(design.num_trajectories)} trajectories")
     num_episodes = design.episodes_per_scene * len(setting.scenes)
     logs = [(source.cut(episodes, rate, CUT_KIND), "weighted") for rate in rates]
     learned = source.logged(episodes).learn(logs, design.num_trajectories)
@@ -61,10 +61,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/repetition.json"))
     parser.add_argument("--repetitions", type=int, default=4)
+    parser.add_argument("--trajectories", type=int, nargs="+", default=Reward().num_trajectories, help="sizes of logs")
     args = parser.parse_args()
     scenes, _ = look_at(table_paths(), read_law(shipped_law()).law)
     setting, _ = under(Setting(scenes), shipped_law())
-    design = Reward()
+    sizes = tuple(args.trajectories)
+    design = Reward(sizes, table_num_trajectories=sizes[-1])
     rates = [Source.of(setting).cut_rate(share, CUT_KIND) for share in design.cut_shares]
     times = [repeat(setting, design, rates, index) for index in range(args.repetitions)]
     medians_s = {part: float(np.median([each[part] for each in times])) for part in times[0]}

@@ -19,9 +19,8 @@ import numpy as np
 from halfseen.planners.exact import TeamOptimum, solve_team
 from halfseen.planners.futures import RolloutPolicy
 from halfseen.planners.grid_grasping import GridGrasping
-from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.heuristics import GreedyPolicy, OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 from halfseen.planners.myopic import MyopicPolicy
-from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 from halfseen.tables.policy import IndependentPolicies
 from halfseen.world import WorldConfig, random
 from halfseen.world.policy import Policy, UniformPolicy

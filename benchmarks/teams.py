@@ -32,11 +32,10 @@ from scipy import stats
 from tqdm import tqdm
 
 from halfseen.cell.calibration.law_folder import read_law, shipped_law
-from halfseen.cell.tables_seen import tables_seen
+from halfseen.cell.facts import tables_seen
 from halfseen.learning import CensoredQLearner
-from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.heuristics import GreedyPolicy, OneAtATime, ReservingPolicy, RoundRobin
 from halfseen.planners.myopic import MyopicPolicy
-from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin
 from halfseen.tables.policy import IndependentPolicies
 from halfseen.world import ExploringPolicy, Robot, TableWorld, Team, WorldConfig, random
 from halfseen.world.actions import WAIT, wait_of

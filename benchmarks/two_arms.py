@@ -11,7 +11,7 @@ home while the other works: that tells what working at once buys, and what is du
 It prints cups in the rack, the time of a table, and its ratio to that of one arm on the same tables, with 95 %
 intervals from resampled tables; collisions of arms or of what they hold, waits for space, and deadlocks. Tables that
 were cut are printed, and are in no time and no ratio. What --out holds of the same tables is kept: who has cleared as
-many of them does not clear them again (remove the file to measure anew), and a run that was stopped goes on where it
+many of them does not clear them again (remove the file to measure again), and a run that was stopped goes on where it
 was.
 """
 
@@ -31,9 +31,8 @@ from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.cell.campaign import Campaign, Conditions, working_folder
 from halfseen.cell.model import PAIR
 from halfseen.cell.table_state import Belief
-from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners.heuristics import GreedyPolicy, TeamOfRules
 from halfseen.planners.named import HEURISTICS
-from halfseen.planners.rules import TeamOfRules
 from halfseen.workers import Workers
 from halfseen.world.policy import Policy
 from halfseen.writing import write_file

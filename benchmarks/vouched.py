@@ -26,7 +26,7 @@ from halfseen.errors import HalfseenWarning
 from halfseen.evaluation.comparison import deciding
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.held_out import held_out_verdict
-from halfseen.learning.flat_policy import FlatPolicy, more_cautious
+from halfseen.learning.discrete_policy import DiscretePolicy, more_cautious
 from halfseen.policies.learner_choice import learner_for
 
 
@@ -77,7 +77,7 @@ def rule_of(world: World) -> Chances:
     return rule
 
 
-def chances_of(policy: FlatPolicy, world: World) -> Chances:
+def chances_of(policy: DiscretePolicy, world: World) -> Chances:
     """Columns in the order of the world; beyond the stages that its log reached it does as in the last of them."""
     columns = [policy.actions.index(name) for name in world.actions]
     return lambda frame, stage: policy.probabilities(frame, min(stage, policy.horizon))[:, columns]

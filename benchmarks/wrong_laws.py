@@ -35,7 +35,7 @@ from halfseen.tables.laws import FittedLaws, fitted_laws
 from halfseen.world import WorldConfig, random
 from halfseen.world.logs import to_logs
 from halfseen.world.rollout import evaluate
-from halfseen.world.seeing import Told, label_evidence
+from halfseen.world.seeing import LookOutcome, label_evidence
 from halfseen.world.state import pad_scenes
 from halfseen.writing import write_file
 
@@ -58,19 +58,19 @@ class Mislabelled:
     recorder: Any
     is_speckled: bool = False
 
-    def draw_trait(self, num_objects: int, key: Any) -> Any:
+    def draw_latent(self, num_objects: int, key: Any) -> Any:
         return random.uniform(key, num_objects) < (0.33 if self.is_speckled else 0.0)
 
-    def look(self, glimpse: Any, log_odds: Any, is_dirty: Any, trait: Any, key: Any) -> Told:
+    def look(self, glimpse: Any, log_odds: Any, is_dirty: Any, latent: Any, key: Any) -> LookOutcome:
         view = glimpse.occluded, glimpse.seen
         if_dirty, if_clean = self.true.positive(*view, glimpse.is_held)
         if_dirty, if_clean = (
-            np.where(trait, 0.4 * if_dirty, if_dirty),
-            np.where(trait, np.minimum(3.0 * if_clean, 1.0), if_clean),
+            np.where(latent, 0.4 * if_dirty, if_dirty),
+            np.where(latent, np.minimum(3.0 * if_clean, 1.0), if_clean),
         )
         says_dirty = random.uniform(key, if_dirty.shape[-1]) < np.where(is_dirty, if_dirty, if_clean)
         told = label_evidence(*self.recorder.positive(*view, glimpse.is_held), says_dirty)
-        return Told(log_odds + told, self.recorder.after(*view, says_dirty, glimpse.is_held), trait)
+        return LookOutcome(log_odds + told, self.recorder.after(*view, says_dirty, glimpse.is_held), latent)
 
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> Any:
         return self.recorder.positive(occluded, seen, is_held)
@@ -91,17 +91,17 @@ def sticking(grasping: Any) -> Any:
     """A quarter of the objects never holds."""
 
     class Sticking(type(grasping)):
-        def draw_trait(self, num_objects: int, key: Any) -> Any:
+        def draw_latent(self, num_objects: int, key: Any) -> Any:
             one, other = random.split(key)
             return np.where(
-                random.uniform(other, num_objects) < 0.25, np.float32(-60.0), super().draw_trait(num_objects, one)
+                random.uniform(other, num_objects) < 0.25, np.float32(-60.0), super().draw_latent(num_objects, one)
             )
 
     return Sticking(*(getattr(grasping, each.name) for each in fields(grasping)))
 
 
 def news(evidence: Any, config: WorldConfig) -> WorldConfig:
-    family = Independent(evidence.told, evidence.dirty_share)
+    family = Independent(evidence.labels, evidence.dirty_share)
     return replace(config, seeing=family.law(family.fitted(family.prior)))
 
 

@@ -15,7 +15,7 @@ if __name__ == "__main__":
         __doc__,
         SETTINGS,
         sizes=(800,),
-        num_repetitions=20,
+        num_repetitions=10,
         pairs=[("kaplan-meier", "uncut"), ("cox", "kaplan-meier"), ("cox", "cox-times")],
         draw=dependent_figure,
     )

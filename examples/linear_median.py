@@ -15,7 +15,7 @@ if __name__ == "__main__":
         __doc__,
         SETTINGS,
         sizes=(100, 200, 400),
-        num_repetitions=20,
+        num_repetitions=10,
         pairs=[("kaplan-meier", "uncut"), ("kaplan-meier", "cox-times")],
         draw=sizes_figure,
     )

@@ -20,7 +20,7 @@ if __name__ == "__main__":
         __doc__,
         SETTINGS,
         sizes=(400,),
-        num_repetitions=15,
+        num_repetitions=8,
         pairs=[("kaplan-meier", "uncut"), ("kaplan-meier", "cox-times"), ("kaplan-meier", "constant")],
         draw=ten_figure,
     )

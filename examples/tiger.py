@@ -10,7 +10,7 @@ RIGHT, DISCOUNT = 0.85, 0.95
 
 STAY, ANEW = [[1.0, 0.0], [0.0, 1.0]], [[0.5, 0.5], [0.5, 0.5]]
 TRANSITION = [STAY, ANEW, ANEW]
-"""P(tiger's side after | its side, action): opening a door starts anew."""
+"""P(tiger's side after | its side, action): opening a door starts again."""
 OBSERVATION = [[[RIGHT, 1.0 - RIGHT], [1.0 - RIGHT, RIGHT]], ANEW, ANEW]
 """P(growl on the left, on the right | action, tiger's side after it)."""
 REWARD = [[-1.0, -1.0], [-100.0, 10.0], [10.0, -100.0]]

@@ -1,22 +1,23 @@
 """Build a release and check it: ``make release``; what comes out lies in ``dist``.
 
-Sdist, wheel, pages, bill of materials, notes and the SHA-256 of each. A tag without an entry of the changelog is
-refused, and so is a clone with changes that no commit holds.
+Sdist, wheel, pages, bill of materials, notes and the SHA-256 of each, of the version that the source says. A version
+without a dated entry of the changelog is refused, and so is a clone with changes that no commit holds.
 """
 
 import argparse
 import hashlib
 import os
+import re
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from release.archives import faults_of, of_this_machine, pack
+from release.archives import faults_of, faults_of_pages, of_this_machine, pack
 from release.bill import bill_of
 from release.every_verb import CLONE
-from release.notes import entries, notes_of
+from release.notes import lacks, notes_of
 from release.walk import Bare, walk
 
 
@@ -30,16 +31,23 @@ def python(*words: str | Path) -> None:
     subprocess.run([sys.executable, "-m", *words], cwd=CLONE, check=True)
 
 
-def words_of_this_version(tag: str) -> str:
-    """Notes of the version that a tag names; of an untagged commit what is unreleased.
+def version_of_source() -> str:
+    """Version that the clone's source says, by what builds the wheel."""
+    command = [sys.executable, "-m", "hatchling", "version"]
+    return subprocess.run(command, cwd=CLONE, check=True, capture_output=True, text=True).stdout.strip()
 
-    Raises
-    ------
-    ValueError
-        The changelog says nothing of the tag's version.
-    """
-    changelog = (CLONE / "CHANGELOG.md").read_text(encoding="utf-8")
-    return notes_of(tag.removeprefix("v"), changelog) if tag else entries(changelog)["Unreleased"][1]
+
+def said_versions() -> dict[str, str]:
+    """Version by each other file of the clone that says one."""
+    places = {"CITATION.cff": r"^version: (\S+)$", "recipe/recipe.yaml": r"^context:\n  version: (\S+)$"}
+    texts = {file: (CLONE / file).read_text(encoding="utf-8") for file in places}
+    return {file: re.findall(pattern, texts[file], re.MULTILINE)[0] for file, pattern in places.items()}
+
+
+def cited_day() -> str | None:
+    """The day of release that CITATION.cff says."""
+    found = re.search(r"^date-released: (\S+)$", (CLONE / "CITATION.cff").read_text(encoding="utf-8"), re.MULTILINE)
+    return found and found[1]
 
 
 def build(out: Path) -> tuple[Path, Path]:
@@ -52,11 +60,13 @@ def build(out: Path) -> tuple[Path, Path]:
 
 
 def add_pages(out: Path, name: str, seconds: int) -> None:
-    """Build the pages anew and pack them."""
+    """Build the pages again and pack them."""
     with TemporaryDirectory() as folder:
         pages = Path(folder) / "pages"
         python("sphinx", "-W", "--keep-going", "-q", "-b", "html", "-d", Path(folder) / "read", "docs", pages)
         (pages / ".buildinfo").unlink()
+        if faults := faults_of_pages(pages, CLONE / "docs"):
+            sys.exit("\n".join(faults))
         pack(pages, out / f"{name}-docs.tar.gz", seconds)
 
 
@@ -87,31 +97,31 @@ def main() -> None:
     """Build, check, and tell what was built."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, default=CLONE / "dist")
-    out = parser.parse_args().out
+    parser.add_argument("--rehearse", action="store_true", help="Build a version that is not to be released yet, too.")
+    chosen = parser.parse_args()
+    out = chosen.out
     if changed := git("status", "--porcelain"):
         sys.exit(f"release: no commit holds these, so nobody could build this again; commit or stash them:\n{changed}")
-    tag = git("tag", "--points-at", "HEAD", "--list", "v*").partition("\n")[0]
-    try:
-        notes = words_of_this_version(tag)
-    except ValueError as error:
-        sys.exit(f"release: {error}")
-    # Whoever builds this commit again gets these bytes.
+    version, changelog = version_of_source(), (CLONE / "CHANGELOG.md").read_text(encoding="utf-8")
+    steps = lacks(version, said_versions(), changelog, cited_day())
+    missing = f"release: {version} is not to be released yet: {'; '.join(steps)}" if steps else ""
+    if missing and not chosen.rehearse:
+        sys.exit(missing)
+    # Anyone who builds this commit again gets these bytes.
     seconds = int(git("log", "-1", "--format=%ct"))
     os.environ["SOURCE_DATE_EPOCH"] = str(seconds)
     shutil.rmtree(out, ignore_errors=True)
     wheel, sdist = build(out)
     name = sdist.name.removesuffix(".tar.gz")
-    if tag and name != f"halfseen-{tag.removeprefix('v')}":
-        sys.exit(f"release: the tag is {tag}, and {sdist.name} was built; name the tag vMAJOR.MINOR.PATCH")
     add_pages(out, name, seconds)
-    (out / "RELEASE_NOTES.md").write_text(notes + "\n", encoding="utf-8")
+    (out / "RELEASE_NOTES.md").write_text(notes_of(version, changelog) + "\n", encoding="utf-8")
     refuse_faults(out)
     add_bill(out, wheel, name)
     refuse_faults(out)
     (out / "SHA256SUMS").write_text(sums(out), encoding="utf-8")
     print((out / "SHA256SUMS").read_text(encoding="utf-8"), end="")
-    if not tag:
-        print("release: HEAD has no tag, so this is no release; `git tag -a v0.1.0` names one")
+    if missing:
+        print(missing)
 
 
 if __name__ == "__main__":

@@ -1,12 +1,15 @@
 """What sdist, wheel and pages hold, and no more: no tests, nothing large, nothing of the machine that made them."""
 
 import gzip
+import html
 import io
+import re
 import socket
 import tarfile
 import zipfile
 from collections.abc import Iterator
 from pathlib import Path
+from urllib.parse import unquote, urlsplit
 
 from release.every_verb import CLONE
 
@@ -25,6 +28,9 @@ BESIDE = {
 """Files of the sdist beside the package."""
 LARGEST_MB = 4.0
 """The largest file of the package is a log of 3 MB, from which the shipped law was fitted."""
+
+
+_LINK = re.compile(r'\s(?:href|src)="(?!https?:|mailto:|data:|#)([^"]+)"')
 
 
 def members(archive: Path) -> Iterator[tuple[str, bytes]]:
@@ -51,6 +57,18 @@ def faults_of(archive: Path) -> list[str]:
     return faults
 
 
+def faults_of_pages(pages: Path, docs: Path) -> list[str]:
+    """Say which page of the documentation was not built, and which link or picture of a page leads nowhere."""
+    sources = [path.relative_to(docs).with_suffix(".html") for path in docs.glob("**/*.md")]
+    faults = [f"pages: {page} was not built" for page in sorted(sources) if not (pages / page).is_file()]
+    for page in sorted(pages.glob("**/*.html")):
+        for link in sorted(set(_LINK.findall(page.read_text(encoding="utf-8")))):
+            place = unquote(urlsplit(html.unescape(link)).path)
+            if place and not (page.parent / place).exists():
+                faults.append(f"pages: {page.relative_to(pages)} leads to {place}, which is not there")
+    return faults
+
+
 def of_this_machine(content: bytes) -> list[str]:
     """Names of this machine, and of places on it, that are told in a content."""
     words = {str(CLONE), f"{Path.home()}/", socket.gethostname()}
@@ -68,7 +86,7 @@ def _may_hold(archive: Path, name: str) -> bool:
 
 
 def pack(folder: Path, archive: Path, seconds: int) -> None:
-    """Pack a folder so that the same files give the same bytes, whoever packs them and whenever.
+    """Pack a folder so that the same files give the same bytes, no matter who packs them or when.
 
     Parameters
     ----------

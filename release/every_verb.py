@@ -20,6 +20,7 @@ LINES = (
     f"inspect {CELL}/logs",
     f"learn {CELL}/logs --out policy --exploration try.csv",
     f"evaluate policy --logs {CELL}/later_logs",
+    f"monitor policy --logs {CELL}/later_logs",
     f"act policy {CELL}/part.json",
     f"report {CELL}/later_logs policy --out report.html",
     "export policy --onnx policy.onnx",

@@ -1,4 +1,4 @@
-"""The changelog's entry of a version: what a release says of itself."""
+"""The changelog's entry of a version, and what a version lacks before it can be released."""
 
 import datetime
 import re
@@ -21,21 +21,45 @@ def entries(changelog: str) -> dict[str, tuple[str, str]]:
 
 
 def notes_of(version: str, changelog: str) -> str:
-    """Notes of a version that is to be released.
+    """Notes of a version: its entry, or of a version in development what is unreleased."""
+    told = entries(changelog)
+    return told.get(version, told["Unreleased"])[1]
 
-    Raises
-    ------
-    ValueError
-        The changelog has no entry of this version, or one without a date or without words.
+
+def lacks(version: str, said: dict[str, str], changelog: str, cited_day: str | None) -> list[str]:
+    """Say what is to be done before a version can be released; nothing where it can be.
+
+    Parameters
+    ----------
+    version
+        What the source says, such as 0.2.0, or 0.2.0.dev0 while it is made.
+    said
+        Version by each other file that says one.
+    changelog
+        Text in the style of Keep a Changelog.
+    cited_day
+        The day that CITATION.cff says; None where it says none.
     """
-    date, text = entries(changelog).get(version, ("", ""))
+    released = version.partition(".dev")[0]
+    told = entries(changelog)
+    date, text = told.get(released, ("", ""))
+    steps = [
+        f"set {released} in {file} (it says {says})"
+        for file, says in {"src/halfseen/__init__.py": version, **said}.items()
+        if says != released
+    ]
+    if not _is_day(date) or not text:
+        steps.append(f"write `## [{released}] - YYYY-MM-DD` with words below it in CHANGELOG.md")
+    if cited_day is None or cited_day != date:
+        steps.append(f"write `date-released: {date or 'YYYY-MM-DD'}` in CITATION.cff (it says {cited_day or 'none'})")
+    if told["Unreleased"][1]:
+        steps.append(f"move the words below [Unreleased] to [{released}]")
+    return steps
+
+
+def _is_day(date: str) -> bool:
     try:
         datetime.date.fromisoformat(date)
     except ValueError:
-        text = ""
-    if not text:
-        raise ValueError(
-            f"CHANGELOG.md: there is no entry `## [{version}] - YYYY-MM-DD` with words below it; write it, commit it, "
-            "and tag that"
-        )
-    return text
+        return False
+    return True

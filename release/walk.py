@@ -2,6 +2,9 @@
 
 First without extras: each verb works, or one line says what to install, and what it says is done. Then with all of them
 the commands of the README, in its order. ``python -m release.walk [--wheel WHEEL]``; the environment is of that Python.
+
+``--newest`` (``make newest``) goes the way of the README alone, with the newest of all that is not pinned then, by each
+Python that halfseen is for and that is here.
 """
 
 import argparse
@@ -9,9 +12,11 @@ import json
 import os
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import time
+import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -30,15 +35,21 @@ class Bare:
     ----------
     folder
         Where it is made.
+    python
+        Of which Python it is.
+    pins
+        Versions that pip keeps to; None for the newest of everything.
     """
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(
+        self, folder: Path, python: str | Path = sys.executable, pins: Path | None = CLONE / "constraints.txt"
+    ) -> None:
         self.python, self._folder = folder / "bare" / "bin" / "python", folder
-        subprocess.run([sys.executable, "-m", "venv", folder / "bare"], check=True)
-        # Pins are those of the clone; nothing else of the clone, of this user or of another Python comes in.
+        subprocess.run([python, "-m", "venv", folder / "bare"], check=True)
+        # Nothing of the clone but its pins, of this user or of another Python comes in.
         mine = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "HALFSEEN_"))}
         self._env = mine | {"PATH": f"{self.python.parent}{os.pathsep}{os.environ['PATH']}"}
-        self._for_pip = self._env | {"PIP_CONSTRAINT": str(CLONE / "constraints.txt")}
+        self._for_pip = self._env if pins is None else self._env | {"PIP_CONSTRAINT": str(pins)}
         self._for_halfseen = self._env | {
             "XDG_CACHE_HOME": str(folder / "cache"),
             "MINARI_DATASETS_PATH": str(folder / "minari"),
@@ -107,24 +118,55 @@ def walk(bare: Bare, wheel: Path) -> None:
     refused = next(told for told in ended if told.line.startswith("look"))
     bare.as_told(HINT.findall(refused.err)[0])
     bare.halfseen(f"halfseen {refused.line}")
-    bare.pip("install", "--no-compile", f"{wheel}[all]")
+    walk_with(bare, wheel, "all")
+
+
+def walk_with(bare: Bare, wheel: Path, extra: str) -> None:
+    """Install the wheel with an extra, and go the way of the README."""
+    bare.pip("install", "--no-compile", f"{wheel}[{extra}]")
     bare.pip("check")
     bare.begin("trajectory")
     for line in engineers_path():
         bare.halfseen(line)
 
 
+def pythons() -> dict[str, str | None]:
+    """Path of each Python that halfseen is for, the oldest first; None where it does not run here."""
+    project = tomllib.loads((CLONE / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    names = [f"python{each.split()[-1]}" for each in project["classifiers"] if re.search(r":: 3\.\d+$", each)]
+    return {name: path if (path := shutil.which(name)) is not None and _is_run(path) else None for name in names}
+
+
+def _is_run(path: str) -> bool:
+    """Whether a Python runs: what stands for one that is not installed ends with an error."""
+    return subprocess.run([path, "-c", ""], capture_output=True, check=False).returncode == 0
+
+
+def walk_newest(wheel: Path) -> None:
+    """Go the way of the README by each Python, with the newest of everything."""
+    for name, python in pythons().items():
+        print(name if python is not None else f"{name} is not here: not tried", flush=True)
+        if python is None:
+            continue
+        with TemporaryDirectory() as folder:
+            walk_with(Bare(Path(folder), python, pins=None), wheel, "study")
+
+
 def main() -> None:
     """Walk with a wheel that is built first, unless one is given."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--wheel", type=Path)
+    parser.add_argument("--newest", action="store_true", help="Without pins, by each Python that is here.")
     chosen = parser.parse_args()
     with TemporaryDirectory() as folder:
         bare = Bare(Path(folder))
         if chosen.wheel is None:
             bare.pip("wheel", "--no-deps", "--wheel-dir", Path(folder) / "dist", CLONE)
         (wheel,) = [chosen.wheel] if chosen.wheel else Path(folder).glob("dist/*.whl")
-        walk(bare, wheel.absolute())
+        if chosen.newest:
+            walk_newest(wheel.absolute())
+        else:
+            walk(bare, wheel.absolute())
 
 
 if __name__ == "__main__":

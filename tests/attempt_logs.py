@@ -24,14 +24,8 @@ def _table(trajectory, rng, truth, num_objects, num_stages, cut_rate):
     for stage in range(1, num_stages + 2):
         for number, thing in enumerate(things):
             objects.append({"trajectory": trajectory, "stage": stage, "object": number, **_seen(thing)})
-        row = {
-            "trajectory": trajectory,
-            "stage": stage,
-            "action": "FINISH",
-            "object": None,
-            "elapsed_s": clock_s + 1.0,
-            "reward": 0.0,
-        }
+        row = {"trajectory": trajectory, "stage": stage, "action": "FINISH", "object": None}
+        row |= {"elapsed_s": clock_s + 1.0, "reward": 0.0}
         if stage <= num_stages:
             number = int(rng.integers(num_objects))
             held, attempt_s = _tried(things[number], rng, truth)
@@ -54,12 +48,9 @@ def _table(trajectory, rng, truth, num_objects, num_stages, cut_rate):
 def _thing(rng, truth):
     hidden = float(rng.uniform(0.0, 0.8)) * (rng.random() < 0.6)
     shows, is_dirty = rng.random(), bool(rng.random() < 0.5)
+    facts = {"is_lying": bool(rng.random() < 0.3), "width_m": float(rng.normal(0.075, 0.015))}
     return {
-        "facts": {
-            "is_lying": bool(rng.random() < 0.3),
-            "width_m": float(rng.normal(0.075, 0.015)),
-            "room_m": float(rng.uniform(0.0, 0.1)),
-        },
+        "facts": facts | {"room_m": float(rng.uniform(0.0, 0.1))},
         "offset": np.exp(truth[-1]) * rng.normal(),
         "occlusion": hidden,
         "is_dirty": is_dirty,

@@ -1,6 +1,7 @@
 """Bags written with rosbags from messages of standard types, and MCAP written with its own library in any encoding."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -87,6 +88,9 @@ def write_bag_of_ros_1(path: Path, messages) -> Path:
         for seconds, topic, kind, message in messages:
             if topic not in connections:
                 connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            if hasattr(message, "header"):  # that of ROS 1 is numbered
+                numbered = store.types["std_msgs/msg/Header"](0, message.header.stamp, message.header.frame_id)
+                message = replace(message, header=numbered)
             writer.write(connections[topic], int(seconds * 1e9), store.serialize_ros1(message, kind))
     return path
 

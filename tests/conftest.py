@@ -14,7 +14,7 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "few"))
 # a second thread nothing but to wait.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-LONG = ("study", "planners", "learning", "tables", "docs", "examples")
+LONG = ("benchmarks", "cell", "docs", "examples", "learning", "planners", "study", "tables")
 """Folders whose files take long: they start first, so that no process is left with one of them at the end."""
 
 

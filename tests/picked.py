@@ -22,6 +22,12 @@ def leaves_of(tree):
     return found
 
 
+def assert_same(one, other):
+    """All arrays and numbers of two records are equal."""
+    for left, right in zip(leaves_of(one), leaves_of(other), strict=True):
+        np.testing.assert_array_equal(left, right)
+
+
 def repeated(tree, num):
     """A batch of so many that are all alike."""
     return mapped(lambda leaf: np.repeat(np.asarray(leaf)[None], num, axis=0), tree)

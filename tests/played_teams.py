@@ -5,8 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from halfseen.arrays import record
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.rules import TeamOfRules
+from halfseen.planners.heuristics import GreedyPolicy, TeamOfRules
 from halfseen.world import ExploringPolicy, Scene, Workspace, WorldConfig, random
 from halfseen.world.actions import FINISH, ActionSpace, Verb, possible_actions
 from halfseen.world.cuts import cut, cut_rate
@@ -26,10 +25,10 @@ class SureGrasping:
 
     limit_s: float = 10.0
 
-    def draw_trait(self, num_objects, key):
+    def draw_latent(self, num_objects, key):
         return None
 
-    def attempt(self, arrangement, trait, verb, target, key):
+    def attempt(self, arrangement, latent, verb, target, key):
         seconds = 1.0 + 2.0 * np.asarray(target, dtype=np.float32)
         return Attempt(np.ones(target.shape, dtype=bool), seconds, arrangement.hides, None)
 

@@ -8,6 +8,17 @@ from halfseen.logs import Logs
 HIDES = np.array([[0.0, 0.4], [0.1, 0.0]])
 
 
+def log_of(ends=None, objects=None, **columns):
+    """A log by columns of its stages; a trajectory whose last one has no clock was cut, unless `ends` say otherwise."""
+    own = {"trajectory": 1, "stage": 1, "elapsed_s": 1.0, "action": "A", "reward": 1.0}
+    stages = pd.DataFrame(own | columns)
+    stages["reward"] = stages["reward"].where(stages["elapsed_s"].notna())
+    last = stages.drop_duplicates("trajectory", keep="last")
+    ending = np.where(last["elapsed_s"].isna(), "cut", "finished")
+    known = {"trajectory": last["trajectory"], "end_s": last["elapsed_s"], "ending": ending}
+    return Logs(stages, pd.DataFrame(known | (ends or {})), objects)
+
+
 def flat_log(num_trajectories=40, horizon=2, seed=0, cut_after_s=6.0):
     """Actions A and B at stage 1, A and C at stage 2; one covariate in words."""
     rng = np.random.default_rng(seed)
@@ -46,23 +57,12 @@ def _table_trajectory(trajectory, horizon, num_objects, hides, rng):
     for stage in range(1, horizon + 1):
         occluded = 1.0 - np.prod(np.where(there, 1.0 - hides, 1.0), axis=1)
         for k in range(num_objects):
-            where, (shares, outcomes) = (
-                "TABLE" if there[k] else "DISHWASHER",
-                zip(*tried[k], strict=True) if tried[k] else ((), ()),
-            )
-            seen = {"location": where, "occlusion": occluded[k], "log_odds": log_odds[k]}
-            counts = {"successes": sum(outcomes), "failures": len(outcomes) - sum(outcomes), "lifts": lifts[k]}
-            past = {"attempt_occlusions": list(shares), "attempt_succeeded": list(outcomes)}
-            row = {
-                "trajectory": trajectory,
-                "stage": stage,
-                "object": k,
-                **seen,
-                **counts,
-                "hidden_by": hides[k].tolist(),
-                **past,
-            }
-            objects.append(row)
+            shares, outcomes = ([each[part] for each in tried[k]] for part in (0, 1))
+            where = "TABLE" if there[k] else "DISHWASHER"
+            row = {"trajectory": trajectory, "stage": stage, "object": k, "location": where, "occlusion": occluded[k]}
+            row |= {"log_odds": log_odds[k], "successes": sum(outcomes), "failures": len(outcomes) - sum(outcomes)}
+            row |= {"lifts": lifts[k], "hidden_by": hides[k].tolist()}
+            objects.append(row | {"attempt_occlusions": shares, "attempt_succeeded": outcomes})
         verb = rng.choice(["WASH", "LIFT", "FINISH"], p=[0.55, 0.35, 0.1])
         target = int(rng.choice(np.flatnonzero(there)))
         clock += rng.uniform(1.0, 6.0)

@@ -1,42 +1,53 @@
-"""No reader of a user's file hangs on a pipe, reads what is too large or too deep, or tells it in many lines."""
+"""No reader of a user's file hangs on a pipe, reads what is too large, too deep or torn, or tells it in many lines."""
 
 import json
 import os
+import re
 import shutil
+import sqlite3
+from contextlib import closing
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.feather
 import pyarrow.parquet as pq
 import pytest
 
-from foreign import episodes, write_lerobot
+from bags import WITHOUT_CLOUD, mapping_for, mixed, two_trajectories, write_bag, write_mcap
+from event_files import write_events
+from foreign import arrays, episodes, rows_of, write_arrays, write_lerobot, write_rows
 from halfseen.cell.calibration.law_folder import read_law
 from halfseen.errors import HalfseenError
 from halfseen.logs import LogStream, read_logs
+from halfseen.logs.folder import bytes_of_texts, chunks_of
 from halfseen.logs.formats import (
-    MAPPING_TEMPLATE,
     Queries,
+    StepRules,
     read_bag,
     read_csv,
+    read_event_mapping,
+    read_event_table,
     read_lerobot,
     read_mapping,
+    read_minari,
     read_queries,
     read_sql,
     read_step_arrays,
     read_steps,
     write_csv,
+    write_minari,
 )
-from halfseen.logs.parquet import bytes_of_texts, chunks_of
 from halfseen.perception import read_cloud
 from halfseen.perception.label_files import read_labels
 from halfseen.policies import read_policy
 from halfseen.policies.rule_table import read_rule_table
-from halfseen.study.store import Store
+from halfseen.study.runner import Store
 from halfseen.view.recording import read_recording
 from halfseen.world import read_team
 from small_logs import flat_log
 
+pytestmark = pytest.mark.filterwarnings("ignore::UserWarning:minari.utils")
 DEEP = "[" * 100_000
 
 
@@ -60,9 +71,28 @@ def lerobot(file):
     return read_lerobot(next(folder for folder in file.parents if folder.name == "lerobot"))
 
 
+def steps(file):
+    return read_steps(file, StepRules(step_s=1.0))
+
+
 def mcap(file):
-    (file.parent / "cell.toml").write_text(MAPPING_TEMPLATE)
-    return read_bag(file, file.parent / "cell.toml")
+    return read_bag(file, file.parent / "mixed.toml")
+
+
+def ros(file):
+    return read_bag(file, file.parents[1] / "cell.toml")
+
+
+def folder_of_ros(file):
+    return read_bag(file.parent, file.parents[1] / "cell.toml")
+
+
+def events(file):
+    return read_event_table(file, file.parent / "events.toml")
+
+
+def minari(file):
+    return read_minari(file.parents[1])
 
 
 def database(file):
@@ -92,13 +122,14 @@ READERS = {
     "lerobot/meta/info.json": lerobot,
     "lerobot/meta/episodes/chunk-000/file-000.parquet": lerobot,
     "lerobot/data/chunk-000/file-000.parquet": lerobot,
-    "steps.parquet": read_steps,
-    "steps.csv": read_steps,
-    "steps.feather": read_steps,
+    **{f"steps.{kind}": steps for kind in ("parquet", "csv", "feather", "arrow")},
     "steps.hdf5": read_step_arrays,
     "cell.mcap": mcap,
     "cell.db": database,
     "queries.toml": read_queries,
+    "events.csv": events,
+    "events.parquet": events,
+    "events.toml": read_event_mapping,
 }
 
 
@@ -110,6 +141,21 @@ def whole(tmp_path_factory):
     write_csv(flat_log(), folder / "csv")
     (folder / "lerobot").mkdir()
     write_lerobot(folder / "lerobot", episodes())
+    for kind in ("parquet", "csv", "feather", "arrow"):
+        write_rows(folder / "steps", rows_of(episodes(), [True] * 3), kind)
+    write_arrays(folder / "steps.hdf5", arrays(episodes(), terminated=[0, 1, 2]))
+    (folder / "cell.toml").write_text(WITHOUT_CLOUD)
+    (folder / "mixed.toml").write_text(mapping_for(mixed))
+    write_mcap(folder / "cell.mcap", two_trajectories() * 3, mixed)
+    write_bag(folder / "db3", two_trajectories() * 5, "sqlite3")
+    write_bag(folder / "chunks", two_trajectories() * 5, "mcap")
+    with closing(sqlite3.connect(folder / "cell.db")) as connection:
+        for name in ("stages", "trajectories"):
+            flat_log(8).tables[name].to_sql(name, connection, index=False)
+    write_events(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("MINARI_DATASETS_PATH", str(folder))
+        write_minari(flat_log(6), "flat-v0")
     return folder
 
 
@@ -146,6 +192,53 @@ def test_what_is_too_large_is_refused_unread(place, name):
     assert any(word in refused(READERS[name], place / name) for word in ("65,000 MB", "missing"))
 
 
+NO_BAG, MINARI = "it is no whole bag .*ros2 bag reindex", "flat-v0/data/main_data.hdf5"
+NO_DATABASE = (
+    r"cell\.db: trajectories, row 0: trajectory is null"
+    r"|cell\.db, stages: the database refuses .*(malformed|disk image|no such)"
+)
+TORN = [
+    *((f"steps.{kind}", steps, "steps") for kind in ("parquet", "csv", "feather", "arrow")),
+    ("steps.hdf5", read_step_arrays, r"steps\.hdf5: it is no whole HDF5 file of steps"),
+    *((name, read, NO_BAG) for name in ("db3/db3.db3", "chunks/chunks.mcap") for read in (ros, folder_of_ros)),
+    ("cell.mcap", mcap, "it is no whole bag"),
+    (MINARI, minari, "flat-v0: "),
+    ("cell.db", database, NO_DATABASE),
+    ("events.parquet", events, r"events\.parquet: it is no whole table"),
+]
+"""File, what reads it, and what is said where it broke off."""
+
+
+@pytest.mark.parametrize(("name", "read", "told"), TORN)
+def test_a_file_that_breaks_off_is_refused(place, name, read, told):
+    file = place / name
+    content = file.read_bytes()
+    for share in (0.0, 0.05, 0.1, 0.3, 0.5, 0.6, 0.9, 0.99):
+        file.write_bytes(content[: int(share * len(content))])
+        assert re.search(told, refused(read, file))
+    file.unlink()
+    refused(read, file)
+
+
+@pytest.mark.parametrize(
+    ("name", "read", "extra"),
+    [
+        ("steps.hdf5", read_step_arrays, "hdf5"),
+        ("db3/db3.db3", folder_of_ros, "ros"),
+        ("cell.mcap", mcap, "mcap"),
+        ("cell.db", database, "sql"),
+        (MINARI, minari, "minari"),
+        (MINARI, lambda file: write_minari(flat_log(6), "other-v0"), "minari"),
+    ],
+)
+def test_without_its_library_the_remedy_is_named(place, monkeypatch, name, read, extra):
+    def missing(module):
+        raise ModuleNotFoundError(f"No module named {module!r}")
+
+    monkeypatch.setattr("halfseen.installation.import_module", missing)
+    assert re.search(rf"run: .*pip install .*\[{extra}\]'", refused(read, place / name))
+
+
 @pytest.mark.parametrize("name", [name for name in READERS if name.endswith((".json", ".toml"))])
 def test_what_is_too_deep_or_no_text_is_refused(place, name):
     for content in (DEEP, "a = " + DEEP, b"\xff\xfe\x00", "1e999", "9" * 5000):
@@ -153,18 +246,30 @@ def test_what_is_too_deep_or_no_text_is_refused(place, name):
         refused(READERS[name], place / name)
 
 
-def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place, monkeypatch):
+@pytest.mark.parametrize(
+    ("name", "compression", "read"),
+    [
+        ("logs/stages.parquet", "snappy", of_folder(read_logs)),
+        ("logs/stages.parquet", "snappy", of_folder(lambda folder: list(LogStream(folder)))),
+        ("steps.parquet", "zstd", steps),
+        ("steps.feather", "zstd", steps),
+        ("steps.feather", "lz4", steps),
+    ],
+)
+def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place, monkeypatch, name, compression, read):
     monkeypatch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**5)
-    file = place / "logs" / "stages.parquet"
     table = pa.table({"trajectory": np.zeros(10**6, np.int64), "stage": np.zeros(10**6, np.int64)})
-    pq.write_table(table, file)
-    assert "unpacked, it has 16 MB" in refused(read_logs, place / "logs")
-    assert "unpacked, it has 16 MB" in refused(lambda folder: list(LogStream(folder)), place / "logs")
+    if name.endswith("feather"):
+        pyarrow.feather.write_feather(table, place / name, compression=compression, chunksize=10**6)
+    else:
+        pq.write_table(table, place / name, compression=compression)
+    monkeypatch.setattr("pyarrow.ipc.open_file", None)
+    assert "unpacked, it has 16 MB" in refused(read, place / name)
 
 
 @pytest.mark.parametrize("nested", [False, True])
 def test_a_text_that_is_stored_once_counts_in_every_row(place, monkeypatch, nested):
-    monkeypatch.setattr("halfseen.logs.parquet.ALWAYS_UNPACKED", 10**5)
+    monkeypatch.setattr("halfseen.logs.folder.ALWAYS_UNPACKED", 10**5)
     file = place / "texts.parquet"
     texts = pa.DictionaryArray.from_arrays(pa.array([0, 1, None] * 1000), ["n" * 700, "m" * 50])
     plain = texts.cast(pa.string())

@@ -1,7 +1,10 @@
-"""What an import loads: nothing that a verb which does not need it would wait for."""
+"""What an import loads: nothing that a verb which does not need it would wait for. Examples of docstrings run."""
 
+import doctest
+import importlib
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -61,3 +64,15 @@ def test_gymnasium_knows_the_tables_and_loads_no_jax_to_make_one(first, env_ids)
     made = f"[gymnasium.make(name).spec.id for name in {env_ids}]"
     told = run(f"import sys\n{first}\nprint(*{made}, 'jax' in sys.modules)", check=True).stdout.split()
     assert told == [*(name.split(":")[-1] for name in env_ids), "False"]
+
+
+SOURCE = Path(__file__).parent.parent / "src"
+FILES = sorted(path for path in SOURCE.rglob("*.py") if ">>> " in path.read_text(encoding="utf-8"))
+MODULES = [".".join(path.relative_to(SOURCE).with_suffix("").parts).removesuffix(".__init__") for path in FILES]
+
+
+@pytest.mark.parametrize("name", MODULES)
+def test_examples_in_docstrings_run(name):
+    found = doctest.testmod(importlib.import_module(name))
+    assert found.attempted > 0
+    assert found.failed == 0

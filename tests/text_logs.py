@@ -23,18 +23,12 @@ def text_log(num_trajectories=60, seed=0, colours=COLOURS, **columns):
             clock += rng.uniform(0.5, 2.0)
             is_seen = clock <= cut_s
             worth = x + (1.0 if (colour == "red") == (action == "B") else -1.0)
-            row = {
-                "trajectory": trajectory,
-                "stage": stage,
-                "action": action,
-                "x": x,
-                "colour": colour,
-                "is_heavy": is_heavy,
-            }
+            begun = {"trajectory": trajectory, "stage": stage, "action": action}
+            seen = {"x": x, "colour": colour, "is_heavy": is_heavy}
             made = {name: make(trajectory, stage) for name, make in columns.items()}
             reward = worth + 0.1 * rng.normal() if is_seen else None
-            seen = {"elapsed_s": clock if is_seen else None, "reward": reward, "probability": 0.5}
-            stages.append({**row, **made, **seen})
+            done = {"elapsed_s": clock if is_seen else None, "reward": reward, "probability": 0.5}
+            stages.append({**begun, **seen, **made, **done})
             if not is_seen:
                 break
         trajectories.append(

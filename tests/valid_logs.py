@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from hypothesis import strategies as st
 
-CAUSES = ["battery", "operator", "camera"]
+CAUSES, DONE = ["battery", "operator", "camera"], ("elapsed_s", "reward")
 
 
 def small_tables():
@@ -53,39 +53,16 @@ def valid_tables(draw):
     for trajectory in (f"p{i}" for i in ids) if is_text else ids.tolist():
         is_cut = bool(rng.random() < 0.5)
         clock = np.cumsum(rng.integers(1, 4, rng.integers(1, 5)) / 2)
-        trajectories.append(
-            {
-                "trajectory": trajectory,
-                "end_s": clock[-1],
-                "ending": "cut" if is_cut else "finished",
-                "seed": rng.integers(9),
-            }
-        )
-        trajectories[-1]["cause"] = rng.choice(CAUSES) if is_cut else None
+        end = {"trajectory": trajectory, "end_s": clock[-1], "ending": "cut" if is_cut else "finished"}
+        trajectories.append(end | {"seed": rng.integers(9), "cause": rng.choice(CAUSES) if is_cut else None})
         for stage, elapsed_s in enumerate(clock, start=1):
             is_completed = not (is_cut and stage == len(clock))
-            names = rng.permutation(9)[: rng.integers(1, 4)]
-            stages.append(
-                {
-                    "trajectory": trajectory,
-                    "stage": stage,
-                    "elapsed_s": elapsed_s if is_completed else None,
-                    "action": "WASH",
-                    "object": int(names[0]) if rng.random() < 0.7 else None,
-                    "reward": rng.normal() if is_completed else None,
-                    "x": np.float32(rng.normal()),
-                    "is_held": bool(rng.random() < 0.5),
-                }
-            )
-            objects += [
-                {
-                    "trajectory": trajectory,
-                    "stage": stage,
-                    "object": int(name),
-                    "hidden_by": rng.random(rng.integers(0, 3)),
-                }
-                for name in names
-            ]
+            names, at = rng.permutation(9)[: rng.integers(1, 4)], {"trajectory": trajectory, "stage": stage}
+            target = int(names[0]) if rng.random() < 0.7 else None
+            came = {"elapsed_s": elapsed_s, "reward": rng.normal()} if is_completed else dict.fromkeys(DONE)
+            seen = {"x": np.float32(rng.normal()), "is_held": bool(rng.random() < 0.5)}
+            stages.append({**at, "action": "WASH", "object": target, **came, **seen})
+            objects += [{**at, "object": int(name), "hidden_by": rng.random(rng.integers(0, 3))} for name in names]
     frames = (pd.DataFrame(rows).sample(frac=1.0, random_state=1) for rows in (stages, trajectories, objects))
     tables = dict(zip(("stages", "trajectories", "objects"), frames, strict=True))
     if draw(st.booleans()):

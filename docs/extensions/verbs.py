@@ -89,7 +89,7 @@ def text(lines: list[str]) -> str:
 
 
 def write(app: Sphinx) -> None:
-    """Write all pages anew; one that did not change keeps its time, so that Sphinx need not read it again."""
+    """Write all pages again; one that did not change keeps its time, so that Sphinx need not read it again."""
     folder, made = Path(app.srcdir) / FOLDER, {f"{name}.rst": page for name, page in pages().items()}
     folder.mkdir(parents=True, exist_ok=True)
     for file in folder.iterdir():

@@ -1,6 +1,6 @@
 """The pictures of README and docs: what each is drawn from, how, and whether it is stale.
 
-`make pictures` draws all of them, `make pictures ONLY=name` one, and `make pictures ONLY=name ANEW=1` computes its
+`make pictures` draws all of them, `make pictures ONLY=name` one, and `make pictures ONLY=name REMAKE=1` computes its
 numbers first. What takes long to compute is kept as a small table in `numbers/`, which the picture is drawn from; a
 slow test computes a part of the table again.
 

@@ -42,11 +42,11 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     from halfseen.cell.film import Film
     from halfseen.cli.cell_policies import belief_of, policy_of, team_policy_of
     from halfseen.cli.inputs import robot_for, stations_for
-    from halfseen.cli.options import SHIPPED
+    from halfseen.cli.options import SHIPPED, Arm
     from halfseen.logs import LogRecorder
 
     table, rows, taken = 0, [], Film()
-    robot, arm_name = robot_for(None, None, None)
+    robot, arm_name = robot_for(Arm(None, None, None))
     belief, stations = belief_of(SHIPPED, arm_name), stations_for(num_arms, None)
     cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
 

@@ -26,7 +26,7 @@ class Bar(NamedTuple):
 
 
 def bars() -> list[Bar]:
-    """Give pieces to whoever is free first."""
+    """Give pieces to anyone who is free first."""
     free_s, waiting, found = [0.0] * NUM_WORKERS, list(range(len(LENGTHS_S))), []
     while waiting:
         worker = min(range(NUM_WORKERS), key=lambda each: free_s[each])

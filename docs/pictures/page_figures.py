@@ -75,7 +75,7 @@ def draw_calibration() -> Figure:
     made, axes = panel(2.9, "the log that Q was learned from", "share that was best")
     places = np.arange(len(rows))
     axes.bar(places - 0.2, near, 0.38, color=SKY, label="said to be best with about 0.9")
-    axes.bar(places + 0.2, sure, 0.38, color=BLUE, label="with 0.98 or more")
+    axes.bar(places + 0.2, sure, 0.38, color=BLUE, label="with 0.95 or more")
     axes.axhline(0.9, color=INK, ls="--", lw=1.0)
     axes.set_xticks(places, [name.replace(" trajectories", "\ntrajectories") for name in names])
     axes.set_ylim(0.0, 1.04)

@@ -1,5 +1,6 @@
 """All pictures that README and docs show."""
 
+from pictures.comparison import COMPARISON
 from pictures.decision import DECISION
 from pictures.examples import EXAMPLES
 from pictures.films import FILMS, WATCHED
@@ -9,6 +10,7 @@ from pictures.log_figures import PICTURES as OF_LOGS
 from pictures.lost_worker import LOST_WORKER
 from pictures.medians import MEDIANS
 from pictures.memory import MEMORY
+from pictures.monitor import MONITOR
 from pictures.page_figures import PICTURES as OF_PAGES
 from pictures.pick_cell_learners import PICK_CELL_LEARNERS
 from pictures.report_values import REPORT_VALUES
@@ -26,4 +28,6 @@ PICTURES = (
     *(DECISION, TREATMENTS, MEDIANS, INTERVALS, TWO_PLANNERS, MEMORY, PICK_CELL_LEARNERS, REPORT_VALUES, TIGER),
     LOST_WORKER,
     WRONG_LAWS,
+    COMPARISON,
+    MONITOR,
 )

@@ -29,6 +29,7 @@ PASSED_OVER = {
     "errors",
     "progress",
     "suggestions",
+    "text_table",
 }
 """Layers of the package that data does not pass: what all of it stands on."""
 HEADING = "The folders are the way that data takes;", "imports point back along it"
@@ -60,7 +61,13 @@ BOXES = (
     Box("tables", "a Task", "the task of tables: features, grasp models, reasons", "a feature, a grasp model", 2),
     Box("planners", "policies", "heuristics, rollouts, exact optimum", "a planner, a baseline", 2),
     Box("policies", "decisions", "the port: decide(observation) → Decision; folders", "a kind of policy", 3),
-    Box("evaluation", "a verdict", "what a policy is worth, from logs of another", "an estimator of value", 3),
+    Box(
+        "evaluation, monitoring",
+        "a verdict",
+        "what a policy is worth, from logs of another; in service",
+        "an estimator of value",
+        3,
+    ),
     Box("study, view", "figures", "experiments; report of a log; runs in 3-D", "a figure, an experiment", 3),
     Box("serving, cli", "what you read", "decisions over HTTP; one file a verb: parses, prints", "a command", 3),
 )

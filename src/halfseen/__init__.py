@@ -5,15 +5,6 @@ The folders are the way that data takes: ``scene`` → ``perception`` → ``worl
 Importing this package loads none of them; it only tells Gymnasium, where that is installed, of ``halfseen/Cups-v0``.
 """
 
-from typing import Any
-
 import halfseen.gym_registration  # noqa: F401
 
-
-def __getattr__(name: str) -> Any:
-    # To look the version up takes longer than all else here.
-    if name == "__version__":
-        from halfseen.installation import version
-
-        return version()
-    raise AttributeError(f"module 'halfseen' has no attribute {name!r}")
+__version__ = "0.1.0.dev0"

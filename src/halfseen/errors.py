@@ -5,8 +5,10 @@
     HalfseenError              everything below; the command line prints it in one line and exits with status 2
     ├── CloudError             a point cloud that cannot be read, or that shows no table
     ├── LogError               a log that breaks an invariant; names the trajectory and the stage
+    │   └── NothingRecordedError  a log that is being recorded holds no stage so far
     ├── PlanError              a robot cannot do what it is asked to: out of reach, or something is in the way
     ├── PolicyError            a policy folder that cannot be read, or a policy that does not fit what it is shown
+    │   └── OutOfRangeError    a state beyond what the logs of the policy showed
     ├── PositivityError        a weight that the data do not identify; names the trajectory, the stage and the time
     ├── SceneError             a scene whose numbers contradict one another
     ├── WorkerError            who should make the work cannot: nobody at the address, other versions, no memory
@@ -15,6 +17,7 @@
 Every message says what is wrong, where, the value, and the remedy. Warnings are `HalfseenWarning`.
 """
 
+import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -31,12 +34,20 @@ class LogError(HalfseenError):
     """A log breaks an invariant."""
 
 
+class NothingRecordedError(LogError):
+    """A log that is being recorded holds no stage so far."""
+
+
 class PlanError(HalfseenError):
     """A robot cannot do what it is asked to."""
 
 
 class PolicyError(HalfseenError):
     """A policy folder cannot be read, or the policy does not fit what it is shown."""
+
+
+class OutOfRangeError(PolicyError):
+    """A state lies beyond what the logs of a policy showed."""
 
 
 class PositivityError(HalfseenError):
@@ -66,3 +77,13 @@ def within(source: object) -> Iterator[None]:
         yield
     except HalfseenError as error:
         raise type(error)(f"{source}: {error}") from error
+
+
+@contextmanager
+def noted() -> Iterator[list[str]]:
+    """Keep the warnings that are meant for users, and show none; the list holds them at the end of the block."""
+    notes: list[str] = []
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", HalfseenWarning)
+        yield notes
+    notes += [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]

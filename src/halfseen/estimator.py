@@ -45,12 +45,12 @@ class Estimator:
         return type(self)(**self.get_params())
 
     def __repr__(self) -> str:
-        told = [
+        parameters = [
             f"{name}={getattr(self, name)!r}"
             for name, default in self._defaults().items()
             if repr(getattr(self, name)) != repr(default)
         ]
-        return f"{type(self).__name__}({', '.join(told)})"
+        return f"{type(self).__name__}({', '.join(parameters)})"
 
     def __sklearn_tags__(self) -> Any:
         """What scikit-learn asks of an estimator, if it is there to ask."""

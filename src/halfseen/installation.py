@@ -1,22 +1,14 @@
-"""How this halfseen was installed: its version, and what adds an extra to it."""
+"""How this halfseen was installed, and what adds an extra to it."""
 
 import json
 import shlex
 import shutil
 import sys
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
+from types import ModuleType
 
-UNKNOWN = "0.0.0.dev0"
-"""Version where nobody knows it: a source folder that runs without having been installed."""
-
-
-def version() -> str:
-    """Version of what is installed; a clone has that of the commit from which it was installed."""
-    try:
-        return metadata.version("halfseen")
-    except metadata.PackageNotFoundError:
-        return UNKNOWN
+from halfseen.errors import ArgumentError
 
 
 def command_for(extra: str) -> str:
@@ -38,6 +30,20 @@ def command_for(extra: str) -> str:
     return f"{_pip()} install {'' if clone is None else '-e '}{what}"
 
 
+def extra(module: str, name: str) -> ModuleType:
+    """Import a module of the optional library that halfseen's extra of a name brings.
+
+    Raises
+    ------
+    ArgumentError
+        It is not installed.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise ArgumentError(f"{module} cannot be imported ({error}); run: {command_for(name)}") from error
+
+
 def _pip() -> str:
     """Name the pip that installs for this Python."""
     found = shutil.which("pip")
@@ -48,11 +54,11 @@ def _pip() -> str:
 def _clone() -> Path | None:
     """Folder of the clone that runs here; None for a wheel."""
     try:
-        told = metadata.distribution("halfseen").read_text("direct_url.json")
+        record = metadata.distribution("halfseen").read_text("direct_url.json")
     except metadata.PackageNotFoundError:
         folder = Path(__file__).parents[2]
         return folder if (folder / "pyproject.toml").is_file() else None
-    origin = json.loads(told or "{}")
+    origin = json.loads(record or "{}")
     if not origin.get("dir_info", {}).get("editable"):
         return None
     # It loads all of HTTP, which nobody who is not told what to install need wait for.

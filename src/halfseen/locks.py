@@ -1,7 +1,7 @@
 """Locks of files, which the kernel gives back when their process ends, however it ends.
 
 On Windows a lock keeps others from reading what is locked, and is never shared: there a byte far behind the end stands
-for the file, and whoever asks for a shared lock holds it alone.
+for the file, and anyone who asks for a shared lock holds it alone.
 """
 
 import os

@@ -1,7 +1,7 @@
 """How far long work has come: a bar with the time left on a terminal; elsewhere a line a minute, or nothing.
 
 All of it goes to stderr, so that results are the same bytes whatever is shown. The command line says by `telling` what
-is to be shown where there is no terminal; whoever calls the library sees bars on a terminal, and nothing elsewhere.
+is to be shown where there is no terminal; anyone who calls the library sees bars on a terminal, and nothing elsewhere.
 """
 
 import sys
@@ -168,7 +168,7 @@ def time_left_s(total: float | int, marks_s: list[float], marks: list[float], no
 
 
 def in_words(time_s: float) -> str:
-    """Write a time [s] as whoever waits wants to know it."""
+    """Write a time [s] as anyone who waits wants to know it."""
     if time_s < 60:
         return f"{time_s:.0f} s"
     minutes = round(time_s / 60)

@@ -12,7 +12,8 @@ import stat
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Callable, Collection, Iterable
+from collections.abc import Callable, Collection, Iterable, Iterator
+from contextlib import contextmanager
 from errno import EFBIG, EINVAL
 from io import BufferedReader, TextIOWrapper
 from math import isfinite, prod
@@ -20,6 +21,8 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
+
+from halfseen.errors import HalfseenError, LogError
 
 LARGEST_MB = "HALFSEEN_LARGEST_MB"
 """Environment variable that overrides every bound below [MB]."""
@@ -105,8 +108,8 @@ def read_bytes(path: Path, most_bytes: int = WORDS) -> bytes:
 
 
 def read_text(path: Path, most_bytes: int = WORDS) -> str:
-    """Read a regular file of UTF-8; the errors are those of `check_file`, and UnicodeDecodeError."""
-    return read_bytes(path, most_bytes).decode("utf-8")
+    """Read a regular file of UTF-8, marked or not; the errors are those of `check_file`, and UnicodeDecodeError."""
+    return read_bytes(path, most_bytes).decode("utf-8-sig")
 
 
 def json_of(text: str | bytes) -> Any:
@@ -219,21 +222,46 @@ def reason_of(error: Exception) -> str:
     error
         What was raised, here or by another's library.
     """
-    told = getattr(error, "strerror", None) or str(error)
-    line = (told.splitlines() or [type(error).__name__])[0][:200]
+    words = getattr(error, "strerror", None) or str(error)
+    line = (words.splitlines() or [type(error).__name__])[0][:200]
     if isinstance(error, KeyError) and " " not in line:
         return f"it lacks {line}"
     return "its parts do not fit together" if _OF_PROGRAMMERS.search(line) else line
 
 
-def _checked(told: os.stat_result, path: Path, most_bytes: int) -> int:
-    if not stat.S_ISREG(told.st_mode):
-        kind = next((kind for is_kind, kind in _KINDS if is_kind(told.st_mode)), "something else")
+@contextmanager
+def refused(
+    place: object,
+    trouble: str,
+    remedy: str,
+    missing: str | None = None,
+    passed: tuple[type[Exception], ...] = (HalfseenError, MemoryError),
+) -> Iterator[None]:
+    """Refuse what a library cannot read: with a broken file it raises nearly anything.
+
+    Raises
+    ------
+    LogError
+        Anything was raised but what is `passed`; `missing` is said of a file that is not there.
+    """
+    try:
+        yield
+    except passed:
+        raise
+    except Exception as error:
+        if missing is not None and isinstance(error, FileNotFoundError):
+            raise LogError(f"{place}: {missing}") from error
+        raise LogError(f"{place}: {trouble} ({reason_of(error)}); {remedy}") from error
+
+
+def _checked(status: os.stat_result, path: Path, most_bytes: int) -> int:
+    if not stat.S_ISREG(status.st_mode):
+        kind = next((kind for is_kind, kind in _KINDS if is_kind(status.st_mode)), "something else")
         link = f", where the link leads ({os.path.realpath(path)})" if path.is_symlink() else ""
         raise OSError(EINVAL, f"it is {kind} and no file{link}; give a file", str(path))
-    if told.st_size > _most(most_bytes):
-        raise OSError(EFBIG, _too_large(told.st_size, most_bytes), str(path))
-    return told.st_size
+    if status.st_size > _most(most_bytes):
+        raise OSError(EFBIG, _too_large(status.st_size, most_bytes), str(path))
+    return status.st_size
 
 
 def _array(archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> np.ndarray:

@@ -1,7 +1,6 @@
 """Laws from attempts and labels, and shares that held: beside naive likelihoods, and beside the truth of the data."""
 
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -20,8 +19,6 @@ from halfseen.cell.calibration.law import VIEWS, fit_times, found_by, intervals
 from halfseen.perception.labels import FACING_SHARE
 from halfseen.world.seeing import PersistentSeeing
 
-EXAMPLE = Path(__file__).parents[2] / "examples" / "physical_cell" / "logs"
-"""Logs of 700 tables."""
 TRUTH = np.array([2.0, -1.0, -1.5, -0.4, 0.3, np.log(0.8)])
 OFFSETS = np.linspace(-10.0, 10.0, 4001)
 """Standard normal offsets of an object, so close that the sum over them is the integral to twelve digits."""
@@ -141,8 +138,9 @@ def test_times_are_those_of_attempts_that_hold_and_that_miss_weighted_where_long
 
 def labels(*told):
     """One object's labels: hidden share, held or not, what it looked like."""
-    occlusions, held, dirty = zip(*told, strict=True)
-    return {"glance_occlusions": list(occlusions), "glance_held": list(held), "glance_dirty": list(dirty)}
+    return dict(
+        zip(("glance_occlusions", "glance_held", "glance_dirty"), map(list, zip(*told, strict=True)), strict=True)
+    )
 
 
 def test_a_label_that_shows_nothing_new_is_no_news():
@@ -202,25 +200,17 @@ def test_objects_are_counted_at_their_first_label_and_when_they_are_held():
     assert counted(pd.DataFrame(rows), seeing) == [Count(little, 1, 2), Count(facing, 1, 2), Count(1.0, 2, 2)]
 
 
-def naive_variance(held, predicted, weight, tables):
-    share = np.average(held, weights=weight) - np.average(predicted, weights=weight)
-    names = sorted(set(tables))
-    total = sum(
-        sum(weight[k] * (held[k] - predicted[k] - share) for k in range(len(held)) if tables[k] == name) ** 2
-        for name in names
-    )
-    return len(names) / (len(names) - 1) * total / sum(weight) ** 2
-
-
 def test_a_share_has_the_interval_of_as_many_attempts_as_its_tables_allow():
     rng = np.random.default_rng(1)
     tables = rng.integers(0, 9, 80)
     held, predicted, weight = rng.random(80) < 0.5 + 0.06 * tables, rng.uniform(0.6, 0.9, 80), rng.uniform(1.0, 2.0, 80)
-    share = clustered_share(held, predicted, weight, tables)
-    mean = np.average(held, weights=weight)
-    size = mean * (1 - mean) / naive_variance(held, predicted, weight, tables)
+    mean, said = (np.average(each, weights=weight) for each in (held, predicted))
+    residuals = weight * (held - predicted - (mean - said))
+    of_tables = [sum(residuals[k] for k in range(80) if tables[k] == table) for table in range(9)]
+    size = mean * (1 - mean) / (9 / 8 * sum(each**2 for each in of_tables) / sum(weight) ** 2)
     assert size < 80
-    assert (share.held, share.predicted) == pytest.approx((mean, np.average(predicted, weights=weight)))
+    share = clustered_share(held, predicted, weight, tables)
+    assert (share.held, share.predicted) == pytest.approx((mean, said))
     assert (share.low, share.high) == pytest.approx(wilson(mean, size))
     assert (share.num_attempts, share.num_tables) == (80, 9)
 

@@ -7,12 +7,11 @@ import pytest
 from cells import CAMERA, TWO_CUPS, TWO_POSES, one_arm_cell, standing
 
 from halfseen.arrays import record
-from halfseen.cell.calibration.calibrate import LiftAtRandom
 from halfseen.cell.camera import Errors
-from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, logs_of, table_name, working_folder
+from halfseen.cell.campaign import RUN_FILE, Campaign, Conditions, LiftAtRandom, logs_of, table_name, working_folder
 from halfseen.cell.episode import NOTHING_SEEN, play
 from halfseen.cell.facts import Facts
-from halfseen.cell.live_cell import EMERGENCY_STOP, SENSOR_LOST, TIME_OUT, StoppedError, Stops
+from halfseen.cell.live_cell import Stops
 from halfseen.cell.memory import MORE_IN_VIEW, Glance, Known, Memory
 from halfseen.cell.summary import scenes_of, summarised
 from halfseen.cell.table_state import MOST_OBJECTS, Belief, no_grip, state_of
@@ -148,54 +147,35 @@ def test_a_table_that_is_believed_empty_is_finished_and_what_is_left_is_paid_for
     assert not np.asarray(states_of(logs, 10).is_on_table)[0, 1].any()
 
 
-def test_a_cup_is_lifted_and_stands_where_it_was_then_goes_into_the_rack_and_stays_forgotten():
-    cell = one_arm_cell()
+def test_a_lift_shows_what_stands_behind_and_the_cup_stands_where_it_was_then_goes_into_the_rack(numbers):
+    front, behind = numbers
+    cell = one_arm_cell(surfaces=SURFACES)
     assert len(cell.look().objects) == 2
-    front = int(np.argmin([known.seen.occlusion for known in cell.memory.objects]))
-    before = cell.cell.cup(0).position_m
+    assert front == int(np.argmin([known.seen.occlusion for known in cell.memory.objects]))
+    before, hidden = cell.cell.cup(0).position_m, cell.memory.occlusion(behind)
+    assert hidden > 2.0 * MORE_IN_VIEW
     lifted = cell.lift(front)
     assert (lifted.is_held, lifted.kind) == (True, "around")
     assert 4.0 < lifted.duration_s < 12.0
     np.testing.assert_allclose(cell.cell.cup(0).position_m, before, atol=0.01)
-    cell.look()
-    assert [known.lifts for known in cell.memory.objects] == [1 - front, front]
-    assert cell.wash(front).is_held
-    assert [cell.rack.holds(np.array(cell.cell.cup(k).position_m)) for k in range(2)] == [True, False]
-    assert len(cell.look().objects) == 1
-    behind = cell.memory.objects[1 - front]
-    assert behind.seen is not None
-    assert behind.seen.occlusion < 0.02
-    assert cell.memory.objects[front].is_gone
-
-
-def test_a_lift_shows_what_stands_behind(numbers):
-    front, behind = numbers
-    cell = one_arm_cell(surfaces=SURFACES)
-    cell.look()
-    hidden = cell.memory.occlusion(behind)
-    assert hidden > 2.0 * MORE_IN_VIEW
-    assert cell.lift(front).is_held
     assert cell.memory.objects[behind].glances == [Glance(hidden, False, False), Glance(0.0, False, False)]
     # What hides it is known as before: it stands there again.
     assert cell.memory.occlusion(behind) == hidden
-
-
-@pytest.mark.parametrize(
-    ("limit_s", "force_n", "lost_per_s", "cause"),
-    [(3.0, 1e9, 0.0, TIME_OUT), (1e9, 5.0, 0.0, EMERGENCY_STOP), (1e9, 1e9, 1.0, SENSOR_LOST)],
-)
-def test_a_cell_stops_with_its_cause(limit_s, force_n, lost_per_s, cause):
-    cell = one_arm_cell(stops=Stops(limit_s=limit_s, force_n=force_n, camera_lost_per_s=lost_per_s))
     cell.look()
-    with pytest.raises(StoppedError, match=cause):
-        cell.lift(0)
+    assert [cell.memory.objects[number].lifts for number in (front, behind)] == [1, 0]
+    assert cell.wash(front).is_held
+    assert [cell.rack.holds(np.array(cell.cell.cup(k).position_m)) for k in range(2)] == [True, False]
+    # It stays forgotten.
+    assert len(cell.look().objects) == 1
+    assert cell.memory.objects[behind].seen.occlusion < 0.02
+    assert cell.memory.objects[front].is_gone
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("grasping", ["completed", "visible-only"])
 def test_most_attempts_on_random_tables_hold_and_completed_shapes_no_less(grasping):
     held = []
-    for seed in range(60, 64):
+    for seed in range(60, 62):
         cell = Workcell(random_table(seed), np.random.default_rng(seed), grasping=grasping)
         cell.look()
         for number in range(len(cell.memory.objects)):
@@ -207,39 +187,29 @@ def test_most_attempts_on_random_tables_hold_and_completed_shapes_no_less(graspi
 
 @pytest.mark.slow
 def test_washing_until_nothing_is_left_fills_the_rack():
-    num_cups, num_racked = 0, 0
-    for seed in (70, 71):
-        table = random_table(seed)
-        cell = Workcell(table, np.random.default_rng(seed), errors=Errors())
-        for _ in range(2 * table.num_cups):
-            cell.look()
-            there = [k for k, known in enumerate(cell.memory.objects) if known.seen is not None]
-            if not there:
-                break
-            cell.wash(min(there, key=lambda k: (len(cell.memory.objects[k].failed), k)))
-        num_cups += table.num_cups
-        num_racked += sum(cell.rack.holds(np.array(cell.cell.cup(k).position_m)) for k in range(table.num_cups))
-    print(f"{num_racked} of {num_cups} cups in the rack")
-    assert num_racked >= 0.9 * num_cups
+    table = random_table(70)
+    cell = Workcell(table, np.random.default_rng(70), errors=Errors())
+    for _ in range(2 * table.num_cups):
+        cell.look()
+        there = [k for k, known in enumerate(cell.memory.objects) if known.seen is not None]
+        if not there:
+            break
+        cell.wash(min(there, key=lambda k: (len(cell.memory.objects[k].failed), k)))
+    num_racked = sum(cell.rack.holds(np.array(cell.cell.cup(k).position_m)) for k in range(table.num_cups))
+    print(f"{num_racked} of {table.num_cups} cups in the rack")
+    assert num_racked >= 0.9 * table.num_cups
 
 
-def known_object():
-    return Known(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05))
-
-
-def test_a_label_that_cannot_be_news_changes_nothing():
+def test_a_label_that_cannot_be_news_changes_nothing_and_only_looks_that_show_more_are_news():
     seeing = PersistentSeeing(0.3, (0.3, 1.0), (0.5, 0.9), (0.1, 0.2))
-    memory, odds = Memory(), []
-    memory.objects, memory.hides = [known_object()], np.zeros((1, 1))
+    known, memory, odds = Known(np.zeros(3), None, Facts(is_lying=False, width_m=0.08, room_m=0.05)), Memory(), []
+    memory.objects, memory.hides = [known], np.zeros((1, 1))
     for glances in ([Glance(0.5, False, True)], [Glance(0.5, False, True), Glance(0.2, False, True)]):
-        memory.objects[0].glances = glances
+        known.glances = glances
         state = state_of(memory, Belief(WorldConfig(seeing=seeing), no_grip), 10)
         odds.append((float(state.log_odds[0]), float(state.seen[0])))
     assert odds[0] == odds[1] == (pytest.approx(np.log(1.5) + np.log(0.25 / 0.05)), 1.0)
-
-
-def test_only_looks_that_show_more_are_news():
-    known = known_object()
+    known.glances = []
     for occlusion, says_dirty in ((0.5, False), (0.5 - 0.5 * MORE_IN_VIEW, True), (0.3, False), (0.4, True)):
         known.label(occlusion, says_dirty, is_held=False)
     assert [glance.occlusion for glance in known.glances] == [0.5, 0.3]
@@ -319,12 +289,12 @@ def test_any_number_of_processes_gives_the_same_bytes(tmp_path):
     for workers in (Workers(1), Workers(2), Workers(2, "dask")):
         folder = tmp_path / f"{workers.num}-{workers.engine}"
         with workers.ready() as pool:
-            runs = [run for _, run in campaign.runs(range(3), folder, pool)]
-        made.append((runs, logs_of(folder, range(3))))
+            runs = [run for _, run in campaign.runs(range(2), folder, pool)]
+        made.append((runs, logs_of(folder, range(2))))
     (first, logs), *others = made
     for runs, of_them in others:
         assert runs == first
         assert all(table.equals(of_them.tables[name]) for name, table in logs.tables.items())
     found = summarised(first, logs, LiftAtRandom(), config, 0)
     assert found.counts["num_cups"] == sum(run.num_cups for run in first)
-    assert found.verbs["LIFT"] <= 6
+    assert found.verbs["LIFT"] <= 4

@@ -38,7 +38,7 @@ def test_hands_are_right_handed_keep_off_the_table_and_open_no_wider_than_they_c
             assert grasp.on_table(tips_m(grasp, GRIPPER))[:, 2].min() > FLOOR_M - 1e-9
 
 
-def test_a_standing_cup_is_taken_at_its_rim_or_around_it():
+def test_a_standing_cup_is_taken_at_its_rim_or_around_it_and_a_lying_one_across_and_square_to_it():
     rim, around = grasps(STANDING, kind="rim"), grasps(STANDING, kind="around")
     assert (len(rim), len(around)) == (48, 24)
     for grasp in rim:
@@ -52,9 +52,6 @@ def test_a_standing_cup_is_taken_at_its_rim_or_around_it():
         assert grasp.opening_m == pytest.approx(2 * (rim_m + CLEARANCE_M))
         assert abs(grasp.axes[2, 1]) < 1e-9  # it closes level
     assert {grasp.kind for grasp in grasps(STANDING, NARROW)} == {"rim"}
-
-
-def test_a_lying_cup_is_taken_across_and_square_to_it():
     for grasp in grasps(LYING):
         assert grasp.kind == "across"
         assert abs(grasp.axes[:, 1] @ LYING.axis) < np.sin(0.31)
@@ -103,9 +100,7 @@ def tried(grasps, own_m=OWN, other_m=NOTHING, depth_m=9.0, **known):
 def test_a_hand_comes_only_where_nothing_that_is_seen_stands(beside_m, is_free):
     other_m = np.repeat([np.add([0.0, 0.5, 0.0], beside_m)], 5, axis=0)
     assert len(tried([TOP_DOWN], other_m=other_m)) == is_free
-
-
-def test_a_hand_does_not_dip_into_the_table_nor_into_what_it_fetches():
+    # It dips neither into the table nor into what it fetches.
     assert tried([replace(TOP_DOWN, middle_m=np.array([0.0, 0.5, 0.01]))]) == []
     assert tried([TOP_DOWN], own_m=np.repeat([[0.0, 0.5, 0.13]], 9, axis=0)) == []
 

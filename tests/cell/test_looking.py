@@ -3,7 +3,6 @@
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-from copy import deepcopy
 from dataclasses import replace
 from functools import lru_cache
 
@@ -12,7 +11,7 @@ import numpy as np
 import pytest
 from cells import CAMERA, DOWN_AXES, HOMES, LEFT, MUG, ROBOT, one_arm_cell, over, standing, two_arm_cell
 
-from halfseen.cell import Eye, LiveCell, cell_model
+from halfseen.cell import CellCamera, LiveCell, cell_model
 from halfseen.cell.camera import perceived_whole
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.memory import Memory, has_vanished
@@ -47,7 +46,7 @@ def cell(drawn):
 
 @pytest.fixture(scope="module")
 def eye(cell, drawn):
-    return Eye(cell, drawn.camera)
+    return CellCamera(cell, drawn.camera)
 
 
 def alike(one, other):
@@ -76,7 +75,7 @@ def test_as_much_is_perceived_as_without_the_robot(seed):
     table, counts = random_table(seed), []
     for robots in ([ROBOT], []):
         cell = LiveCell(cell_model(table.cups, table.world_from_cup, robots=robots), robots)
-        counts.append(len(perceive(Eye(cell, table.camera).look(np.random.default_rng(0)).cloud).objects))
+        counts.append(len(perceive(CellCamera(cell, table.camera).look(np.random.default_rng(0)).cloud).objects))
     assert counts[0] == counts[1] > 0
 
 
@@ -84,7 +83,7 @@ def test_the_same_seed_sees_the_same_and_who_knows_the_walls_sees_their_colour(c
     white, red = (238, 236, 230), (175, 60, 55)
     surfaces = [Surface(cup, red if index == 0 else white) for index, cup in enumerate(drawn.cups)]
     plain, again, coloured = (
-        each.look(np.random.default_rng(4)) for each in (eye, eye, Eye(cell, drawn.camera, surfaces=surfaces))
+        each.look(np.random.default_rng(4)) for each in (eye, eye, CellCamera(cell, drawn.camera, surfaces=surfaces))
     )
     for other in (again, coloured):
         np.testing.assert_array_equal(plain.cloud.points_m, other.cloud.points_m)
@@ -129,7 +128,7 @@ LOW = coarse(xtion_at(look_at(np.array([0.0, -0.2, TABLE_TOP_M + 0.06]), np.arra
 )
 def test_seen_as_by_rays_alone(poses, robots, camera, least):
     cell = LiveCell(cell_model([MUG] * len(poses), poses, robots), robots)
-    now, expected = Eye(cell, camera).view(), by_rays(cell, camera)
+    now, expected = CellCamera(cell, camera).view(), by_rays(cell, camera)
     same = alike(now, expected)
     assert same.mean() >= least
     np.testing.assert_allclose(now.incidence_cosine[same], expected.incidence_cosine[same], atol=1e-9)
@@ -168,21 +167,17 @@ def test_what_is_seen_past_is_lost_and_no_longer_on_the_table_unless_it_is_in_ha
     assert (gone.is_lost, gone.is_gone, gone.is_racked) == (True, True, False)
     assert [known.is_lost for known in memory.objects].count(True) == 1
     number = memory.objects.index(gone)
-    assert [row["location"] for row in rows_of(memory, BELIEF)][number] == "LOST"
+    assert rows_of(memory, BELIEF)[number]["location"] == "LOST"
     assert not np.asarray(state_of(memory, BELIEF, 10).is_on_table)[number]
+    # What comes back where it was is the same object, and elsewhere another.
+    memory = remembered(BOTH, ONE, BOTH)
+    assert [known.is_lost or known.seen is None for known in memory.objects] == [False, False]
+    memory = remembered(BOTH, ONE, ((SMALL, ASIDE), (SMALL, NEAR)))
+    assert sorted(known.is_lost for known in memory.objects) == [False, False, True]
     memory = remembered(BOTH)
     held = nearest(memory, BACK)
     memory.update(*seen(*ONE), in_hand=[held])
     assert (held.seen, held.is_lost) == (None, False)
-
-
-def test_what_comes_back_where_it_was_is_the_same_object_and_elsewhere_another():
-    memory = remembered(BOTH, ONE, BOTH)
-    assert len(memory.objects) == 2
-    assert not any(known.is_lost or known.seen is None for known in memory.objects)
-    memory = remembered(BOTH, ONE, ((SMALL, ASIDE), (SMALL, NEAR)))
-    assert [known.is_lost for known in memory.objects].count(True) == 1
-    assert len(memory.objects) == 3
 
 
 def test_what_something_stands_before_is_hidden_and_has_not_vanished():
@@ -200,26 +195,16 @@ def test_what_something_stands_before_is_hidden_and_has_not_vanished():
 NOTHING_HELD = np.zeros(CAMERA.num_rows * CAMERA.num_columns, dtype=bool)
 
 
-@pytest.fixture(scope="module")
-def looked():
-    """Two arms and two cups, which have been looked at."""
+@pytest.fixture
+def pair():
+    """Two arms and two cups, which have been looked at; and which of its objects are the left and the right cup."""
     cell = two_arm_cell((-0.20, 0.12), (0.25, 0.0))
     cell.look()
-    return cell, cell.cell.data.qpos.copy(), cell.memory
-
-
-@pytest.fixture
-def pair(looked):
-    """All as it was, and which of its objects are the left and the right cup."""
-    cell, qpos, memory = looked
-    cell.cell.data.qpos[:] = qpos
-    mujoco.mj_forward(cell.cell.model, cell.cell.data)
-    cell.memory, cell.in_hand, cell.planned = deepcopy(memory), {}, {}
     return cell, *sorted(cell.memory.objects, key=lambda known: known.middle_m[0])
 
 
 def glance(cell):
-    return Eye(cell.cell, CAMERA).look(np.random.default_rng(1))
+    return CellCamera(cell.cell, CAMERA).look(np.random.default_rng(1))
 
 
 def reach(cell, place_m):
@@ -229,29 +214,21 @@ def reach(cell, place_m):
     mujoco.mj_forward(cell.cell.model, cell.cell.data)
 
 
-@pytest.mark.parametrize("hand_m", [None, (-0.20, 0.25, 0.80)], ids=["at home", "behind a cup"])
-def test_cups_before_the_arms_are_seen_whole(pair, hand_m):
-    if hand_m is not None:
-        reach(pair[0], hand_m)
-    look = glance(pair[0])
+def test_cups_before_the_arms_are_seen_whole_and_one_behind_an_arm_is_left_out_and_known_as_it_was(pair):
+    cell, left, right = pair
+    before_m, look = left.middle_m.copy(), glance(cell)
     view, cloud = perceived_whole(look.cloud, look.robots_m, NOTHING_HELD)
     assert len(view.objects) == 2
-    if hand_m is None:
-        assert cloud is look.cloud
-    else:
-        assert np.isfinite(look.robots_m).any()
-
-
-def test_a_cup_behind_an_arm_is_left_out_and_known_as_it_was(pair):
-    cell, left, right = pair
-    before_m = left.middle_m.copy()
+    assert cloud is look.cloud
+    reach(cell, (-0.20, 0.25, 0.80))
+    look = glance(cell)
+    assert len(perceived_whole(look.cloud, look.robots_m, NOTHING_HELD)[0].objects) == 2
+    assert np.isfinite(look.robots_m).any()
     reach(cell, (-0.20, 0.02, 0.80))
     assert len(perceive(glance(cell).cloud).objects) == 2, "a part of it is in view"
     cell.look()
-    assert left.seen is None
+    assert (left.seen, left.is_gone, len(cell.memory.objects)) == (None, False, 2)
     assert right.seen is not None
-    assert len(cell.memory.objects) == 2
-    assert not left.is_gone
     np.testing.assert_array_equal(left.middle_m, before_m)
 
 

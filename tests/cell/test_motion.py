@@ -1,7 +1,5 @@
 """One arm in physics: where its hand comes, lines and schedules, plans, what it grips, shows and puts into the rack."""
 
-from functools import partial
-
 import mujoco
 import numpy as np
 import pytest
@@ -13,7 +11,7 @@ from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import NEAR_M, Kinematics, line, schedule
 from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import SLOT_M, Rack, Robot, cell_model
-from halfseen.cell.planning import plan
+from halfseen.cell.planning import plans
 from halfseen.errors import PlanError, SceneError
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import UNSEEN_GROUP
@@ -107,7 +105,7 @@ def box(x_m, y_m, z_m):
 
 
 def test_a_plan_passes_through_the_places_that_its_grasp_asks_for(kinematics):
-    found = plan([box(0.05, -0.02, 0.06)], WORLD_FROM_TABLE, kinematics, HOME, rng_of())
+    found = next(plans([box(0.05, -0.02, 0.06)], WORLD_FROM_TABLE, kinematics, HOME, rng_of()))
     held = np.array([0.05, -0.02, TABLE_TOP_M + 0.06])
     for angles, up_m in ((found.hover[-1], 0.10), (found.approach[-1], 0.0), (found.lift[-1], 0.20)):
         pose = kinematics.hand(angles)
@@ -126,7 +124,7 @@ def test_a_plan_passes_through_the_places_that_its_grasp_asks_for(kinematics):
 )
 def test_a_grasp_out_of_reach_or_through_furniture_says_so(kinematics, grasps, message):
     with pytest.raises(PlanError, match=message):
-        plan(grasps, WORLD_FROM_TABLE, kinematics, HOME, rng_of())
+        next(plans(grasps, WORLD_FROM_TABLE, kinematics, HOME, rng_of()))
 
 
 def at_rest(model, angles=RAISED, opening_m=0.0):
@@ -143,20 +141,14 @@ def let_run(model, data, seconds, opening_m=None):
     mujoco.mj_step(model, data, round(seconds / model.opt.timestep))
 
 
-def test_fingers_open_and_close_alike():
-    model = cell_model([], [])
+def test_fingers_open_and_close_alike_and_cups_and_arm_stay_where_they_are():
+    places = (0.0, 0.0), (0.2, 0.1)
+    model = cell_model([CUP, MUG], standing(*places))
     data = at_rest(model)
     for wanted in (Gripper().stroke_m, 0.0):
         let_run(model, data, 1.0, wanted)
         left, right = (data.geom(ROBOT.of(f"gripper/pad_{side}")).xpos for side in ("left", "right"))
         assert np.linalg.norm(left - right) - Gripper().pad_thickness_m == pytest.approx(wanted, abs=1e-3)
-
-
-def test_cups_and_arm_stay_where_they_are():
-    places = (0.0, 0.0), (0.2, 0.1)
-    model = cell_model([CUP, MUG], standing(*places))
-    data = at_rest(model)
-    let_run(model, data, 1.0)
     for number, place in enumerate(places):
         np.testing.assert_allclose(data.body(f"cup_{number}").xpos, [*place, TABLE_TOP_M], atol=2e-3)
     np.testing.assert_allclose([data.joint(name).qpos[0] for name in ROBOT.joint_names], RAISED, atol=1e-4)
@@ -184,49 +176,11 @@ def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
     assert data.body("cup_0").xpos[2] - TABLE_TOP_M == pytest.approx(0.15, abs=0.02)
 
 
-def picked(friction=0.6):
-    """Fetch a cup: hover, approach, close, lift."""
-    cell = LiveCell(cell_model([CUP], standing(PLACE_M), frictions=[friction]), [ROBOT])
-    kinematics, above = cell.kinematics[ROBOT.name], Pose((*PLACE_M, TABLE_TOP_M + CUP.height_m + 0.1), DOWN)
-    hover = kinematics.solve_from(above, HOME + rng_of().uniform(-1.0, 1.0, size=(12, 6)), HOME)
-    assert hover is not None
-    down = line(kinematics, hover, above, np.array([*PLACE_M, TABLE_TOP_M + CUP.height_m - 0.02]))
-    cell.grip(ROBOT, 0.11)
-    cell.move(ROBOT, hover[None])
-    cell.move(ROBOT, down, speed=0.5)
-    cell.grip(ROBOT, 0.0)
-    cell.move(ROBOT, down[::-1], speed=0.5)
-    return cell
-
-
-def test_a_cup_is_fetched_and_the_same_again():
-    cell, again = picked(), picked()
-    assert cell.cup(0).position_m[2] - TABLE_TOP_M == pytest.approx(0.1, abs=0.02)
-    assert 0.06 < cell.opening_m(ROBOT) < 0.085
-    assert (cell.time_s, cell.cup(0)) == (again.time_s, again.cup(0))
-
-
-def test_whoever_watches_can_stop_it():
-    class StopError(Exception):
-        pass
-
-    def stop(cell):
-        if cell.time_s > 0.1:
-            raise StopError
-
-    cell = LiveCell(cell_model([], []), [ROBOT])
-    cell.watches.append(stop)
-    with pytest.raises(StopError):
-        cell.move(ROBOT, (HOME + 0.3)[None])
-    assert cell.time_s == pytest.approx(0.101, abs=0.002)
-    np.testing.assert_allclose(cell.angles_rad(ROBOT), HOME, atol=0.05)
-
-
 def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_told_from_what_stands_below():
     cell = LiveCell(cell_model([], []), [ROBOT])
     kinematics, closing = cell.kinematics[ROBOT.name], []
     grasp = Grasp("around", np.array([0.05, -0.02, 0.08]), DOWN_AXES, 0.1)
-    done = plan([grasp], WORLD_FROM_TABLE, kinematics, HOME, rng_of())
+    done = next(plans([grasp], WORLD_FROM_TABLE, kinematics, HOME, rng_of()))
     cell.move(ROBOT, done.lift)
 
     def look_at(side):
@@ -247,37 +201,28 @@ def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_told_from_wh
     assert SHOWN_AT_M[2] - 0.15 > TABLE_TOP_M + 0.145
 
 
-def test_slots_lie_in_the_rack_apart_from_one_another():
+def test_slots_lie_in_the_rack_apart_from_one_another_and_walls_weigh_nothing_and_are_not_seen():
     rack = Rack()
-    slots_m = rack.slots_m
-    apart_m = np.linalg.norm(slots_m[:, None] - slots_m[None], axis=2) + np.eye(len(slots_m))
-    assert len(slots_m) == 12
+    apart_m = np.linalg.norm(rack.slots_m[:, None] - rack.slots_m[None], axis=2) + np.eye(len(rack.slots_m))
+    assert len(rack.slots_m) == 12
     assert apart_m.min() >= SLOT_M
-    assert all(rack.holds(slot) for slot in slots_m)
+    assert all(rack.holds(slot) for slot in rack.slots_m)
     assert not rack.holds(np.array([0.0, 0.0, TABLE_TOP_M]))
-
-
-def test_walls_weigh_nothing_and_are_not_seen():
-    bare, plain = (
-        cell_model([MUG], standing((0.0, 0.0)), robots=()),
-        room_model([MUG], standing((0.0, 0.0)), is_free=True),
-    )
+    mug = [MUG], standing((0.0, 0.0))
+    bare, plain = cell_model(*mug, robots=()), room_model(*mug, is_free=True)
     assert (bare.geom_group == UNSEEN_GROUP).sum() == 16 + 1 + 5
     assert bare.body("cup_0").mass == plain.body("cup_0").mass
     np.testing.assert_array_equal(bare.body("cup_0").inertia, plain.body("cup_0").inertia)
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("cups", "options", "message"),
     [
-        (partial(cell_model, [CUP], []), "1 cups and 0 poses; give one for every cup"),
-        (
-            partial(cell_model, [CUP], standing((0.0, 0.0)), frictions=[0.5] * 2),
-            "1 cups and 2 frictions; give one for eve",
-        ),
-        (partial(cell_model, [], [], [Robot("one")] * 2), "2 robots are called 'one'; give each a name of its own"),
+        ([CUP], {}, "1 cups and 0 poses; give one for every cup"),
+        ([CUP], {"world_from_cup": standing((0.0, 0.0)), "frictions": [0.5] * 2}, "1 cups and 2 frictions; give one"),
+        ([], {"robots": [Robot("one")] * 2}, "2 robots are called 'one'; give each a name of its own"),
     ],
 )
-def test_what_does_not_fit_together_is_refused(make, message):
+def test_what_does_not_fit_together_is_refused(cups, options, message):
     with pytest.raises(SceneError, match=message):
-        make()
+        cell_model(cups, **{"world_from_cup": [], **options})

@@ -31,15 +31,7 @@ def parts(model):
     return [np.flatnonzero([name.startswith(robot.of("")) for name in names]) for robot in ROBOTS]
 
 
-def test_parts_of_an_arm_meet_those_of_the_other_and_none_of_their_own(model, parts):
-    kind, affinity = model.geom_contype, model.geom_conaffinity
-    meets = (kind[:, None] & affinity) | (affinity[:, None] & kind) != 0
-    assert meets[np.ix_(*parts)].all()
-    for own in parts:
-        assert not meets[np.ix_(own, own)].any()
-
-
-def test_the_arms_wait_as_mirror_images_free_of_furniture_and_of_one_another(model):
+def test_the_arms_are_mirror_images_that_wait_free_of_all_and_whose_parts_meet_those_of_the_other_alone(model, parts):
     hands_m, spaces = [], []
     for robot, home in zip(ROBOTS, HOMES, strict=True):
         kinematics = Kinematics(model, robot)
@@ -48,6 +40,10 @@ def test_the_arms_wait_as_mirror_images_free_of_furniture_and_of_one_another(mod
         spaces.append(Outline(model, robot).along(home, STAYS, below_m=0.15))
     np.testing.assert_allclose(hands_m[0] * [-1.0, 1.0, 1.0], hands_m[1], atol=2e-3)
     assert not spaces[0].meets(spaces[1], margin_m=0.2)
+    kind, affinity = model.geom_contype, model.geom_conaffinity
+    meets = (kind[:, None] & affinity) | (affinity[:, None] & kind) != 0
+    assert meets[np.ix_(*parts)].all()
+    assert not any(meets[np.ix_(own, own)].any() for own in parts)
 
 
 def comes(kinematics, home, place_m, down_m):
@@ -113,18 +109,16 @@ def test_spaces_that_do_not_meet_are_of_arms_that_keep_their_distance(model, par
     assert np.max(near_m) < MARGIN_M + 0.08
 
 
-def test_a_way_takes_the_space_of_all_its_places_and_of_what_lies_between(model):
-    begin, way = HOMES[0], HOMES[0] + np.random.default_rng(1).normal(0.0, 0.8, (2, 6))
-    space = Outline(model, LEFT).along(begin, way)
+def test_a_way_takes_the_space_of_all_its_places_and_between_and_what_is_held_takes_it_below_the_hand(model):
+    outline, begin = Outline(model, LEFT), HOMES[0]
+    way = begin + np.random.default_rng(1).normal(0.0, 0.8, (2, 6))
+    space = outline.along(begin, way)
     np.testing.assert_array_equal(space.places_rad[[0, -1]], [begin, way[-1]])
     assert np.abs(np.diff(space.places_rad, axis=0)).max() <= 0.05 + 1e-12
     assert np.abs(space.places_rad - 0.5 * (begin + way[0])).max(axis=1).min() < 0.05
     assert len(space.after(3).places_rad) == len(space.places_rad) - 3
-
-
-def test_what_is_held_takes_space_below_the_hand(model):
-    outline, hand_m = Outline(model, LEFT), np.array(Kinematics(model, LEFT).hand(HOMES[0]).position_m)
-    empty, full = (outline.along(HOMES[0], STAYS, below_m) for below_m in (0.0, 0.12))
+    hand_m = np.array(Kinematics(model, LEFT).hand(begin).position_m)
+    empty, full = (outline.along(begin, STAYS, below_m) for below_m in (0.0, 0.12))
     assert not empty.is_held.any()
     held_m = full.middles_m[0, full.is_held]
     np.testing.assert_allclose(held_m[:, :2], np.tile(hand_m[:2], (len(held_m), 1)), atol=1e-9)

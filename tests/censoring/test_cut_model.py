@@ -94,20 +94,14 @@ def test_a_stage_that_nothing_outlived_is_not_identified(clocks):
     assert truncated.weights(clocks).max() == pytest.approx(3.0)
 
 
-def test_trajectories_that_are_drawn_again_keep_their_clocks(clocks):
-    drawn = clocks.take(np.array([5, 5, 2]))
-    np.testing.assert_array_equal(drawn.end_s, clocks.end_s[[5, 5, 2]])
-    np.testing.assert_array_equal(drawn.covariates, clocks.covariates[[5, 5, 2]])
-    assert drawn.covariate_names == clocks.covariate_names
-
-
-def test_what_a_specification_cannot_mean_is_refused():
-    with pytest.raises(ArgumentError, match="by is 'clock'; it is 'trajectory', 'stage' or 'pooled'"):
-        CensoringSpec(by="clock")
-    with pytest.raises(ArgumentError, match="censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel'"):
-        CensoringSpec("weibull")
-
-
-def test_covariates_that_the_model_does_not_use_are_refused():
-    with pytest.raises(ArgumentError, match=r"covariates is \['x'\], but kaplan-meier uses none"):
-        CensoringSpec("kaplan-meier", covariates=["x"])
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"by": "clock"}, "by is 'clock'; it is 'trajectory', 'stage' or 'pooled'"),
+        ({"model": "weibull"}, "censoring is 'weibull'; it is 'kaplan-meier', 'cox', 'kernel'"),
+        ({"covariates": ["x"]}, r"covariates is \['x'\], but kaplan-meier uses none"),
+    ],
+)
+def test_what_a_specification_cannot_mean_is_refused(options, message):
+    with pytest.raises(ArgumentError, match=message):
+        CensoringSpec(**options)

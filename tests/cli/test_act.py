@@ -173,13 +173,12 @@ def test_colour_moves_the_log_odds_by_what_a_label_says(tables, coloured):
     sign = np.array([1.0, -1.0, -1.0, -1.0, -1.0])
     np.testing.assert_allclose(moved, sign * np.log(right / (1 - right)), rtol=1e-4)
     plain, report = report_of(tables, TABLE), report_of(tables, cloud)
-    sentence = (
-        "Labels by colour (dirty: 0; clean: 1, 2, 3, 4) moved the log-odds of DIRTY "
-        f"by {moved.min():+.2f} to {moved.max():+.2f}."
-    )
+    chances = 1 / (1 + np.exp(-log_odds_of(tables, cloud).astype(float)))
+    each = ", ".join(f"{k}: {chance:.2f}" for k, chance in enumerate(chances))
+    sentence = f"Labels by colour (dirty: 0; clean: 1, 2, 3, 4); P(dirty) is {each}."
     assert report["seen"] == sentence == run(tables, cloud).splitlines()[1]
-    assert "seen" not in plain
-    assert list(plain) == [key for key in report if key != "seen"]
+    assert report["p_dirty"] == pytest.approx(chances)
+    assert list(plain) == [key for key in report if key not in ("seen", "p_dirty")]
     assert report["q_values"] != plain["q_values"]
 
 
@@ -188,9 +187,8 @@ def test_labels_of_a_file_stand_before_colour_and_unknown_moves_nothing(tables, 
     for cloud in (coloured[0], TABLE):
         moved = log_odds_of(tables, cloud, labels=labels) - log_odds_of(tables, TABLE)
         assert np.sign(moved).tolist() == [-1, 1, 0, 0, 0]
-        assert f"Labels by {labels} (dirty: 1; clean: 0; unknown: 2, 3, 4) moved" in run(
-            tables, cloud, "--labels", labels
-        )
+        said = run(tables, cloud, "--labels", labels)
+        assert f"Labels by {labels} (dirty: 1; clean: 0; unknown: 2, 3, 4); P(dirty) is 0: " in said
 
 
 def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables, coloured, tmp_path):
@@ -203,7 +201,8 @@ def test_a_label_is_worth_what_the_law_says_to_a_policy_that_counts_views(tables
     told, plain = (read_observation(read_policy(policy), file, law=law).state for file in (cloud, TABLE))
     np.testing.assert_allclose(told.log_odds - plain.log_odds, expected, rtol=1e-4)
     np.testing.assert_allclose(told.grip, law.scene(view).grip, rtol=1e-5)
-    by = f"DIRTY by {expected.min():+.2f} to {expected.max():+.2f}."
+    chances = 1 / (1 + np.exp(-told.log_odds.astype(float)))
+    by = f"P(dirty) is {', '.join(f'{k}: {chance:.2f}' for k, chance in enumerate(chances))}."
     for words, is_so in (((), True), (("--law", "shipped"), True), (("--law", "assumed"), False)):
         assert (by in run(policy, cloud, *words)) is is_so
 

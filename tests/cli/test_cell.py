@@ -14,6 +14,7 @@ from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, shipped_law
 from halfseen.cell.campaign import WHAT_FILE
 from halfseen.cli.cell_run import run
 from halfseen.cli.inputs import robot_for
+from halfseen.cli.options import Arm
 from halfseen.logs import read_logs
 from text_arms import SIX
 
@@ -25,12 +26,12 @@ RUN = ["run", "--policy", "greedy", "--tables", "2"]
 def test_attempts_of_a_law_are_fitted_again_as_they_were_made(typed, tmp_path, monkeypatch):
     fitted = []
 
-    def law_of(logs):
+    def fit_law(logs, horizon, limit_s):
         """What it is, to the last bit, as is tested beside it."""
         fitted.append(logs)
         return read_law(shipped_law()).law
 
-    monkeypatch.setattr("halfseen.cell.calibration.calibrate.law_of", law_of)
+    monkeypatch.setattr("halfseen.cell.calibration.law.fit_law", fit_law)
     assert typed("cell", "calibrate", "--from", shipped_law(), "--seed", 7, "--out", tmp_path / "law").status == 0
     again, shipped = (read_law(folder).record for folder in (tmp_path / "law", shipped_law()))
     assert again == shipped
@@ -77,11 +78,11 @@ def test_an_arm_is_known_by_what_it_is_not_by_where_its_file_lies(six, tmp_path)
     (tmp_path / "else").mkdir()
     (tmp_path / "else" / "six.xml").write_text(SIX)
     (tmp_path / "longer.xml").write_text(SIX.replace('pos="0 -0.13 0.42"', 'pos="0 -0.13 0.44"'))
-    robot, name = robot_for(six, None, None)
+    robot, name = robot_for(Arm(six, None, None))
     assert robot.arm.num_joints == 6
     assert name.startswith("six.xml (")
-    assert robot_for(tmp_path / "else" / "six.xml", "attachment_site", None)[1] == name
-    assert robot_for(tmp_path / "longer.xml", None, None)[1].split("(")[1] != name.split("(")[1]
+    assert robot_for(Arm(tmp_path / "else" / "six.xml", "attachment_site", None))[1] == name
+    assert robot_for(Arm(tmp_path / "longer.xml", None, None))[1].split("(")[1] != name.split("(")[1]
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from halfseen.errors import HalfseenWarning
 from halfseen.installation import command_for
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, _telling
+from halfseen.suggestions import closest, did_you_mean
 from small_logs import flat_log
 
 VERB_TRAJECTORIES = [(verb,) for verb in VERBS] + [("cell", name) for name in ("calibrate", "run", "film")]
@@ -210,3 +211,15 @@ def test_what_libraries_warn_each_other_of_is_told_where_it_is_asked_for(typed, 
     monkeypatch.setitem(VERBS, "warn", "Warn.")
     monkeypatch.setitem(sys.modules, "halfseen.cli.warn", SimpleNamespace(warn=warn))
     assert [*typed("warn").err.splitlines(), *shown] == told
+
+
+KNOWN = ["mass", "size", "Shine_2", 7]
+
+
+@pytest.mark.parametrize(
+    ("given", "meant"), [("maas", "mass"), ("MASS", "mass"), ("shine2", "Shine_2"), ("zzz", None), ("siez", "size")]
+)
+def test_the_closest_name_is_asked_about(given, meant):
+    assert closest(given, KNOWN) == meant
+    assert did_you_mean(given, KNOWN) == (f"; did you mean {meant!r}?" if meant else "")
+    assert did_you_mean(given, []) == ""

@@ -11,6 +11,7 @@ import pytest
 import shell
 
 from bags import SMALL, WITHOUT_CLOUD, cloud, one_trajectory, tables_of, text, two_trajectories, write_bag
+from event_files import GERMAN, HISTORIAN, PLC, write_events
 from foreign import arrays, episodes, rows_of, write_arrays, write_lerobot, write_rows
 from halfseen.errors import HalfseenWarning
 from halfseen.logs import Logs, read_logs
@@ -18,20 +19,14 @@ from halfseen.logs.formats import read_csv
 from halfseen.perception import read_cloud
 from halfseen.scene import table_paths
 from refusals import refused
+from small_logs import log_of
 
 
 @pytest.fixture
 def logs():
     stages = {"trajectory": [1, 1, 2], "stage": [1, 2, 1], "elapsed_s": [2.0, 5.0, None], "action": ["A", "B", None]}
-    return Logs(
-        stages={**stages, "reward": [-0.1, 5.0, None], "x": [0.1, 0.2, 0.3]},
-        trajectories={
-            "trajectory": [1, 2],
-            "end_s": [5.0, 3.0],
-            "ending": ["finished", "cut"],
-            "cause": [None, "battery"],
-        },
-    )
+    ends = {"end_s": [5.0, 3.0], "cause": [None, "battery"]}
+    return log_of(ends, **stages, reward=[-0.1, 5.0, None], x=[0.1, 0.2, 0.3])
 
 
 @pytest.fixture(autouse=True)
@@ -207,6 +202,76 @@ def test_a_database_takes_its_queries_from_options_or_a_file(sources, logs):
     assert "say the same; give one of them" in both
 
 
+def test_a_table_of_events_is_read_by_a_mapping_in_one_command(place):
+    write_events(place)
+    for name in ("events.csv", "events.parquet"):
+        report = json.loads(run(name, "--mapping", "events.toml", "--out", f"{name}.out", "--json").output)
+        assert (report["format"], report["num_finished"], report["losses"]) == ("events", 1, [])
+        assert report["causes"] == {"emergency stop": 1, "log ended": 1}
+    assert same(read_logs("events.csv.out"), read_logs("events.parquet.out"))
+
+
+def test_a_folder_of_tables_is_one_table(place):
+    write_events(place)
+    heading, *rows = GERMAN.splitlines(keepends=True)
+    Path("days").mkdir()
+    for name, some in (("monday", rows[:9]), ("tuesday", rows[9:])):  # trajectory 8 goes on in the next file
+        Path(f"days/{name}.csv").write_text(heading + "".join(some), encoding="utf-8")
+    run("days", "--mapping", "events.toml", "--out", "logs")
+    run("events.csv", "--mapping", "events.toml", "--out", "all")
+    assert same(read_logs("logs"), read_logs("all"))
+    assert 'field = "Lauf"' in run("days", "--mapping-template").output
+    Path("days/tuesday.csv").write_text((heading + "".join(rows[9:])).replace("1,5", "much"), encoding="utf-8")
+    assert "days, file tuesday.csv, line 3, column 'Wert': 'much' is no number" in refusal(
+        "days", "--mapping", "events.toml", "--out", "x"
+    )
+    Path("days/tuesday.csv").write_text("a;b\n1;2\n")
+    assert "tuesday.csv: its columns are 'a', 'b'" in refusal("days", "--mapping", "events.toml", "--out", "x")
+
+
+def test_rows_of_a_database_are_events_too(place):
+    write_events(place)
+    frame = pd.read_csv("events.csv", sep=";", encoding="cp1252")
+    with sqlite3.connect("cell.db") as connection:
+        frame.assign(Wert=frame["Wert"].str.replace(",", ".").astype(float)).to_sql("seen", connection, index=False)
+    connection.close()
+    Path("cell.toml").write_text(HISTORIAN + 'table = {query = "SELECT * FROM seen WHERE Lauf < 9"}', encoding="utf-8")
+    run("sql:sqlite:///cell.db", "--mapping", "cell.toml", "--out", "out")
+    run("events.csv", "--mapping", "events.toml", "--out", "all")
+    assert same(read_logs("out"), read_logs("all").select([7, 8]))
+    assert "table.query: it is missing" in refusal("sql:sqlite:///cell.db", "--mapping", "events.toml", "--out", "x")
+
+
+def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):
+    (place / "plc.csv").write_text(PLC)
+    printed = typed("convert", "plc.csv", "--mapping-template")
+    assert printed.status == 0
+    assert run("plc.csv", "--mapping-template", "--out", "cell.toml").exit_code == 0
+    assert Path("cell.toml").read_text() == printed.out
+    assert "cell.toml: it is there already" in refusal("plc.csv", "--mapping-template", "--out", "cell.toml")
+    assert run("--mapping-template").output.startswith("# Which topic of a bag carries what")
+    for words, message in (((), "Missing argument 'SOURCE...'"), (("plc.csv",), "Missing option '--out'")):
+        assert message in typed("convert", *words).err
+
+
+def test_who_has_a_table_and_no_mapping_hears_of_the_command_that_makes_one(place, typed):
+    for name, quoted in (("events.csv", "events.csv"), ("my events.csv", "'my events.csv'")):
+        (place / name).write_text(GERMAN, encoding="cp1252")
+        for words in (("inspect", name), ("convert", name, "--out", "logs")):
+            status, out, err = typed(*words)
+            assert (status, out, err.count("\n")) == (2, "", 1)
+            assert f"halfseen convert {quoted} --mapping-template --out cell.toml" in err
+    (place / "book.xlsx").write_bytes(b"PK")
+    assert "book.xlsx: workbooks are not read; save the sheet as CSV" in refusal("book.xlsx", "--out", "logs")
+    assert "`halfseen convert --help` says which files are read" in typed("inspect", "book.xlsx").err
+    broken = GERMAN.replace("1,25", "viel")
+    (place / "events.csv").write_text(broken, encoding="cp1252")
+    (place / "cell.toml").write_text(HISTORIAN, encoding="utf-8")
+    assert "events.csv, line 4, column 'Wert': 'viel' is no number" in refusal(
+        "events.csv", "--mapping", "cell.toml", "--out", "logs"
+    )
+
+
 def test_a_password_is_never_printed(sources, typed):
     select = ("--stages", "SELECT 1", "--trajectories", "SELECT 1", "--out", "x")
     for kind in ("postgresql+psycopg2://", "mysql+pymysql://", "no://", ""):
@@ -219,20 +284,8 @@ def test_a_password_is_never_printed(sources, typed):
     assert report["source"] == "sql:sqlite:///cell.db?password=***"
 
 
-def lossy():
-    stages = {
-        "trajectory": [1],
-        "stage": [1],
-        "elapsed_s": [2.0],
-        "action": ["A"],
-        "reward": [0.5],
-        "pose": [{"x": 1.0}],
-    }
-    return Logs(stages=stages, trajectories={"trajectory": [1], "end_s": [2.0], "ending": ["finished"], "raw": [b"a"]})
-
-
 def test_check_says_what_is_lost_and_writes_nothing(typed):
-    lossy().write("a")
+    log_of({"raw": b"a"}, pose=[{"x": 1.0}]).write("a")
     status, out, err = typed("convert", "a", "--out", "csv:b", "--check")
     _, second, *rest = out.splitlines()
     assert (status, err, second) == (1, "", "It would not be written whole:")

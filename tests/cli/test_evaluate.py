@@ -12,6 +12,8 @@ from halfseen.evaluation.specification import specification_of
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
 from halfseen.policies.folder import read_policy, write_policy
+from refusals import refused
+from small_logs import log_of
 
 told = partial(shell.run, "evaluate")
 
@@ -23,21 +25,9 @@ def clinic(seed, num_trajectories=300):
     ends, cuts = rng.integers(1, 9, num_trajectories).astype(float), rng.geometric(0.06, num_trajectories).astype(float)
     is_cut = cuts < ends
     reward = 2.0 * (x == is_b) + 0.1 * ends + 0.5 * rng.normal(size=num_trajectories)
-    stages = {
-        "trajectory": np.arange(num_trajectories),
-        "stage": np.ones(num_trajectories, dtype=int),
-        "elapsed_s": np.where(is_cut, np.nan, ends),
-        "action": np.array(["A", "B"])[is_b],
-        "reward": np.where(is_cut, np.nan, reward),
-        "probability": np.full(num_trajectories, 0.5),
-        "x": x.astype(float),
-    }
-    trajectories = {
-        "trajectory": np.arange(num_trajectories),
-        "end_s": np.minimum(ends, cuts),
-        "ending": np.where(is_cut, "cut", "finished"),
-    }
-    return Logs(stages, trajectories)
+    done = {"elapsed_s": np.where(is_cut, np.nan, ends), "action": np.array(["A", "B"])[is_b], "reward": reward}
+    seen = {"trajectory": range(num_trajectories), "probability": 0.5, "x": x.astype(float)}
+    return log_of({"end_s": np.minimum(ends, cuts)}, **seen, **done)
 
 
 @pytest.fixture(scope="module")
@@ -62,10 +52,10 @@ def test_says_the_verdict_first_then_the_numbers(folders):
     assert len(lines) == 12
 
 
-def test_each_opponent_has_a_line_and_an_entry(folders):
+def test_each_baseline_has_a_line_and_an_entry(folders):
     (folders / "thumb.csv").write_text("x,action\n1,A\n,B\n")
     given = ["logging", "sequence:A", folders / "thumb.csv", folders / "policy"]
-    options = [word for opponent in given for word in ("--against", opponent)]
+    options = [word for baseline in given for word in ("--against", baseline)]
     lines = told(folders / "policy", "--logs", folders / "aside", *options).output.splitlines()
     names = ["the logging policy", "the sequence A", "the rule thumb.csv", "the policy policy"]
     assert [line.split("  ")[0] for line in lines[8:]] == names
@@ -73,7 +63,7 @@ def test_each_opponent_has_a_line_and_an_entry(folders):
     assert lines[11].endswith("not better")
     assert lines[0].startswith("Not better: it earns as much a trajectory as the policy policy")
     report = json.loads(told(folders / "policy", "--logs", folders / "aside", *options, "--json").output)
-    assert [each["opponent"] for each in report["comparisons"]] == names
+    assert [each["baseline"] for each in report["comparisons"]] == names
     assert report["comparisons"][3]["difference"]["value"] == 0.0
     assert {"value", "difference", "p", "adjusted_p", "verdict", "reason"} < set(report["comparisons"][0])
 
@@ -97,3 +87,39 @@ def test_options_reach_the_model(folders):
 
 def test_the_logs_that_it_was_learned_from_are_told_apart(folders):
     assert "note: it was learned from these very logs" in told(folders / "policy", "--logs", folders / "learned").output
+
+
+def test_whole_numbers_are_no_text_in_evaluate_report_and_baselines(tmp_path):
+    kinds = {"whole": {"A": 1, "B": 2}, "text": {"A": "1", "B": "2"}}
+    for kind, names in kinds.items():
+        logs = clinic(0, 60)
+        logs = Logs(logs.stages.assign(action=logs.stages["action"].map(names)), logs.trajectories)
+        logs.write(tmp_path / kind)
+        learner = CensoredQLearner.of_paper(1, {1: list(names.values())}, ["x"], reg=0.1).fit(logs)
+        write_policy(learner, logs, tmp_path / f"of_{kind}")
+    of_whole, of_text, whole, text = (tmp_path / name for name in ("of_whole", "of_text", "whole", "text"))
+    is_whole, is_text = "whole numbers, such as 1", "text, such as '1'"
+    with refused(rf"of the policy are {is_whole}, and the log's are {is_text}; write .* as whole numbers$"):
+        told(of_whole, "--logs", text)
+    with refused(rf"of the policy are {is_text}, and the log's are {is_whole}; write .* as text$"):
+        told(of_text, "--logs", whole)
+    with refused(rf"of the policy of_text are {is_text}, and the log's are {is_whole}"):
+        told(of_whole, "--logs", whole, "--against", of_text)
+    with refused(rf"of the policy are {is_whole}, and the log's are {is_text}"):
+        shell.run("report", text, of_whole, "--out", tmp_path / "report.html")
+    assert not (tmp_path / "report.html").exists()
+    lines = told(of_whole, "--logs", whole, "--against", "sequence:1").output
+    assert "the sequence 1" in lines
+
+
+def test_a_word_that_unicode_composes_otherwise_is_said_to_be_the_same(folders, tmp_path):
+    logs = read_logs(folders / "learned")
+    for kind, name in (("nfc", "caf\u00e9"), ("nfd", "cafe\u0301")):
+        named = Logs(logs.stages.assign(action=logs.stages["action"].replace("A", name)), logs.trajectories)
+        named.write(tmp_path / kind)
+        learner = CensoredQLearner.of_paper(1, {1: [name, "B"]}, ["x"], reg=0.1).fit(named)
+        write_policy(learner, named, tmp_path / f"of_{kind}")
+    with refused(r"the action 'caf\\xe9' of the policy is 'cafe\\u0301' in the log, the same word"):
+        told(tmp_path / "of_nfc", "--logs", tmp_path / "nfd")
+    with refused(r"the action 'cafe\\u0301' of the policy of_nfd is 'caf\\xe9' in the log"):
+        told(tmp_path / "of_nfc", "--logs", tmp_path / "nfc", "--against", tmp_path / "of_nfd")

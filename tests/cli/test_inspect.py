@@ -4,26 +4,18 @@ import subprocess
 import sys
 
 import numpy as np
-import pandas as pd
 import pytest
 import shell
 
-from halfseen.logs import LogRecorder, Logs
+from halfseen.logs import LogRecorder
+from small_logs import log_of
 
 
 @pytest.fixture
 def folder(tmp_path):
-    logs = Logs(
-        stages={
-            "trajectory": [1, 1, 2, 2, 3],
-            "stage": [1, 2, 1, 2, 1],
-            "elapsed_s": [2.0, 5.0, 2.0, None, 2.0],
-            "action": ["LIFT", "WASH", "WASH", None, "FINISH"],
-            "reward": [-0.1, 5.0, -1.0, None, 0.0],
-        },
-        trajectories={"trajectory": [1, 2, 3], "end_s": [5.0, 3.0, 2.0], "ending": ["finished", "cut", "finished"]},
-    )
-    logs.write(tmp_path / "logs")
+    stages = {"trajectory": [1, 1, 2, 2, 3], "stage": [1, 2, 1, 2, 1], "elapsed_s": [2.0, 5.0, 2.0, None, 2.0]}
+    done = {"action": ["LIFT", "WASH", "WASH", None, "FINISH"], "reward": [-0.1, 5.0, -1.0, None, 0.0]}
+    log_of({"end_s": [5.0, 3.0, 2.0]}, **stages, **done).write(tmp_path / "logs")
     return tmp_path / "logs"
 
 
@@ -58,16 +50,7 @@ stage  begun  completed  cut  5 % [s]  median [s]  95 % [s]  effective sample si
 
 
 def test_a_log_of_several_robots_says_so(folder, tmp_path):
-    stages = {
-        "trajectory": 1,
-        "stage": range(1, 5),
-        "elapsed_s": [1.0, 2.0, 3.0, 4.0],
-        "action": "FINISH",
-        "reward": 0.0,
-    }
-    robots = {"robot": [0, 1, 0, 0]}
-    trajectories = {"trajectory": [1], "end_s": [4.0], "ending": ["finished"]}
-    Logs(pd.DataFrame(stages | robots), trajectories).write(tmp_path / "team")
+    log_of(stage=range(1, 5), elapsed_s=[1.0, 2.0, 3.0, 4.0], robot=[0, 1, 0, 0]).write(tmp_path / "team")
     assert "robots            2, of whose decisions 0 made 75%, 1 made 25%" in run(tmp_path / "team").splitlines()
     assert json.loads(run(tmp_path / "team", "--json"))["robots"] == [
         {"robot": "0", "num_decisions": 3, "share": 0.75},
@@ -77,10 +60,8 @@ def test_a_log_of_several_robots_says_so(folder, tmp_path):
 
 
 def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
-    stages = {"trajectory": range(20), "stage": 1, "elapsed_s": np.linspace(1.1, 3.3, 20), "action": ["A", "B"] * 10}
-    chances = {"reward": 2.0, "probability": 1.0, "lamp": "on"}
-    trajectories = {"trajectory": range(20), "end_s": np.linspace(1.1, 3.3, 20), "ending": "finished"}
-    Logs(pd.DataFrame(stages | chances), pd.DataFrame(trajectories)).write(tmp_path / "logs")
+    done = {"trajectory": range(20), "elapsed_s": np.linspace(1.1, 3.3, 20), "action": ["A", "B"] * 10, "reward": 2.0}
+    log_of(**done, probability=1.0, lamp="on").write(tmp_path / "logs")
     assert run(tmp_path / "logs").splitlines()[1:5] == [
         "What looks wrong:",
         "- All probabilities are 1: the policy never explored, so nothing can be learned of other actions.",
@@ -88,22 +69,14 @@ def test_what_looks_wrong_is_told_near_the_top_and_in_json(tmp_path):
         "- Covariate lamp is 'on' in all 20 rows: a dead sensor, or a column to leave out.",
     ]
     report = json.loads(run(tmp_path / "logs", "--json"))
-    kinds = [doubt["kind"] for doubt in report["suspicions"]]
+    kinds = [doubt["kind"] for doubt in report["data_warnings"]]
     assert kinds == ["no-exploration", "equal-rewards", "constant-covariate"]
     assert report["covariates"] == ["lamp"]
 
 
 def test_a_long_table_is_cut_short_and_json_is_not(tmp_path):
     actions = [f"go {k:02d}" for k in range(30)]
-    stages = {
-        "trajectory": 1,
-        "stage": range(1, 31),
-        "elapsed_s": np.arange(1.0, 31.0),
-        "action": actions,
-        "reward": 1.0,
-    }
-    trajectories = {"trajectory": [1], "end_s": [30.0], "ending": ["finished"]}
-    Logs(pd.DataFrame(stages), pd.DataFrame(trajectories)).write(tmp_path / "logs")
+    log_of(stage=range(1, 31), elapsed_s=np.arange(1.0, 31.0), action=actions).write(tmp_path / "logs")
     output = run(tmp_path / "logs")
     assert "go 19" in output
     assert "go 20" not in output

@@ -1,21 +1,22 @@
 import json
+from dataclasses import replace
 from operator import itemgetter
 
 import numpy as np
-import pandas as pd
 import pytest
 import shell
 
 from halfseen.arrays import mapped
-from halfseen.cli.learn import verdict_lines
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation import HeldOutVerdict, held_out
+from halfseen.evaluation.exploring import Exploration, Region
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import Logs
+from halfseen.logs import LogStream, stream
+from halfseen.logs.formats import write_csv
 from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import read_policy
 from halfseen.world.logs import states_of
-from small_logs import flat_log, table_log
+from small_logs import flat_log, log_of, table_log
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +57,7 @@ def test_a_flat_log_is_learned_with_its_actions_by_stage_and_its_numeric_covaria
         assert told["as_logged"] == pytest.approx(as_logged)
 
 
-@pytest.mark.parametrize("told", ["Cannot be said: it earns", "Better: it earns"])
+@pytest.mark.parametrize("told", ["Inconclusive: it earns", "Better: it earns"])
 def test_ends_with_the_verdict_and_keeps_it(folder, tmp_path, monkeypatch, told):
     verdict, reason = told.lower().split(": ")
     judged = HeldOutVerdict(verdict, reason, 5)
@@ -76,9 +77,9 @@ def test_a_verdict_that_cannot_be_had_does_not_keep_the_policy_back(tmp_path):
     flat_log(num_trajectories=12).write(tmp_path / "few")
     plain = ("--reg", 0.1, "--q-function", "linear", "--stages", "pooled", "--censoring", "kaplan-meier")
     result = run(tmp_path / "few", "--out", tmp_path / "policy", *plain, has_verdict=True)
-    assert "\nCannot be said: the log has 12 trajectories, and 10 folds need 20; record more (said of" in result.stdout
+    assert "\nInconclusive: the log has 12 trajectories, and 10 folds need 20; record more (said of" in result.stdout
     assert result.stderr == ""
-    assert read_policy(tmp_path / "policy").verdict["verdict"] == "cannot be said"
+    assert read_policy(tmp_path / "policy").verdict["verdict"] == "inconclusive"
 
 
 def test_a_table_log_is_learned_as_tables(folder, tmp_path):
@@ -136,13 +137,13 @@ def test_a_table_that_names_nothing_to_try_is_noted(folder, tmp_path):
 
 
 def test_where_it_cannot_be_said_it_says_what_to_try():
-    region = {"conditions": {"x": "<= 0.5"}, "action": "B", "now": 0.1, "wanted": 0.4, "part": 0.6}
-    tried = {"regions": [region], "narrower": 1.6}
-    verdict = {"verdict": "cannot be said", "sentence": "Cannot be said.", "claims": [], "exploration": tried}
-    lines = verdict_lines(verdict)
+    tried = Exploration((Region({"x": "<= 0.5"}, "B", now=0.1, wanted=0.4, part=0.6),), narrower=1.6)
+    verdict = HeldOutVerdict("inconclusive", "few trajectories", num_folds=5, exploration=tried)
+    lines = str(verdict).splitlines()
     assert "1.6 times narrower" in lines[1]
     assert lines[-1].split() == ["B", "x", "<=", "0.5", "10%", "40%", "60%"]
-    assert verdict_lines(verdict | {"verdict": "better"}) == ["Cannot be said."]
+    better = replace(verdict, verdict="better")
+    assert str(better) == better.sentence
 
 
 def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
@@ -159,22 +160,69 @@ def test_a_table_of_what_to_try_needs_a_verdict_and_a_place(folder, tmp_path):
     assert not (tmp_path / "policy").exists()
 
 
+# Part by part: what is said and decided is that of a log in memory.
+
+
+@pytest.fixture
+def by_sevens(monkeypatch):
+    monkeypatch.setattr(LogStream.__init__, "__defaults__", (7,))
+
+
+def assert_alike(one, other):
+    """The same but for rounding."""
+    assert type(one) is type(other)
+    if isinstance(one, dict):
+        assert list(one) == list(other)
+        one, other = list(one.values()), list(other.values())
+    if isinstance(one, list):
+        assert len(one) == len(other)
+        for first, second in zip(one, other, strict=True):
+            assert_alike(first, second)
+    elif isinstance(one, float):
+        assert one == pytest.approx(other, rel=1e-6, nan_ok=True)
+    else:
+        assert one == other
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("log", ["flat", "tables"])
+@pytest.mark.parametrize("stages", ["separate", "pooled"])
+def test_all_that_is_told_is_the_same(folder, log, stages, tmp_path, by_sevens):
+    told = {}
+    for way in ("in-memory", "streaming"):
+        shown = run(folder / log, "--out", tmp_path / way, "--stages", stages, f"--{way}", "--json", has_verdict=True)
+        told[way] = json.loads(shown.stdout)
+    for report in told.values():
+        del report["policy"]
+    assert_alike(told["streaming"], told["in-memory"])
+    policies = [read_policy(tmp_path / way).policy for way in told]
+    np.testing.assert_allclose(policies[0].coefficients, policies[1].coefficients, rtol=1e-5, atol=1e-6)
+
+
+def test_many_stages_are_read_in_passes_and_few_are_not(folder, tmp_path, monkeypatch):
+    assert not isinstance(stream.opened(folder / "flat"), LogStream)
+    monkeypatch.setattr(stream, "MOST_STAGES_IN_MEMORY", 10)
+    assert isinstance(stream.opened(folder / "flat"), LogStream)
+    assert not isinstance(stream.opened(folder / "flat", streaming=False), LogStream)
+    # Other forms are not.
+    write_csv(flat_log(), tmp_path / "csv")
+    with pytest.raises(LogError, match="only folders of Parquet files are read in passes; make one of it"):
+        stream.opened(tmp_path / "csv", streaming=True)
+
+
+def test_a_verdict_on_some_of_the_trajectories_says_so(folder, tmp_path, monkeypatch):
+    monkeypatch.setattr(held_out, "MOST_JUDGED", 30)
+    arguments = (folder / "flat", "--out", tmp_path / "policy", "--reg", 0.1, "--streaming", "--json")
+    report = json.loads(run(*arguments, has_verdict=True).stdout)
+    assert "the verdict is of policies learned from 30 of the 40 trajectories, drawn at random" in report["notes"]
+
+
 def _trial(num_trajectories):
     """Two stages in which B pays in state 1 and A in state 0, logged by a rule that mostly takes A, and seldom B."""
     rng = np.random.default_rng(0)
     trajectory, stage = np.repeat(np.arange(num_trajectories), 2), np.tile([1, 2], num_trajectories)
-    x, action = (
-        rng.integers(0, 2, 2 * num_trajectories).astype(float),
-        rng.choice(3, 2 * num_trajectories, p=[0.6, 0.1, 0.3]),
-    )
-    reward = 1.0 * (action == x) + rng.normal(size=2 * num_trajectories)
-    stages = {
-        "trajectory": trajectory,
-        "stage": stage,
-        "elapsed_s": 1.0 * stage,
-        "action": np.array(["A", "B", "C"])[action],
-    }
-    stages |= {"reward": reward, "probability": np.array([0.6, 0.1, 0.3])[action], "x": x}
-    return Logs(
-        pd.DataFrame(stages), pd.DataFrame({"trajectory": range(num_trajectories), "end_s": 2.0, "ending": "finished"})
-    )
+    x = rng.integers(0, 2, len(stage)).astype(float)
+    action = rng.choice(3, len(stage), p=[0.6, 0.1, 0.3])
+    reward = 1.0 * (action == x) + rng.normal(size=len(stage))
+    done = {"trajectory": trajectory, "stage": stage, "elapsed_s": 1.0 * stage, "action": np.array([*"ABC"])[action]}
+    return log_of(**done, reward=reward, probability=np.array([0.6, 0.1, 0.3])[action], x=x)

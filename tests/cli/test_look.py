@@ -64,12 +64,12 @@ def stained(tmp_path) -> Path:
 
 def test_colour_tells_what_looks_dirty_and_labels_of_a_file_stand_before_it(stained, table, tmp_path):
     lines = run(stained).output.splitlines()
-    assert lines[2].endswith("in view  label")
-    assert [line.split()[-1] for line in lines[3:]] == ["dirty", "clean"]
+    assert lines[2].endswith("in view  label  P(dirty)")
+    assert [line.split()[-2] for line in lines[3:]] == ["dirty", "clean"]
     told = objects_of(stained)
     assert [seen["label"] for seen in told] == ["dirty", "clean"]
     for seen in told:
-        assert list(seen)[-2:] == ["label", "share_in_view"]
+        assert list(seen)[-3:] == ["label", "share_in_view", "p_dirty"]
         assert seen["share_in_view"] == pytest.approx(0.3 * (1 - seen["occlusion"]))
     # All but the labels is as without colour.
     plain = run(table).output.splitlines()

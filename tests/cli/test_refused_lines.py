@@ -3,10 +3,12 @@
 import socket
 import sys
 
+import numpy as np
 import pytest
 from shell import TABLE
 
 from halfseen.logs import LogRecorder, Logs, read_logs
+from small_logs import log_of
 from text_arms import HULL, SIX, seven
 
 TINY = [("0 0 0.05", axis, "-170 170") for axis in ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0")]
@@ -233,16 +235,7 @@ def place(house, learned):
     (house / "cloud.png").symlink_to(TABLE)
     (house / "clouds").mkdir()
     (house / "clouds" / "cloud.pcd").write_text("no cloud at all")
-    Logs(
-        {
-            "trajectory": [0, 1],
-            "stage": [1, 1],
-            "elapsed_s": [None, None],
-            "action": ["A", "B"],
-            "reward": [None, None],
-        },
-        {"trajectory": [0, 1], "end_s": [1.0, 2.0], "ending": ["cut", "cut"]},
-    ).write(house / "cut")
+    log_of({"end_s": [1.0, 2.0]}, trajectory=[0, 1], elapsed_s=np.nan, action=["A", "B"]).write(house / "cut")
     logs = read_logs(house / "team-logs")
     Logs(logs.stages.drop(columns="1_decisions_to_go"), logs.trajectories, logs.objects).write(house / "no-counts")
     none_left = {f"{r}_decisions_to_go": 0 for r in (0, 1)}

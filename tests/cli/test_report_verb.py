@@ -27,7 +27,7 @@ def test_says_the_answer_and_where_the_page_is_and_the_same_again(folder, tmp_pa
     arguments = [folder / "logs", folder / "policy", "--replicates", 4, "--seed", 2]
     first = run(*arguments, "--out", tmp_path / "a.html")
     answer, place = first.stdout.splitlines()
-    assert answer.split(":")[0] in ("Better", "Not better", "Cannot be said")
+    assert answer.split(":")[0] in ("Better", "Not better", "Inconclusive")
     assert place == f"The page: {tmp_path / 'a.html'}"
     assert first.stderr == ""
     second = run(*arguments, "--out", tmp_path / "b.html", "--json")
@@ -52,9 +52,9 @@ def test_the_page_is_against_whom_it_is_told(folder, tmp_path):
     sequence = "sequence:" + ",".join([ACTIONS[0]] * 2)
     arguments = [folder / "logs", folder / "policy", "--replicates", 4, "--against", sequence, "--against", "logging"]
     numbers = json.loads(run(*arguments, "--out", tmp_path / "a.html", "--json").stdout)
-    opponents = [each["opponent"] for each in numbers["value"]["comparisons"]]
-    assert len(opponents) == 2
-    assert opponents[1] == "the logging policy"
+    baselines = [each["baseline"] for each in numbers["value"]["comparisons"]]
+    assert len(baselines) == 2
+    assert baselines[1] == "the logging policy"
     page = html.unescape((tmp_path / "a.html").read_text())
     assert f"--against {shlex.quote(sequence)} --against logging --replicates 4" in page
 

@@ -82,3 +82,29 @@ def test_a_token_comes_from_the_environment_what_is_no_http_harms_nobody_and_ctr
         process.send_signal(signal.SIGINT)
         assert process.wait(120) == 0
         assert set(process.stderr.read().splitlines()) == {"WARNING:  Invalid HTTP request received."}
+
+
+def test_a_comparison_survives_kill_9_and_says_when_its_verdict_changes(policy, tmp_path):
+    (tmp_path / "rule.csv").write_text("action\nA\n")
+    words = (policy, "--record", tmp_path / "logs", "--against", tmp_path / "rule.csv", "--share", "0.5", "--seed", "1")
+
+    def run(client, num):
+        for _ in range(num):
+            arm = client.post("/decide", json=SEEN).json()["arm"]
+            client.post("/reward", json={"reward": 9.0 if arm == "policy" else 0.0, "elapsed_s": 1.0})
+            client.post("/end", json={"ending": "finished", "elapsed_s": 2.0})
+
+    with served(*words) as (process, client):
+        run(client, 6)
+        before = client.get("/comparison").json()
+        client.post("/decide", json=SEEN)
+        process.kill()
+        process.wait(120)
+    with served(*words) as (process, client):
+        again = client.get("/comparison").json()
+        # The stage in progress was cut.
+        assert (before["num"], again["num"]) == (6, 7)
+        run(client, 25)
+        assert client.get("/comparison").json()["verdict"] == "promoted"
+        assert process.stdout.readline().startswith("the policy is promoted after ")
+    assert len(read_logs(tmp_path / "logs").trajectories) == 32

@@ -14,8 +14,7 @@ from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.perception import perceive, read_cloud
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.rules import ReservingPolicy
+from halfseen.planners.heuristics import GreedyPolicy, ReservingPolicy
 from halfseen.policies.folder import read_policy
 from halfseen.world import AssumedGrasping, ExploringPolicy, TableWorld, WorldConfig, random, read_team
 from halfseen.world.actions import VERB_NAMES, WAIT

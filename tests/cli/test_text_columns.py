@@ -60,8 +60,9 @@ def test_learn_looks_at_text_and_says_what_it_leaves_out(folder):
     assert report["schema"]["categories"] == {"colour": ["blue", "green", "red"]}
     assert report["notes"] == [
         "it does not look at order, which has more than 20 categories; group them into fewer, or leave it out",
-        "it does not look at remark, which is null at trajectory 1, stage 1; fill it in, with a word such as 'unknown' "
-        "where nothing is known, or leave it out",
+        "it does not look at remark, which is null at trajectory 1, stage 1; fill it in by --missing "
+        "remark=median+flag (Python: missing={'remark': 'median+flag'}), or by the rule last, or leave column 'remark' "
+        "of stages out",
     ]
     logs = by_hand(stamped(0))
     theirs = CensoredQLearner.of_paper(2, ACTIONS, BY_HAND, reg=0.01).fit(logs)
@@ -110,6 +111,12 @@ def test_act_warns_of_a_category_that_this_stage_never_showed(folder, tmp_path):
     told = "colour is blue, which no state of the logs showed at this stage; Q is extrapolated"
     assert json.loads(run("act", tmp_path / "policy", blue, "--json"))["warnings"] == [told]
     assert json.loads(run("act", tmp_path / "policy", blue, "--stage", 2, "--json"))["warnings"] == []
+
+
+def test_act_says_of_another_spelling_that_it_is_one(folder, tmp_path):
+    file = state(tmp_path, "a.json", '{"x": 0.1, "colour": "Blue", "is_heavy": true}')
+    told = refusal(PolicyError, "act", folder / "policy", file)
+    assert "covariate 'colour': 'Blue' and 'blue' differ only in their spelling, and the log that was learned" in told
 
 
 @pytest.mark.parametrize("text", ['"mauve"', "null", "7"])

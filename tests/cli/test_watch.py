@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from few_cups import draw_small_tables
 from halfseen.logs import read_logs
 from halfseen.perception import perceive, read_cloud
 from halfseen.scene import table_paths
@@ -23,7 +24,8 @@ def test_a_cloud_with_a_policy_is_written_as_a_page_and_a_picture(typed, house, 
 
 
 @pytest.mark.slow
-def test_a_running_cell_is_recorded_and_its_logs_are_the_same(typed, refused, tmp_path):
+def test_a_running_cell_is_recorded_and_its_logs_are_the_same(typed, refused, tmp_path, monkeypatch):
+    draw_small_tables(monkeypatch)
     words = ["cell", "run", "--policy", "history-penalty", "--tables", 2, "--seed", 6]
     assert typed(*words, "--out", tmp_path / "watched", "--record", tmp_path / "record").status == 0
     assert typed(*words, "--out", tmp_path / "alone", "--workers", 1).status == 0

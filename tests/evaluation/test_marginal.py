@@ -1,25 +1,21 @@
-"""Weights by states against loops and an enumeration; what they leave exact; and what a trajectory can earn at all."""
+"""Weights by states against loops and an enumeration; what a trajectory can earn; what went before a stage."""
 
+from functools import cache
 from itertools import product
 
 import numpy as np
 import pytest
-from enumerated_trial import CHANCE_B, StatePolicy, leaves, specified, trial, truth
+from enumerated_trial import CHANCE_B, StatePolicy, leaves, problem, specified, trial, truth
 
 from halfseen.evaluation import FixedSequence, evaluate
 from halfseen.evaluation import states as regression
 from halfseen.evaluation.estimate import Possible, possible
-from halfseen.evaluation.off_policy import default_q, default_targets, q_model_of
-from halfseen.evaluation.problem import problem_of
+from halfseen.evaluation.off_policy import HISTORY_COUNTS
+from halfseen.evaluation.states import CLEARLY, history_deviate, wald
 from halfseen.evaluation.weights import begun_weights, marginal_weights, single_ratios
+from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))
-
-
-def problem(logs, policy=TARGET, num_folds=3):
-    spec, widened = default_q(policy, logs)
-    model = q_model_of(policy, widened, default_targets(logs), spec)
-    return problem_of(policy, widened, model, "logged", np.random.default_rng(0), num_folds)
 
 
 def rows(seed, num_rows=40, num_weightings=3):
@@ -60,15 +56,6 @@ def test_the_mean_by_state_is_the_loop(seed):
     best = [forms[int(np.argmin(errors))] for forms in each]
     wanted = [m * w[kept].sum() / m[kept].sum() for m, w, kept in zip(best, weight, is_fitted, strict=True)]
     np.testing.assert_allclose(regression.mean_by_state(weight, [states], is_fitted), wanted, rtol=1e-7, atol=1e-12)
-
-
-def test_weights_that_states_tell_are_found_and_equal_ones_stay():
-    weight, states, is_fitted = rows(0, num_rows=300)
-    by_state = np.broadcast_to(1.0 + states[:, 0] * states[:, 1] + states[:, 0] ** 2, weight.shape)
-    np.testing.assert_allclose(regression.mean_by_state(by_state, [states], is_fitted), by_state, rtol=0.02)
-    np.testing.assert_allclose(
-        regression.mean_by_state(np.full_like(weight, 2.5), [states], is_fitted), np.full_like(weight, 2.5), rtol=1e-9
-    )
 
 
 @pytest.mark.parametrize("num_places", [1, 5, 50])
@@ -116,7 +103,7 @@ def test_weights_by_states_are_the_loop(monkeypatch):
     """With one width there is nothing to choose, so each fold goes its own way."""
     monkeypatch.setattr(regression, "WIDTHS", (0.6,))
     monkeypatch.setattr(regression, "linear", lambda weight, *_: np.zeros_like(weight))
-    given = problem(trial(0, num_trajectories=60, cut_rate=0.15))
+    given = problem(trial(0, num_trajectories=60, cut_rate=0.15), TARGET)
     uncut = np.stack([each.uncut for each in given.nuisances])
     single = single_ratios(given.log.policy, given.likely, given.trajectories)
     found = marginal_weights(single, uncut, given.trajectories, given.beyond, given.fold, is_imputed=True)
@@ -140,7 +127,7 @@ def test_of_the_logging_policy_on_uncut_logs_every_weight_is_one():
 def test_they_are_the_ratio_of_how_often_states_are_met():
     """States are fair coins, so all that the past says of stage 2 is how often it is come to."""
     logs = trial(2, num_trajectories=4000, cut_rate=0.1)
-    given = problem(logs)
+    given = problem(logs, TARGET)
     stays = {
         name: 1.0
         - sum(
@@ -162,7 +149,7 @@ def test_they_are_the_ratio_of_how_often_states_are_met():
 
 
 def test_they_vary_less_than_products_and_agree_with_them_in_the_mean():
-    given = problem(trial(3, num_trajectories=2000, cut_rate=0.1))
+    given = problem(trial(3, num_trajectories=2000, cut_rate=0.1), TARGET)
     products = begun_weights(given.ratio, given.nuisances[-1].uncut, given.trajectories)
     by_state = given.stage_weights[-1]
     assert by_state.effective_sample_size > products.effective_sample_size
@@ -195,7 +182,7 @@ def naive_most(trajectories, sign):
 
 
 def test_what_a_trajectory_can_earn_is_the_best_way_through_what_was_seen():
-    trajectories = problem(trial(5, num_trajectories=30, cut_rate=0.1)).trajectories
+    trajectories = problem(trial(5, num_trajectories=30, cut_rate=0.1), TARGET).trajectories
     assert tuple(possible(trajectories)) == pytest.approx(
         (naive_most(trajectories, -1.0), naive_most(trajectories, 1.0))
     )
@@ -211,7 +198,7 @@ def test_a_mean_outside_is_moved_to_the_nearer_end():
 @pytest.mark.parametrize("seed", range(6))
 def test_no_interval_reaches_beyond_the_possible(seed):
     logs = trial(seed, num_trajectories=30, cut_rate=0.2)
-    given = problem(logs)
+    given = problem(logs, TARGET)
     found = evaluate(StatePolicy((1.0, 0.0)), logs, against="logging")
     low, high = possible(given.trajectories)
     assert low <= found.doubly_robust.low <= found.doubly_robust.value <= found.doubly_robust.high <= high
@@ -228,3 +215,77 @@ def test_intervals_of_few_effective_trajectories_hold_the_truth(policy):
     held = sum(each.difference.low <= gain <= each.difference.high for each in found)
     # Of 60 intervals at 95 %, fewer than 53 hold with a chance of 2 %.
     assert held >= 53
+
+
+# What went before a stage
+CARRIED = 2.0
+"""What a first action B adds to the reward of the second stage."""
+
+
+@cache
+def with_history(seed, num_trajectories=400):
+    """The trial, but a first action B is paid for in the second stage, too, which no covariate of it tells."""
+    logs = trial(seed, num_trajectories=num_trajectories, cut_rate=0.05)
+    first = logs.stages.groupby("trajectory")["action"].transform("first")
+    is_paid = (logs.stages["stage"] == 2) & (first == "B")
+    return Logs(logs.stages.assign(reward=logs.stages["reward"] + CARRIED * is_paid), logs.trajectories)
+
+
+def true_gain():
+    """A first action B is worth as much more, for it ends no trajectory."""
+
+    def value(chance_b):
+        return truth(chance_b) + CARRIED * sum(0.5 * chance for chance in chance_b)
+
+    return value(TARGET.chance_b) - value(tuple(CHANCE_B))
+
+
+def test_where_states_tell_all_it_is_a_normal_deviate():
+    found = []
+    given = problem(trial(0, num_trajectories=300), TARGET, num_folds=5)
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        # What trajectories share, and what is theirs in a stage.
+        residual = rng.normal(size=(300, 1)) + rng.normal(size=(300, 2)) * (1.0 + given.trajectories.action)
+        found.append(history_deviate(residual, given.trajectories.is_begun, given.trajectories, given.beyond))
+    assert np.mean(found) == pytest.approx(0.0, abs=0.25)
+    assert np.std(found) == pytest.approx(1.0, abs=0.15)
+
+
+def test_the_statistic_is_its_definition_and_directions_without_scores_do_not_count():
+    score = np.random.default_rng(0).normal(size=(50, 3)) + 0.2
+    total = score.sum(axis=0)
+    found, freedom = wald(score)
+    assert (found, freedom) == (pytest.approx(total @ np.linalg.inv(score.T @ score) @ total), 3)
+    assert wald(np.column_stack([score, score[:, 0]])) == (pytest.approx(found), 3)
+    assert wald(score[:, :0]) == (0.0, 0)
+
+
+def test_a_trajectory_of_one_stage_has_no_history():
+    logs = trial(1, num_trajectories=60)
+    given = problem(logs, TARGET, num_folds=5)
+    trajectories = given.trajectories
+    assert (
+        history_deviate(np.ones((60, 2)), trajectories.is_begun & [True, False], trajectories, given.beyond) == -np.inf
+    )
+
+
+def test_a_past_that_matters_is_found_and_then_products_weigh():
+    given = problem(with_history(0), TARGET, num_folds=5)
+    judged = given.judged(given.nuisances[:-1])
+    assert given.history_deviate(judged) > CLEARLY
+    settled = given.settled(judged)
+    assert (settled.marginal, settled.has_history) == (None, True)
+    products = begun_weights(given.ratio, given.nuisances[-1].uncut, given.trajectories)
+    np.testing.assert_allclose(settled.stage_weights[-1].weight, products.weight, rtol=1e-9)
+    np.testing.assert_allclose(settled.stage_weights[-1].standing, products.standing, rtol=1e-9)
+    found = evaluate(TARGET, with_history(0), against="logging")
+    assert HISTORY_COUNTS in found.notes
+    assert found.difference.low < true_gain() < found.difference.high
+
+
+def test_a_past_that_does_not_is_not():
+    logs = trial(2, num_trajectories=400, cut_rate=0.05)
+    given = problem(logs, TARGET, num_folds=5)
+    assert given.settled(given.judged(given.nuisances[:-1])) is given
+    assert HISTORY_COUNTS not in evaluate(TARGET, logs, against="logging").notes

@@ -38,6 +38,10 @@ def test_a_policy_without_chance_takes_one_possible_action(laid_out):
     assert set(np.unique(chances)) == {0.0, 1.0}
     np.testing.assert_array_equal(chances.sum(axis=2), trajectories.is_begun)
     assert not (chances[~trajectories.is_possible] > 0).any()
+    # The uniform policy shares among what is possible.
+    chances = target_probabilities(UniformPolicy(), logs, trajectories, TASK)[trajectories.is_begun]
+    possible = trajectories.is_possible[trajectories.is_begun]
+    np.testing.assert_allclose(chances, possible / possible.sum(axis=1, keepdims=True), rtol=1e-6)
 
 
 def test_the_world_pays_what_its_episodes_hold():
@@ -55,10 +59,3 @@ def test_heuristics_meet_the_same_episodes():
     assert (itself.value, itself.difference.value, itself.difference.standard_error) == (found.value, 0.0, 0.0)
     assert chance.difference.value == pytest.approx(found.value.value - chance.value.value)
     assert chance.difference.low > 0
-
-
-def test_the_uniform_policy_shares_among_what_is_possible(laid_out):
-    logs, trajectories = laid_out
-    chances = target_probabilities(UniformPolicy(), logs, trajectories, TASK)[trajectories.is_begun]
-    possible = trajectories.is_possible[trajectories.is_begun]
-    np.testing.assert_allclose(chances, possible / possible.sum(axis=1, keepdims=True), rtol=1e-6)

@@ -6,13 +6,12 @@ from functools import cache
 import numpy as np
 import pandas as pd
 import pytest
-from enumerated_trial import CHANCE_B, StatePolicy, trial
+from enumerated_trial import CHANCE_B, StatePolicy, problem, trial
 
 from halfseen.evaluation import FixedSequence, evaluate, held_out_verdict
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.held_out import learn_by_folds
-from halfseen.evaluation.off_policy import default_q, default_targets, q_model_of
-from halfseen.evaluation.problem import as_logged, problem_of
+from halfseen.evaluation.problem import as_logged
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import verdict_of, why_unknown
 from halfseen.learning import CensoredQLearner
@@ -23,21 +22,15 @@ POLICY = StatePolicy((0.9, 0.2))
 log = cache(trial)
 
 
-def problem(logs):
-    spec, widened = default_q(POLICY, logs)
-    model = q_model_of(POLICY, widened, default_targets(logs), spec)
-    return problem_of(POLICY, widened, model, "logged", np.random.default_rng(0), 2)
-
-
 def test_of_uncut_trajectories_as_many_are_worth_one_as_their_mean_squared_ratio_and_cuts_take_more():
     """States are fair coins, so stages have nothing to do with one another but that some end after the first."""
     chance_b = np.array(POLICY.chance_b)
     stage = 0.5 * (chance_b**2 / CHANCE_B + (1.0 - chance_b) ** 2 / (1.0 - CHANCE_B)).sum()
     leaves = 0.5 * (1.0 - CHANCE_B[1])
-    by_state = problem(trial(0, num_trajectories=400))
+    by_state = problem(trial(0, num_trajectories=400), POLICY, num_folds=2)
     assert by_state.trajectories_for_one == pytest.approx(400 / by_state.effective_sample_size)
     logs = (trial(0, num_trajectories=4000), trial(0, num_trajectories=400, cut_rate=0.2))
-    uncut, cut = (problem(each)._replace(marginal=None) for each in logs)
+    uncut, cut = (problem(each, POLICY, num_folds=2)._replace(marginal=None) for each in logs)
     assert uncut.trajectories_for_one == pytest.approx(leaves * stage + (1.0 - leaves) * stage**2, rel=0.1)
     assert as_logged(uncut).trajectories_for_one == pytest.approx(1.0)
     assert cut.trajectories_for_one == pytest.approx(cut.squared_ratio / (as_logged(cut).effective_sample_size / 400))
@@ -131,7 +124,7 @@ def test_what_helps_is_better_and_the_folds_are_pooled():
     seen_all = evaluate(fitted.policy_, logs, against="logging", censoring="kaplan-meier")
     assert found.evaluation.difference.value < seen_all.difference.value + seen_all.difference.standard_error
     kept = json.loads(json.dumps(found.as_dict()))
-    assert (kept["verdict"], kept["comparisons"][0]["opponent"]) == ("better", "the logging policy")
+    assert (kept["verdict"], kept["comparisons"][0]["baseline"]) == ("better", "the logging policy")
 
 
 def test_where_nothing_is_to_be_learned_nothing_is_claimed():
@@ -147,7 +140,7 @@ def test_too_few_trajectories_are_said_to_be_too_few():
     found = held_out_verdict(learner().fit(logs), logs)
     assert found.evaluation is None
     assert found.sentence.startswith(
-        "Cannot be said: the log has 12 trajectories, and 10 folds need 20; record more (said"
+        "Inconclusive: the log has 12 trajectories, and 10 folds need 20; record more (said"
     )
     few = logs.select(logs.trajectory_ids[:3])
     assert "3 trajectories for 5 folds" in held_out_verdict(learner().fit(few), few).reason
@@ -160,5 +153,5 @@ def test_a_fold_that_cannot_be_learned_is_a_reason_and_no_error():
     only_first = np.where(stages["trajectory"] == 0, 1.0, np.nan)
     logs = Logs(stages.assign(elapsed_s=2.0 * only_first, reward=only_first), trajectories)
     found = held_out_verdict(learner().set_params(horizon=1).fit(logs), logs)
-    assert (found.verdict, found.evaluation) == ("cannot be said", None)
+    assert (found.verdict, found.evaluation) == ("inconclusive", None)
     assert "cut" in found.reason

@@ -8,14 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.image import imread
+from trial_comparison import METHODS, compare
+from trial_optimum import GRID, best_sequence, optimum, policy_value, random_value
+from trial_patients import ACTIONS, TREATMENTS, YEAR_S, follow, trial
+from trial_words import standard_error, table
 
-FOLDER = Path(__file__).parents[2] / "examples" / "clinical_trial"
-sys.path.insert(0, str(FOLDER))
-
-from trial_comparison import METHODS, compare  # noqa: E402
-from trial_optimum import GRID, best_sequence, optimum, policy_value, random_value  # noqa: E402
-from trial_patients import ACTIONS, TREATMENTS, YEAR_S, follow, trial  # noqa: E402
-from trial_words import standard_error, table  # noqa: E402
+SCRIPT = Path(__file__).parents[2] / "examples" / "clinical_trial" / "clinical_trial.py"
 
 NUM_FOLLOWED = 32_000
 
@@ -78,7 +76,7 @@ def test_a_policy_is_learned_and_told():
 @pytest.mark.slow
 def test_the_script_prints_and_draws(tmp_path):
     options = ["--patients", "80", "--trials", "1", "--seed", "4", "--out", str(tmp_path)]
-    command = [sys.executable, FOLDER / "clinical_trial.py", *options]
+    command = [sys.executable, SCRIPT, *options]
     done = subprocess.run(command, capture_output=True, text=True, encoding="utf-8", check=False)
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()

@@ -17,9 +17,8 @@ from fuzz import log_inputs, policy_inputs  # noqa: F401
 from fuzz.corpus import CLOUDS, HEAVY, LOGS, SEEDS, made, of_kind
 from fuzz.hostile import pick
 from fuzz.in_bytes import OF_BYTES, OF_TEXT, TEXT, another_file, another_kind, sealed
-from fuzz.in_structure import OF_FORMAT
+from fuzz.in_structure import NEUTRAL, OF_FORMAT
 from fuzz.in_words import other_words
-from fuzz.neutral import NEUTRAL
 
 INPUT = "in"
 MOST_TEXT = 8000

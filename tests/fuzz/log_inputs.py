@@ -14,10 +14,11 @@ import numpy as np
 from fuzz.corpus import HEAVY, INSPECTED, LEARN, LOGS, MAPPED, ONE, seed
 from fuzz.policy_inputs import NUM_COLUMNS, NUM_ROWS, table_cloud
 from halfseen.logs import LogRecorder, Logs
+from holes import holed_log
 from small_logs import flat_log, table_log
 from text_logs import text_log
 
-OF_LEARNING = ("--json", "--in-passes --json", "--censoring cox --q-function kernel --reg 0.1")
+OF_LEARNING = ("--json", "--streaming --json", "--censoring cox --q-function kernel --reg 0.1")
 OF_SQL = "--stages 'SELECT * FROM stages' --trajectories 'SELECT * FROM trajectories'"
 
 
@@ -31,11 +32,13 @@ def csv(folder: Path, log: Callable[[], Logs]) -> None:
     write_csv(log(), folder / "logs")
 
 
+FILLED = [f"inspect in/logs --missing {rules} --json" for rules in ("median+flag", "last", "x=last,*=median+flag")]
 few_words = partial(text_log, 20)
 for _name, _kind, _make, _log, _lines in (
     ("flat", LOGS, parquet, flat_log, INSPECTED),
     ("tables", LOGS, parquet, table_log, INSPECTED),
     ("text", LOGS, parquet, few_words, INSPECTED[:1]),
+    ("holes", LOGS, parquet, partial(holed_log, 0.3, num_trajectories=20), FILLED),
     ("csv", LOGS, csv, partial(flat_log, 8), [f"convert in/logs {ONE}"]),
     ("csv-tables", LOGS, csv, partial(table_log, 6), [f"convert in/logs {ONE}"]),
     ("flat-learned", HEAVY, parquet, flat_log, [f"{LEARN} {more}" for more in OF_LEARNING]),
@@ -135,6 +138,21 @@ def steps(folder: Path, kind: str) -> None:
 
 for _kind in ("parquet", "csv", "arrow"):
     seed(LOGS, f"convert in/steps.{_kind} {ONE}", name=f"steps-{_kind}")(partial(steps, kind=_kind))
+
+
+@seed(
+    LOGS,
+    "convert in/stages.csv --mapping in/stages.toml --out out --json",
+    "convert in/events.parquet --mapping in/events.toml --out csv:out",
+    "convert in/stages.csv --mapping-template --out out",
+)
+def events(folder: Path) -> None:
+    from event_files import STAGES, WIDE, write_events
+
+    write_events(folder)
+    (folder / "events.csv").unlink()  # what changes nothing is done to CSV of UTF-8 with commas
+    (folder / "stages.csv").write_text(WIDE)
+    (folder / "stages.toml").write_text(STAGES)
 
 
 @seed(

@@ -116,7 +116,7 @@ def several(folder: Path) -> None:
     "act in/policy in/state.json",
     "export in/policy --onnx out.onnx",
 )
-def flat_policy(folder: Path) -> None:
+def discrete_policy(folder: Path) -> None:
     from halfseen.learning import CensoredQLearner
     from halfseen.policies.folder import write_policy
 
@@ -135,7 +135,7 @@ def flat_policy(folder: Path) -> None:
     "report in/logs --out out.html --json --workers 1",
 )
 def judged(folder: Path) -> None:
-    flat_policy(folder)
+    discrete_policy(folder)
     flat_log(seed=1).write(folder / "logs")
     (folder / "rule.toml").write_text(RULE)
     (folder / "rule.csv").write_text("x1,action\n> 0.5,A\n,A\n")

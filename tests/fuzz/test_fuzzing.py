@@ -9,8 +9,8 @@ from fuzz.cases import Case, drawn, kept, remade
 from fuzz.oracle import Outcome, judged
 
 KEPT_FILES = sorted(KEPT.glob("*.json"))
-SHORT, LONG = 25, 500
-"""Cases of the run that every test run makes, and of the one beside the slow tests."""
+SHORT, LONG = 25, 150
+"""Cases of the run that every test run makes, and of the one beside the slow tests; `make fuzz` is the campaign."""
 RIGHT = Case("npz", ("look", "in/table.npz", "--json"), ())
 
 

@@ -13,7 +13,7 @@ from halfseen import installation
 from halfseen.cli import VERBS
 from halfseen.installation import command_for
 from release.every_verb import LINES, Ended
-from release.walk import WITHOUT_EXTRAS, engineers_path, faults_without_extras
+from release.walk import WITHOUT_EXTRAS, engineers_path, faults_without_extras, pythons
 
 
 def not_there(name):
@@ -43,15 +43,6 @@ def test_an_extra_is_added_to_what_is_there(monkeypatch, origin, pip, command):
     monkeypatch.setattr(metadata, "distribution", origin if origin is not_there else lambda _: told)
     monkeypatch.setattr(installation.shutil, "which", lambda _: pip)
     assert command_for("ros") == command
-    if origin is not_there:
-        monkeypatch.setattr(metadata, "version", not_there)
-        assert halfseen.__version__ == "0.0.0.dev0"
-
-
-def test_the_version_is_that_of_the_metadata():
-    assert halfseen.__version__ == metadata.version("halfseen")
-    with pytest.raises(AttributeError, match="nothing_of_the_kind"):
-        _ = halfseen.nothing_of_the_kind
 
 
 # The walk with the wheel.
@@ -73,6 +64,17 @@ HINT = "halfseen: skimage is not installed, and this command needs it; run: pip 
 )
 def test_a_verb_works_or_says_in_one_line_what_to_install(status, err, is_fault):
     assert bool(faults_without_extras([Ended("look table.pcd", status, err)])) == is_fault
+
+
+def test_each_python_that_is_here_and_runs_is_walked_with(tmp_path, monkeypatch):
+    for name, status in {"python3.10": 0, "python3.11": 0, "python3.12": 127, "python3.13": 0}.items():
+        (tmp_path / name).write_text(f"#!/bin/sh\nexit {status}\n")
+        (tmp_path / name).chmod(0o755)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    paths = {name: str(tmp_path / name) for name in ("python3.11", "python3.13")}
+    assert pythons() == {"python3.12": None, **paths}
+    (tmp_path / "python3.13").unlink()
+    assert pythons()["python3.13"] is None
 
 
 def test_the_engineers_path_has_five_commands_and_what_needs_no_extra_is_run():

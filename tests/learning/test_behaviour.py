@@ -4,13 +4,20 @@ from dataclasses import replace
 
 import numpy as np
 import pandas as pd
+import pytest
+from scipy.optimize import minimize, rosen, rosen_der, rosen_hess
 from sklearn.linear_model import LogisticRegression
+from trials import log_of
 
-from halfseen.learning import CensoredQLearner, FlatPolicy
-from halfseen.learning.behaviour import choice_probabilities, conditional_logit, fit_choice, leaning
-from halfseen.logs import Logs
-
-COVARIATES = ["x1", "x2"]
+from halfseen.learning import CensoredQLearner, DiscretePolicy
+from halfseen.learning.behaviour import (
+    MAX_STEPS,
+    choice_probabilities,
+    conditional_logit,
+    excess_propensity,
+    fit_choice,
+    minimise_each,
+)
 
 
 def chosen(num_rows=300, seed=0):
@@ -53,12 +60,12 @@ def test_leaning_is_nothing_at_chance_and_all_at_certainty():
     possible = np.asarray([True, True, True, False])
     utility = np.log(np.asarray([[1.0, 1.0, 1.0, 9.0], [4.0, 1.0, 1.0, 9.0], [1e30, 1.0, 1.0, 9.0]]))
     expected = [[0.0, 0.0, 0.0, 0.0], [0.5, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 0.0]]
-    np.testing.assert_allclose(leaning(utility, possible), expected, atol=1e-6)
+    np.testing.assert_allclose(excess_propensity(utility, possible), expected, atol=1e-6)
     only = np.asarray([False, False, True, False])
-    np.testing.assert_allclose(leaning(utility, only)[:, 2], 1.0)
+    np.testing.assert_allclose(excess_propensity(utility, only)[:, 2], 1.0)
 
 
-FLAT = FlatPolicy(
+FLAT = DiscretePolicy(
     actions=("A", "B"),
     covariates=("x",),
     is_possible=np.ones((1, 2), dtype=bool),
@@ -84,18 +91,7 @@ def logs_of(habit, num_trajectories=40, seed=0):
     x = rng.normal(size=num_trajectories)
     taken = x > 0 if habit else rng.random(num_trajectories) < 0.5
     flipped = taken ^ (rng.random(num_trajectories) < 0.1)
-    stages = {
-        "trajectory": np.arange(num_trajectories),
-        "stage": [1] * num_trajectories,
-        "elapsed_s": [1.0] * num_trajectories,
-    }
-    stages |= {"action": np.where(flipped, "A", "B"), "reward": rng.normal(size=num_trajectories), "x": x}
-    trajectories = {
-        "trajectory": np.arange(num_trajectories),
-        "end_s": [1.0] * num_trajectories,
-        "ending": ["finished"] * num_trajectories,
-    }
-    return Logs(pd.DataFrame(stages), trajectories)
+    return log_of(np.where(flipped, "A", "B"), rng.normal(size=num_trajectories), x=x)
 
 
 def test_where_nothing_else_is_known_the_policy_does_what_the_log_does():
@@ -117,3 +113,58 @@ def test_a_log_by_lot_waives_almost_nothing():
 def test_without_pessimism_there_is_nothing_to_waive():
     learner = CensoredQLearner(1, ["A", "B"], ["x"], pessimism=0.0).fit(logs_of(True))
     assert learner.policy_.behaviour is None
+
+
+# Newton steps on several functions at once
+
+
+def rosenbrocks(theta):
+    return tuple(np.array([of(each) for each in theta]) for of in (rosen, rosen_der, rosen_hess))
+
+
+def test_curved_valleys_are_followed_to_their_end():
+    start = np.array([[-1.2, 1.0, 0.5], [2.0, -1.5, 0.0], [1.0, 1.0, 1.0]])
+    np.testing.assert_allclose(minimise_each(rosenbrocks, start), 1.0, atol=1e-8)
+
+
+def test_functions_that_bend_down_are_left_downhill():
+    def wells(theta):
+        """Two minima, and a top between them at which the first begins; the second is a bowl."""
+        x = theta[:, 0]
+        value = np.array([(x[0] ** 2 - 1.0) ** 2, (x[1] - 3.0) ** 2])
+        slope = np.array([4.0 * x[0] * (x[0] ** 2 - 1.0), 2.0 * (x[1] - 3.0)])
+        bend = np.array([12.0 * x[0] ** 2 - 4.0, 2.0])
+        return value, slope[:, None], bend[:, None, None]
+
+    np.testing.assert_allclose(minimise_each(wells, np.array([[0.1], [50.0]])), [[1.0], [3.0]], atol=1e-8)
+
+
+def test_it_agrees_with_scipy_where_logits_saturate():
+    rng = np.random.default_rng(1)
+    design, sign = rng.normal(size=(60, 2)), np.where(rng.random((5, 60)) < 0.9, 1.0, -1.0)
+
+    def logistic(theta, sign=sign):
+        margin = sign * (theta @ design.T)
+        wrong = 1.0 / (1.0 + np.exp(margin))
+        value = np.logaddexp(0.0, -margin).sum(axis=1) + (theta**2).sum(axis=1) / 200.0
+        bend = (wrong * (1.0 - wrong))[:, :, None, None] * design[:, :, None] * design[:, None, :]
+        return value, theta / 100.0 - (sign * wrong) @ design, bend.sum(axis=1) + np.eye(2) / 100.0
+
+    found = minimise_each(logistic, np.full((5, 2), 8.0))
+    for k, theta in enumerate(found):
+        of_one = [lambda at, i=i, k=k: logistic(at[None], sign[k : k + 1])[i][0] for i in range(2)]
+        peer = minimize(of_one[0], np.zeros(2), jac=of_one[1], options={"gtol": 1e-9})
+        np.testing.assert_allclose(theta, peer.x, atol=1e-6)
+
+
+@pytest.mark.parametrize("value", [np.inf, np.nan])
+def test_what_cannot_be_lowered_ends(value):
+    asked = []
+
+    def cliff(theta):
+        asked.append(1)
+        is_start = theta[:, 0] == 0.0
+        return np.where(is_start, 0.0, value), np.ones_like(theta), np.ones((len(theta), 1, 1))
+
+    assert minimise_each(cliff, np.zeros((1, 1))).tolist() == [[0.0]]
+    assert len(asked) < MAX_STEPS

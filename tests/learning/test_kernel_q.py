@@ -1,11 +1,10 @@
 import numpy as np
-import pandas as pd
 import pytest
 from sklearn.kernel_ridge import KernelRidge
+from trials import log_of
 
 from halfseen.learning import CensoredQLearner, KernelQ
 from halfseen.learning.q_space import fit_kernel_map
-from halfseen.logs import Logs
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 GAMMA, REG = 0.7, 1e-3
@@ -16,19 +15,7 @@ def one_stage(num_trajectories=80, seed=0):
     x = rng.normal(size=(num_trajectories, 2)) * [1.0, 10.0] + [0.0, 5.0]
     action = rng.choice(["A", "B"], num_trajectories)
     reward = np.where(action == "A", np.sin(2.0 * x[:, 0]), np.cos(x[:, 1] / 5.0))
-    trajectory = np.arange(num_trajectories)
-    stages = {
-        "trajectory": trajectory,
-        "stage": 1,
-        "elapsed_s": rng.uniform(1, 2, num_trajectories),
-        "action": action,
-        "reward": reward,
-    }
-    stages |= {"x1": x[:, 0], "x2": x[:, 1]}
-    return Logs(
-        pd.DataFrame(stages),
-        {"trajectory": trajectory, "end_s": stages["elapsed_s"], "ending": ["finished"] * num_trajectories},
-    )
+    return log_of(action, reward, ends_s=rng.uniform(1, 2, num_trajectories), x1=x[:, 0], x2=x[:, 1])
 
 
 def test_with_all_rows_as_landmarks_it_is_kernel_ridge_with_a_free_offset():
@@ -62,28 +49,15 @@ def test_the_low_rank_form_is_near_the_exact_one():
     assert np.abs(difference).max() < 0.02 * np.ptp(exact.q_values(logs.stages, 1))
 
 
-def test_a_kernel_sees_what_a_line_does_not():
-    logs, fresh = one_stage(400), one_stage(400, seed=1)
-    truth = np.column_stack([np.sin(2.0 * fresh.stages["x1"]), np.cos(fresh.stages["x2"] / 5.0)])
-    error = {}
-    for q_function in ("linear", "kernel"):
-        learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x1", "x2"], q_function=q_function).fit(logs)
-        error[q_function] = np.mean((learner.q_values(fresh.stages, 1) - truth) ** 2)
-    assert error["kernel"] < 0.1 * error["linear"]
-
-
 def test_a_covariate_that_never_varies_is_ignored():
     rows = np.random.default_rng(0).normal(size=(30, 3))
     rows[:, 1] = 4.2
     features = fit_kernel_map(rows, 30, None, np.random.default_rng(0))
     moved = rows + np.array([0.0, 3.0, 0.0])
     np.testing.assert_allclose(features(moved), features(rows))
-    np.testing.assert_allclose(features(rows) @ features(rows).T, features_gram(rows[:, [0, 2]]), atol=1e-6)
-
-
-def features_gram(rows):
-    scaled = (rows - rows.mean(axis=0)) / rows.std(axis=0)
-    return np.exp(-((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1) / 2.0)
+    scaled = ((rows - rows.mean(axis=0)) / rows.std(axis=0))[:, [0, 2]]
+    gram = np.exp(-((scaled[:, None] - scaled[None]) ** 2).sum(axis=-1) / 2.0)
+    np.testing.assert_allclose(features(rows) @ features(rows).T, gram, atol=1e-6)
 
 
 @pytest.mark.slow

@@ -5,13 +5,14 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 import pytest
+from trials import log_of
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import QSpec, evaluate
 from halfseen.learning import CensoredQLearner, Task, bootstrap
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Encoded
-from halfseen.logs import Logs, LogStream
+from halfseen.logs import LogStream
 
 DOSES = np.array([0.0, 0.5, 1.0])
 
@@ -78,23 +79,19 @@ class DoseTask:
 
 def trial(seed, num_trajectories=300):
     """What a dose brings is most where it equals the need; the higher the dose, the sooner a trajectory is cut."""
-    rng = np.random.default_rng(seed)
-    stages, trajectories = [], []
+    rng, rows = np.random.default_rng(seed), []
     for trajectory in range(num_trajectories):
-        clock, is_cut = 0.0, False
+        clock = 0.0
         for stage in (1, 2):
             need, action = rng.uniform(), int(rng.integers(3))
             took, cut_s = rng.exponential(1.0), rng.exponential(8.0 * np.exp(-DOSES[action]))
-            is_cut, row = cut_s < took, {"trajectory": trajectory, "stage": stage, "need": need, "action": action}
             reward = 1.0 - 4.0 * (DOSES[action] - need) ** 2 + 4.0 * need**2 + 0.1 * rng.normal()
-            done = {"elapsed_s": None, "reward": None} if is_cut else {"elapsed_s": clock + took, "reward": reward}
-            stages.append(row | done | {"probability": 1 / 3})
-            clock += min(took, cut_s)
-            if is_cut:
+            clock, is_seen = clock + min(took, cut_s), took <= cut_s
+            rows.append((trajectory, stage, action, reward, clock, is_seen, need, 1 / 3))
+            if not is_seen:
                 break
-        trajectories.append({"trajectory": trajectory, "end_s": clock, "ending": "cut" if is_cut else "finished"})
-    frame = pd.DataFrame(stages).astype({"elapsed_s": float, "reward": float})
-    return Logs(frame, pd.DataFrame(trajectories))
+    columns = ["trajectory", "stage", "action", "reward", "ends_s", "is_seen", "need", "probability"]
+    return log_of(**pd.DataFrame(rows, columns=columns))
 
 
 @pytest.fixture(scope="module")
@@ -107,11 +104,8 @@ def learner(logs):
     return CensoredQLearner.of_paper(2, DoseTask(), reg=1e-6).fit(logs)
 
 
-def test_it_needs_nothing_but_the_protocol():
+def test_it_is_learned_and_needs_nothing_but_the_protocol(learner):
     assert isinstance(DoseTask(), Task)
-
-
-def test_it_is_learned(learner):
     best = learner.policy_.dose(np.array([0.1, 0.45, 0.9]), 1)
     assert DOSES[best].tolist() == [0.0, 0.5, 1.0]
     assert learner.q_functions_.coefficients[-1, 0] == pytest.approx([1.0, 0.0, -4.0, 8.0], abs=0.15)

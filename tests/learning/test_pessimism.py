@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from trials import log_of
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner, QuadraticQ
-from halfseen.logs import Logs
 
 REG = 0.02
 COVARIATES = ["x1", "x2"]
@@ -18,15 +18,12 @@ def trial(num_trajectories=60, seed=0, horizon=1):
     """Two stages or one; A is common, B is rare, and rewards are noisy."""
     rng = np.random.default_rng(seed)
     rows = []
-    for trajectory in range(num_trajectories):
-        for stage in range(1, horizon + 1):
-            x1, x2 = rng.normal(size=2) * [1.0, 5.0]
-            action = "B" if rng.random() < 0.25 else "A"
-            reward = (x1 if action == "A" else 0.3 * x2) + rng.normal()
-            rows.append((trajectory, stage, float(stage), action, reward, x1, x2))
-    stages = pd.DataFrame(rows, columns=["trajectory", "stage", "elapsed_s", "action", "reward", *COVARIATES])
-    trajectories = {"trajectory": np.arange(num_trajectories), "end_s": np.full(num_trajectories, float(horizon))}
-    return Logs(stages, trajectories | {"ending": ["finished"] * num_trajectories})
+    for _ in range(num_trajectories * horizon):
+        x1, x2 = rng.normal(size=2) * [1.0, 5.0]
+        action = "B" if rng.random() < 0.25 else "A"
+        reward = (x1 if action == "A" else 0.3 * x2) + rng.normal()
+        rows.append((action, reward, x1, x2))
+    return log_of(**pd.DataFrame(rows, columns=["action", "reward", *COVARIATES]), num_stages=horizon)
 
 
 def fitted_by_hand(x, y, reg, num_trajectories):
@@ -92,35 +89,20 @@ def test_what_one_lucky_stage_speaks_for_is_not_taken():
     n = 100
     action = np.where(np.arange(n) < 3, "B", "A")
     reward = np.where(action == "B", [1.5, -3.0, 4.5, *[0.0] * (n - 3)], rng.normal(size=n) * 0.1 + 0.5)
-    stages = {"trajectory": np.arange(n), "stage": 1, "elapsed_s": 1.0, "action": action, "reward": reward}
-    logs = Logs(pd.DataFrame(stages), {"trajectory": np.arange(n), "end_s": np.ones(n), "ending": ["finished"] * n})
     bold, wary = (
-        CensoredQLearner(1, ["A", "B"], pessimism=each, q_function="linear").fit(logs) for each in (0, "auto")
+        CensoredQLearner(1, ["A", "B"], pessimism=each, q_function="linear").fit(log_of(action, reward))
+        for each in (0, "auto")
     )
     here = pd.DataFrame(index=[0])
     assert bold.decide(here, 1).tolist() == ["B"]
     assert wary.decide(here, 1).tolist() == ["A"]
 
 
-def test_far_from_all_that_was_seen_the_bound_falls():
-    logs = trial(200)
-    learner = CensoredQLearner(1, ["A", "B"], COVARIATES).fit(logs)
-    near, far = pd.DataFrame({"x1": [0.0], "x2": [0.0]}), pd.DataFrame({"x1": [8.0], "x2": [40.0]})
-    gap = [learner.q_values(frame, 1) - learner.policy_.lower_bounds(frame, 1) for frame in (near, far)]
-    assert np.all(gap[1] > 3.0 * gap[0])
-
-
 def test_cut_stages_count_as_nothing_seen():
     """Imputed targets of cut stages make the bound no narrower than the completed stages alone."""
     logs = trial(200)
     is_cut = (logs.stages["action"] == "B").to_numpy() & (np.arange(200) % 2 == 0)
-    stages = logs.stages.assign(
-        reward=logs.stages["reward"].mask(is_cut), elapsed_s=logs.stages["elapsed_s"].mask(is_cut)
-    )
-    trajectories = logs.trajectories.assign(
-        ending=np.where(is_cut, "cut", "finished"), end_s=np.where(is_cut, 0.5, 1.0)
-    )
-    cut = Logs(stages, trajectories)
+    cut = log_of(**logs.stages[["action", "reward", *COVARIATES]], ends_s=np.where(is_cut, 0.5, 1.0), is_seen=~is_cut)
     imputed, completed = (
         CensoredQLearner.of_paper(1, ["A", "B"], COVARIATES, reg=REG, pessimism=1.0, censoring=each).fit(cut)
         for each in ("buckley-james", "none")

@@ -7,7 +7,7 @@ import pytest
 from sklearn.base import clone
 from sklearn.exceptions import NotFittedError
 from threadpoolctl import threadpool_info, threadpool_limits
-from trials import ACTIONS, FULL, REDUCED, cell_means, indicators
+from trials import ACTIONS, FULL, REDUCED, cell_means, indicators, log_of
 
 from halfseen.censoring import KaplanMeier, stage_weights
 from halfseen.errors import ArgumentError, LogError, PositivityError
@@ -66,19 +66,10 @@ def test_cuts_may_depend_on_what_a_trajectory_begins_with(logs, name):
     assert not np.allclose(fitted.weights_, learner(covariates=REDUCED).fit(logs).weights_)
 
 
-def test_diagnostics_are_kept(logs):
-    fitted = learner(censoring=Weighted(truncate_at=1.5)).fit(logs)
-    assert fitted.diagnostics_.largest_weight <= 1.5 + 1e-12
-    assert fitted.diagnostics_.share_truncated > 0
-    assert fitted.weights_.shape == (400, 2)
-
-
 def test_a_weight_that_is_not_identified_names_trajectory_and_stage():
     # The last cut comes before trajectory 1 finishes, and trajectory 1 stands for nobody else who was watched that
     # long.
-    stages = {"trajectory": [0, 1, 2], "stage": [1, 1, 1], "elapsed_s": [1.0, 3.0, None], "reward": [1.0, 1.0, None]}
-    trajectories = {"trajectory": [0, 1, 2], "end_s": [1.0, 3.0, 3.5], "ending": ["finished", "finished", "cut"]}
-    logs = Logs({**stages, "action": ["A", "A", "A"]}, trajectories)
+    logs = log_of(["A"] * 3, np.ones(3), ends_s=[1.0, 3.0, 3.5], is_seen=[True, True, False])
     gone = KaplanMeier().fit([0.5, 2.0], [True, False])
     with pytest.raises(PositivityError, match=r"trajectory 1, stage 1: completed at 3 s"):
         learner(horizon=1, covariates=[], censoring=gone).fit(logs)
@@ -143,8 +134,7 @@ def test_specifications_refuse_what_they_cannot_mean_where_they_are_written(writ
 
 
 def test_one_trajectory_cannot_be_held_out():
-    stages = {"trajectory": [0], "stage": [1], "elapsed_s": [1.0], "action": ["A"], "reward": [2.0]}
-    logs = Logs(stages, {"trajectory": [0], "end_s": [1.0], "ending": ["finished"]})
+    logs = log_of(["A"], [2.0])
     one = learner(horizon=1, covariates=[], reg="cv")
     with pytest.raises(ArgumentError, match="1 of 1 completed a stage; give a number for reg"):
         one.fit(logs)
@@ -277,3 +267,32 @@ print(*[name for name in heavy if name in sys.modules])
 """
     found = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert found.stdout == "\n\n"
+
+
+def two_stages(num_trajectories, is_swapped, seed=0):
+    """Two stages; A suits a positive x and B a negative one, or in the second stage the other way round."""
+    rng = np.random.default_rng(seed)
+    stage = np.tile([1, 2], num_trajectories)
+    x = rng.normal(size=2 * num_trajectories)
+    action = rng.choice(["A", "B"], 2 * num_trajectories)
+    sign = np.where(action == "A", 1.0, -1.0) * np.where((stage == 2) & is_swapped, -1.0, 1.0)
+    reward = sign * x + 0.3 * rng.normal(size=2 * num_trajectories)
+    return log_of(action, reward, num_stages=2, x=x)
+
+
+@pytest.mark.parametrize(("is_swapped", "stages"), [(False, "pooled"), (True, "separate")])
+def test_stages_are_separate_where_they_differ(is_swapped, stages):
+    learner = CensoredQLearner(2, ["A", "B"], ["x"]).fit(two_stages(120, is_swapped))
+    assert learner.model_.stages == stages
+    assert learner.chosen_[0].startswith(f"stages are {stages}: held out, ")
+    states = pd.DataFrame({"x": [-1.0, 1.0]})
+    assert learner.decide(states, 1).tolist() == ["B", "A"]
+    assert learner.decide(states, 2).tolist() == (["A", "B"] if is_swapped else ["B", "A"])
+
+
+@pytest.mark.parametrize(
+    ("num_trajectories", "said"), [(60, {"stages": "pooled"}), (10, {})], ids=["said", "too few trajectories"]
+)
+def test_there_is_not_always_a_choice(num_trajectories, said):
+    learner = CensoredQLearner(2, ["A", "B"], ["x"], **said).fit(two_stages(num_trajectories, True))
+    assert (learner.model_.stages, learner.chosen_) == ("pooled", ())

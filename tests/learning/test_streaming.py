@@ -9,12 +9,13 @@ import pandas as pd
 import pytest
 from trials import ACTIONS, FULL, all_cut
 
-from halfseen.censoring import KaplanMeier
+from halfseen.censoring import KaplanMeier, StageClocks
 from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, kept_parts
-from halfseen.learning.q_model import sampled
-from halfseen.learning.streaming import sample_of
-from halfseen.logs import LogStream, shards
+from halfseen.learning.kept_parts import KeptParts, num_bytes_of
+from halfseen.learning.rows import TrajectoryArrays
+from halfseen.learning.task import Encoded
+from halfseen.logs import LogStream
 from halfseen.tables import BetaGrasp
 from halfseen.workers import Workers
 from halfseen.world import Scene, TableWorld, UniformPolicy
@@ -95,14 +96,6 @@ def test_weights_serve_where_actions_of_cuts_are_not_known(trial, tmp_path):
     assert isinstance(learner.model_.targets, Weighted)
 
 
-def test_the_sample_is_one_of_the_log(trial, tmp_path, monkeypatch):
-    monkeypatch.setattr("halfseen.learning.q_model.MOST_TRAJECTORIES", 50)
-    found = sample_of(streamed(trial, tmp_path / "logs", 90), seed=3)
-    np.testing.assert_array_equal(found.trajectory_ids, trial.trajectory_ids[sampled(trial.num_trajectories, 3)])
-    assert found.num_trajectories == 50
-    assert found.num_stages == trial.select(found.trajectory_ids).num_stages
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("most", [5_000, 40], ids="a sample of {}".format)
 @pytest.mark.parametrize(
@@ -144,7 +137,7 @@ def bits(learner):
 
 @pytest.mark.parametrize("options", [DEFAULT, *OTHERS], ids=["default", "paper", "doubly robust by stage"])
 def test_one_worker_and_two_learn_the_same_bytes(known, tmp_path, options, monkeypatch):
-    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
+    monkeypatch.setattr("halfseen.logs.stream.NUM_SHARDS", 3)
     stream = streamed(known, tmp_path / "logs", 40)
     learner = CensoredQLearner(2, **{"actions": ACTIONS, "covariates": FULL, **options})
     one = bits(learner.fit(stream))
@@ -174,7 +167,7 @@ class Killing(KaplanMeier):
 
 
 def test_a_shard_of_a_killed_worker_is_summed_again(known, tmp_path, monkeypatch):
-    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
+    monkeypatch.setattr("halfseen.logs.stream.NUM_SHARDS", 3)
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
     stream = streamed(known, tmp_path / "logs", 40)
     options = {"actions": ACTIONS, "covariates": FULL, **OF_PAPER}
@@ -203,3 +196,73 @@ def test_a_bad_shard_names_its_trajectory(known, tmp_path):
             LogError, match=rf"logs: trajectory {known.trajectory_ids[210]}, stage 1: the stage is completed"
         ):
             CensoredQLearner(2, ACTIONS, **DEFAULT).fit(stream, workers)
+
+
+def part(seed, ids=(2**53, 7)):
+    clocks = StageClocks(
+        trajectory_ids=np.array(ids, dtype=object if isinstance(ids[0], str) else None),
+        elapsed_s=np.array([[1.0, np.nan], [0.5, 2.0]]),
+        end_s=np.array([1.5, 2.0]),
+        is_finished=np.array([False, True]),
+        is_begun=np.broadcast_to(True, (2, 2)),
+        covariates=np.zeros((2, 2, 0)),
+        covariate_names=("age", "a longer name"),
+    )
+    encoded = Encoded(np.arange(8.0).reshape(2, 2, 1, 2), np.ones((2, 2, 2), dtype=bool), np.array([[0, 1], [1, 0]]))
+    reward = np.random.default_rng(seed).normal(size=(2, 2))
+    return TrajectoryArrays(clocks, encoded, np.ones((2, 2), dtype=bool), np.full((2, 2), np.nan), reward)
+
+
+def assert_same(here, there):
+    if isinstance(there, np.ndarray):
+        assert here.dtype == there.dtype
+        np.testing.assert_array_equal(here, there)
+    elif isinstance(there, tuple):
+        assert type(here) is type(there)
+        for one, other in zip(here, there, strict=True):
+            assert_same(one, other)
+    else:
+        assert here == there
+
+
+@pytest.mark.parametrize("is_shared", [True, False], ids=["one folder", "one a worker"])
+@pytest.mark.parametrize("ids", [("a", "ünïcode"), (2**53, 7)], ids=["texts", "numbers"])
+def test_a_part_comes_back_as_it_was_and_nothing_is_left_on_the_disk(is_shared, ids, tmp_path, monkeypatch):
+    if is_shared:
+        monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with kept_parts.kept_parts(2, is_shared) as kept:
+        for number in range(2):
+            kept.keep("trajectories", number, part(0, ids))
+            kept.keep("trajectories", number, part(number, ids))
+            assert_same(kept.read("trajectories", number), part(number, ids))
+        kept.forget("trajectories", 1)
+        assert kept.read("trajectories", 1) is kept.read("rows", 0) is None
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_has_no_room_is_not_kept(tmp_path):
+    size = num_bytes_of(part(0))
+    for most, is_kept in ((size - 1, False), (size, True)):
+        kept = KeptParts(str(tmp_path), True, most)
+        kept.keep("trajectories", 0, part(0))
+        assert (kept.read("trajectories", 0) is not None) == is_kept == any(tmp_path.iterdir())
+    assert num_bytes_of((np.broadcast_to(0.0, (3, 4)), None, np.zeros(2, dtype=np.int8))) == 3 * 4 * 8 + 2
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), KeyboardInterrupt()], ids=repr)
+def test_what_ends_while_writing_leaves_what_was_there(tmp_path, monkeypatch, error):
+    """A disk that is full keeps nothing of a part, and says nothing; who is killed leaves the part of before."""
+    kept = KeptParts(str(tmp_path), True, 10**6)
+    kept.keep("trajectories", 0, part(0))
+
+    def half_written(file, part):
+        file.write_bytes(b"half a part")
+        raise error
+
+    monkeypatch.setattr(kept_parts, "_write", half_written)
+    try:
+        kept.keep("trajectories", 0, part(1))
+        assert [file.name for file in tmp_path.iterdir()] == ["trajectories-0"]
+    except KeyboardInterrupt:
+        assert isinstance(error, KeyboardInterrupt)
+    assert_same(kept.read("trajectories", 0), part(0))

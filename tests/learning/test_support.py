@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from trials import log_of
 
 from halfseen.evaluation import FixedSequence, QSpec, evaluate
 from halfseen.learning import CensoredQLearner, NamedActions
@@ -13,23 +14,17 @@ ACTIONS = ["A", "B"]
 
 def always_cut(num_trajectories=200, num_cut=20, horizon=1, seed=0):
     """B is begun in the last stage of `num_cut` trajectories, and cut each time; A costs between 1 and 2."""
-    rng = np.random.default_rng(seed)
-    stages, trajectories = [], []
+    rng, rows = np.random.default_rng(seed), []
     for trajectory in range(num_trajectories):
-        is_cut, clock = trajectory < num_cut, 0.0
+        clock = 0.0
         for stage in range(1, horizon + 1):
-            takes_b = is_cut and stage == horizon
+            takes_b = trajectory < num_cut and stage == horizon
             clock += rng.uniform(1.0, 2.0)
-            row = {"trajectory": trajectory, "stage": stage, "x": rng.normal(), "action": "B" if takes_b else "A"}
-            seen = (
-                {"elapsed_s": np.nan, "reward": np.nan}
-                if takes_b
-                else {"elapsed_s": clock, "reward": -1 - rng.random()}
-            )
-            stages.append(row | seen | {"probability": 0.1 if takes_b else 0.9})
-        end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished", "cause": None}
-        trajectories.append({"trajectory": trajectory, "end_s": clock - (0.5 if is_cut else 0.0)} | end)
-    return Logs(stages=pd.DataFrame(stages), trajectories=pd.DataFrame(trajectories))
+            x, reward = rng.normal(), np.nan if takes_b else -1.0 - rng.random()
+            taken, chance = ("B", 0.1) if takes_b else ("A", 0.9)
+            rows.append((taken, reward, clock - 0.5 * takes_b, not takes_b, x, chance))
+    columns = ["action", "reward", "ends_s", "is_seen", "x", "probability"]
+    return log_of(**pd.DataFrame(rows, columns=columns), num_stages=horizon)
 
 
 @pytest.mark.parametrize("stages", ["separate", "pooled"])
@@ -48,7 +43,7 @@ def test_an_action_that_was_cut_each_time_is_never_chosen(stages, censoring, q_f
 def test_no_verdict_is_given_on_it(stages):
     logs, q = always_cut(horizon=2), QSpec(NamedActions(ACTIONS, ["x"]), stages=stages)
     found = evaluate(FixedSequence(("A", "B")), logs, q=q)
-    assert found.verdict == "cannot be said"
+    assert found.verdict == "inconclusive"
     where = "B" if stages == "pooled" else "B in stage 2"
     assert f"the policy takes {where}, which no trajectory of the log was seen to complete" in found.reason
     assert evaluate(FixedSequence(("A", "A")), logs, q=q).verdict != "better"

@@ -76,7 +76,7 @@ def test_an_unknown_category_is_named_with_those_that_are_known(logs):
     row = strange.iloc[5]
     told = (
         f"trajectory {row['trajectory']}, stage {row['stage']}: covariate 'colour' is 'mauve', which the log that was "
-        "learned from never showed; known are 'blue', 'green', 'red': give one of these, or learn anew from logs that "
+        "learned from never showed; known are 'blue', 'green', 'red': give one of these, or learn again from logs that "
         "show 'mauve'"
     )
     for ask in (policy.q_values, policy.decide):

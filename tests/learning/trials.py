@@ -1,5 +1,7 @@
 """A trial of two stages with few kinds of state, so that Q is a table and every estimate a weighted mean."""
 
+from typing import Any
+
 import numpy as np
 import pandas as pd
 
@@ -10,14 +12,37 @@ REDUCED = ["s1_1", "s1_2", "s2_1"]
 ACTIONS = ["A", "B"]
 
 
+def log_of(
+    action: Any,
+    reward: Any,
+    *,
+    trajectory: Any = None,
+    stage: Any = None,
+    num_stages: Any = 1,
+    ends_s: Any = None,
+    is_seen: Any = True,
+    **covariates: Any,
+):
+    """Stages by rows, as many of each trajectory if it is not given; one ends at its number, and is cut if not seen."""
+    rows = np.arange(len(reward))
+    trajectory = rows // num_stages if trajectory is None else trajectory
+    stage = rows % num_stages + 1 if stage is None else stage
+    frame = pd.DataFrame({"trajectory": trajectory, "stage": stage, "action": action, **covariates})
+    frame["end_s"] = np.asarray(stage if ends_s is None else ends_s, dtype=float)
+    is_seen = np.broadcast_to(is_seen, len(rows))
+    frame["ending"] = np.where(is_seen, "finished", "cut")
+    ends = frame.groupby("trajectory")[["end_s", "ending"]].last().reset_index()
+    seen = {"elapsed_s": frame["end_s"].where(is_seen), "reward": np.where(is_seen, reward, np.nan)}
+    return Logs(frame.drop(columns=["end_s", "ending"]).assign(**seen), ends)
+
+
 def indicators(stage, state):
     return {name: float(name == f"s{stage}_{state}") for name in FULL}
 
 
 def two_stage_trial(seed=0, num_trajectories=400, last_cut=9, cut_from=1):
     """Trajectories of one or two stages on a clock of whole seconds, cut at a whole second: ties abound."""
-    rng = np.random.default_rng(seed)
-    stages, trajectories = [], []
+    rng, rows = np.random.default_rng(seed), []
     for trajectory in range(num_trajectories):
         states = rng.integers(0, 3), rng.integers(0, 2)
         actions = rng.integers(0, 2, size=2)
@@ -26,24 +51,12 @@ def two_stage_trial(seed=0, num_trajectories=400, last_cut=9, cut_from=1):
         cut_s = int(rng.integers(cut_from, last_cut + 1))
         rewards = np.array([states[0] * 0.5 - actions[0], (2 * states[1] - 1) * (2 * actions[1] - 1) + clock[1] / 4])
         rewards = rewards + rng.normal(size=2)
-        completed = [t for t in range(num_stages) if clock[t] <= cut_s]
-        is_cut = len(completed) < num_stages
-        for t in range(len(completed) + is_cut):
-            is_seen = t in completed
-            stages.append(
-                {
-                    "trajectory": trajectory,
-                    "stage": t + 1,
-                    "elapsed_s": float(clock[t]) if is_seen else None,
-                    "action": ACTIONS[actions[t]] if is_seen or rng.random() < 0.5 else None,
-                    "reward": rewards[t] if is_seen else None,
-                    "state": int(states[t]),
-                    **indicators(t + 1, states[t]),
-                }
-            )
-        end_s = float(cut_s if is_cut else clock[num_stages - 1])
-        trajectories.append({"trajectory": trajectory, "end_s": end_s, "ending": "cut" if is_cut else "finished"})
-    return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories))
+        num_seen = sum(clock[t] <= cut_s for t in range(num_stages))
+        for t in range(min(num_seen + 1, num_stages)):
+            row = {"trajectory": trajectory, "stage": t + 1, "ends_s": min(clock[t], cut_s), "is_seen": t < num_seen}
+            row |= {"action": ACTIONS[actions[t]] if t < num_seen or rng.random() < 0.5 else None}
+            rows.append(row | {"reward": rewards[t], "state": int(states[t]), **indicators(t + 1, states[t])})
+    return log_of(**pd.DataFrame(rows))
 
 
 def with_known_actions(trial):

@@ -16,7 +16,7 @@ from halfseen.logs import LogRecorder, Logs, LogStream, compact, joining, read_l
 from halfseen.logs.formats import read_csv, write_csv
 from halfseen.logs.joining import joined
 from refusals import refused
-from small_logs import flat_log, table_log
+from small_logs import flat_log, log_of, table_log
 
 OWN = ["trajectory", "run", "run_trajectory"]
 
@@ -33,23 +33,9 @@ def written(logs, folder):
 
 def log(trajectory, cause=None, **objects):
     """A log of one trajectory of one stage."""
-    clock, reward = ([1.0], [2.0]) if cause is None else ([None], [None])
-    stages = {
-        "trajectory": [trajectory],
-        "stage": [1],
-        "elapsed_s": clock,
-        "action": ["A"],
-        "reward": reward,
-        "x": [0.5],
-    }
-    trajectories = {
-        "trajectory": [trajectory],
-        "end_s": [1.5],
-        "ending": ["finished" if cause is None else "cut"],
-        "cause": [cause],
-    }
     table = {"trajectory": [trajectory], "stage": [1], "object": [0], **objects} if objects else None
-    return Logs(stages=stages, trajectories=trajectories, objects=table)
+    clock = [1.0 if cause is None else np.nan]
+    return log_of({"end_s": 1.5, "cause": cause}, table, trajectory=trajectory, elapsed_s=clock, reward=2.0, x=0.5)
 
 
 def one_trajectory(folder, name="p", **columns):
@@ -65,11 +51,8 @@ def test_nothing_is_lost(trajectories_at_once, tmp_path, monkeypatch):
         place = tmp_path / str(whole.num_trajectories)
         folders = [written(half, place / name) for half, name in zip(halves(whole), "ab", strict=True)]
         done, found = compact(folders, place / "all"), read_logs(place / "all")
-        assert (done.num_trajectories, done.num_stages, done.num_running) == (
-            whole.num_trajectories,
-            whole.num_stages,
-            0,
-        )
+        counted = (whole.num_trajectories, whole.num_stages, 0)
+        assert (done.num_trajectories, done.num_stages, done.num_running) == counted
         assert found.trajectories["trajectory"].tolist() == list(range(whole.num_trajectories))
         assert found.trajectories["run_trajectory"].tolist() == [str(name) for name in whole.trajectory_ids]
         assert found.trajectories["run"].tolist()[0] == str(place / "a")

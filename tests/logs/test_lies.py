@@ -11,8 +11,10 @@ from halfseen.errors import ArgumentError
 from halfseen.evaluation import evaluate
 from halfseen.evaluation.targets import FixedSequence
 from halfseen.logs import Logs
-from halfseen.logs.plausibility import chance_of_shorter, excess_p, grouped, imbalance_p, outcomes_among_covariates
-from halfseen.logs.suspicions import suspicions
+from halfseen.logs.data_quality import data_warnings
+from halfseen.logs.grouping import coded, grouped, rows_with
+from halfseen.logs.plausibility import chance_of_shorter, excess_p, imbalance_p, outcomes_among_covariates
+from small_logs import log_of
 
 ACTIONS = ("vacuum", "fingers", "shake", "skip")
 CHANCE = {"vacuum": 0.8, "fingers": 0.5, "shake": 0.0, "skip": 0.0}
@@ -47,7 +49,7 @@ def tables(num_parts=400, seed=0):
 
 def kinds(stages, trajectories):
     logs = Logs(stages.drop(columns="won", errors="ignore"), trajectories)
-    return {each.kind for each in suspicions(logs)}
+    return {each.kind for each in data_warnings(logs)}
 
 
 def as_finished(stages, trajectories):
@@ -61,6 +63,18 @@ def with_clock(stages, trajectories):
     return stages.assign(clock=1.7e9 + 60.0 * stages["trajectory"] + begun_s), trajectories
 
 
+def in_milliseconds(stages, trajectories):
+    return stages.assign(elapsed_s=1000 * stages["elapsed_s"]), trajectories.assign(end_s=1000 * trajectories["end_s"])
+
+
+def with_comma(x):
+    return f"{x:.1f}".replace(".", ",")
+
+
+def in_thousands(x):
+    return f"{int(900 + 400 * round(x, 1)):,}"
+
+
 LIES = {
     "the rule's own chance": ("untrue-probability", lambda s, p: (s.assign(probability=0.8125), p)),
     "one probability for all": ("untrue-probability", lambda s, p: (s.assign(probability=0.25), p)),
@@ -68,18 +82,9 @@ LIES = {
     "cuts called finished": ("cut-called-finished", as_finished),
     "the number of the part": ("identifier", lambda s, p: (s.assign(part=s["trajectory"] + 70_000), p)),
     "the clock": ("identifier", with_clock),
-    "milliseconds": (
-        "long-clock",
-        lambda s, p: (s.assign(elapsed_s=1000 * s["elapsed_s"]), p.assign(end_s=1000 * p["end_s"])),
-    ),
-    "decimal commas": (
-        "number-as-text",
-        lambda s, p: (s.assign(shine=[f"{x:.1f}".replace(".", ",") for x in s["shine"]]), p),
-    ),
-    "separators of thousands": (
-        "number-as-text",
-        lambda s, p: (s.assign(mass_mg=[f"{int(900 + 400 * round(x, 1)):,}" for x in s["shine"]]), p),
-    ),
+    "milliseconds": ("long-clock", in_milliseconds),
+    "decimal commas": ("number-as-text", lambda s, p: (s.assign(shine=s["shine"].map(with_comma)), p)),
+    "separators of thousands": ("number-as-text", lambda s, p: (s.assign(mass_mg=s["shine"].map(in_thousands)), p)),
     "one action": ("one-action", lambda s, p: (s.assign(action="vacuum", probability=1.0), p)),
     "no alternative": (
         "no-alternative",
@@ -113,16 +118,12 @@ def test_hardly_an_honest_log_raises_a_doubt():
 def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
     rng, num = np.random.default_rng(0), 500
     x, action = rng.random(num), rng.integers(0, 2, num)
-    stages = pd.DataFrame({"trajectory": range(num), "stage": 1, "elapsed_s": rng.gamma(4.0, 1.0, num), "x": x})
-    stages = stages.assign(action=np.where(action, "A", "B"), probability=0.5, reward=3.0 * x + 0.1 * action)
-    trajectories = pd.DataFrame(
-        {"trajectory": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None}
-    )
-    assert kinds(stages, trajectories) == set()
+    seen = {"trajectory": range(num), "elapsed_s": rng.gamma(4.0, 1.0, num), "x": x}
+    seen |= {"action": np.where(action, "A", "B"), "reward": 3.0 * x + 0.1 * action}
+    assert data_warnings(log_of(**seen, probability=0.5)) == ()
     # Without probabilities nobody can tell.
-    told = list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), trajectories)))
-    assert len(told) == 1
-    assert list(outcomes_among_covariates(Logs(stages.drop(columns="probability"), trajectories), of=("y",))) == []
+    assert len(list(outcomes_among_covariates(log_of(**seen)))) == 1
+    assert list(outcomes_among_covariates(log_of(**seen), of=("y",))) == []
 
 
 @pytest.mark.parametrize(
@@ -139,16 +140,11 @@ def test_a_covariate_that_foretells_much_and_was_known_before_raises_no_doubt():
 )
 def test_columns_of_all_kinds_are_looked_at_without_a_warning(name, values, kind):
     rng, num = np.random.default_rng(0), 120
-    stages = pd.DataFrame(
-        {"trajectory": range(num), "stage": 1, "elapsed_s": rng.gamma(3.0, 1.0, num), "probability": 0.5}
-    )
-    stages = stages.assign(action=rng.choice(["A", "B"], num), reward=rng.random(num), x=rng.random(num))
-    trajectories = pd.DataFrame(
-        {"trajectory": range(num), "end_s": stages["elapsed_s"], "ending": "finished", "cause": None}
-    )
+    seen = {"trajectory": range(num), "elapsed_s": rng.gamma(3.0, 1.0, num), "probability": 0.5}
+    seen |= {"action": rng.choice(["A", "B"], num), "reward": rng.random(num), "x": rng.random(num)}
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        assert kinds(stages.assign(**{name: values}), trajectories) == kind
+        assert {each.kind for each in data_warnings(log_of(**seen | {name: values}))} == kind
 
 
 def evaluated(stages, trajectories, **options):
@@ -162,12 +158,12 @@ def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trust
     stages, trajectories = tables(1500)
     honest, told = evaluated(stages, trajectories), evaluated(stages.assign(probability=0.8125), trajectories)
     assert honest.verdict == "better"
-    assert told.verdict == told.comparisons[0].verdict == "cannot be said"
+    assert told.verdict == told.comparisons[0].verdict == "inconclusive"
     assert "the log cannot be true" in told.reason
     assert "--trust-probabilities" in told.reason
     # What cannot be said anyway keeps its reason, and the doubt is noted.
     few = evaluated(*(each[each["trajectory"] < 60] for each in (stages.assign(probability=0.8125), trajectories)))
-    assert (few.verdict, few.reason == told.reason) == ("cannot be said", False)
+    assert (few.verdict, few.reason == told.reason) == ("inconclusive", False)
     assert "the log cannot be true" in few.notes[0]
     trusted = evaluated(stages.assign(probability=0.8125), trajectories, trust=("probabilities",))
     assert trusted.verdict == "better"
@@ -178,9 +174,7 @@ def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trust
 
 @pytest.mark.parametrize("lie", [as_finished, lambda s, p: (s.assign(vacuum_bar=s["won"]), p)], ids=["ends", "leak"])
 def test_no_verdict_rests_on_cuts_called_ends_or_on_outcomes_among_covariates(lie):
-    stages, trajectories = lie(*tables(1500))
-    logs = Logs(stages.drop(columns="won"), trajectories)
-    assert evaluate(FixedSequence(("vacuum",) * 5), logs, against="logging").verdict == "cannot be said"
+    assert evaluated(*lie(*tables(1500))).verdict == "inconclusive"
 
 
 def test_the_bound_of_an_excess_holds():
@@ -210,6 +204,33 @@ def test_values_are_grouped_by_fifths_and_names_by_name():
     assert grouped("number", pd.Series([f"part {k}" for k in range(50)])) is None
     assert grouped("same", pd.Series([1.0, 1.0])) is None
     assert grouped("parts", pd.Series([[1], [2]])) is None
+    late = pd.Series([0.0] * 3000 + [1.0] * 1000)  # a long beginning with one value
+    assert grouped("late", late).words == ("0.0", "1.0")
+
+
+@pytest.mark.parametrize(
+    "names",
+    [
+        pd.Series(["b", "a", "b", "ä"]),
+        pd.Series([10, 9, 10]),
+        pd.Series([10, 9], dtype="Int64"),
+        pd.Series(["b", "a", "b"], dtype="category"),
+        pd.Series([], dtype=object),
+    ],
+)
+def test_actions_are_numbered_in_the_order_of_their_text(names):
+    code, words = coded(names)
+    texts = [str(name) for name in names]
+    assert list(words) == sorted(set(texts))
+    assert [words[k] for k in code] == texts
+
+
+def test_rows_with_all_that_is_asked_for_are_kept():
+    table = pd.DataFrame({"a": [1.0, None, 3.0, 4.0], "b": ["x", "y", None, "z"], "c": None})
+    assert rows_with(table, "a", "b").index.tolist() == [0, 3]
+    assert rows_with(table, "a", "b", most=1).index.tolist() == [0]
+    whole = table.iloc[:1]
+    assert rows_with(whole, "a", "b") is whole
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -1,35 +1,25 @@
 """A log in parts is the log: as a stream, as shards that are each read alone, and as what is written part by part."""
 
-from itertools import product
-
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs import Logs, LogStream, read_logs, shards, write_stream
-from halfseen.logs.shards import ShardReader, logs_of
+from halfseen.logs import LogStream, read_logs, write_stream
+from halfseen.logs.stream import ShardReader, logs_of
 from refusals import refused
+from small_logs import log_of
 
 
-def log_of(trajectories, *, has_objects=False, is_cut=True, name_of=int, **covariates):
+def two_stages(trajectories, *, has_objects=False, is_cut=True, name_of=int, **covariates):
     """Trajectories of two stages; every third one is cut in its second."""
-    trajectories = list(trajectories)
-    rows = [
-        (trajectory, stage, is_cut and trajectory % 3 == 0 and stage == 2)
-        for trajectory, stage in product(trajectories, (1, 2))
-    ]
-    trajectory, stage, cut = (np.array(each) for each in zip(*rows, strict=True))
-    names = [name_of(each) for each in trajectory]
-    done = {"elapsed_s": np.where(cut, np.nan, stage * 1.5), "reward": np.where(cut, np.nan, trajectory * 1.0)}
-    stages = pd.DataFrame(
-        {"trajectory": names, "stage": stage, **done, "action": "A", "x": trajectory / 7.0, **covariates}
-    )
-    endings = ["cut" if is_cut and each % 3 == 0 else "finished" for each in trajectories]
-    ends = pd.DataFrame({"trajectory": [name_of(each) for each in trajectories], "end_s": 3.0, "ending": endings})
-    objects = stages[["trajectory", "stage"]].merge(pd.DataFrame({"object": ["cup", "mug"]}), how="cross")
-    return Logs(stages, ends, objects if has_objects else None)
+    trajectory, stage = np.repeat(trajectories, 2), np.tile([1, 2], len(trajectories))
+    cut = (trajectory % 3 == 0) & (stage == 2) & is_cut
+    at = {"trajectory": [name_of(each) for each in trajectory], "stage": stage}
+    seen = {"elapsed_s": np.where(cut, np.nan, stage * 1.5), "reward": trajectory * 1.0, "x": trajectory / 7.0}
+    objects = pd.DataFrame(at).merge(pd.DataFrame({"object": ["cup", "mug"]}), how="cross") if has_objects else None
+    return log_of({"end_s": 3.0}, objects, **at, **seen, **covariates)
 
 
 PLAIN, OF_OBJECTS, NAMED = {}, {"has_objects": True}, {"name_of": "p{:03d}".format}
@@ -41,8 +31,8 @@ PLAIN, OF_OBJECTS, NAMED = {}, {"has_objects": True}, {"name_of": "p{:03d}".form
 )
 def test_parts_put_together_are_the_log(tmp_path, monkeypatch, kind, trajectories_at_once, rows_in_group):
     monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", rows_in_group)
-    monkeypatch.setattr(shards, "NUM_SHARDS", 3)
-    logs = log_of(range(13), **kind)
+    monkeypatch.setattr("halfseen.logs.stream.NUM_SHARDS", 3)
+    logs = two_stages(range(13), **kind)
     logs.write(tmp_path / "logs")
     monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", 3)
     stream = LogStream(tmp_path / "logs", trajectories_at_once)
@@ -71,7 +61,7 @@ def read_all(folder):
 
 @pytest.fixture
 def folder(tmp_path):
-    log_of(range(10)).write(tmp_path / "logs")
+    two_stages(range(10)).write(tmp_path / "logs")
     return tmp_path / "logs"
 
 
@@ -109,7 +99,7 @@ def test_rows_that_are_out_of_place_are_told(folder):
 
 
 def test_what_is_written_in_parts_is_read_as_a_whole(tmp_path):
-    parts = [log_of(range(5), is_cut=False), log_of(range(5, 9)), log_of(range(9, 20), is_cut=False)]
+    parts = [two_stages(range(5), is_cut=False), two_stages(range(5, 9)), two_stages(range(9, 20), is_cut=False)]
     write_stream(iter(parts), tmp_path / "logs")
     logs = read_logs(tmp_path / "logs")
     assert logs.trajectory_ids.tolist() == list(range(20))
@@ -124,9 +114,9 @@ def test_what_is_written_in_parts_is_read_as_a_whole(tmp_path):
 @pytest.mark.parametrize(
     ("parts", "told"),
     [
-        ([log_of(range(5, 10)), log_of(range(5))], "trajectory 0: it comes after trajectory 9; sort the parts"),
+        ([two_stages(range(5, 10)), two_stages(range(5))], "trajectory 0: it comes after trajectory 9; sort the parts"),
         (
-            [log_of(range(5)), log_of(range(5, 9), y=1.0)],
+            [two_stages(range(5)), two_stages(range(5, 9), y=1.0)],
             "stages: column 'y' comes with trajectory 5, and parts before",
         ),
         ([], "there is no part"),

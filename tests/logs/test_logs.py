@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
+from halfseen.logs.logs import begun_s, durations_s
 from refusals import refused
 from valid_logs import assert_same, small_tables, valid_tables
 
@@ -18,22 +19,16 @@ def logs():
     return Logs(**small_tables())
 
 
-def test_knows_its_size(logs):
+def test_knows_its_size_its_clocks_and_what_it_holds(logs):
     assert (logs.num_trajectories, logs.num_stages, logs.horizon) == (3, 5, 2)
     assert logs.cut_share == pytest.approx(2 / 3)
     assert logs.stage_covariates == ["steps_to_go"]
     assert logs.trajectory_columns == ["scene"]
     np.testing.assert_array_equal(logs.trajectory_ids, [1, 2, 3])
-
-
-def test_arrays_are_in_the_order_of_the_trajectories(logs):
     np.testing.assert_array_equal(logs.end_s, [4.0, 3.5, 0.5])
     np.testing.assert_array_equal(logs.is_finished, [True, False, False])
     np.testing.assert_array_equal(logs.elapsed_s(), [[1.5, 4.0], [2.0, np.nan], [np.nan, np.nan]])
     np.testing.assert_array_equal(logs.stage_values("steps_to_go"), [[10, 9], [10, 9], [10, np.nan]])
-
-
-def test_summary_counts(logs):
     summary = logs.summary()
     assert str(summary) == "3 trajectories of up to 2 stages and 4 s: 1 finished, 2 cut (67%)."
     assert repr(logs) == f"<Logs: {summary}>"
@@ -48,10 +43,16 @@ def arrow_arrays(frame):
     return dict(zip(table.column_names, table.columns, strict=True))
 
 
-@pytest.mark.parametrize(
-    "wrap", [pa.Table.from_pandas, lambda frame: frame.to_dict("list"), pd.DataFrame.copy, arrow_arrays]
-)
-def test_takes_pandas_arrow_and_dicts(wrap, logs):
+def with_categories(frame):
+    return frame.astype({name: "category" for name in ("action", "cause") if name in frame})
+
+
+def lists(frame):
+    return frame.to_dict("list")
+
+
+@pytest.mark.parametrize("wrap", [pa.Table.from_pandas, lists, pd.DataFrame.copy, arrow_arrays, with_categories])
+def test_takes_pandas_arrow_dicts_and_categories(wrap, logs):
     assert_same(Logs(**{name: wrap(frame) for name, frame in small_tables().items()}), logs)
 
 
@@ -86,13 +87,6 @@ def test_integers_stay_integers_beside_null():
     assert logs.objects["object"].dtype == "int64"
 
 
-def test_categories_become_plain_names():
-    tables = small_tables()
-    tables["stages"]["action"] = tables["stages"]["action"].astype("category")
-    tables["trajectories"]["cause"] = tables["trajectories"]["cause"].astype("category")
-    assert_same(Logs(**tables), Logs(**small_tables()))
-
-
 @given(valid_tables(), st.data())
 def test_whatever_is_valid_is_sorted_and_can_be_taken_apart(tables, data):
     logs = Logs(**tables)
@@ -116,6 +110,18 @@ def test_whatever_is_valid_is_sorted_and_can_be_taken_apart(tables, data):
     assert set(part.trajectory_ids.tolist()) == kept
     assert part.num_stages == logs.stages["trajectory"].isin(kept).sum()
     assert_same(part, part.select(part.trajectory_ids))
+
+
+@given(tables=valid_tables())
+def test_a_stage_begins_when_the_one_before_it_was_completed(tables):
+    log = Logs(**tables)
+    began_s, lasted_s, before = [], [], {}
+    for stage in log.stages.itertuples():
+        began_s.append(before.get(stage.trajectory, 0.0))
+        lasted_s.append(stage.elapsed_s - began_s[-1])
+        before[stage.trajectory] = stage.elapsed_s
+    np.testing.assert_array_equal(begun_s(log), began_s)
+    np.testing.assert_array_equal(durations_s(log), lasted_s)
 
 
 def test_does_not_touch_what_it_is_given():

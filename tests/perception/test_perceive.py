@@ -1,4 +1,5 @@
 from contextlib import suppress
+from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -81,23 +82,19 @@ def test_a_hidden_hider_still_hides():
     assert view.hides[middle, first] == pytest.approx(draw(cans[0], cans[1]).occlusion[1], abs=0.03)
 
 
-def test_inner_and_outer_wall_are_two_sheets_of_one_cup():
+def test_two_sheets_and_two_parts_are_one_cup():
+    """Inner and outer wall, which nothing in the image links; and a cup before which a thin one stands."""
     drawn = draw(Can(0.0, 0.0, 0.05, 0.10))
-    depth = drawn.depth_m.copy()
-    columns = np.nonzero(drawn.labels == 0)[1]
-    # Without returns at the sides, nothing in the image links the inner wall to the outer one.
+    depth, columns = drawn.depth_m.copy(), np.nonzero(drawn.labels == 0)[1]
+    # No returns at the sides.
     depth[:, columns.min() : columns.min() + 8] = np.nan
     depth[:, columns.max() - 8 : columns.max() + 1] = np.nan
     assert len(perceive(Cloud.from_depth(depth, drawn.cloud.intrinsics)).objects) == 1
-
-
-def test_a_cup_cut_in_two_by_a_thin_one_is_one_object():
-    cans = (Can(0.0, -0.08, 0.015, 0.16, is_open=False), Can(0.0, 0.08, 0.05, 0.09))
-    drawn = draw(*cans)
+    drawn = draw(Can(0.0, -0.08, 0.015, 0.16, is_open=False), Can(0.0, 0.08, 0.05, 0.09))
     view = perceive(drawn.cloud)
-    assert sorted(owner_of(view, drawn)) == [0, 1]
-    back = owner_of(view, drawn).index(1)
-    assert view.objects[back].occlusion == pytest.approx(drawn.occlusion[1], abs=0.03)
+    owner = owner_of(view, drawn)
+    assert sorted(owner) == [0, 1]
+    assert view.objects[owner.index(1)].occlusion == pytest.approx(drawn.occlusion[1], abs=0.03)
 
 
 def test_one_cloud_gives_one_view_whatever_the_global_seed(pair):
@@ -158,7 +155,7 @@ def test_a_single_pixel_far_off_changes_no_object_and_asks_for_no_memory():
         np.testing.assert_allclose(seen.hides, plain.hides, atol=0.01)
 
 
-def test_distances_that_no_camera_measures_are_refused():
+def test_distances_that_no_camera_measures_and_a_pinhole_that_is_none_are_refused():
     cloud = read_cloud(table_paths()[0])
     for points, told in (
         (cloud.points_m * 1000, "divide millimetres by 1000"),
@@ -168,25 +165,9 @@ def test_distances_that_no_camera_measures_are_refused():
         for shape in (cloud.shape, None):
             with pytest.raises(CloudError, match=told):
                 Cloud(points, shape)
-
-
-@pytest.mark.parametrize("K", [np.diag([1e-9, 1e-9, 1.0]), np.diag([1e12, 1e12, 1.0])])
-def test_a_pinhole_that_is_none_is_refused(K):
-    with pytest.raises(CloudError, match="they are pixels, from 1 to 1e"):
-        Cloud(np.ones((4, 3)), (2, 2), K)
-
-
-@pytest.mark.parametrize("place", ["one point", "one ray", "one line", "behind"])
-def test_points_that_make_no_surface_are_refused_or_show_nothing(place):
-    along = np.linspace(0.5, 2.0, 5000)
-    points = {
-        "one point": np.tile([0.1, 0.2, 1.0], (5000, 1)),
-        "one ray": np.outer(along, [0.1, 0.2, 1.0]),
-        "one line": np.stack([along, 0.0 * along, 1.0 + 0.0 * along], axis=1),
-        "behind": np.stack([np.sin(9.0 * along), np.cos(7.0 * along), -along], axis=1),
-    }[place]
-    with suppress(CloudError):
-        assert not perceive(Cloud(points)).objects
+    for focal_px in (1e-9, 1e12):
+        with pytest.raises(CloudError, match="they are pixels, from 1 to 1e"):
+            Cloud(np.ones((4, 3)), (2, 2), np.diag([focal_px, focal_px, 1.0]))
 
 
 @pytest.mark.parametrize(
@@ -223,26 +204,32 @@ def test_every_can_is_one_object_with_its_occlusion(cans, options):
     np.testing.assert_allclose([seen.occlusion for seen in view.objects], drawn.occlusion[owner], atol=0.04)
 
 
-def no_table(kind):
-    K = draw().cloud.intrinsics
-    if kind == "dark":
-        return Cloud.from_depth(np.full((240, 320), np.nan), K, kind)
-    if kind == "ball":
-        way = np.random.default_rng(0).standard_normal((4000, 3))
-        return Cloud(way / np.linalg.norm(way, axis=1, keepdims=True) * 0.1 + [0.0, 0.0, 1.0], name=kind)
-    # Seen by a camera that looks down, a wall is farther where it is lower.
+def wall_depth_m():
+    """Of a wall: seen by a camera that looks down, it is farther where it is lower."""
     way = (np.arange(240) - 119.5) / 290.0
-    depth = np.repeat((1.0 / (np.cos(DOWN_RAD) - np.sin(DOWN_RAD) * way))[:, None], 320, axis=1)
-    return Cloud.from_depth(depth, K, kind)
+    return np.repeat((1.0 / (np.cos(DOWN_RAD) - np.sin(DOWN_RAD) * way))[:, None], 320, axis=1)
 
 
-@pytest.mark.parametrize(
-    ("kind", "message"),
-    [("dark", "0 of 76800 points"), ("ball", "ball: no table plane"), ("wall", "wall: no table plane")],
-)
-def test_what_shows_no_table_is_refused(kind, message):
-    with pytest.raises(CloudError, match=message):
-        perceive(no_table(kind))
+def test_what_shows_no_table_is_refused():
+    K, way = draw().cloud.intrinsics, np.random.default_rng(0).standard_normal((4000, 3))
+    ball_m = way / np.linalg.norm(way, axis=1, keepdims=True) * 0.1 + [0.0, 0.0, 1.0]
+    for cloud, message in (
+        (partial(Cloud.from_depth, np.full((240, 320), np.nan), K, "dark"), "0 of 76800 points"),
+        (partial(Cloud, ball_m, name="ball"), "ball: no table plane"),
+        (partial(Cloud.from_depth, wall_depth_m(), K, "wall"), "wall: no table plane"),
+    ):
+        with pytest.raises(CloudError, match=message):
+            perceive(cloud())
+    # Nor do points that make no surface show anything: one point, one ray, one line, or all behind the camera.
+    along = np.linspace(0.5, 2.0, 5000)
+    for points in (
+        np.tile([0.1, 0.2, 1.0], (5000, 1)),
+        np.outer(along, [0.1, 0.2, 1.0]),
+        np.stack([along, 0.0 * along, 1.0 + 0.0 * along], axis=1),
+        np.stack([np.sin(9.0 * along), np.cos(7.0 * along), -along], axis=1),
+    ):
+        with suppress(CloudError):
+            assert not perceive(Cloud(points)).objects
 
 
 SHAPE = (50, 60)
@@ -250,20 +237,15 @@ SHAPE = (50, 60)
 
 @pytest.mark.parametrize("err_px", [None, 0.0, 1e-13, 1e-7], ids=["anywhere", "on pixels", "nearly", "about"])
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_same_pixels_as_asking_each(err_px, seed):
+def test_pixels_of_a_polygon_are_the_same_as_asking_each_and_none_beside_the_image(err_px, seed):
     rng = np.random.default_rng(seed)
     points = rng.uniform(-10, 70, (rng.integers(4, 30), 2))
     if err_px is not None:
         points = np.round(points) + err_px * rng.normal(size=points.shape)
     corners = points[ConvexHull(points).vertices]
     np.testing.assert_array_equal(convex_pixels(corners, SHAPE), np.flatnonzero(polygon2mask(SHAPE, corners[:, ::-1])))
-
-
-@pytest.mark.parametrize("shift_px", [(-200.0, 0.0), (200.0, 0.0), (0.0, -200.0), (0.0, 200.0)])
-def test_a_polygon_beside_the_image_has_none(shift_px):
-    corners = np.array([[10.0, 10.0], [20.0, 10.0], [20.0, 20.0]])
-    assert len(convex_pixels(corners, SHAPE))
-    assert not len(convex_pixels(corners + shift_px, SHAPE))
+    for beside_px in ((-200.0, 0.0), (200.0, 0.0), (0.0, -200.0), (0.0, 200.0)):
+        assert not len(convex_pixels(corners + beside_px, SHAPE))
 
 
 PLACES = st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), min_size=0, max_size=4, unique=True).map(
@@ -271,14 +253,8 @@ PLACES = st.lists(st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), min_siz
 )
 
 
-def best_by_hand(before_m, now_m):
-    """Least total price over all ways to match or lose each object."""
-    slots = [*range(len(now_m)), *[-1] * len(before_m)]
-    prices = [
-        sum(FARTHEST_M if which < 0 else np.linalg.norm(before_m[k] - now_m[which]) for k, which in enumerate(order))
-        for order in permutations(slots, len(before_m))
-    ]
-    return min(prices)
+def price_m(before_m, now_m, match):
+    return sum(FARTHEST_M if which < 0 else np.linalg.norm(before_m[k] - now_m[which]) for k, which in enumerate(match))
 
 
 @given(PLACES, PLACES)
@@ -286,27 +262,24 @@ def test_the_match_is_the_cheapest_of_all(before_m, now_m):
     found = matched(before_m, now_m)
     used = [which for which in found.now.tolist() if which >= 0]
     assert len(set(used)) == len(used)
-    price = sum(
-        FARTHEST_M if which < 0 else np.linalg.norm(before_m[k] - now_m[which]) for k, which in enumerate(found.now)
-    )
-    assert price <= best_by_hand(before_m, now_m) + 1e-9
+    # By hand: all ways to match or lose each object.
+    slots = [*range(len(now_m)), *[-1] * len(before_m)]
+    best = min(price_m(before_m, now_m, each) for each in permutations(slots, len(before_m)))
+    assert price_m(before_m, now_m, found.now) <= best + 1e-9
     assert sorted([*used, *found.new(len(now_m))]) == list(range(len(now_m)))
 
 
-def test_order_does_not_matter_lost_objects_are_lost_and_new_ones_new():
-    before_m = np.array([[0.0, 0.0, 0.05], [0.1, 0.0, 0.05], [-0.2, 0.1, 0.05]])
-    now_m = np.array([[0.102, 0.001, 0.05], [0.25, -0.2, 0.05], [0.001, 0.0, 0.05]])
-    found = matched(before_m, now_m)
-    assert found.now.tolist() == [2, 0, -1]
-    assert found.new(3) == [1]
+def on_table(*places_m):
+    return np.array([(*place, 0.05)[:3] for place in places_m])
+
+
+def test_lost_objects_are_lost_new_ones_new_one_that_was_knocked_is_found_and_two_that_may_be_swapped_are_doubtful():
+    found = matched(on_table((0.0, 0.0), (0.1, 0.0), (-0.2, 0.1)), on_table((0.102, 0.001), (0.25, -0.2), (0.001, 0.0)))
+    assert (found.now.tolist(), found.new(3)) == ([2, 0, -1], [1])
     assert not found.is_doubtful.any()
-
-
-def test_one_that_was_knocked_is_found_again_and_two_that_may_be_swapped_are_doubtful():
-    before_m = np.array([[0.0, 0.0, 0.05], [0.3, 0.0, 0.05]])
-    assert matched(before_m, np.array([[0.3, 0.0, 0.05], [0.1, 0.1, 0.03]])).now.tolist() == [1, 0]
-    near_m = np.array([[0.0, 0.0, 0.05], [0.06, 0.0, 0.05]])
-    moved = matched(near_m, np.array([[0.025, 0.0, 0.05], [0.045, 0.0, 0.05]]))
+    knocked = matched(on_table((0.0, 0.0), (0.3, 0.0)), on_table((0.3, 0.0), (0.1, 0.1, 0.03)))
+    assert knocked.now.tolist() == [1, 0]
+    moved = matched(on_table((0.0, 0.0), (0.06, 0.0)), on_table((0.025, 0.0), (0.045, 0.0)))
     assert moved.now.tolist() == [0, 1]
     assert moved.is_doubtful.all()
 

@@ -1,13 +1,28 @@
 """Tables in the middle of a trajectory, made by hand."""
 
 import numpy as np
-from naive_planner import CONFIG
+from naive_planner import CONFIG, Cup
 
 from halfseen.arrays import mapped
+from halfseen.planners import GreedyPolicy
 from halfseen.planners.rollout import opened
 from halfseen.planners.trajectories import draws_of, picked, successor
-from halfseen.world import random
-from halfseen.world.state import NO_ATTEMPT, TableState
+from halfseen.world import TableState, random
+from halfseen.world.state import NO_ATTEMPT
+
+TWO = np.array([[0.0, 0.6], [0.1, 0.0]])
+THREE = np.array([[0.0, 0.6, 0.3], [0.1, 0.0, 0.2], [0.4, 0.05, 0.0]])
+CUPS = [Cup(0.85, ((0.6, False), (0.6, True))), Cup(0.4, ((0.1, False),)), Cup(0.7)]
+
+
+def rules_of(config):
+    """All greedy rules: that with history and penalty is the last."""
+    return [GreedyPolicy(config, uses_history=h, counts_penalty=p) for h in (False, True) for p in (False, True)]
+
+
+def state_of_few(cups=CUPS, hides=THREE, steps_to_go=6):
+    """Pad to three objects."""
+    return state_of(cups, hides, steps_to_go, num_padding=3 - len(cups))
 
 
 def drawn_successors(config, state, choice, num):

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from fitted_laws import FITTED
+from halfseen.planners import POMDPPolicy, named_policy
 from halfseen.planners.control import controlled, controlled_each, controlled_rewards, start_values
-from halfseen.planners.named import named_policy
-from halfseen.planners.pomdp import POMDPPolicy
-from halfseen.world import AssumedGrasping, Scene, WorldConfig, random
-from halfseen.world.policy import UniformPolicy, surely
+from halfseen.world import AssumedGrasping, Scene, UniformPolicy, WorldConfig, random
+from halfseen.world.policy import surely
 from halfseen.world.rollout import evaluate_some, play
 from halfseen.world.state import pad_scenes
 

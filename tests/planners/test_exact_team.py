@@ -7,19 +7,13 @@ import pytest
 from naive_optimum import hermite
 from naive_team_optimum import BruteForceTeam
 
-from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact import solve_table, solve_team
+from halfseen.planners import GreedyPolicy, MyopicPolicy, POMDPPolicy, ReservingPolicy, solve_table, solve_team
 from halfseen.planners.grid_grasping import GridGrasping
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.myopic import MyopicPolicy
-from halfseen.planners.pomdp import POMDPPolicy
-from halfseen.planners.rules import ReservingPolicy
-from halfseen.world import AssumedGrasping, Scene, WorldConfig, random
-from halfseen.world.grasping import GraspingByRobot
-from halfseen.world.policy import UniformPolicy
+from halfseen.world import AssumedGrasping, GraspingByRobot, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import evaluate
-from halfseen.world.state import Workspace, pad_scenes
+from picked import picked
+from world.world_cases import layouts_of
 
 TWO = np.array([[0.0, 0.4], [0.1, 0.0]])
 THREE = np.array([[0.0, 0.4, 0.0], [0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
@@ -31,12 +25,10 @@ def team_of(horizon, num_robots=2, grasping=None, **others):
 
 
 def workspace(num_robots, num_objects, out_of_reach=(), near=()):
-    reach, is_near = np.ones((num_robots, num_objects), dtype=bool), np.eye(num_objects, dtype=bool)
+    reach = np.ones((num_robots, num_objects), dtype=bool)
     for robot, cup in out_of_reach:
         reach[robot, cup] = False
-    for i, j in near:
-        is_near[i, j] = is_near[j, i] = True
-    return Workspace(reach, is_near)
+    return picked(layouts_of(np.zeros((num_objects, num_objects)), reach, near).workspace, 0)
 
 
 # An attempt of 1 s and one of 3 s end at once with others, and are in the air when others look.
@@ -116,7 +108,7 @@ def test_the_value_of_a_policy_is_what_it_earns():
     config = team_of(3, reward_per_s=-0.2)
     space = workspace(2, 3, out_of_reach=[(0, 2), (1, 0)], near=[(0, 1)])
     optimum = solve_team(THREE, config, space)
-    layouts = replace(pad_scenes([Scene(THREE)]), workspace=mapped(lambda leaf: leaf[None], space))
+    layouts = layouts_of(THREE, space.is_in_reach, near=[(0, 1)])
     rule = GreedyPolicy(config, uses_history=True, counts_penalty=True)
     for policy in (ReservingPolicy(config, rule), MyopicPolicy(config)):
         earned = np.asarray(evaluate(config, layouts, policy, random.key_of(11), 40_000).reward, dtype=np.float64)

@@ -5,23 +5,27 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import own_laws
 from halfseen.errors import ArgumentError
-from halfseen.planners import futures
-from halfseen.planners.exact import solve_team
-from halfseen.planners.futures import RolloutPolicy, future_rewards, imagined
+from halfseen.planners import (
+    GreedyPolicy,
+    POMDPPolicy,
+    ReservingPolicy,
+    RolloutPolicy,
+    futures,
+    named_policy,
+    solve_team,
+)
+from halfseen.planners.futures import future_rewards, imagined
 from halfseen.planners.grid_grasping import GridGrasping
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.planners.rollout import sampled_values
-from halfseen.planners.rules import ReservingPolicy
-from halfseen.world import Scene, Workspace, WorldConfig, random
-from halfseen.world.actions import Verb, possible_actions
+from halfseen.world import Verb, Workspace, WorldConfig, random
+from halfseen.world.actions import possible_actions
 from halfseen.world.rollout import play
-from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import picked, repeated
+from world.world_cases import layouts_of
 
-NUM_OBJECTS = 3
 HIDES = np.array([[0.0, 0.5, 0.2], [0.0, 0.0, 0.4], [0.0, 0.0, 0.0]])
 WORLD = WorldConfig(horizon=4)
 RULE = GreedyPolicy(WORLD, uses_history=True, counts_penalty=True)
@@ -29,13 +33,12 @@ KEY, NUM_FUTURES = random.key_of(5), 1500
 PAIR = replace(WORLD, speed=(1.0, 1.0))
 
 
-def layouts_of(num_robots):
-    reach = np.ones((1, num_robots, NUM_OBJECTS), dtype=bool)
-    return replace(pad_scenes([Scene(HIDES)]), workspace=Workspace(reach, np.eye(NUM_OBJECTS, dtype=bool)[None]))
+def layouts(num_robots):
+    return layouts_of(HIDES, np.ones((num_robots, len(HIDES))))
 
 
-def first_of(layouts):
-    return picked(layouts, 0)
+def first_layout(num_robots):
+    return picked(layouts(num_robots), 0)
 
 
 def alone(layout):
@@ -44,7 +47,7 @@ def alone(layout):
 
 
 def test_futures_are_worth_what_rollouts_in_beliefs_are():
-    state, _ = start(WORLD, alone(first_of(layouts_of(1))), KEY)
+    state, _ = start(WORLD, alone(first_layout(1)), KEY)
     in_beliefs = sampled_values(WORLD, state, KEY, NUM_FUTURES)
     in_worlds = future_rewards(WORLD, state, POMDPPolicy(WORLD, planning_horizon=1), KEY, NUM_FUTURES)
     error = np.sqrt(in_beliefs.var(axis=0) + in_worlds.var(axis=0)) / np.sqrt(NUM_FUTURES)
@@ -52,7 +55,7 @@ def test_futures_are_worth_what_rollouts_in_beliefs_are():
 
 
 def test_one_robot_has_the_futures_of_one_without_a_team(monkeypatch):
-    layout, keys = first_of(layouts_of(1)), np.stack([random.key_of(seed) for seed in range(3)])
+    layout, keys = first_layout(1), np.stack([random.key_of(seed) for seed in range(3)])
     by_itself, of_team = (repeated(start(WORLD, each, KEY)[0], len(keys)) for each in (alone(layout), layout))
     in_team = future_rewards(WORLD, of_team, ReservingPolicy(WORLD, RULE), keys, 50)
     # What robots are at is drawn from the second half of a team's key.
@@ -62,7 +65,7 @@ def test_one_robot_has_the_futures_of_one_without_a_team(monkeypatch):
 
 
 def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
-    state, hidden = start(PAIR, first_of(layouts_of(2)), KEY)
+    state, hidden = start(PAIR, first_layout(2), KEY)
     state, _, _ = step(PAIR, state, hidden, np.asarray(1), KEY)
     since_s = 3.0
     state = replace(state, robots=replace(state.robots, since_s=np.array([since_s, 0.0], dtype=np.float32)))
@@ -79,17 +82,24 @@ def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
     assert found_s.min() >= 0.0
     assert np.mean(is_held) == pytest.approx(weights @ (1.0 - missed), abs=0.015)
     assert np.mean(found_s) == pytest.approx(weights @ left_s, abs=0.06)
-    assert np.mean(draws.grasp_trait[:, 0]) == pytest.approx(weights @ nodes, abs=0.03)
+    assert np.mean(draws.grasp_latent[:, 0]) == pytest.approx(weights @ nodes, abs=0.03)
     assert np.isinf(draws.pending.left_s[:, 1]).all()
 
 
 @pytest.mark.slow
-def test_futures_of_a_team_are_worth_what_comes_of_it():
-    config, num_trajectories = replace(PAIR, reward_per_s=-0.1), 200
-    rule = ReservingPolicy(config, RULE)
-    trajectories = play(config, layouts_of(2), rule, KEY, num_trajectories)
+@pytest.mark.parametrize("laws", ["shared", "own"])
+def test_futures_of_a_team_are_worth_what_comes_of_it(laws):
+    num_trajectories = 200
+    if laws == "shared":
+        config, stages = replace(PAIR, reward_per_s=-0.1), (1, 3)
+        rule = ReservingPolicy(config, RULE)
+        trajectories = play(config, layouts(2), rule, KEY, num_trajectories)
+    else:
+        world, stages = own_laws.world_of(None, own_laws.LOGISTIC, price=-0.1), (2,)
+        config, rule = world.played_config, named_policy("history-penalty", world.played_config)
+        trajectories = own_laws.played(world, rule, num_trajectories)
     keys = random.keys_of(random.key_of(11), num_trajectories)
-    for stage in (1, 3):
+    for stage in stages:
         is_there = trajectories.is_taken[:, stage]
         later = np.sum(np.where(trajectories.is_taken, trajectories.reward, 0.0)[:, stage:], axis=1)[is_there]
         states, taken = picked(trajectories.states, (is_there, stage)), trajectories.action[is_there, stage]
@@ -102,7 +112,7 @@ def test_futures_of_a_team_are_worth_what_comes_of_it():
 
 def test_a_choice_rests_on_what_is_seen_alone_and_is_possible():
     policy = RolloutPolicy(PAIR, ReservingPolicy(PAIR, RULE), num_futures=16)
-    state, hidden = start(PAIR, first_of(layouts_of(2)), KEY)
+    state, hidden = start(PAIR, first_layout(2), KEY)
     other = replace(hidden, is_dirty=~hidden.is_dirty)
     after = [step(PAIR, state, each, np.asarray(1), KEY)[0] for each in (hidden, other)]
     choices = [int(policy.decide(each, KEY).action) for each in after]
@@ -112,7 +122,7 @@ def test_a_choice_rests_on_what_is_seen_alone_and_is_possible():
 
 def test_what_goes_on_is_not_yet_over_also_on_a_grid_of_times():
     config = replace(PAIR, grasping=GridGrasping())
-    state, _ = start(config, first_of(layouts_of(2)), KEY)
+    state, _ = start(config, first_layout(2), KEY)
     # Attempts take 3, 5 or 7 s. If robot 0 decides after 3 s, robot 1 may be at its end, too; not the other way round.
     at = [(0, [0.0, 3.0], 1, {0.0, 2.0, 4.0}), (1, [3.0, 0.0], 0, {2.0, 4.0})]
     for decider, since_s, robot, left_s in at:

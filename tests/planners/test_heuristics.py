@@ -58,15 +58,6 @@ class Fixed:
         return self.probabilities
 
 
-def test_the_true_model_in_place_of_itself_changes_nothing():
-    rng = np.random.default_rng(1)
-    own = GreedyPolicy(CONFIG, uses_history=True, grasp=TrueGrasp(CONFIG))
-    for _ in range(10):
-        cups = [Cup(p, ((0.3, bool(rng.integers(2))),) * 2) for p in rng.uniform(0.3, 1, 4)]
-        hides = rng.uniform(0, 0.5, (4, 4)) * ~np.eye(4, dtype=bool)
-        assert chosen(own, cups, hides) == chosen(HISTORY, cups, hides)
-
-
 @pytest.mark.parametrize("hidden", [0.0, 0.5])
 def test_the_true_probability_is_that_of_plain_python(hidden):
     cups, hides = [Cup(0.9, ((0.2, False), (0.6, True))), Cup(0.9)], np.array([[0.0, hidden], [0.0, 0.0]])

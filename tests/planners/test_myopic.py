@@ -5,17 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from halfseen.planners import GreedyPolicy, MyopicPolicy, TeamOfRules
 from halfseen.planners.belief import belief_of
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import one_step_q
-from halfseen.planners.rules import TeamOfRules
-from halfseen.world import ExploringPolicy, Scene, Workspace, WorldConfig, random
+from halfseen.world import ExploringPolicy, WorldConfig, random
 from halfseen.world.actions import FINISH, possible_actions, wait_of
 from halfseen.world.rollout import play
-from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import picked
+from world.world_cases import layouts_of
 
 NUM_OBJECTS = 5
 WORLD = WorldConfig(horizon=6)
@@ -28,27 +26,24 @@ def team_of(num_robots, **others):
     return replace(WORLD, speed=(1.0,) * num_robots, **others)
 
 
-def layouts_of(num_robots):
+def layouts(num_robots):
     """Objects 0 and 4 are each in reach of all robots but one; 1 and 2 stand near one another."""
-    reach = np.ones((1, num_robots, NUM_OBJECTS), dtype=bool)
+    reach = np.ones((num_robots, NUM_OBJECTS), dtype=bool)
     if num_robots > 1:
-        reach[0, 0, 4] = reach[0, 1, 0] = False
-    near = np.eye(NUM_OBJECTS, dtype=bool)
-    near[1, 2] = near[2, 1] = True
-    scene = Scene(np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.25), 1))
-    return replace(pad_scenes([scene]), workspace=Workspace(reach, near[None]))
+        reach[0, 4] = reach[1, 0] = False
+    return layouts_of(np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.25), 1), reach, near=[(1, 2)])
 
 
 def states_of(team, num_trajectories=40):
     """States that a team meets, half by chance; axis B."""
     behaviour = ExploringPolicy(TeamOfRules(RULE))
-    trajectories = play(team, layouts_of(team.num_robots), behaviour, random.key_of(3), num_trajectories)
+    trajectories = play(team, layouts(team.num_robots), behaviour, random.key_of(3), num_trajectories)
     return picked(trajectories.states, trajectories.is_taken)
 
 
 def while_the_other_washes(team):
     """A state in which robot 1 decides while robot 0 washes object 0."""
-    layout = picked(layouts_of(team.num_robots), 0)
+    layout = picked(layouts(team.num_robots), 0)
     state, hidden = start(team, layout, KEY)
     return step(team, state, hidden, np.asarray(1), KEY)[0]
 

@@ -1,15 +1,14 @@
-"""What every policy owes, whoever wrote it."""
+"""What every policy owes, anyone who wrote it."""
 
 import numpy as np
 import pytest
 
 from halfseen.arrays import known_to_jax, mapped
 from halfseen.planners import GreedyPolicy, POMDPPolicy
+from halfseen.tables import LinearTablePolicy
 from halfseen.tables.features import NUM_FEATURES
-from halfseen.tables.policy import LinearTablePolicy
-from halfseen.world import Scene, UniformPolicy, WorldConfig, random
-from halfseen.world.actions import Verb, possible_actions
-from halfseen.world.policy import ExploringPolicy, Policy
+from halfseen.world import ExploringPolicy, Policy, Scene, UniformPolicy, Verb, WorldConfig, random
+from halfseen.world.actions import possible_actions
 from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
 from picked import picked, repeated

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from halfseen.arrays import at
+from halfseen.planners import GreedyPolicy, OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 from halfseen.planners.belief import expected_attempt_s, grip_posterior
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.rules import OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
-from halfseen.world import Scene, UniformPolicy, Workspace, WorldConfig, actions, random
-from halfseen.world.actions import Verb, possible_actions, wait_of
+from halfseen.world import UniformPolicy, Verb, WorldConfig, actions, random
+from halfseen.world.actions import possible_actions, wait_of
 from halfseen.world.rollout import play
-from halfseen.world.state import occlusion, pad_scenes
+from halfseen.world.state import occlusion
 from picked import picked
+from world.world_cases import layouts_of
 
 NUM_OBJECTS = 4
 HIDES = np.triu(np.full((NUM_OBJECTS, NUM_OBJECTS), 0.2), 1)
@@ -23,18 +23,13 @@ KEY = random.key_of(3)
 WAIT = wait_of(NUM_OBJECTS)
 
 
-def layouts_of(reach):
-    near = np.eye(NUM_OBJECTS, dtype=bool)[None]
-    return replace(pad_scenes([Scene(HIDES)]), workspace=Workspace(reach[None], near))
-
-
 def config_of(price=0.0, speed=(1.0, 1.0)):
     return replace(RULE.config, speed=speed, reward_per_s=price)
 
 
 def states_of(config, num_trajectories=60):
     """States that two robots meet by chance; axis B."""
-    trajectories = play(config, layouts_of(REACH), UniformPolicy(), KEY, num_trajectories)
+    trajectories = play(config, layouts_of(HIDES, REACH), UniformPolicy(), KEY, num_trajectories)
     return picked(trajectories.states, trajectories.is_taken)
 
 
@@ -88,7 +83,7 @@ def test_without_a_price_of_time_it_is_the_team_of_rules():
 
 @pytest.mark.parametrize("policy", [ReservingPolicy(config_of(speed=(1.0,)), RULE), RoundRobin(RULE), OneAtATime(RULE)])
 def test_one_robot_does_as_its_rule(policy):
-    config, layouts = config_of(speed=(1.0,)), layouts_of(np.ones((1, NUM_OBJECTS), dtype=bool))
+    config, layouts = config_of(speed=(1.0,)), layouts_of(HIDES, np.ones((1, NUM_OBJECTS), dtype=bool))
     alone = play(config, replace(layouts, workspace=None), RULE, KEY, 60)
     team = play(config, layouts, policy, KEY, 60)
     np.testing.assert_array_equal(alone.action, team.action)
@@ -96,7 +91,7 @@ def test_one_robot_does_as_its_rule(policy):
 
 def test_what_is_dealt_to_another_is_left_alone_until_that_one_goes():
     # Everyone reaches everything: the even numbers fall to robot 0, the odd ones to robot 1.
-    config, layouts = config_of(), layouts_of(np.ones((2, NUM_OBJECTS), dtype=bool))
+    config, layouts = config_of(), layouts_of(HIDES, np.ones((2, NUM_OBJECTS), dtype=bool))
     trajectories = play(config, layouts, RoundRobin(RULE), KEY, 60)
     is_wash = trajectories.is_taken & (trajectories.action >= 1) & (trajectories.action <= NUM_OBJECTS)
     decider = trajectories.states.decider
@@ -107,7 +102,7 @@ def test_what_is_dealt_to_another_is_left_alone_until_that_one_goes():
 
 
 def test_one_at_a_time_never_has_two_at_work():
-    trajectories = play(config_of(), layouts_of(REACH), OneAtATime(RULE), KEY, 60)
+    trajectories = play(config_of(), layouts_of(HIDES, REACH), OneAtATime(RULE), KEY, 60)
     robots = trajectories.states.robots
     num_at_work = np.sum(robots.is_busy & (robots.verb != actions.WAIT), axis=-1)
     begins = trajectories.is_taken & (trajectories.action != WAIT)

@@ -49,7 +49,7 @@ def told(folder):
 
 
 def sign(folder, name=None, content=None):
-    """Sign the files anew, as another program might that has changed one of them."""
+    """Sign the files again, as another program might that has changed one of them."""
     if name is not None:
         (folder / name).write_bytes(content)
     lines = [f"{hashlib.sha256((folder / name).read_bytes()).hexdigest()}  {name}\n" for name in (RECORD, ARRAYS)]

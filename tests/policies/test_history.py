@@ -179,7 +179,7 @@ def finished(*did):
     return history(*did, ending="finished")
 
 
-PRESENT, WASHED_MUG, PICKED = (None, None), ("WASH", "mug"), r"of object .* is none that the table knows"
+WASHED_MUG, PICKED = ("WASH", "mug"), r"of object .* is none that the table knows"
 FAR = "trajectory 2, stage 2: none of the 3 objects that the cloud shows is within"
 
 

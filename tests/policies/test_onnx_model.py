@@ -1,6 +1,7 @@
 """A policy as an ONNX graph decides as the policy does."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import onnx
@@ -24,6 +25,7 @@ FLAT = {
     "linear, pessimistic": {"reg": 0.1, "pessimism": 1.0},
     "kernel": {"reg": 0.1, "q_function": "kernel"},
     "smooth, pessimistic": {"reg": 0.1, "q_function": "smooth", "pessimism": 0.5, "stages": "pooled"},
+    "what the log does": {"reg": 0.1, "pessimism": 1.0, "behaviour_weight": 0.7},
 }
 TABLES = {
     "linear": {"reg": 0.1},
@@ -48,8 +50,10 @@ def assert_alike(scores, action, wanted, chosen, margin, least_clear):
 
 @pytest.mark.parametrize("options", FLAT.values(), ids=FLAT)
 def test_it_decides_ten_thousand_states_alike(options, stored):
-    rng = np.random.default_rng(0)
+    rng, options = np.random.default_rng(0), dict(options)
+    weight = options.pop("behaviour_weight", 0.0)
     kept = stored(CensoredQLearner(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], **options), flat_log())
+    kept = replace(kept, policy=replace(kept.policy, behaviour_weight=weight))
     session, policy = onnxruntime.InferenceSession(onnx_model(kept)), kept.policy
     frame = pd.DataFrame({"x1": rng.normal(size=5000), "x2": rng.integers(0, 3, 5000).astype(float)})
     for stage in (1, 2):

@@ -38,6 +38,8 @@ HIDES = np.array([[0.0, 0.3, 0.9], [0.0, 0.0, 0.0], [0.2, 0.1, 0.0]])
 )
 def test_a_policy_of_named_actions_comes_back_to_the_last_bit(logs, tmp_path, q_function, stages, pessimism):
     learner = FLAT(q_function=q_function, stages=stages, pessimism=pessimism).fit(logs["flat"])
+    # Only of many actions does a learner let it count what the log does.
+    learner.policy_ = replace(learner.policy_, behaviour_weight=0.3 * pessimism)
     write_policy(learner, logs["flat"], tmp_path / "policy")
     again = read_policy(tmp_path / "policy")
     assert (again.is_table, again.horizon) == (False, 2)
@@ -162,14 +164,14 @@ def test_a_log_has_one_digest_wherever_it_lies(logs, tmp_path):
 
 def test_a_verdict_is_kept_and_where_nothing_speaks_for_the_policy_it_is_a_doubt(logs, fitted, tmp_path):
     doubts = {}
-    for word in ("better", "not better", "cannot be said"):
-        verdict = {"verdict": word, "reason": "it earns between -1 and 1 more", "sentence": "Cannot be said: …."}
+    for word in ("better", "not better", "inconclusive"):
+        verdict = {"verdict": word, "reason": "it earns between -1 and 1 more", "sentence": "Inconclusive: …."}
         write_policy(fitted["flat"], logs["flat"], tmp_path / word, verdict=verdict)
         again = read_policy(tmp_path / word)
         assert again.verdict == verdict
         doubts[word] = again.doubts[:-1]
     doubt = "no evidence that this policy beats the rule that made the logs: it earns between -1 and 1 more"
-    assert doubts == {"better": (), "not better": (doubt,), "cannot be said": (doubt,)}
+    assert doubts == {"better": (), "not better": (doubt,), "inconclusive": (doubt,)}
 
 
 def test_features_are_those_of_their_version():
@@ -210,7 +212,7 @@ def test_features_are_those_of_their_version():
 
 
 def of_laws(policy):
-    """What else a folder may hold: log-odds made anew, a rule, with a grasp model or without."""
+    """What else a folder may hold: log-odds recomputed, a rule, with a grasp model or without."""
     mending = Mending(
         np.float32([-2.0, 0.1, 3.0]),
         np.float32([-1.0, 0.0, 1.5]),

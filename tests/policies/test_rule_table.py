@@ -1,12 +1,17 @@
 """Rules of thumb as policies: read from files, refused where they are none, and against a loop over the rows."""
 
+from collections import Counter
+
 import numpy as np
 import pandas as pd
 import pytest
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.learning.flat_policy import NamedActionPolicy
+from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.policies import Rule, read_rule_table
+from halfseen.policies.decision import Decision
+from halfseen.policies.exploration_table import MOST_EXPLORED, as_csv, read_exploration
+from halfseen.serving.recording import taken
 
 PARTS = pd.DataFrame({"weight_kg": [2.0, 1.5, 0.2, 2.9], "shine": [0.9, 0.7, 0.1, 0.5], "colour": list("rgbr")})
 CSV = "stage,weight_kg,shine,action\n> 2,,,hand over\n,> 1.5 and <= 2.5,,parallel\n,,> 0.5,suction\n,,,soft\n"
@@ -33,7 +38,7 @@ def written(folder, text, name="rule.csv"):
     return folder / name
 
 
-def taken(rule, stage, parts=PARTS):
+def chosen_by(rule, stage, parts=PARTS):
     return [rule.actions[column] for column in rule.probabilities(parts, stage).argmax(axis=1)]
 
 
@@ -50,7 +55,9 @@ def by_hand(weight, shine, stage):
 def test_the_first_row_that_matches_wins(tmp_path, text, name, stage):
     rule = read_rule_table(written(tmp_path, text, name), horizon=3)
     assert isinstance(rule, NamedActionPolicy)
-    assert taken(rule, stage) == [by_hand(*row, stage) for row in zip(PARTS["weight_kg"], PARTS["shine"], strict=True)]
+    assert chosen_by(rule, stage) == [
+        by_hand(*row, stage) for row in zip(PARTS["weight_kg"], PARTS["shine"], strict=True)
+    ]
     np.testing.assert_array_equal(rule.probabilities(PARTS, stage).sum(axis=1), 1.0)
 
 
@@ -67,16 +74,16 @@ def test_the_first_row_that_matches_wins(tmp_path, text, name, stage):
 )
 def test_every_comparison(tmp_path, condition, holds):
     rule = read_rule_table(written(tmp_path, f"weight_kg,action\n{condition},yes\n,no\n"), horizon=1)
-    assert taken(rule, 1) == ["yes" if it_does else "no" for it_does in holds]
+    assert chosen_by(rule, 1) == ["yes" if it_does else "no" for it_does in holds]
 
 
 def test_texts_are_compared_as_texts_and_numbers_of_toml_as_numbers(tmp_path):
     rule = read_rule_table(written(tmp_path, "colour,action\nr,red\n!= g,other\n,green\n"), horizon=1)
-    assert taken(rule, 1) == ["red", "green", "other", "red"]
+    assert chosen_by(rule, 1) == ["red", "green", "other", "red"]
     number = read_rule_table(
         written(tmp_path, '[[rule]]\nwhen = {stage = 1}\naction = 7\n[[rule]]\naction = "b"', "r.toml"), 2
     )
-    assert (taken(number, 1), taken(number, 2)) == ([7] * 4, ["b"] * 4)
+    assert (chosen_by(number, 1), chosen_by(number, 2)) == ([7] * 4, ["b"] * 4)
 
 
 @pytest.mark.parametrize(
@@ -141,3 +148,68 @@ def test_a_function_names_one_of_its_actions_for_each_row():
         Rule(lambda parts, stage: ["C"] * len(parts), ("A",), 1).probabilities(PARTS, 1)
     with pytest.raises(ArgumentError, match=r"gave shape \(\) for 4 rows"):
         Rule(lambda parts, stage: "A", ("A",), 1).probabilities(PARTS, 1)
+
+
+# A table of what to try
+ACTIONS, COLUMNS = ("look", "grasp", "shake"), ("clutter", "colour")
+TEXT = "stage,clutter,action,probability\n<= 1.5,<= 0.5,look,0.4\n<= 1.5,,shake,0.2\n"
+
+
+def test_each_row_that_matches_has_its_say_and_it_is_read_as_it_is_written(tmp_path):
+    table = read_exploration(written(tmp_path, TEXT), ACTIONS, COLUMNS)
+    assert table.shares({"clutter": 0.0}, 1) == {"look": 0.4, "shake": 0.2}
+    assert table.shares({"clutter": 1.0}, 1) == {"shake": 0.2}
+    assert table.shares({"clutter": 0.0}, 2) == {}
+    asked = [{"stage": "<= 1.5", "clutter": "<= 0.5"}, {"stage": "<= 1.5"}]
+    assert as_csv(asked, ["look", "shake"], [0.4, 0.2]) == TEXT
+
+
+def test_something_is_always_left_to_the_policy(tmp_path):
+    path = written(tmp_path, "action,probability\nlook,0.8\nshake,0.8\nlook,0.1\n")
+    shares = read_exploration(path, ACTIONS, COLUMNS).shares({}, 1)
+    assert shares == pytest.approx({"look": MOST_EXPLORED / 2, "shake": MOST_EXPLORED / 2})
+
+
+def test_what_is_drawn_has_the_probability_that_is_told():
+    best = Decision("grasp", {"grasp": 1.0, "look": 0.5, "shake": None}, "grasp: worth more.")
+    shares, rng = {"look": 0.3, "shake": 0.2, "grasp": 0.1}, np.random.default_rng(0)
+    drawn = [taken(best, shares, rng) for _ in range(4000)]
+    told = {one.decision.action: one.probability for one in drawn}
+    assert told == pytest.approx({"look": 0.3, "grasp": 0.7})
+    counts = Counter(one.decision.action for one in drawn)
+    assert counts["look"] == pytest.approx(1200, abs=4 * np.sqrt(4000 * 0.21))
+    assert {one.is_explored for one in drawn if one.decision.action == "grasp"} == {False}
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("action\nlook\n", "name each column once, one of them 'probability'"),
+        ("action,probability\nlock,0.2\n", "row 1: there is no action lock; there are look, grasp, shake; did you"),
+        ("cluter,action,probability\n1,look,0.2\n", "row 1: there is no column cluter"),
+        ("action,probability\nlook,1\n", "row 1: probability is '1'; give a number between 0 and 1"),
+        ("action,probability\nlook,often\n", "row 1: probability is 'often'"),
+        ("clutter,action,probability\nnan,look,0.2\n", "row 1: clutter is 'nan', and the policy knows numbers of it"),
+        ("colour,action,probability\n> 1,look,0.2\n", "row 1: colour is 1.0, and the policy knows text of it"),
+        ("clutter,action,probability\n< ,look,0.2\n", "row 1: clutter is '<', which is no condition"),
+    ],
+)
+def test_what_is_wrong_is_named(tmp_path, text, said):
+    with pytest.raises(ArgumentError, match=r"rule\.csv") as told:
+        read_exploration(written(tmp_path, text), ACTIONS, COLUMNS, ("colour",))
+    assert said in str(told.value)
+
+
+def test_one_state_is_decided_as_many_are(tmp_path):
+    file = tmp_path / "rule.csv"
+    file.write_text("stage,x,colour,action\n> 1,,= red,A\n,> 0.5 and <= 2,,B\n,,!= blue,C\n,,,A\n")
+    rule = read_rule_table(file, 3)
+    rng = np.random.default_rng(0)
+    frame = pd.DataFrame({"x": rng.normal(size=60).round(1), "colour": rng.choice(["red", "blue", "green"], 60)})
+    for stage in (1, 2):
+        many = np.array(rule.actions, dtype=object)[rule.probabilities(frame, stage).argmax(axis=1)]
+        assert [rule.action(dict(row), stage) for _, row in frame.iterrows()] == many.tolist()
+    with pytest.raises(ArgumentError, match=r"asks for x > 0\.5, and x is None"):
+        rule.action({"colour": "blue"}, 1)
+    with pytest.raises(ArgumentError, match="asks for colour = red, and colour is 1"):
+        rule.action({"colour": 1}, 2)

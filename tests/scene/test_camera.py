@@ -34,20 +34,16 @@ def test_camera_looks_at_its_target_is_level_and_sees_as_far_aside_as_the_sensor
     assert np.rad2deg(field_rad) == pytest.approx([58, 45], abs=1e-4)
 
 
-def test_pixel_rays_are_what_project_undoes(rng):
-    pose = Pose((0.1, -0.2, 0.3), about_axis((0.0, 1.0, 0.0), 0.4))
-    camera = Camera(pose, (100.0, 110.0), (31.5, 23.5), num_rows=48, num_columns=64)
-    point_m = camera.world_from_camera.apply(rng.uniform(0.5, 2.0) * camera.pixel_rays()[7, 50][None])
-    assert camera.project(point_m)[0] == pytest.approx([50, 7], abs=1e-9)
-
-
-def test_pose_inverse_and_composition(rng):
+def test_inverse_and_composition_of_poses_and_pixel_rays_are_what_project_undoes(rng):
     points_m = rng.normal(size=(5, 3))
     first, then = about_axis((1.0, 0.0, 0.0), 0.7), about_axis((0.0, 0.0, 1.0), -1.1)
     pose = Pose((1.0, 2.0, 3.0), compose(first, then))
     assert np.allclose(pose.apply_inverse(pose.apply(points_m)), points_m)
     one_by_one = Pose((0.0, 0.0, 0.0), then).apply(Pose((0.0, 0.0, 0.0), first).apply(points_m))
     assert np.allclose(pose.apply(points_m) - [1.0, 2.0, 3.0], one_by_one)
+    camera = Camera(pose, (100.0, 110.0), (31.5, 23.5), num_rows=48, num_columns=64)
+    point_m = pose.apply(rng.uniform(0.5, 2.0) * camera.pixel_rays()[7, 50][None])
+    assert camera.project(point_m)[0] == pytest.approx([50, 7], abs=1e-9)
 
 
 def seen_of_boxes(camera, *boxes_m):
@@ -125,9 +121,7 @@ def test_disparity_comes_in_eighths_of_a_pixel_the_nearest_without_noise(picture
     exact_px = FOCAL_PX * XTION.baseline_m / depth_m
     assert np.all(np.abs(measured_px - exact_px)[:, :3] <= XTION.disparity_step_px / 2)
     assert np.isnan(measured_px[0, 3])
-
-
-def test_no_depth_without_positive_disparity():
+    # No depth without positive disparity.
     depth_m = depth_from_disparity_m(np.array([[0.0, -0.125, 43.275, np.nan]]), FOCAL_PX)
     assert np.isnan(depth_m[0, [0, 1, 3]]).all()
     assert depth_m[0, 2] == pytest.approx(1.0)

@@ -76,16 +76,18 @@ def test_stained_pixels_are_those_that_geometry_says(table, view, angle_rad, hei
     assert num_stained == pytest.approx(expected, abs=0.03 * expected)
 
 
-def test_what_is_seen_slantwise_is_darker_and_pixels_are_noisy(table, view):
-    surface, poses = [Surface(CUP, WHITE)], table.world_from_cup
-    shaded = colours(view, table.camera, surface, poses, np.random.default_rng(0), replace(COLOUR_CAMERA, noise=0.0))
-    is_slant = (view.body == 1) & (view.incidence_cosine < 0.3)
-    is_straight = (view.body == 1) & (view.incidence_cosine > 0.9)
-    assert shaded[is_slant].max() < shaded[is_straight].min()
-    noisy = colours(view, table.camera, surface, poses, np.random.default_rng(0))
+def test_what_is_seen_slantwise_is_darker_pixels_are_noisy_and_the_rest_has_its_own_colours(table, view):
+    def drawn(*camera):
+        return colours(view, table.camera, surface, table.world_from_cup, np.random.default_rng(0), *camera)
+
+    surface = [Surface(CUP, WHITE)]
+    shaded, noisy, picture = drawn(replace(COLOUR_CAMERA, noise=0.0)), drawn(), drawn(SILENT)
+    is_slant, is_straight = view.incidence_cosine < 0.3, view.incidence_cosine > 0.9
+    assert shaded[(view.body == 1) & is_slant].max() < shaded[(view.body == 1) & is_straight].min()
     assert np.std(noisy.astype(float) - shaded) == pytest.approx(COLOUR_CAMERA.noise, rel=0.05)
-    again = colours(view, table.camera, surface, poses, np.random.default_rng(0))
-    np.testing.assert_array_equal(noisy, again)
+    np.testing.assert_array_equal(noisy, drawn())
+    for body, colour in ((0, COLOUR_CAMERA.furniture), (1, WHITE), (-1, COLOUR_CAMERA.dark)):
+        assert (picture[view.body == body] == colour).all()
 
 
 def test_a_handle_is_plain_and_stains_cover_spots():
@@ -126,10 +128,3 @@ def test_a_capture_has_the_same_depths_with_colour_and_without(table):
     np.testing.assert_array_equal(plain.cloud.points_m, coloured.cloud.points_m)
     assert plain.cloud.colours is None
     np.testing.assert_array_equal(coloured.cloud.colours, capture(table, 3, surfaces=surfaces).cloud.colours)
-
-
-def test_the_rest_of_a_picture_has_its_own_colours(table, view):
-    picture = colours(view, table.camera, [Surface(CUP, WHITE)], table.world_from_cup, np.random.default_rng(0), SILENT)
-    assert (picture[view.body == 0] == COLOUR_CAMERA.furniture).all()
-    assert (picture[view.body == 1] == WHITE).all()
-    assert (picture[view.body == -1] == COLOUR_CAMERA.dark).all()

@@ -18,7 +18,7 @@ from halfseen.scene import Camera, Cup, Pose, Table, capture, random_table, read
 from halfseen.scene.__main__ import main
 from halfseen.scene.camera import look_at
 from halfseen.scene.cups import NUM_AROUND, body_mesh, handle_mesh
-from halfseen.scene.draw import MAX_OCCLUSION, MIN_RETURNS_PX
+from halfseen.scene.draw import MAX_OCCLUSION, MIN_RETURNS_PX, num_cups_of
 from halfseen.scene.layout import GAP_M
 from halfseen.scene.poses import about_axis, compose
 from halfseen.scene.rays import cast
@@ -46,16 +46,13 @@ def enclosed_volume_m3(vertices, faces):
     return float(np.einsum("fi,fi->f", a, np.cross(b, c)).sum() / 6)
 
 
-@pytest.mark.parametrize("build", [body_mesh, handle_mesh])
-def test_surface_is_closed_and_looks_outward(build):
-    vertices, faces = build(MUG)
-    edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3))
-    assert set(edges.values()) == {1}
-    assert all((end, start) in edges for start, end in edges)
-    assert enclosed_volume_m3(vertices, faces) > 0
-
-
-def test_volume_of_a_straight_cup_is_that_of_the_prism():
+def test_surfaces_are_closed_look_outward_and_have_the_volume_of_their_prism():
+    for build in (body_mesh, handle_mesh):
+        vertices, faces = build(MUG)
+        edges = Counter((int(face[k]), int(face[(k + 1) % 3])) for face in faces for k in range(3))
+        assert set(edges.values()) == {1}
+        assert all((end, start) in edges for start, end in edges)
+        assert enclosed_volume_m3(vertices, faces) > 0
     polygon = NUM_AROUND / 2 * np.sin(2 * np.pi / NUM_AROUND)
     expected = polygon * (0.04**2 * 0.1 - 0.037**2 * 0.095)
     found = enclosed_volume_m3(*body_mesh(Cup(0.1, 0.04, 0.04, wall_m=0.003, bottom_m=0.005)))
@@ -114,16 +111,13 @@ def table_with(*places_m):
     return Table((CUP,) * len(places_m), tuple(Pose((x, y, TABLE_TOP_M)) for x, y in places_m), EYE)
 
 
-def test_gap_between_two_straight_cups():
+def test_gap_between_two_straight_cups_and_fallen_means_off_the_vertical():
     table = table_with((0.0, 0.0), (0.1, 0.0))
     gap_m = partial(smallest_gap_m, table.cups, table.world_from_cup)
     assert gap_m() == pytest.approx(0.02, abs=1e-4)
     assert gap_m(beyond_m=0.01) == pytest.approx(0.01)
     with pytest.raises(SceneError, match="beyond_m"):
         gap_m(beyond_m=0.0)
-
-
-def test_fallen_means_off_the_vertical():
     poses = [Pose((0.2 * k, 0.0, 1.0), about_axis((0.0, 1.0, 0.0), np.deg2rad(k * 20))) for k in range(6)]
     assert Table((MUG,) * 6, tuple(poses), EYE).is_fallen.tolist() == [False, False, False, False, True, True]
 
@@ -200,6 +194,14 @@ def test_the_truth_agrees_with_the_full_picture_and_with_itself(table, picture):
         assert np.isfinite(lone_m[index, round(row), round(column)])
 
 
+def test_what_was_seen_of_the_last_table_is_kept_and_cannot_be_changed(table):
+    views = [table_view(each, XTION.baseline_m) for each in (table, read_table(3))]
+    assert views[0] is views[1]
+    for image in (views[0].depth_m, lone_depths_m(table)):
+        with pytest.raises(ValueError, match="read-only"):
+            image[...] = 0.0
+
+
 # Tables that are drawn, and the ten that ship
 @pytest.mark.slow
 def test_same_seed_same_bytes_and_the_global_seed_changes_nothing_other_seed_other_noise_same_truth(table, picture):
@@ -239,10 +241,15 @@ def test_drawn_tables_keep_their_promises(seed):
 
 
 @pytest.mark.slow
-def test_forty_tables():
-    tables = [random_table(seed) for seed in range(40)]
-    assert {table.num_cups for table in tables} == set(range(5, 11))
+def test_twenty_tables():
+    tables = [random_table(seed) for seed in range(20)]
+    assert [table.num_cups for table in tables] == [num_cups_of(seed) for seed in range(20)]
+    assert {num_cups_of(seed) for seed in range(40)} == set(range(5, 11))
     assert 0.15 < np.concatenate([table.is_fallen for table in tables]).mean() < 0.4
+
+
+def test_stored_tables_are_those_of_their_seeds():
+    assert read_table(5) == random_table(SEEDS[5])
 
 
 def test_shipped_clouds_agree_with_their_truth_and_are_varied():
@@ -264,10 +271,6 @@ def test_shipped_clouds_agree_with_their_truth_and_are_varied():
     assert np.histogram(occlusion, [0.0, 0.1, 0.3, 0.5, 0.7, 0.85])[0].min() >= 3
 
 
-def test_stored_tables_are_those_of_their_seeds():
-    assert read_table(5) == random_table(SEEDS[5])
-
-
 @pytest.mark.slow
 @pytest.mark.skipif(
     made_with(0) != versions(), reason=f"the shipped tables were made with {made_with(0)}; here is {versions()}"
@@ -275,7 +278,9 @@ def test_stored_tables_are_those_of_their_seeds():
 def test_all_ten_come_out_the_same(tmp_path):
     command = [sys.executable, "-m", "halfseen.scene", "--out", str(tmp_path)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+    assert (done.returncode, done.stdout) == (0, "")
+    # A slow machine shows a line a minute.
+    assert all(line.startswith("halfseen: draw, ") for line in done.stderr.splitlines())
     for k in range(NUM_TABLES):
         for path_of in (cloud_path, truth_path):
             assert path_of(tmp_path, k).read_bytes() == path_of(PACKAGE, k).read_bytes(), path_of(tmp_path, k).name

@@ -1,4 +1,4 @@
-"""A policy over HTTP: it says what `halfseen act` says, records what it decided, and survives whoever asks."""
+"""A policy over HTTP: it says what `halfseen act` says, records what it decided, and survives anyone who asks."""
 
 import asyncio
 import json
@@ -7,12 +7,13 @@ from collections import Counter
 import httpx2
 import numpy as np
 import pytest
-from asking import client_of, refused
+from asking import client_of, refused, resolved
 from click.testing import CliRunner
+from jsonschema import Draft202012Validator
 
 from halfseen.cli.act import act
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import read_logs
+from halfseen.logs import Logs, read_logs
 from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths
@@ -76,8 +77,7 @@ def test_it_says_what_act_says(asked, flat, tmp_path):
         (b'{"x1": [1], "x2": {"a": 2}}', 422, "'x1' holds no numbers"),
         (b'{"x1": 1e999, "x2": 1}', 400, "1e999 is no number of JSON"),
         (b'{"x1": 1' + b"0" * 400 + b', "x2": 1}', 400, "is no whole number of 64 bits"),
-        (b'{"x1": 1e9, "x2": 1}', 422, "outside the logs"),
-        (b'{"x1": 0, "x2": 1, "stage": 3}', 422, "stage is 3; it is a whole number from 1"),
+        (b'{"x1": 0, "x2": 1, "stage": 0}', 422, "stage is 0; it is a whole number from 1"),
         (b'{"x1": 0, "x2": 1, "stage": true}', 422, "stage is True"),
         (b'{"x1": 0, "x2": 1, "stage": "1"}', 422, "stage is 1"),
         (b'{"x1": 0, "x2": 1, "stage": null}', 422, "stage is None"),
@@ -163,15 +163,13 @@ def test_a_trajectory_in_progress_is_told_and_cut_when_the_server_stops(flat, tm
     assert read_logs(tmp_path / "logs").trajectories["cause"].tolist() == ["server stopped"]
 
 
-@pytest.mark.parametrize(
-    "end",
-    [{}, {"ending": "done"}, {"ending": "cut"}, {"ending": "finished", "cause": "x"}, {"ending": "cut", "why": 1}],
-)
-def test_an_end_says_which(flat, tmp_path, end):
+def test_an_end_says_which(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as client:
         client.post("/decide", json=SEEN)
-        refused(client.post("/end", json=end), 422)
-        assert client.get("/health").json()["recording"]["trajectory"] == 1
+        unclear = ({}, {"ending": "done"}, {"ending": "cut"}, {"ending": "finished", "cause": "x"})
+        for end in (*unclear, {"ending": "cut", "why": 1}):
+            refused(client.post("/end", json=end), 422)
+            assert client.get("/health").json()["recording"]["trajectory"] == 1
 
 
 def test_what_cannot_be_recorded_is_not_decided(flat, tmp_path):
@@ -194,6 +192,22 @@ def test_a_draw_is_as_likely_as_it_says(flat):
     explored = [one for one in told if one["is_explored"]]
     assert len(explored) == pytest.approx(40, abs=4 * np.sqrt(160 * 0.25 * 0.75))
     assert "by chance, to explore" in explored[0]["reason"]
+
+
+def test_actions_that_are_numbers_stay_numbers_where_they_are_drawn(tmp_path):
+    logs = flat_log()
+    numbered = logs.stages.assign(action=logs.stages["action"].map({"A": 1, "B": 2, "C": 3}))
+    logs = Logs(stages=numbered, trajectories=logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: [1, 2], 2: [1, 3]}, ["x1", "x2"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    taken = []
+    with client_of(tmp_path / "policy", tmp_path / "logs", epsilon=0.9) as client:
+        for _ in range(12):
+            taken.append(client.post("/decide", json=SEEN).json()["action"])
+            client.post("/reward", json={"reward": 1.0})
+            client.post("/end", json={"ending": "finished"})
+    assert set(taken) == {1, 2}
+    assert read_logs(tmp_path / "logs").stages["action"].tolist() == taken
 
 
 def test_a_table_says_what_is_tried_where_and_the_log_holds_its_probability(flat, tmp_path):
@@ -237,29 +251,92 @@ def test_no_request_is_lost_while_policies_are_reloaded(flat):
     assert {answer.status_code for answer in asyncio.run(ask())} == {200}
 
 
+def references(schema):
+    """Every reference within a description."""
+    if isinstance(schema, list):
+        return [found for each in schema for found in references(each)]
+    if not isinstance(schema, dict):
+        return []
+    return [schema["$ref"]] if "$ref" in schema else [found for each in schema.values() for found in references(each)]
+
+
 def test_the_description_tells_what_can_be_asked(asked):
-    api = asked.get("/openapi.json").json()["paths"]
-    taken, answer = api["/decide"]["post"]["requestBody"]["content"]["application/json"], api["/decide"]["post"]
-    assert set(taken["schema"]["required"]) == {"x1", "x2"}
-    assert taken["schema"]["properties"]["stage"]["maximum"] == 2
-    told = asked.post("/decide", json=taken["example"]).json()
-    assert set(answer["responses"]["200"]["content"]["application/json"]["schema"]["required"]) <= set(told)
-    assert list(api) == ["/decide", "/reload", "/health"]
+    api = asked.get("/openapi.json").json()
+    content = api["paths"]["/decide"]["post"]["requestBody"]["content"]["application/json"]
+    taken = resolved(api, content)
+    assert set(taken["required"]) == {"x1", "x2"}
+    assert "maximum" not in taken["properties"]["stage"]
+    assert api["components"]["schemas"]["Decided"]["properties"]["action"]["enum"] == ["A", "B", "C"]
+    (example,) = taken["examples"]
+    assert asked.post("/decide", json=example).status_code == 200
+    assert list(api["paths"]) == ["/decide", "/reload", "/health"]
+
+
+@pytest.mark.parametrize("policy", ["flat", "tables"])
+def test_the_description_is_openapi_of_json_schemas(policy, request, tmp_path):
+    with client_of(request.getfixturevalue(policy), tmp_path / "logs", of_tables=policy == "tables") as client:
+        api = client.get("/openapi.json").json()
+    assert api["openapi"] == "3.1.0"
+    schemas = api["components"]["schemas"]
+    for schema in schemas.values():
+        Draft202012Validator.check_schema(schema)
+        assert set(schema.get("required", ())) <= set(schema["properties"])
+    assert set(references(api)) == {f"#/components/schemas/{name}" for name in schemas}
+    for operation in (each for hows in api["paths"].values() for each in hows.values()):
+        assert set(operation["responses"]) == {"200", "4XX"}
+        assert all(each["description"] for each in operation["responses"].values())
+
+
+def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_remedy(tables, tmp_path):
+    with client_of(tables, tmp_path / "logs", of_tables=True) as client:
+        for address, given, says in (
+            (
+                "/decide",
+                {"objects": []},
+                "the request: objects is []; give a list with each object as a stage of a log",
+            ),
+            ("/decide", {"objects": [{}, 1]}, "the request: objects is [{}, 1]; give a list with each object as"),
+            ("/reward", {}, "the request: there is no 'reward'; give a number, in the unit of the log."),
+            (
+                "/reward",
+                {"reward": 1, "why": 1},
+                "the request: nothing is known of 'why'; give reward, elapsed_s, held",
+            ),
+            ("/reward", {"reward": "much"}, "the request: reward is 'much'; give a number, in the unit of the log."),
+            ("/reward", {"reward": None}, "the request: reward is None; give a number"),
+            ("/reward", {"reward": 1, "held": "yes"}, "the request: held is 'yes'; give true or false, of clouds"),
+            ("/reward", {"reward": 1, "elapsed_s": "2"}, "the request: elapsed_s is '2'; give seconds since the"),
+            ("/end", {"ending": "done"}, "the request: ending is 'done'; give the word \"finished\", or"),
+            ("/end", {"ending": "cut"}, 'the request: give {"ending": "finished"}, or {"ending": "cut", "cause": '),
+            ("/end", {"ending": "x` - at `$.y`"}, "the request: ending is 'x` - at `$.y`'; give the word"),
+            ("/end", {"x` - at `$.y": 1}, "the request: nothing is known of 'x` - at `$.y'; give ending, cause, elap"),
+            ("/end", {"ending": "\ud800"}, "the request: '\\ud800' is no Unicode text; decode it"),
+            ("/end", {"ending": "cut", "\ud800": 1}, "the request: '\\ud800' is no Unicode text; decode it"),
+        ):
+            body = json.dumps(given)
+            answer = client.post(address, content=body, headers={"content-type": "application/json"})
+            assert refused(answer, 422).startswith(says)
+        files = {"cloud": ("t.pcd", b"")}
+        for stage in ("x", "1.5", "0", "-1", ""):
+            line = refused(client.post("/decide", files=files, data={"stage": stage}), 422)
+            assert line == f"the request: stage is {stage!r}; give the stage to decide, a whole number from 1."
+        line = refused(client.post("/decide", files=files, data={"labels": "0,dirty"}), 422)
+        assert line.startswith("the request: labels is '0,dirty'; give a .csv or .json of what looks dirty, as")
 
 
 def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_of_a_trajectory(tables, tmp_path):
     with client_of(tables, tmp_path / "logs", of_tables=True) as client:
-        api, page = client.get("/openapi.json").json()["paths"], client.get("/")
-    assert list(api) == ["/decide", "/reward", "/end", "/reload", "/health"]
-    places = [page.text.index(address) for address in api]
+        api, page = client.get("/openapi.json").json(), client.get("/")
+    assert list(api["paths"]) == ["/decide", "/reward", "/end", "/reload", "/health"]
+    places = [page.text.index(address) for address in api["paths"]]
     assert places == sorted(places)
-    assert "file. What the camera sees" in page.text
+    assert "A file of what the camera sees" in page.text
     assert "http" not in page.text.replace("HTTP", "").replace("<!doctype html>", "")
     assert "default-src 'none'" in page.headers["content-security-policy"]
-    for each in api.values():
-        for kind in each.get("post", {}).get("requestBody", {}).get("content", {}).values():
-            for name, told in kind["schema"]["properties"].items():
-                assert told["description"].endswith("."), name
+    for each in api["paths"].values():
+        for content in each.get("post", {}).get("requestBody", {}).get("content", {}).values():
+            for name, field in resolved(api, content)["properties"].items():
+                assert field["description"].endswith("."), name
 
 
 def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
@@ -271,8 +348,10 @@ def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
         assert {name: told[name] for name in said} == said
         broken = client.post("/decide", files={"cloud": ("../../x.pcd", b"VERSION .7\n")})
         assert refused(broken, 422).startswith("cloud.pcd: ")
-        assert "no file 'cloud'" in refused(client.post("/decide", files={"other": ("t.pcd", b"")}), 422)
-        assert "give {" in refused(client.post("/decide", json={"x": 1}), 422)
+        assert "there is no 'cloud'; give a file of what the camera sees" in refused(
+            client.post("/decide", files={"other": ("t.pcd", b"")}), 422
+        )
+        assert "there is no 'objects'; give a list" in refused(client.post("/decide", json={"x": 1}), 422)
         openapi = client.get("/openapi.json").json()["paths"]["/decide"]["post"]["requestBody"]["content"]
         assert set(openapi) == {"application/json", "multipart/form-data"}
 

@@ -23,7 +23,7 @@ from halfseen.cli.inputs import law_of
 from halfseen.evaluation import evaluate
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
-from halfseen.logs.suspicions import suspicions
+from halfseen.logs.data_quality import data_warnings
 from halfseen.perception import perceive, read_cloud
 from halfseen.perception.formats import write_pcd
 from halfseen.policies import decider_of, read_policy, table_observation
@@ -31,6 +31,7 @@ from halfseen.policies.folder import write_policy
 from halfseen.policies.table_observation import Past, see_table
 from halfseen.serving.answering import Answering
 from halfseen.serving.app import Served, app_of
+from halfseen.serving.models import Progress
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.world.logs import states_of
 
@@ -326,7 +327,7 @@ def test_nothing_is_decided_for_a_client_that_has_gone(tables, shows, tmp_path, 
     with RecordedTrajectories(tmp_path / "logs", is_of_tables=True) as trajectories:
         app = app_of(Served(tables, Answering(trajectories=trajectories), extrapolates=True))
         asyncio.run(app(scope, receive, send))
-        assert trajectories.facts == {"trajectory": None, "stage": 0, "waits_for": "decision"}
+        assert trajectories.facts == Progress(None, 0, "decision")
     assert b"the client has gone" in sent[-1]["body"]
 
 
@@ -351,7 +352,7 @@ def test_what_was_served_from_clouds_makes_the_next_log(tables, shows, tmp_path)
             )
     logs = read_logs(folder)
     assert (logs.num_trajectories, int(logs.is_finished.sum())) == (30, 24)
-    assert suspicions(logs) == ()
+    assert data_warnings(logs) == ()
     learner = CensoredQLearner.for_table(HORIZON, reg=0.1).fit(logs)
     write_policy(learner, logs, tmp_path / "next")
     (prior,) = logs.trajectories["dirty_share"].unique()

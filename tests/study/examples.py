@@ -13,7 +13,8 @@ from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.attempts_repetition import COMPLETED, VISIBLE_ONLY, source_of
 from halfseen.study.experiments.attempts_repetition import MODEL_NAMES as ATTEMPT_MODELS
-from halfseen.study.experiments.clutter import Clutter, table_of
+from halfseen.study.experiments.clutter import Clutter
+from halfseen.study.experiments.clutter_places import table_of
 from halfseen.study.experiments.grasp import MODEL_NAMES
 from halfseen.study.pipeline import episodes_in_turn
 from halfseen.study.policies import HEURISTICS, ONE_STEP

@@ -14,11 +14,19 @@ from examples import attempt_pieces
 from halfseen.study.compare import holm
 from halfseen.study.experiment import Pieces
 from halfseen.study.experiments.attempts import Attempts, assumed_share, mean_of
-from halfseen.study.experiments.attempts_repetition import MODEL_NAMES, fit_of, frame_of, predicted
-from halfseen.study.experiments.attempts_set_svm import SEEN, of_one_kind, sets_of
+from halfseen.study.experiments.attempts_repetition import (
+    MODEL_NAMES,
+    SEEN,
+    fit_of,
+    frame_of,
+    of_one_kind,
+    predicted,
+    sets_of,
+)
+from halfseen.study.runner import as_json
 from halfseen.study.setting import Setting
-from halfseen.study.store import as_json
-from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
+from halfseen.tables.grasp_attempts import checked_attempts
+from halfseen.tables.grasp_folds import can_hold_out
 
 TINY = Attempts(num_tables=(6, 12), num_folds=2)
 
@@ -50,7 +58,7 @@ def tried(pieces):
     return frame_of(pieces.prepared["completed"])
 
 
-def test_no_table_is_both_learned_from_and_held_out():
+def test_no_table_is_both_learned_from_and_held_out_and_every_repetition_has_its_sizes():
     design, tables = Attempts(num_folds=4), np.arange(7, 60)
     for first in (0, 4, 8):
         splits = [design.split(tables, 3, index) for index in range(first, first + 4)]
@@ -61,9 +69,6 @@ def test_no_table_is_both_learned_from_and_held_out():
     again = design.split(tables[::-1], 3, 8)
     np.testing.assert_array_equal(again.learned, splits[0].learned)
     assert list(design.split(tables, 4, 8).learned) != list(again.learned)
-
-
-def test_only_sizes_that_every_repetition_has_are_learned_from():
     design = Attempts(num_tables=(10, 30, 50), num_folds=4)
     for num in (40, 41, 43, 67):
         least = min(len(design.split(np.arange(num), 0, index).learned) for index in range(4))
@@ -154,27 +159,25 @@ def test_intervals_hold_the_truth_where_tables_and_what_was_learned_vary():
     assert np.mean(inside) > 0.93
 
 
-def test_tables_hold_every_model_and_size(pieces, tables):
+def test_tables_hold_every_model_and_size_and_an_attempt_that_was_held_out_twice_counts_once(pieces, tables):
     assert len(tables["attempts_scores"]) == len(MODEL_NAMES) * 2
     for _, pair in tables["attempts_tests"].groupby(["model", "rival"]):
         np.testing.assert_allclose(pair["p_holm"], holm(pair["p_value"].to_numpy()))
         assert len(pair) == 4
-    rows = tables["attempts_calibration"].query("by == 'occlusion' and model == 'law'")
+    calibration = tables["attempts_calibration"]
+    rows = calibration.query("by == 'occlusion' and model == 'law'")
     decided = sum(pieces.prepared["completed"]["tried"]["is_finished"])
     assert rows["attempts"].sum() == tables["attempts_held"]["attempts"].sum() == decided
     assert rows["share_of_attempts"].sum() == pytest.approx(1.0)
     law, fit = tables["attempts_law"].set_index("parameter"), fit_of(pieces.prepared["completed"])
     assert law.loc["occlusion", "estimate"] == fit.estimate[1]
     assert law.loc["occlusion", "high"] == pytest.approx(fit.estimate[1] + 1.959964 * fit.standard_error[1])
-
-
-def test_an_attempt_that_was_held_out_twice_counts_once(pieces, tables):
     said = {}
     for piece in pieces.repetitions:
         for row, value in zip(piece["rows"], piece["said"]["beta"], strict=True):
             said.setdefault(row, []).append(value)
     assert {len(each) for each in said.values()} == {2}
-    rows = tables["attempts_calibration"].query("by == 'prediction' and model == 'beta'")
+    rows = calibration.query("by == 'prediction' and model == 'beta'")
     means = np.array([np.mean(each) for each in said.values()])
     assert rows["attempts"].sum() == len(means)
     assert rows["bin_from"].min() == pytest.approx(means.min())

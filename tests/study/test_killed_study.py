@@ -34,7 +34,7 @@ class Slow:
         return {"half": 0.5}
 
     def repeat(self, setting, prepared, index):
-        time.sleep(0.25)
+        time.sleep(0.1)
         while index == 20 and Path(os.environ.get("HELD", "nowhere")).exists():
             time.sleep(0.02)
         return {"sum": float(np.random.default_rng([setting.seed, index]).normal(size=1000).sum()) + prepared["half"]}
@@ -117,7 +117,7 @@ def wanted(script, tmp_path_factory):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("num", "engine"), [(2, "processes"), (3, "processes"), (2, "dask"), (2, "ray")])
+@pytest.mark.parametrize(("num", "engine"), [(3, "processes"), (2, "dask"), (2, "ray")])
 def test_the_bytes_are_those_of_one_worker(script, wanted, tmp_path, num, engine):
     assert finished(script, tmp_path / "study", num, engine) == wanted
 
@@ -147,10 +147,10 @@ def test_workers_killed_at_random_moments_change_nothing(script, wanted, tmp_pat
 
 
 @pytest.mark.slow
-def test_a_parent_killed_ten_times_goes_on_and_leaves_nobody_behind(script, wanted, tmp_path, held):
+def test_a_parent_killed_six_times_goes_on_and_leaves_nobody_behind(script, wanted, tmp_path, held):
     """Half of the kills fall anywhere in the life of a study, the others where it keeps what was made."""
     rng, folder = random.Random(1), tmp_path / "study"
-    for kill in range(10):
+    for kill in range(6):
         # The two that are held are never kept.
         num = min(num_kept(folder) + 1, NUM - 2)
         study = begun(script, folder, 2, "processes", "--resume", held=held)

@@ -1,6 +1,7 @@
 """What the experiments draw and say, from made-up pieces: nothing overlaps, and claims follow the numbers."""
 
 from dataclasses import replace
+from itertools import combinations
 from xml.etree import ElementTree
 
 import numpy as np
@@ -43,14 +44,14 @@ def test_nothing_written_overlaps_or_leaves_the_figure(experiment, lead):
                 figure = drawing.draw(title)
                 renderer = FigureCanvasAgg(figure).get_renderer()
                 boxes = [(text.get_text(), text.get_window_extent(renderer)) for text in texts(figure)]
-            for k, (text, box) in enumerate(boxes):
+            for text, box in boxes:
                 inside = min(box.x0, box.y0) >= 0 and box.x1 <= figure.bbox.x1 and box.y1 <= figure.bbox.y1
                 assert inside, (drawing.name, text)
-                for other_text, other in boxes[k + 1 :]:
-                    across = min(box.x1, other.x1) - max(box.x0, other.x0)
-                    along = min(box.y1, other.y1) - max(box.y0, other.y0)
-                    # Two pixels: boxes are a little higher than the letters in them.
-                    assert min(across, along) < 2, (drawing.name, text, other_text)
+            for (text, box), (other_text, other) in combinations(boxes, 2):
+                across = min(box.x1, other.x1) - max(box.x0, other.x0)
+                along = min(box.y1, other.y1) - max(box.y0, other.y0)
+                # Two pixels: boxes are a little higher than the letters in them.
+                assert min(across, along) < 2, (drawing.name, text, other_text)
 
 
 @BY_NAME
@@ -69,7 +70,7 @@ def test_figures_are_whole_and_the_same_again(experiment):
         (-2.0, "not supported", "earns less than the strongest planner"),
     ],
 )
-def test_the_first_sentence_compares_on_the_same_episodes(lead, verdict, title):
+def test_the_first_sentence_compares_on_the_same_episodes_and_every_hypothesis_is_told(lead, verdict, title):
     _, _, tables, section = example(REWARD, 30, lead=lead)
     row = tables["table1"].query("baseline == 'planner-512' and measure == 'reward'").iloc[0]
     assert row["effect"] == pytest.approx(row["censored_q"] - row["other"])
@@ -78,10 +79,21 @@ def test_the_first_sentence_compares_on_the_same_episodes(lead, verdict, title):
     assert f"POMDP planner, 512 simulations): {verdict} (" in first
     assert f"{row['censored_q']:.2f} against {row['other']:.2f} a trajectory on the same 300 episodes" in first
     assert title in section.drawings[0].title
+    told = next(each for each in section.sentences if each.startswith("Of the hypotheses")).split("; that")[0]
+    rows = tables["table1"].query("measure == 'reward'")
+    is_supported = rows["supported"].astype(bool)
+    assert f"earns more is supported against {is_supported.sum()} of {len(REWARD.baseline_names)}" in told
+    assert all(REWARD.contenders[name].label in told for name in rows["baseline"][~is_supported])
+    if (num_worse := int((rows["effect_high"] < 0).sum())) > 0:
+        assert f"not supported against {num_worse} (" in told
+    figure1 = next(each for each in section.drawings if each.name == "figure1")
+    with style():
+        words = [text.get_text() for text in texts(figure1.draw(""))]
+    assert sum("(0.50 ms)" in each for each in words) >= len(REWARD.baseline_names)
 
 
-def test_a_planner_stands_as_far_from_what_was_learned_as_on_the_episodes_of_both_and_times_are_not_tested():
-    _, _, tables, section = example(REWARD)
+def test_planners_stand_as_far_from_what_was_learned_as_on_the_episodes_of_both_and_times_are_not_tested():
+    _, pieces, tables, section = example(REWARD)
     figure1, table1 = tables["figure1"].set_index("policy"), tables["table1"]
     own = row_of(tables["figure1"], policy="censored_q", num_trajectories=800, cut_share=0.5)
     for name in REWARD.planner_names:
@@ -93,10 +105,7 @@ def test_a_planner_stands_as_far_from_what_was_learned_as_on_the_episodes_of_bot
     assert table1.loc[~is_time, "p_holm"].notna().all()
     listing = next(each for each in section.listings if each.label == "Table 1")
     assert any("measured on this machine" in heading for heading in listing.groups)
-
-
-def test_the_planner_with_fitted_laws_stands_beside_what_was_learned_from_each_log():
-    _, pieces, tables, _ = example(REWARD)
+    # The planner with fitted laws stands beside what was learned from each log.
     place = {"num_trajectories": 50, "cut_share": 1 / 3}
     over, learned = (
         np.mean([row[what] for piece in pieces.repetitions for row in piece[of] if place.items() <= row.items()])
@@ -129,30 +138,6 @@ def test_what_is_made_of_logs_stands_above_the_strongest_heuristic_on_the_same_e
     assert all(words in told for words in ("Q₁ with laws fitted", "linear eq. 3 without laws", "with fitted laws"))
     assert "contradicted the laws fitted to it" in section.listings[-1].caption
     assert "in 17\u00a0% of all cases, at a single size and proportion in at most" in section.listings[-1].caption
-
-
-def test_every_hypothesis_of_table_1_is_told_with_its_verdict_and_decisions_with_their_time():
-    _, _, tables, section = example(REWARD, 30, lead=-2.0)
-    told = next(each for each in section.sentences if each.startswith("Of the hypotheses"))
-    rows = tables["table1"].query("measure == 'reward'")
-    earns = told[: told.index("; that")] if "; that" in told else told
-    assert f"earns more is supported against {int(rows['supported'].sum())} of {len(REWARD.baseline_names)}" in earns
-    failed = rows[~rows["supported"].astype(bool)]["baseline"]
-    assert all(REWARD.contenders[name].label in earns for name in failed)
-    assert f"not supported against {int((rows['effect_high'] < 0).sum())} (" in earns
-    figure1 = next(each for each in section.drawings if each.name == "figure1")
-    with style():
-        words = [text.get_text() for text in texts(figure1.draw(""))]
-    assert sum("(0.50 ms)" in each for each in words) >= len(REWARD.baseline_names)
-
-
-def test_without_laws_what_is_learned_is_linear_and_stands_there_once():
-    design = replace(REWARD, laws=False)
-    setting, pieces, _, _ = example(REWARD)
-    section = design.section(setting, design.tabulate(setting, pieces))
-    assert "linear_q" not in design.contenders
-    assert "by linear eq. 3, without laws" in section.drawings[0].caption
-    assert not any("linear eq. 3 without laws" in each for each in section.sentences)
 
 
 def test_what_is_learned_over_the_planner_needs_few_of_its_episodes():
@@ -205,8 +190,7 @@ def test_planners_that_play_in_few_repetitions_are_compared_on_those():
         played = {name: of for name, of in piece["baselines"].items() if name not in planned}
         few[k] = piece | {"peer": [], "baselines": played}
     tables, alone = (design.tabulate(setting, pieces._replace(repetitions=some)) for some in (few, few[:8]))
-    figure1 = tables["figure1"].set_index(["policy", "num_trajectories", "cut_share"])
-    counts = figure1["repetitions"].groupby("policy").unique().map(list).to_dict()
+    counts = tables["figure1"].groupby("policy")["repetitions"].unique().map(list).to_dict()
     names = (*REWARD.baseline_names, "censored_q")
     assert counts == {name: [8 if name in planned else 30] for name in names}
     pd.testing.assert_frame_equal(*(of["figure1"][of["figure1"]["policy"].isin(planned)] for of in (tables, alone)))

@@ -46,6 +46,14 @@ OF_LAW = (
 FIGURES = ("opening", "figure1", "figure2", "figure3", "figure4", "figure5", "map", "regret")
 
 
+@pytest.fixture(scope="module")
+def study_folder(tmp_path_factory):
+    """Where the tiny study was run from end to end, once."""
+    folder = tmp_path_factory.mktemp("study") / "new" / "folder"
+    run_study(SETTING, folder, TINY, workers=Workers(1))
+    return folder
+
+
 def outputs(folder):
     return {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
 
@@ -64,38 +72,38 @@ def test_it_writes_all_that_it_promises(study_folder):
         assert (study_folder / f"{name}.csv").read_text().splitlines()[0].split(",") == columns.split()
 
 
+def by_size(rows):
+    return {(row["num_trajectories"], row["cut_share"]): row["reward"] for row in rows}
+
+
+def untimed(file):
+    """A table without the times in it."""
+    table = pd.read_csv(file)
+    return table.query("measure != 'decision_ms'") if "measure" in table else table.drop(columns="decision_ms")
+
+
 @pytest.mark.slow
-def test_the_numbers_are_those_of_the_pieces(study_folder):
+def test_the_numbers_are_those_of_the_pieces_and_experiments_share_episodes_and_the_log_of_a_repetition(study_folder):
+    by_experiment = [pieces(study_folder, name) for name in ("reward", "planning", "grasp")]
     figure1 = pd.read_csv(study_folder / "figure1.csv").set_index("policy")
     for name in ("greedy", "history-penalty"):
-        expected = np.mean([piece["baselines"][name]["other"]["reward"] for piece in pieces(study_folder, "reward")])
+        expected = np.mean([piece["baselines"][name]["other"]["reward"] for piece in by_experiment[0]])
         assert figure1.loc[name, "mean_reward"] == pytest.approx(expected)
-    first = pieces(study_folder, "planning")[0]
-    assert [row["policy"] for row in first["played"]][:2] == ["censored_q", "greedy"]
-    assert {len(row["episodes"]) for row in first["played"]} == {1, 2, 4}
-
-
-@pytest.mark.slow
-def test_experiments_share_the_episodes_and_the_log_of_a_repetition(study_folder):
-    for reward, planning, grasp in zip(
-        *(pieces(study_folder, name) for name in ("reward", "planning", "grasp")), strict=True
-    ):
+    first = by_experiment[1][0]["played"]
+    assert [row["policy"] for row in first][:2] == ["censored_q", "greedy"]
+    assert {len(row["episodes"]) for row in first} == {1, 2, 4}
+    for reward, planning, grasp in zip(*by_experiment, strict=True):
         played = {row["policy"]: np.mean(row["reward"]) for row in planning["played"]}
-        assert played["history-penalty"] == pytest.approx(
-            reward["baselines"]["history-penalty"]["other"]["reward"], abs=1e-5
-        )
-        learned = {(row["num_trajectories"], row["cut_share"]): row["reward"] for row in reward["learned"]}
-        assert played["censored_q"] == pytest.approx(learned[50, 0.5], abs=1e-5)
-        linear = {(row["num_trajectories"], row["cut_share"]): row["reward"] for row in reward["beside"]["linear_q"]}
+        rule = reward["baselines"]["history-penalty"]["other"]["reward"]
+        assert played["history-penalty"] == pytest.approx(rule, abs=1e-5)
+        assert played["censored_q"] == pytest.approx(by_size(reward["learned"])[50, 0.5], abs=1e-5)
+        linear = by_size(reward["beside"]["linear_q"])
         for row in grasp["grasp"]:
             if row["model"] == "succession":
                 assert row["learned_reward"] == pytest.approx(linear[row["num_trajectories"], 0.5], abs=1e-5)
             if row["model"] == "oracle":
                 assert row["heuristic_reward"] == pytest.approx(played["history-penalty"], abs=1e-5)
-
-
-@pytest.mark.slow
-def test_nobody_is_better_than_the_optimum(study_folder):
+    # Nobody is better than the optimum.
     regret = pd.read_csv(study_folder / "regret.csv")
     assert (regret.loc[~regret["policy"].str.startswith("planner"), "regret"] >= 0.0).all()
     assert regret["policy"].iloc[-1] == "optimum"
@@ -103,7 +111,7 @@ def test_nobody_is_better_than_the_optimum(study_folder):
 
 @pytest.mark.slow
 def test_resuming_a_killed_study_in_two_processes_writes_the_same_bytes(study_folder, tmp_path):
-    """The others make anew how each experiment is prepared, and its last repetition."""
+    """The others make again how each experiment is prepared, and its last repetition."""
     shutil.copytree(study_folder / "progress", tmp_path / "progress")
     for each in TINY:
         for name in ("prepared", "repetition-00001"):
@@ -126,15 +134,8 @@ def test_of_what_is_drawn_only_the_labels_of_figure_1_depend_on_measured_times(s
     changed = {name for name in before if before[name] != after[name]}
     drawn = {"figure1.svg", "figure1.png"}
     assert changed == {"figure2.csv", "figure3.csv", "table1.csv", "study.json", "report.html", *drawn}
-    for name in ("figure2", "figure3"):
-        old, new = (
-            pd.read_csv(folder / f"{name}.csv").drop(columns="decision_ms") for folder in (study_folder, tmp_path)
-        )
-        pd.testing.assert_frame_equal(old, new)
-    old, new = (
-        pd.read_csv(folder / "table1.csv").query("measure != 'decision_ms'") for folder in (study_folder, tmp_path)
-    )
-    pd.testing.assert_frame_equal(old, new)
+    for name in ("figure2", "figure3", "table1"):
+        pd.testing.assert_frame_equal(*(untimed(folder / f"{name}.csv") for folder in (study_folder, tmp_path)))
 
 
 @pytest.mark.slow
@@ -152,17 +153,13 @@ def test_under_the_law_of_a_cell_everything_runs_and_says_so(tmp_path):
     assert json.loads((tmp_path / "study.json").read_text())["scenes"][0]["grip"][0] == -2
 
 
-def test_without_laws_those_that_learn_with_them_learn_by_linear_eq_3_and_others_are_as_they_were():
-    plain = without_laws(TINY)
-    assert [each.name for each, before in zip(plain, TINY, strict=True) if each != before] == [
-        "reward", "planning", "clutter", "regret",
-    ]  # fmt: skip
-    assert not any(getattr(each, "laws", False) for each in plain)
-
-
 @pytest.mark.slow
 def test_a_study_without_laws_has_one_curve_of_what_is_learned_and_laws_for_others(tmp_path):
-    (design,) = without_laws([replace(TINY[0], num_trajectories=(50,), cut_shares=(0.5,), planners=((4, 2),))])
+    plain = without_laws(TINY)
+    changed = [each.name for each, before in zip(plain, TINY, strict=True) if each != before]
+    assert changed == ["reward", "planning", "clutter", "regret"]
+    assert not any(getattr(each, "laws", False) for each in plain)
+    design = replace(plain[0], num_trajectories=(50,), cut_shares=(0.5,), planners=((4, 2),))
     results = run_study(SETTING, tmp_path, [design], workers=Workers(1))
     policies = set(pd.read_csv(tmp_path / "figure1.csv")["policy"])
     assert {"censored_q", "fitted-one-step", "fitted-rule", "fitted-planner-4"} < policies
@@ -172,25 +169,19 @@ def test_a_study_without_laws_has_one_curve_of_what_is_learned_and_laws_for_othe
 
 
 @pytest.mark.parametrize(
-    ("make", "message"),
+    ("whole", "changed", "message"),
     [
-        (lambda: replace(SETTING, repetitions=1), "repetitions is 1; "),
-        (
-            lambda: replace(TINY[0], table_num_trajectories=30),
-            "table_num_trajectories is 30; it is one of num_trajectories",
-        ),
-        (lambda: replace(TINY[0], table_cut_share=0.3), "table_cut_share is 0.3; it is one of cut_shares"),
-        (lambda: replace(TINY[1], horizons=(3, 2)), "horizons is .3, 2.; give at least two"),
-        (
-            lambda: replace(TINY[2], compared_num_trajectories=30),
-            "compared_num_trajectories is 30; it is one of num_trajectories",
-        ),
-        (lambda: replace(TINY[4], cut_share=1.0), "cut_share of the map is 1"),
+        (SETTING, {"repetitions": 1}, "repetitions is 1; "),
+        (TINY[0], {"table_num_trajectories": 30}, "table_num_trajectories is 30; it is one of num_trajectories"),
+        (TINY[0], {"table_cut_share": 0.3}, "table_cut_share is 0.3; it is one of cut_shares"),
+        (TINY[1], {"horizons": (3, 2)}, "horizons is .3, 2.; give at least two"),
+        (TINY[2], {"compared_num_trajectories": 30}, "compared_num_trajectories is 30; it is one of num_trajectories"),
+        (TINY[4], {"cut_share": 1.0}, "cut_share of the map is 1"),
     ],
 )
-def test_a_design_that_contradicts_itself_is_refused(make, message):
+def test_a_design_that_contradicts_itself_is_refused(whole, changed, message):
     with pytest.raises(ArgumentError, match=message):
-        make()
+        replace(whole, **changed)
 
 
 @in_browser

@@ -12,12 +12,10 @@ from matplotlib.figure import Figure
 
 from halfseen.errors import ArgumentError
 from halfseen.figures import write_title
-from halfseen.progress import Progress
 from halfseen.study.compare import columns, estimate_in, over_repetitions
 from halfseen.study.experiment import Drawing, Experiment, Listing, Section
-from halfseen.study.runner import repetition, run_all, run_study, store_of
+from halfseen.study.runner import run_study
 from halfseen.study.setting import Setting
-from halfseen.study.store import Store, as_json
 from halfseen.wording import Claim
 from halfseen.workers import Workers
 from halfseen.world.scene import Scene
@@ -53,22 +51,33 @@ class Coin:
         claim = Claim("The coin", "beats", "loses to", "a fair one", gain)
         cells = {"": [("this one", claim.verdict)]}
         listing = Listing("Table C", "Heads.", ("coin", "verdict"), cells, is_folded=False)
-        drawing = Drawing("coin_figure", "Figure C", claim.title, "One bar.", partial(self.draw, float(row["gain"])))
+        drawing = Drawing("coin_figure", "Figure C", claim.title, "One bar.", partial(bar, float(row["gain"])))
         return Section("Is the coin fair?", (claim.sentence,), (drawing,), (listing,))
 
-    @staticmethod
-    def draw(gain, title):
-        figure = Figure(figsize=(4, 3))
-        write_title(figure, title)
-        figure.add_axes((0.1, 0.1, 0.8, 0.6)).bar([0], [gain])
-        return figure
+
+def bar(gain, title):
+    figure = Figure(figsize=(4, 3))
+    write_title(figure, title)
+    figure.add_axes((0.1, 0.1, 0.8, 0.6)).bar([0], [gain])
+    return figure
+
+
+def run(folder, *coins, setting=SETTING, is_resumed=False):
+    return run_study(setting, folder, coins or (Coin(),), is_resumed=is_resumed, workers=ALONE)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("coin")
-    run_study(SETTING, folder, (Coin(),), workers=ALONE)
+    run(folder)
     return folder
+
+
+@pytest.fixture
+def copied(folder, tmp_path):
+    """What was kept of that study."""
+    shutil.copytree(folder / "progress", tmp_path / "progress")
+    return tmp_path
 
 
 def outputs(folder):
@@ -93,88 +102,59 @@ def test_it_is_run_drawn_claimed_and_reported(folder):
     assert "http" not in page
 
 
-def test_what_is_missing_is_made_again_to_the_same_bytes_and_more_repetitions_are_added(folder, tmp_path):
-    run_study(SETTING, tmp_path / "new", (Coin(),), workers=ALONE)
-    assert outputs(tmp_path / "new") == outputs(folder)
-    shutil.copytree(folder / "progress", tmp_path / "again" / "progress")
-    (tmp_path / "again/progress/coin/repetition-00002.json").unlink()
-    run_study(SETTING, tmp_path / "again", (Coin(),), is_resumed=True, workers=ALONE)
-    assert outputs(tmp_path / "again") == outputs(folder)
-    store = store_of(Coin(), SETTING, tmp_path / "again", is_resumed=True)
-    store.keep("repetition-00000", {"heads": 7.0, "index": 0})
-    run_all((Coin(),), replace(SETTING, repetitions=6), [store], ALONE)
-    assert len(list(store.folder.glob("repetition-*.json"))) == 6
-    assert store.read("repetition-00000")["heads"] == 7.0
+def test_what_is_missing_is_made_again_to_the_same_bytes_and_more_repetitions_are_added(folder, copied, monkeypatch):
+    kept, made, repeat = copied / "progress" / "coin", [], Coin.repeat
+    monkeypatch.setattr(Coin, "repeat", lambda *given: (made.append(given[-1]), repeat(*given))[1])
+    (kept / "repetition-00002.json").unlink()
+    run(copied, is_resumed=True)
+    assert (made, outputs(copied)) == ([2], outputs(folder))
+    run(copied, setting=replace(SETTING, repetitions=6), is_resumed=True)
+    assert made == [2, 4, 5]
+    assert len(list(kept.glob("repetition-*.json"))) == 6
+    # Begun again, it makes all of them.
+    run(copied)
+    assert (made[3:], outputs(copied)) == ([0, 1, 2, 3], outputs(folder))
 
 
 @pytest.mark.parametrize(
-    "other", [{"hides": np.array([[0.0, 0.1], [0.0, 0.0]])}, {"grip": np.ones(2)}, {"places_m": np.ones((2, 2))}]
+    "other",
+    [
+        replace(SETTING, seed=1),
+        *(
+            replace(SETTING, scenes=(replace(SETTING.scenes[0], **changed),))
+            for changed in (
+                {"hides": np.array([[0.0, 0.1], [0.0, 0.0]])},
+                {"grip": np.ones(2)},
+                {"places_m": np.ones((2, 2))},
+            )
+        ),
+    ],
+    ids=["seed", "hides", "grip", "places"],
 )
-def test_a_scene_of_the_same_name_and_other_content_is_another_study(tmp_path, other):
-    for is_resumed in (False, True):
-        store_of(Coin(), SETTING, tmp_path, is_resumed=is_resumed)
-    scenes = (replace(SETTING.scenes[0], **other),)
-    with pytest.raises(ArgumentError, match="a study of another design"):
-        store_of(Coin(), replace(SETTING, scenes=scenes), tmp_path, is_resumed=True)
-
-
-@pytest.mark.parametrize("num_made", [0, 2])
-def test_before_anything_is_made_no_time_left_is_foretold(tmp_path, monkeypatch, num_made):
-    begun = []
-    monkeypatch.setattr(Progress, "begin", lambda self, what, by=1: begun.append((what, by)))
-    coins = [Coin(most_repetitions=3), type("Other", (Coin,), {"name": "other"})()]
-    stores = [store_of(coin, SETTING, tmp_path, is_resumed=False) for coin in coins]
-    for index in range(num_made):
-        stores[0].keep(repetition(index), coins[0].repeat(SETTING, coins[0].prepare(SETTING), index))
-    run_all(coins, SETTING, stores, ALONE)
-    assert begun[0] == ("study", pytest.approx(num_made / 3, abs=0.0, rel=1e-12))
+def test_another_seed_or_a_scene_of_the_same_name_and_other_content_is_another_study(copied, other):
+    with pytest.raises(ArgumentError, match=r"--resume: .*belongs to a study of another design, seed or version"):
+        run(copied, setting=other, is_resumed=True)
 
 
 @pytest.mark.parametrize(("bias", "words"), [(0.5, "inconclusive"), (0.1, "not supported")])
 def test_a_claim_that_fails_is_said_to_fail(tmp_path, bias, words):
-    results = run_study(SETTING, tmp_path, (Coin(bias=bias),), workers=ALONE)
-    assert f"beats a fair one: {words}" in results.answer[0]
+    assert f"beats a fair one: {words}" in run(tmp_path, Coin(bias=bias)).answer[0]
 
 
-DESIGN = {"seed": 0}
-
-
-def store(folder, design=DESIGN, *, is_resumed=True):
-    return Store(folder, design, is_resumed=is_resumed)
-
-
-def again():
-    raise AssertionError("it is there already")
-
-
-def test_pieces_come_back_unless_a_study_is_begun_anew_and_are_never_of_another_design(tmp_path):
-    folder = tmp_path / "new" / "study"
-    piece = {"values": [0.1, 1 / 3, 1e-300], "names": ["ö"]}
-    first = store(folder, is_resumed=False)
-    assert first.kept("piece", lambda: piece) == first.kept("piece", again) == piece
-    with pytest.raises(ArgumentError, match=r"--resume: .*belongs to a study of another design, seed or version"):
-        store(folder, {"seed": 1})
-    assert store(folder).kept("piece", again) == piece
-    assert store(folder, is_resumed=False).kept("piece", lambda: [2]) == [2]
-
-
-@pytest.mark.parametrize("change", [("1.5", "1.6"), ('"sha256"', '"sha512"'), ("1.5", ""), ("{", "[")])
-def test_a_piece_that_was_changed_is_not_believed(tmp_path, change):
-    store(tmp_path, is_resumed=False).keep("piece", {"value": 1.5})
-    file = tmp_path / "piece.json"
+@pytest.mark.parametrize("change", [("heads", "tails"), ('"sha256"', '"sha512"'), ("0.", ""), ("{", "[")])
+def test_a_piece_that_was_changed_is_not_believed(copied, change):
+    file = copied / "progress" / "coin" / "repetition-00001.json"
     file.write_text(file.read_text().replace(*change, 1))
-    with pytest.raises(ArgumentError, match=r"piece.json cannot be read .*; remove it and go on with --resume"):
-        store(tmp_path).read("piece")
+    with pytest.raises(ArgumentError, match=r"00001.json cannot be read .*; remove it and go on with --resume"):
+        run(copied, is_resumed=True)
 
 
-def test_the_same_value_gives_the_same_bytes_and_nan_is_refused():
-    assert as_json({"a": 1, "b": 2}) == as_json({"b": 2, "a": 1})
-    with pytest.raises(ValueError, match="not JSON compliant"):
-        as_json(float("nan"))
-
-
-def test_what_no_study_wrote_is_not_removed(tmp_path):
-    (tmp_path / "notes.txt").write_text("mine")
+def test_what_no_study_wrote_is_not_removed_and_nan_is_never_kept(tmp_path):
+    notes = tmp_path / "progress" / "coin" / "notes.txt"
+    notes.parent.mkdir(parents=True)
+    notes.write_text("mine")
     with pytest.raises(ArgumentError, match=r"holds no study .design.json is missing., so it is not removed"):
-        store(tmp_path, is_resumed=False)
-    assert (tmp_path / "notes.txt").read_text() == "mine"
+        run(tmp_path)
+    assert notes.read_text() == "mine"
+    with pytest.raises(ValueError, match="not JSON compliant"):
+        run(tmp_path / "nan", type("Nothing", (Coin,), {"repeat": lambda *_: {"heads": float("nan")}})())

@@ -7,8 +7,8 @@ import pytest
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.tables.agent_logs import SPENT, agent_view
-from halfseen.tables.grasp_attempts import attempts
+from halfseen.tables import agent_view, attempts
+from halfseen.tables.agent_logs import SPENT
 from halfseen.world import WorldConfig
 from played_teams import SureGrasping, logged, played, team_of
 

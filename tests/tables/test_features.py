@@ -11,7 +11,6 @@ from halfseen.learning.rows import q_values
 from halfseen.planners import GreedyPolicy
 from halfseen.policies.history import present_state
 from halfseen.tables import BetaGrasp, LinearTablePolicy, TableTask
-from halfseen.tables.explain import LearnedExplainer
 from halfseen.tables.features import (
     NUM_FEATURES,
     NUM_TABLE_FEATURES,
@@ -25,12 +24,13 @@ from halfseen.tables.features import (
 )
 from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.present import first_state
-from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
-from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, wait_of, worthwhile_actions
+from halfseen.world import ActionSpace, ExploringPolicy, Scene, TableWorld, UniformPolicy, Verb, WorldConfig, random
+from halfseen.world.actions import WAIT, possible_actions, wait_of, worthwhile_actions
 from halfseen.world.rollout import evaluate, play
 from halfseen.world.state import occlusion, occlusion_by, pad_scenes
 from picked import picked
 from played_teams import NUM_OBJECTS, WashWhatIsDirty, played, team_of
+from world.world_cases import permuted
 
 REACH = [[1, 1, 1, 0], [0, 1, 1, 1]]
 SPACE = ActionSpace(NUM_OBJECTS)
@@ -56,21 +56,6 @@ def of_one():
 @pytest.fixture(scope="module")
 def features(states):
     return team_features(states)
-
-
-def permuted(states, order):
-    """Object k of the result is object order[k] of the given states."""
-    rank, tried, space = np.argsort(order), states.attempt_object, states.workspace
-    turned = replace(
-        states,
-        **{name: getattr(states, name)[:, order] for name in PER_OBJECT},
-        hides=states.hides[:, order][:, :, order],
-        attempt_object=np.where(tried >= 0, rank[tried], tried),
-    )
-    if space is None:
-        return turned
-    space = replace(space, is_in_reach=space.is_in_reach[:, :, order], is_near=space.is_near[:, order][:, :, order])
-    return replace(turned, workspace=space, robots=replace(states.robots, target=rank[states.robots.target]))
 
 
 @pytest.mark.parametrize(
@@ -255,5 +240,3 @@ def test_a_policy_is_learned_where_grips_show_and_errors_persist(grasp):
         float(evaluate(FITTED, pad_scenes(scenes), rule, random.key_of(1), 2_000).reward.mean()) for rule in rules
     )
     assert learned > logging > by_lot
-    told = LearnedExplainer.of(learner, logs, num_replicates=5).explain(first_state(scenes[0], 10, 0.6).state)
-    assert np.isfinite(told.values[0])

@@ -12,10 +12,18 @@ from halfseen.planners import POMDPPolicy
 from halfseen.tables import fit_world
 from halfseen.tables.evidence import evidence_of
 from halfseen.tables.laws import fitted_to
-from halfseen.world import AssumedGrasping, AssumedSeeing, Scene, TableWorld, UniformPolicy, WorldConfig, random
-from halfseen.world.grasping import KnownGrasping
+from halfseen.world import (
+    AssumedGrasping,
+    AssumedSeeing,
+    KnownGrasping,
+    KnownSeeing,
+    Scene,
+    TableWorld,
+    UniformPolicy,
+    WorldConfig,
+    random,
+)
 from halfseen.world.rollout import evaluate
-from halfseen.world.seeing import KnownSeeing
 from halfseen.world.state import pad_scenes
 
 HIDES = np.array([[0.0, 0.0, 0.0], [0.6, 0.0, 0.0], [0.0, 0.4, 0.0]])

@@ -39,14 +39,9 @@ def late(listed):
         for stage, there in enumerate(listed, start=1)
         for name in there
     ]
-    number = range(len(listed))
-    stages = {
-        "trajectory": [0 for _ in number],
-        "stage": [k + 1 for k in number],
-        "elapsed_s": [k + 1.0 for k in number],
-    }
-    stages |= {"action": ["LIFT"] * len(listed), "object": ["cup", "fork", "mug"][: len(listed)]}
-    stages |= {"reward": [-1.0 for _ in number]}
+    number = np.arange(1, len(listed) + 1)
+    stages = pd.DataFrame({"trajectory": 0, "stage": number, "elapsed_s": 1.0 * number, "action": "LIFT"})
+    stages = stages.assign(object=["cup", "fork", "mug"][: len(listed)], reward=-1.0)
     return Logs(stages, {"trajectory": [0], "end_s": [float(len(listed))], "ending": ["finished"]}, pd.DataFrame(rows))
 
 
@@ -115,7 +110,7 @@ def test_the_first_label_of_a_late_object_moves_it_from_the_prior():
     at_even, high = (
         evidence_of(
             Logs(logs.stages, logs.trajectories.assign(dirty_share=share), logs.objects), WorldConfig(horizon=2)
-        ).told
+        ).labels
         for share in (0.5, 0.9999)
     )
     # Cup and mug, then cup, fork and mug: the log-odds of the fork are 6, and those of a prior of 0.9999 are 9.2.

@@ -91,7 +91,7 @@ def test_laws_are_fitted_as_they_were():
     fitted, words, told = fit_world(log, WorldConfig()), WORDS["fit_world"], evidence_of(log, WorldConfig())
     assert fitted.dirty_share == pytest.approx(words["dirty_share"], rel=1e-9)
     # What was recorded knew nothing of the recorder's own law.
-    by_labels = Independent(told.told, told.dirty_share)
+    by_labels = Independent(told.labels, told.dirty_share)
     seeing = by_labels.law(by_labels.fitted(by_labels.prior))
     for law, of in (("grasping", fitted.grasping), ("seeing", seeing)):
         numbers = {name: value for name, value in words[law].items() if name != "family"}

@@ -22,8 +22,7 @@ from halfseen.tables.rewards import (
     shaped,
     wash_pay,
 )
-from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig, random
-from halfseen.world.actions import ActionSpace, Verb
+from halfseen.world import ActionSpace, ExploringPolicy, Scene, TableWorld, Verb, WorldConfig, random
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.logs import to_logs
 from halfseen.world.rollout import play

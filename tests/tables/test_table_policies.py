@@ -14,8 +14,7 @@ from halfseen.policies.folder import read_policy, write_policy
 from halfseen.tables import TableTask
 from halfseen.tables.encoding import table_covariates
 from halfseen.tables.present import logged_dirty_share
-from halfseen.world import ExploringPolicy, Scene, TableWorld, UniformPolicy, WorldConfig, random
-from halfseen.world.actions import ActionSpace, Verb
+from halfseen.world import ActionSpace, ExploringPolicy, Scene, TableWorld, UniformPolicy, Verb, WorldConfig, random
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.logs import to_logs
 from halfseen.world.policy import surely

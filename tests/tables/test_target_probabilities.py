@@ -5,10 +5,9 @@ import pytest
 
 from halfseen.arrays import record
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.evaluation import evaluate
-from halfseen.evaluation.held_out import held_out_verdict
+from halfseen.evaluation import evaluate, held_out_verdict
 from halfseen.learning import CensoredQLearner
-from halfseen.planners.heuristics import GreedyPolicy
+from halfseen.planners import GreedyPolicy
 from halfseen.tables import IndependentPolicies, TeamTask
 from halfseen.tables.policy import decisions, table_probabilities
 from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random

@@ -7,19 +7,18 @@ from jaxtyping import TypeCheckError
 from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.rules import ReservingPolicy, TeamOfRules
+from halfseen.planners import GreedyPolicy, ReservingPolicy, TeamOfRules
 from halfseen.tables import BetaGrasp, IndependentPolicies
 from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import decisions
 from halfseen.tables.task import CAUTION
-from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random
-from halfseen.world.actions import ActionSpace, Verb, possible_actions
+from halfseen.world import ActionSpace, ExploringPolicy, UniformPolicy, Verb, WorldConfig, random
+from halfseen.world.actions import possible_actions
 from halfseen.world.logs import states_of
 from halfseen.world.policy import check_fits
 from halfseen.world.rollout import evaluate, play
 from halfseen.world.state import pad_scenes
-from picked import leaves_of
+from picked import assert_same
 from played_teams import NUM_OBJECTS, SCENE, layout_of, logged, played, team_of
 from small_logs import table_log
 
@@ -52,8 +51,7 @@ def test_it_earns_more_than_what_logged_it_and_than_chance(learned):
 
 def test_the_same_log_gives_the_same_policy(logs, learned):
     again = CensoredQLearner.for_team(2, horizon=5, reg=0.1).fit(logs).policy_
-    for ours, theirs in zip(leaves_of(learned.policy_), leaves_of(again), strict=True):
-        np.testing.assert_array_equal(ours, theirs)
+    assert_same(learned.policy_, again)
 
 
 def test_of_what_is_possible_it_leaves_each_alone_where_q_promises_more_by_the_caution(logs, learned):

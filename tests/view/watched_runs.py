@@ -19,7 +19,7 @@ def shown(number, x_m, y_m, is_dirty):
     return Shown(number, is_dirty, 0.25 * number, middle_m, solid, shadow(solid, EYE_M), revealed_m)
 
 
-def stage(number, num_points=2000, *, has_arm=True):
+def stage_view(number, num_points=2000, *, has_arm=True):
     rng = np.random.default_rng(number)
     points_m = rng.uniform([-0.4, -0.3, 0.0], [0.4, 0.4, 0.01], (num_points, 3)).astype(np.float32)
     colours = rng.integers(0, 255, (num_points, 3)).astype(np.uint8)
@@ -48,5 +48,5 @@ def stage(number, num_points=2000, *, has_arm=True):
 
 
 def run(num_stages=3, **more):
-    stages = tuple(stage(number + 1, **more) for number in range(num_stages))
+    stages = tuple(stage_view(number + 1, **more) for number in range(num_stages))
     return Watched("a small run", stages, (Part(solid_at(0.0, 0.0), (150, 150, 160)),))

@@ -1,4 +1,4 @@
-"""Pieces come back, all of them and once, whoever makes them and whatever happens to whoever makes them."""
+"""Pieces come back, all of them and once, whichever robot makes them and whatever happens to these."""
 
 import os
 import signal
@@ -27,11 +27,9 @@ def squared(number: int) -> int:
     return number**2
 
 
-def as_bytes(function: bytes) -> np.ndarray:
-    return np.frombuffer(function, dtype=np.uint8)
-
-
-NOTHING = as_bytes(b"")
+def slowly_squared(number: int) -> int:
+    time.sleep(0.3)
+    return number**2
 
 
 def drawn(number: int) -> bytes:
@@ -69,16 +67,11 @@ def out_of_memory(number: int) -> int:
 
 
 @pytest.mark.parametrize("workers", ENGINES)
-def test_every_piece_comes_back_once(workers):
-    with workers.ready() as pool:
+def test_every_piece_comes_back_once_with_the_bits_of_one_process(workers):
+    with Workers(1).ready() as alone, workers.ready() as pool:
         assert dict(pool.each(squared, range(12))) == {number: number**2 for number in range(12)}
         assert list(pool.in_order(squared, range(12))) == [number**2 for number in range(12)]
         assert list(pool.each(squared, [])) == []
-
-
-@pytest.mark.parametrize("workers", ENGINES[1:])
-def test_the_bits_are_those_of_one_process(workers):
-    with Workers(1).ready() as alone, workers.ready() as pool:
         assert list(pool.in_order(drawn, range(4))) == list(alone.in_order(drawn, range(4)))
 
 
@@ -89,18 +82,15 @@ def test_nobody_else_begins_for_little_work(monkeypatch):
         assert list(pool.in_order(process_of, range(6))) == [os.getpid()] * 6
 
 
-def test_workers_begin_where_much_is_left(monkeypatch):
+def test_workers_begin_where_much_is_left_and_those_that_were_asked_for_at_once(monkeypatch):
     monkeypatch.setattr("halfseen.workers.workers.num_cores", lambda: 2)
+    with Workers(2).ready_if_worth() as pool:
+        assert os.getpid() not in list(pool.in_order(process_of, range(3)))
     monkeypatch.setattr("halfseen.workers.pool.WORTH_S", 0.0)
     with Workers().ready_if_worth() as pool:
         first, *others = pool.in_order(process_of, range(6))
         assert first == os.getpid()
         assert os.getpid() not in others
-        assert os.getpid() not in list(pool.in_order(process_of, range(3)))
-
-
-def test_workers_that_were_asked_for_begin_at_once():
-    with Workers(2).ready_if_worth() as pool:
         assert os.getpid() not in list(pool.in_order(process_of, range(3)))
 
 
@@ -155,18 +145,13 @@ def test_a_node_of_two_goes_and_the_other_makes_what_it_had():
         with Workers(engine="ray", address=cluster.address).ready() as pool:
             assert pool.num_workers == 2
             found = {}
-            for number, result in pool.each(_slow_square, range(12)):
+            for number, result in pool.each(slowly_squared, range(12)):
                 found[number] = result
                 if len(found) == 3:
                     cluster.remove_node(second, allow_graceful=False)
         assert found == {number: number**2 for number in range(12)}
     finally:
         cluster.shutdown()
-
-
-def _slow_square(number: int) -> int:
-    time.sleep(0.3)
-    return number**2
 
 
 @pytest.mark.slow
@@ -191,13 +176,10 @@ def test_workers_that_there_cannot_be_are_refused(told, words):
         Workers(**told)
 
 
-def test_other_versions_are_told_by_name():
+def test_other_versions_and_what_a_worker_cannot_import_are_told_by_name():
     asker = home()
-    asker = asker._replace(versions={**asker.versions, "numpy": "1.0"})
-    assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(asker, NOTHING, 0, 0).error)
-
-
-def test_what_a_worker_cannot_import_is_told():
-    function = as_bytes(b"cnowhere_at_all\nsquared\n.")
-    told = str(made(home(), function, 0, 0).error)
+    other = asker._replace(versions={**asker.versions, "numpy": "1.0"})
+    nothing, nowhere = (np.frombuffer(each, dtype=np.uint8) for each in (b"", b"cnowhere_at_all\nsquared\n."))
+    assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(other, nothing, 0, 0).error)
+    told = str(made(asker, nowhere, 0, 0).error)
     assert told.startswith("a worker cannot import nowhere_at_all, which is needed here; install it there")

@@ -6,21 +6,19 @@ import numpy as np
 import pytest
 from naive_team import NaiveTeam
 
-from halfseen.world import Scene, Workspace, WorldConfig, random
-from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, wait_of
+from halfseen.world import ActionSpace, Scene, Verb, WorldConfig, random
+from halfseen.world.actions import WAIT, possible_actions, wait_of
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
-from picked import leaves_of, picked, repeated
+from picked import assert_same, leaves_of, picked, repeated
 from played_teams import SureGrasping
+from world.world_cases import layouts_of
 
 HIDES = np.array([[0.0, 0.4, 0.1], [0.0, 0.0, 0.3], [0.2, 0.0, 0.0]])
 
 
 def workspace(num_robots, num_objects, near=()):
-    is_near = np.eye(num_objects, dtype=bool)
-    for i, j in near:
-        is_near[i, j] = is_near[j, i] = True
-    return Workspace(np.ones((num_robots, num_objects), dtype=bool), is_near)
+    return picked(layouts_of(np.zeros((num_objects,) * 2), np.ones((num_robots, num_objects)), near).workspace, 0)
 
 
 def layout_of(hides=HIDES, space=None):
@@ -41,8 +39,7 @@ def test_a_team_of_one_is_the_world_of_one_robot_to_the_last_bit(seed):
         alone = {"robots": None, "workspace": None, "decider": None, "attempt_robot": None}
         alone = replace(of_team, **alone), replace(secrets, pending=None)
         same_alone = same._replace(paid_alone=None)
-        for one, other in zip(leaves_of((state, hidden, outcome)), leaves_of((*alone, same_alone)), strict=True):
-            np.testing.assert_array_equal(one, other)
+        assert_same((state, hidden, outcome), (*alone, same_alone))
         np.testing.assert_allclose(same.paid_alone, [outcome.reward], rtol=1e-6)
         if outcome.is_over:
             break

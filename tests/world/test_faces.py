@@ -12,11 +12,9 @@ from gymnasium.utils.env_checker import check_env
 from fitted_laws import FITTED
 from halfseen import gym_registration
 from halfseen.errors import ArgumentError, SceneError
-from halfseen.world import AssumedGrasping, Robot, Scene, Team, UniformPolicy, WorldConfig, random
-from halfseen.world.envs import CupsEnv, TeamCupsEnv
+from halfseen.world import AssumedGrasping, Robot, Scene, TableWorld, Team, UniformPolicy, WorldConfig, random
+from halfseen.world.envs import CupsEnv, TeamCupsEnv, default_scene, default_team
 from halfseen.world.rollout import play
-from halfseen.world.table_in_play import default_scene, default_team
-from halfseen.world.table_world import TableWorld
 from other_laws import Nudging, Persisting
 from own_laws import LOGISTIC, SCENE, robots
 from world.world_cases import FITTED_SCENES, random_scene

@@ -85,26 +85,26 @@ class Always:
 
     limit_s: float = 2.0
 
-    def draw_trait(self, num_objects, key):
+    def draw_latent(self, num_objects, key):
         return None
 
-    def attempt(self, table, trait, verb, target, key):
+    def attempt(self, table, latent, verb, target, key):
         every = np.ones(target.shape, dtype=np.float32)
         return Attempt(every > 0.0, 0.5 * every, table.hides, None)
 
 
 @record
 class Never:
-    """None works, and its trait counts the attempts."""
+    """None works, and its latent counts the attempts."""
 
     limit_s: float = 7.0
 
-    def draw_trait(self, num_objects, key):
+    def draw_latent(self, num_objects, key):
         return {"tried": np.zeros(key.shape[:-1], dtype=int)}
 
-    def attempt(self, table, trait, verb, target, key):
+    def attempt(self, table, latent, verb, target, key):
         every = np.ones(target.shape, dtype=np.float32)
-        return Attempt(every < 0.0, self.limit_s * every, table.hides, {"tried": trait["tried"] + 1})
+        return Attempt(every < 0.0, self.limit_s * every, table.hides, {"tried": latent["tried"] + 1})
 
 
 def test_attempts_go_by_the_law_of_who_makes_them():
@@ -123,17 +123,17 @@ def test_a_trait_is_changed_by_the_attempts_of_its_own_robot():
     law, mixed = GraspingByRobot((Always(), Never())), world_of(Always(), Never())
     table = start(mixed.played_config, first_layout(mixed), KEY)[0]
     arrangement = Arrangement(table.hides, table.is_on_table, occlusion(table), table.grip)
-    trait = law.draw_trait(NUM_OBJECTS, KEY)
+    latent = law.draw_latent(NUM_OBJECTS, KEY)
     for robot, tried in ((0, 0), (1, 1)):
         # Its number may be a plain one, or an array.
         for of in (replace(law, robot=robot), replace(law, robot=np.asarray(robot))):
-            went = of.attempt(arrangement, trait, np.asarray(1), np.asarray(0), KEY)
-            assert (bool(went.is_held), int(went.trait[1]["tried"])) == (robot == 0, tried)
+            went = of.attempt(arrangement, latent, np.asarray(1), np.asarray(0), KEY)
+            assert (bool(went.is_held), int(went.latent[1]["tried"])) == (robot == 0, tried)
             assert float(of.limit_s) == (2.0, 7.0)[robot]
 
 
 def test_an_object_that_is_hard_to_grip_is_so_for_all():
-    one, other = GraspingByRobot((AssumedGrasping(), LOGISTIC)).draw_trait(50, KEY)
+    one, other = GraspingByRobot((AssumedGrasping(), LOGISTIC)).draw_latent(50, KEY)
     np.testing.assert_allclose(other, 1.5 * one, rtol=1e-6)
 
 

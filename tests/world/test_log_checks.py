@@ -1,15 +1,20 @@
 """A log that no table, or no team, can have made is refused in one line that names where."""
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
 
 from fitted_laws import FITTED
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.tables.agent_logs import agent_view
+from halfseen.tables import agent_view, attempts
+from halfseen.tables.present import logged_dirty_share
 from halfseen.world import TableWorld, UniformPolicy
+from halfseen.world.log_checks import check_log, checked_tables
 from halfseen.world.logs import states_of
 from played_teams import logged, played, team_of
+from small_logs import table_log
 from world.world_cases import FITTED_SCENES
 
 
@@ -187,3 +192,64 @@ def test_what_a_robot_brought_is_a_number_where_the_stage_was_completed(frail):
     refused(told, lambda logs: Logs(nothing, logs.trajectories, logs.objects), frail)
     assert "1_reward" not in frail.stage_covariates
     assert "1_since_s" in frail.stage_covariates
+
+
+AS_OTHER = {
+    "bytes": lambda values: pa.array([str(each).encode() for each in values]),
+    "text": lambda values: pa.array([str(each) for each in values]),
+    "large_string": lambda values: pa.array([str(each) for each in values], pa.large_string()),
+    "dictionary": lambda values: pa.array([str(each) for each in values]).dictionary_encode(),
+    "list": lambda values: pa.array([[0]] * len(values)),
+    "struct": lambda values: pa.array([{"a": 0}] * len(values)),
+    "bool": lambda values: pa.array([False] * len(values)),
+    "timestamp": lambda values: pa.array([0] * len(values), pa.timestamp("us")),
+    "duration": lambda values: pa.array([0] * len(values), pa.duration("us")),
+}
+
+
+@pytest.mark.parametrize("kind", list(AS_OTHER))
+@pytest.mark.parametrize("column", ["occlusion", "log_odds", "lifts", "successes", "failures"])
+def test_numbers_of_objects_are_numbers(kind, column):
+    logs = table_log(num_trajectories=3)
+    objects = pa.Table.from_pandas(logs.objects, preserve_index=False)
+    at = objects.column_names.index(column)
+    objects = objects.set_column(at, column, AS_OTHER[kind](logs.objects[column].tolist()))
+    spoilt = Logs(logs.stages, logs.trajectories, objects)
+    for read in (checked_tables, attempts):
+        if read is checked_tables or column not in ("log_odds", "lifts"):
+            refused(rf"^objects: column '{column}' holds [\w-]+, not numbers; convert it$", read, spoilt)
+
+
+def as_decimals(logs, *columns):
+    objects = pa.Table.from_pandas(logs.objects, preserve_index=False)
+    for column in columns:
+        counts = pa.array(logs.objects[column].tolist()).cast(pa.decimal128(25, 2))
+        objects = objects.set_column(objects.column_names.index(column), column, counts)
+    return objects
+
+
+def test_decimals_are_read_as_the_numbers_that_they_are(team):
+    logs = table_log()
+    objects = as_decimals(logs, "lifts", "successes", "failures")
+    found = attempts(Logs(logs.stages, logs.trajectories, objects))
+    pd.testing.assert_frame_equal(found, attempts(logs), check_dtype=False)
+    stages = team.stages.astype({"0_does": "category", "1_does": "category"})
+    found = agent_view(Logs(stages, team.trajectories, as_decimals(team, "lifts")), 0)
+    pd.testing.assert_frame_equal(found.objects, agent_view(team, 0).objects)
+
+
+@pytest.mark.parametrize("kind", ["bytes", "text", "list", "timestamp", "bool"])
+def test_a_prior_is_a_number(alone, kind):
+    trajectories = pa.Table.from_pandas(alone.trajectories.drop(columns="dirty_share"), preserve_index=False)
+    trajectories = trajectories.append_column("dirty_share", AS_OTHER[kind]([0.5] * alone.num_trajectories))
+    told = r"^trajectories: column 'dirty_share' holds \w+, not numbers; convert it$"
+    refused(told, logged_dirty_share, Logs(alone.stages, trajectories, alone.objects))
+
+
+@pytest.mark.parametrize("kind", ["list", "struct", "bytes", "bool"])
+def test_what_robots_do_is_text(kind):
+    logs = logged(played(team_of(2), 3), 0.0)
+    stages = pa.Table.from_pandas(logs.stages, preserve_index=False)
+    words = AS_OTHER[kind](logs.stages["0_does"].tolist())
+    stages = stages.set_column(stages.column_names.index("0_does"), "0_does", words)
+    refused("0_does", check_log, Logs(stages, logs.trajectories, logs.objects))

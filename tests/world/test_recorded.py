@@ -16,7 +16,7 @@ RECORDED = np.load(Path(__file__).parents[1] / "recorded" / "world.npz")
 NAMES = sorted({name.rsplit("/", 1)[0] for name in RECORDED if name.count("/") > 1 or "/is_taken" in name})
 EPISODES, KEY = 40, random.key_of(7)
 RENAMED = {"states.table.": "states.", "hidden.table.": "hidden.", "of_robots.reward": "paid_alone"}
-RENAMED |= {"of_robots.out_s": "out_s"}
+RENAMED |= {"of_robots.out_s": "out_s", "grasp_trait": "grasp_latent", "seeing_trait": "seeing_latent"}
 pytestmark = pytest.mark.filterwarnings("ignore:.*in no robot's reach")
 
 

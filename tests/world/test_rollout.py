@@ -3,8 +3,7 @@ import pytest
 
 from halfseen.arrays import expit, mapped
 from halfseen.errors import ArgumentError
-from halfseen.world import ExploringPolicy, UniformPolicy, WorldConfig, random, rollout
-from halfseen.world.actions import ActionSpace
+from halfseen.world import ActionSpace, ExploringPolicy, UniformPolicy, WorldConfig, random, rollout
 from halfseen.world.rollout import evaluate, evaluate_each, evaluate_some, play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step

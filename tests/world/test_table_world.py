@@ -3,11 +3,10 @@
 import numpy as np
 import pytest
 
-from halfseen.cell.tables_seen import tables_seen
+from halfseen.cell.facts import tables_seen
 from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
-from halfseen.planners.heuristics import GreedyPolicy
-from halfseen.planners.rules import ReservingPolicy, TeamOfRules
-from halfseen.tables.policy import IndependentPolicies, LinearTeamPolicy
+from halfseen.planners import GreedyPolicy, ReservingPolicy, TeamOfRules
+from halfseen.tables import IndependentPolicies, LinearTeamPolicy
 from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, Team, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from naive_world import accuracy, hidden_share, mean_grasp_s, naive_step
 
-from halfseen.world import AssumedGrasping, Scene, WorldConfig, random
-from halfseen.world.actions import ActionSpace, Verb, possible_actions
+from halfseen.world import ActionSpace, AssumedGrasping, Scene, TableState, Verb, WorldConfig, random
+from halfseen.world.actions import possible_actions
 from halfseen.world.attempts import look
-from halfseen.world.state import HiddenState, TableState, attempt_counts, occlusion, pad_scenes
+from halfseen.world.state import HiddenState, attempt_counts, occlusion, pad_scenes
 from halfseen.world.transition import start, step
-from picked import leaves_of, picked, repeated
+from picked import assert_same, picked, repeated
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 5
@@ -27,7 +27,7 @@ def table_of(state, hidden):
         "attempts": [(int(i), float(occ), bool(ok)) for i, occ, ok in attempts if i >= 0],
         "steps_to_go": int(state.steps_to_go),
         "dirty": hidden.is_dirty[:num].tolist(),
-        "offset": hidden.grasp_trait.astype(float)[:num].tolist(),
+        "offset": hidden.grasp_latent.astype(float)[:num].tolist(),
     }
 
 
@@ -146,9 +146,8 @@ def test_a_policy_sees_nothing_hidden(scenes):
     gripping, slipping = (
         start(replace(CONFIG, grasping=AssumedGrasping(offset_std=std)), layout, random.key_of(0)) for std in (0.0, 9.0)
     )
-    assert not np.array_equal(gripping[1].grasp_trait, slipping[1].grasp_trait)
-    for left, right in zip(leaves_of(gripping[0]), leaves_of(slipping[0]), strict=True):
-        assert np.array_equal(left, right)
+    assert not np.array_equal(gripping[1].grasp_latent, slipping[1].grasp_latent)
+    assert_same(gripping[0], slipping[0])
 
 
 def test_layout_is_padded_with_nan(scenes):

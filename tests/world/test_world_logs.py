@@ -7,18 +7,18 @@ import pytest
 import played_teams
 from fitted_laws import FITTED
 from halfseen.arrays import softmax
-from halfseen.censoring.weights import stage_weights
+from halfseen.censoring import stage_weights
 from halfseen.logs import Logs, read_logs
 from halfseen.planners.belief import grip_posterior
 from halfseen.tables.features import table_features
-from halfseen.world import TableWorld, UniformPolicy, WorldConfig
-from halfseen.world.actions import TARGETED, ActionSpace, Verb, possible_actions
-from halfseen.world.cuts import cut, cut_at_drop_outs, cut_rate
+from halfseen.world import ActionSpace, TableWorld, UniformPolicy, Verb, WorldConfig, cut_at_drop_outs
+from halfseen.world.actions import TARGETED, possible_actions
+from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.logs import states_of, to_logs
 from halfseen.world.others import others_of
 from other_laws import Nudging, Persisting
 from own_laws import LOGISTIC, SCENE, world_of
-from picked import leaves_of, picked
+from picked import assert_same, picked
 from played_teams import NUM_OBJECTS, logged, team_of
 from world.world_cases import FITTED_SCENES, THREE
 
@@ -72,8 +72,7 @@ def test_states_and_features_come_back_from_the_log_and_from_disk(recorded, tmp_
     assert not states.is_object[~begun].any()
     assert not is_possible[~begun][:, 1:].any()
     logs.write(tmp_path / "logs")
-    for left, right in zip(leaves_of(states_of(read_logs(tmp_path / "logs"), 10)), leaves_of(states), strict=True):
-        assert np.array_equal(left, right)
+    assert_same(states_of(read_logs(tmp_path / "logs"), 10), states)
 
 
 @pytest.mark.parametrize(
@@ -100,8 +99,7 @@ def test_a_log_without_what_shows_is_read_as_if_it_were_0():
     plain = states_of(Logs(logs.stages, logs.trajectories, logs.objects.drop(columns=["grip", "seen"])), 10)
     zeros = states_of(Logs(logs.stages, logs.trajectories, logs.objects.assign(grip=0.0, seen=0.0)), 10)
     assert not plain.grip.any()
-    for left, right in zip(leaves_of(plain), leaves_of(zeros), strict=True):
-        assert np.array_equal(left, right)
+    assert_same(plain, zeros)
 
 
 @pytest.fixture(scope="module", params=[1, 2, 3])

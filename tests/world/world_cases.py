@@ -6,9 +6,10 @@ import numpy as np
 
 from halfseen.arrays import record
 from halfseen.cell.calibration.law_folder import read_law, shipped_law
-from halfseen.world import Robot, Scene, TableWorld, Team, WorldConfig
+from halfseen.world import Robot, Scene, TableWorld, Team, Workspace, WorldConfig
 from halfseen.world.actions import FINISH
 from halfseen.world.policy import surely
+from halfseen.world.state import pad_scenes
 
 LEFT, RIGHT = (-0.5, 0.05), (0.5, 0.05)
 SLOW = replace(WorldConfig().grasping, log_time=1.2)
@@ -31,6 +32,32 @@ TEAMS = {
     "team2 of two laws": _team(Robot(LEFT, 0.65, 1.0, "left", grasping=SLOW), Robot(RIGHT, 0.65, 1.5, "right")),
     "team3": _team(Robot(LEFT, 0.8, 1.0, "left"), Robot(RIGHT, 0.8, 1.2, "right"), Robot((0.0, 0.6), 0.7, 0.8, "far")),
 }
+
+
+PER_OBJECT = ("is_object", "is_on_table", "grip", "log_odds", "seen", "lifts")
+
+
+def permuted(states, order):
+    """A batch in which object k of the result is object order[k] of the given states."""
+    rank, tried, space = np.argsort(order), states.attempt_object, states.workspace
+    turned = replace(
+        states,
+        **{name: getattr(states, name)[:, order] for name in PER_OBJECT},
+        hides=states.hides[:, order][:, :, order],
+        attempt_object=np.where(tried >= 0, rank[tried], tried).astype(np.int32),
+    )
+    if space is None:
+        return turned
+    space = replace(space, is_in_reach=space.is_in_reach[:, :, order], is_near=space.is_near[:, order][:, :, order])
+    return replace(turned, workspace=space, robots=replace(states.robots, target=rank[states.robots.target]))
+
+
+def layouts_of(hides, reach, near=()):
+    """One scene; a row of `reach` says what a robot reaches, and `near` which pairs of objects are near one another."""
+    is_near = np.eye(len(hides), dtype=bool)
+    for i, j in near:
+        is_near[i, j] = is_near[j, i] = True
+    return replace(pad_scenes([Scene(hides)]), workspace=Workspace(np.asarray(reach, dtype=bool)[None], is_near[None]))
 
 
 def random_scene(num_objects, seed, largest=0.6):

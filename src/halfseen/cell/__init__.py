@@ -17,9 +17,8 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.cell.arm import JACO_2, Arm, Joint, Motor, SerialArm
     from halfseen.cell.arm_file import ArmFile
-    from halfseen.cell.calibration.calibrate import LiftAtRandom
-    from halfseen.cell.camera import Eye, Look
-    from halfseen.cell.campaign import Campaign, Conditions
+    from halfseen.cell.camera import CellCamera, Look
+    from halfseen.cell.campaign import Campaign, Conditions, LiftAtRandom
     from halfseen.cell.episode import TeamRun, play
     from halfseen.cell.grasps import Grasp
     from halfseen.cell.gripper import Contacts, Gripper
@@ -39,9 +38,9 @@ __all__ = [
     "ArmFile",
     "Belief",
     "Campaign",
+    "CellCamera",
     "Conditions",
     "Contacts",
-    "Eye",
     "Grasp",
     "Gripper",
     "Joint",
@@ -71,7 +70,7 @@ __getattr__ = lazy_names(
         "Arm": "arm",
         "ArmFile": "arm_file",
         "Contacts": "gripper",
-        "Eye": "camera",
+        "CellCamera": "camera",
         "Gripper": "gripper",
         "Joint": "arm",
         "Kinematics": "kinematics",
@@ -88,7 +87,7 @@ __getattr__ = lazy_names(
         "Campaign": "campaign",
         "Conditions": "campaign",
         "Grasp": "grasps",
-        "LiftAtRandom": "calibration.calibrate",
+        "LiftAtRandom": "campaign",
         "Memory": "memory",
         "Run": "rewards",
         "Stops": "live_cell",

@@ -1,6 +1,6 @@
 """An arm from a user's MJCF file: its links and hinges as they are there, moved by servos of ours.
 
-The file is compiled as it stands, and from what came out the arm is built anew: bodies with their inertia, hinges, and
+The file is compiled as it stands, and from what came out the arm is built again: bodies with their inertia, hinges, and
 shapes that can be touched. Nothing else comes along: not its hand, other robots, what stands about, keyframes, motors,
 sensors, equalities or tendons. So it fits into any cell, from any folder. Nothing in it is run or downloaded.
 """

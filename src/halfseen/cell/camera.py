@@ -48,7 +48,7 @@ class Look:
     robots_m: Image
 
 
-class Eye:
+class CellCamera:
     """A depth camera over a cell.
 
     Parameters

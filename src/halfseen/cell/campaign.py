@@ -1,5 +1,7 @@
 """Many fresh tables, cleared by one policy in as many processes as there are cores, and their log.
 
+A calibration is a campaign that lifts what stands there, at random, until so many attempts were begun.
+
 Each table is recorded into a folder of its own while it runs. What a kill leaves behind can be read there, and the next
 campaign into the same folder goes on with the tables that are missing: table k is drawn from the seed and k alone, so
 that the log is the same, to the last bit, in any number of processes.
@@ -15,16 +17,17 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from threading import get_ident
-from typing import Protocol
 
 import numpy as np
 
+from halfseen.arrays import record
+from halfseen.cell.calibration.attempts import HORIZON
 from halfseen.cell.camera import Errors
-from halfseen.cell.episode import Moment, TeamRun, play
+from halfseen.cell.episode import Follow, TeamRun, play
 from halfseen.cell.live_cell import Stops
 from halfseen.cell.model import Robot, Station
 from halfseen.cell.rewards import Run
-from halfseen.cell.table_state import Belief
+from halfseen.cell.table_state import Belief, no_grip
 from halfseen.cell.workcell import Workcell
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
@@ -35,7 +38,11 @@ from halfseen.scene.stains import draw_surface
 from halfseen.shapes import Bool
 from halfseen.workers import Pool
 from halfseen.world import random
-from halfseen.world.policy import Policy
+from halfseen.world.actions import ActionSpace, Verb, possible_actions
+from halfseen.world.config import WorldConfig
+from halfseen.world.policy import Decision, Policy, uniformly
+from halfseen.world.random import Key
+from halfseen.world.state import TableState
 from halfseen.writing import placed, refuse_unwritable, write_file
 
 RUN_FILE = "run.json"
@@ -92,22 +99,6 @@ class Conditions:
             stops=self.stops,
         )
         return cell, is_dirty
-
-
-class Follower(Protocol):
-    """Whoever follows a table."""
-
-    def decided(self, moment: Moment) -> None:
-        """Take in a decision, before it is carried out."""
-        ...
-
-    def ended(self, run: Run) -> None:
-        """Take in what came of it."""
-        ...
-
-
-Follow = Callable[[int, Workcell], Follower]
-"""Given the number of a table and its cell, before anything happens, who follows it."""
 
 
 @dataclass(frozen=True)
@@ -229,12 +220,15 @@ def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda:
     refuse_unwritable(folder)
     # A recorder holds its folder for as long as its process lives: no second campaign gets in.
     with LogRecorder(folder / "campaign"):
-        told = folder / WHAT_FILE
-        if not told.exists():
-            with _removed_if_refused(folder):
+        described = folder / WHAT_FILE
+        if not described.exists():
+            try:
                 refuse()
-            write_file(told, what)
-        elif (held := read_text(told)) != what:
+            except BaseException:
+                shutil.rmtree(_aside(folder))
+                raise
+            write_file(described, what)
+        elif (held := read_text(described)) != what:
             raise ArgumentError(
                 f"{folder}: it holds what was stopped of another run ({held[:500]}), and this is "
                 f"{what}; call that again to go on with it, remove the folder, or choose another --out"
@@ -244,17 +238,8 @@ def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda:
     shutil.rmtree(done)
 
 
-@contextmanager
-def _removed_if_refused(folder: Path) -> Iterator[None]:
-    try:
-        yield
-    except BaseException:
-        shutil.rmtree(_aside(folder))
-        raise
-
-
 def _aside(folder: Path) -> Path:
-    """Give a folder another name, while it is ours: whoever waits for it begins a new one, which is not removed."""
+    """Give a folder another name, while it is ours: anyone who waits for it begins a new one, which is not removed."""
     return folder.rename(folder.with_name(f"{folder.name}.{os.getpid()}-{get_ident()}"))
 
 
@@ -301,3 +286,58 @@ def _run_of(place: Path) -> Run:
 def table_name(index: int) -> str:
     """Name of the folder of a table."""
     return f"table-{index:06d}"
+
+
+@record
+class LiftAtRandom:
+    """Lifts each object on the table with the same probability; finishes where none is left."""
+
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Choose for each table."""
+        actions = ActionSpace(state.num_objects)
+        verbs = actions.verb(np.arange(actions.num_actions))
+        is_lift = possible_actions(state) & (verbs == Verb.LIFT)
+        return uniformly(np.where(is_lift.any(axis=-1, keepdims=True), is_lift, verbs == Verb.FINISH), key)
+
+
+def attempts_of(
+    num_attempts: int,
+    seed: int,
+    folder: Path,
+    pool: Pool,
+    conditions: Conditions = Conditions(),
+    on_table: Callable[[int], None] = lambda _: None,
+) -> Logs:
+    """Let a cell try, and give its log.
+
+    Parameters
+    ----------
+    num_attempts
+        Tables follow one another until so many attempts were begun.
+    seed
+        Of everything that is drawn.
+    folder
+        Where tables are recorded while they run; a campaign that was killed goes on there.
+    pool
+        Who clears the tables.
+    conditions
+        What the tables and the cell are like.
+    on_table
+        Called with the number of attempts on each table.
+    """
+    belief = Belief(WorldConfig(horizon=HORIZON), no_grip)
+    campaign = Campaign(LiftAtRandom(), belief, conditions, seed, tells_truth=True)
+    begun: list[int] = []
+    while sum(begun) < num_attempts:
+        # A batch is waited for to its end: nothing records any more when this returns.
+        for _, run in campaign.runs(_batch(begun, num_attempts, pool.num_workers), folder, pool):
+            begun.append(sum(run.verbs.values()))
+            on_table(begun[-1])
+    # As many tables as it takes, however many there were in a batch.
+    return logs_of(folder, range(1 + int(np.searchsorted(np.cumsum(begun), num_attempts))))
+
+
+def _batch(begun: Sequence[int], num_attempts: int, num_workers: int) -> range:
+    """Tables that are begun next: most of those that are likely to be needed, as workers wait at the end of a batch."""
+    likely = 0.8 * (num_attempts - sum(begun)) * len(begun) / max(sum(begun), 1)
+    return range(len(begun), len(begun) + max(4 * num_workers, int(likely)))

@@ -130,8 +130,8 @@ def _found_flange(model: mujoco.MjModel, last: int) -> Flange:
     for site in range(model.nsite):
         if model.site_bodyid[site] in fixed and _tells(model.site(site).name):
             return _at_site(model, site)
-    told = next((body for body in fixed[1:] if _tells(model.body(body).name)), last)
-    return Flange(told, Pose((0.0, 0.0, 0.0)), is_of_hand=True)
+    carrier = next((body for body in fixed[1:] if _tells(model.body(body).name)), last)
+    return Flange(carrier, Pose((0.0, 0.0, 0.0)), is_of_hand=True)
 
 
 def _tells(name: str) -> bool:

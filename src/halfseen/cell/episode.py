@@ -5,7 +5,7 @@ Each arm decides when it is free, while the others go on; with K = 1 there is no
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from scipy.special import expit
@@ -15,13 +15,13 @@ from halfseen.cell.fetching import Attempt
 from halfseen.cell.live_cell import Activity, Rest, StoppedError
 from halfseen.cell.rewards import EpisodeStatistics, Run, TeamRun
 from halfseen.cell.space import Touches
-from halfseen.cell.table_state import Belief, CellState
+from halfseen.cell.table_state import ArmStatus, Belief, CellState
 from halfseen.cell.workcell import Workcell
-from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.recorder import TrajectoryRecorder
 from halfseen.shapes import Bool
 from halfseen.world import random
 from halfseen.world.actions import TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb
-from halfseen.world.policy import Policy
+from halfseen.world.policy import Decision, Policy
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
@@ -48,6 +48,22 @@ class Moment(NamedTuple):
     """Number of the robot that does it."""
     of_team: str | None = None
     """Which robot does what, where there are several."""
+
+
+class Follower(Protocol):
+    """Anyone who follows a table."""
+
+    def decided(self, moment: Moment) -> None:
+        """Take in a decision, before it is carried out."""
+        ...
+
+    def ended(self, run: Run) -> None:
+        """Take in what came of it."""
+        ...
+
+
+Follow = Callable[[int, Workcell], Follower]
+"""Given the number of a table and its cell, before anything happens, who follows it."""
 
 
 def play(
@@ -80,7 +96,7 @@ def play(
     key
         What the policy draws from.
     tells_truth
-        Record which objects are dirty, as whoever calibrates a cell knows.
+        Record which objects are dirty, as anyone who calibrates a cell knows.
     on_decision
         Called with each decision, before it is carried out.
 
@@ -89,27 +105,16 @@ def play(
     Run
         What came of it; a `TeamRun` of several arms.
     """
-    begin_s, episode = cell.cell.time_s, _Episode(cell, is_dirty, belief)
+    begin_s, episode = cell.cell.time_s, _Episode(cell, is_dirty, belief, trajectory)
     statistics = episode.statistics
     try:
         for step in range(episode.num_decisions):
             state, rows = episode.look(step)
             if tells_truth:
                 statistics.truth.add_to(rows, cell)
-            drawn_from, actions, arm = random.fold_in(key, step), ActionSpace(state.num_objects), episode.decider
+            drawn_from = random.fold_in(key, step)
             decision = policy.decide(state, drawn_from)
-            action, chance = int(decision.action), float(decision.probability)
-            verb, target = int(actions.verb(action)), int(actions.target(action))
-            trajectory.begin_stage(
-                episode.state.columns(),
-                rows,
-                VERB_NAMES[verb],
-                target if verb in TARGETED else None,
-                None if np.isnan(chance) else chance,  # a planner cannot say it
-                arm if episode.is_team else None,
-            )
-            words, of_team = episode.begin(arm, verb, target, rows)
-            on_decision(Moment(step + 1, state, action, words, drawn_from, arm, of_team))
+            on_decision(episode.begin(decision, step, state, rows, drawn_from))
             is_over = episode.go_on() or step + 1 == episode.num_decisions
             reward, of_robots = statistics.pay(is_over=is_over)
             trajectory.complete_stage(reward, elapsed_s=cell.cell.time_s - begin_s, own_rewards=of_robots)
@@ -125,9 +130,11 @@ def play(
 class _Episode:
     """The arms at a table: each decides when it is free."""
 
-    def __init__(self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], belief: Belief) -> None:
+    def __init__(
+        self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], belief: Belief, trajectory: TrajectoryRecorder
+    ) -> None:
         robots = [station.robot for station in cell.stations]
-        self.cell, self.is_team, self._config = cell, len(robots) > 1, belief.config
+        self.cell, self.is_team, self._config, self._trajectory = cell, len(robots) > 1, belief.config, trajectory
         self.num_decisions = belief.config.horizon * len(robots)
         self.state, self._executor = CellState(cell, belief), Executor(cell.cell, robots)
         run = TeamRun(busy_s=[0.0] * len(robots)) if self.is_team else Run()
@@ -154,22 +161,38 @@ class _Episode:
             self.statistics.see(expit([row["log_odds"] for row in rows]))
         return self.state.state(self.decider, self.num_decisions - step), rows
 
-    def begin(self, number: int, verb: int, target: int, rows: list[dict[str, Any]]) -> tuple[str, str | None]:
-        """Let an arm begin what was decided, before any time passes; what that is in words, and of which arm."""
-        arm, now_s = self.state.arms[number], self.cell.cell.time_s
-        arm.verb, arm.target, arm.begun_s = verb, target if verb in TARGETED else 0, now_s
+    def begin(self, decision: Decision, step: int, state: TableState, rows: list[dict[str, Any]], key: Key) -> Moment:
+        """Record a decision and let its arm begin what was decided, before any time passes."""
+        number, actions = self.decider, ActionSpace(state.num_objects)
+        action, probability = int(decision.action), float(decision.probability)
+        verb, target = int(actions.verb(action)), int(actions.target(action))
+        self._trajectory.begin_stage(
+            self.state.columns(),
+            rows,
+            VERB_NAMES[verb],
+            target if verb in TARGETED else None,
+            None if np.isnan(probability) else probability,  # a planner cannot say it
+            number if self.is_team else None,
+        )
+        arm = self.state.arms[number]
+        arm.verb, arm.target, arm.begun_s = verb, target if verb in TARGETED else 0, self.cell.cell.time_s
         arm.decisions_to_go -= 1
         self.statistics.count_verb(VERB_NAMES[verb])
         if verb in TARGETED:
             arm.chance = float(expit(rows[target]["log_odds"]))
         if verb != WAIT:
             self._executor.begin(number, self._activity(number, verb, target))
+        of_team = f"{self.cell.stations[number].robot.name}: {arm.words}" if self.is_team else None
+        return Moment(step + 1, state, action, self._in_words(arm, verb, rows), key, number, of_team)
+
+    def _in_words(self, arm: ArmStatus, verb: int, rows: list[dict[str, Any]]) -> str:
+        """What was decided, for people; of several arms what all are doing."""
         if self.is_team:
-            return self.state.in_words(), f"{self.cell.stations[number].robot.name}: {arm.words}"
+            return self.state.in_words()
         if verb == Verb.FINISH:
-            return "FINISH: nothing is worth another step", None
-        hidden = rows[target]["occlusion"]
-        return f"{VERB_NAMES[verb]} object {target}: dirty with probability {arm.chance:.2f}, {hidden:.0%} hidden", None
+            return "FINISH: nothing is worth another step"
+        hidden = rows[arm.target]["occlusion"]
+        return f"{VERB_NAMES[verb]} object {arm.target}: dirty with probability {arm.chance:.2f}, {hidden:.0%} hidden"
 
     def _activity(self, number: int, verb: int, target: int) -> Activity[tuple[Attempt, float] | None]:
         """Carry out a verb; the attempt, and what it took [s]."""

@@ -1,7 +1,7 @@
 """K arms that move together in one clock: each asks for the space of a way before it goes, and waits where it is taken.
 
 Where arms wait for one another in a ring, where all that are busy wait (for one another, or for an idle one that does
-not go), or where one waits for too long, the one that came last and has a free way home is told to give way: what it
+not go), or where one waits for too long, the one that came last and has a free way home gives way: what it
 then reserves is that way, and the others go on. One that is at home already gives up what it wanted. If neither helps,
 and nobody moves who could change that, the cell is stopped. With K = 1 there is nobody to wait for.
 """

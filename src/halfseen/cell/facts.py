@@ -1,12 +1,25 @@
-"""What is seen of an object that may make it hard to grip: whether it lies, how wide it is, how much room is around."""
+"""What is seen of an object that may make it hard to grip; and of the tables that ship, kept, as seeing takes long.
 
-from dataclasses import dataclass
+``python -m halfseen.cell.facts`` looks at these tables again. Only looking loads perception.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from halfseen.perception.solids import Hull, Vessel
-from halfseen.perception.view import SeenObject, View
 from halfseen.shapes import Float
+from halfseen.world.scene import Scene
+from halfseen.writing import write_file
+
+if TYPE_CHECKING:
+    from halfseen.cell.calibration.law import Law
+    from halfseen.perception.solids import Hull, Vessel
+    from halfseen.perception.view import SeenObject, View
 
 MOST_ROOM_M = 0.10
 """Room beyond this makes no difference [m]."""
@@ -31,7 +44,7 @@ class Facts:
     room_m: float
 
 
-def facts_of(view: View) -> list[Facts]:
+def facts_of(view: "View") -> list[Facts]:
     """Gather what a view tells of each of its objects.
 
     Parameters
@@ -46,15 +59,77 @@ def facts_of(view: View) -> list[Facts]:
     return [_facts(seen, across_m[labels == seen.id], across_m[labels != seen.id]) for seen in view.objects]
 
 
-def _facts(seen: SeenObject, own_m: Float[np.ndarray, "own 2"], others_m: Float[np.ndarray, "others 2"]) -> Facts:
+def _facts(seen: "SeenObject", own_m: Float[np.ndarray, "own 2"], others_m: Float[np.ndarray, "others 2"]) -> Facts:
     width_m = _width_m(seen.solid, own_m)
     away_m = np.linalg.norm(others_m - seen.solid.middle_m[:2], axis=1).min(initial=np.inf)
     return Facts(not seen.is_upright, width_m, float(np.clip(away_m - 0.5 * width_m, 0.0, MOST_ROOM_M)))
 
 
-def _width_m(solid: Vessel | Hull, own_m: Float[np.ndarray, "own 2"]) -> float:
+def _width_m(solid: "Vessel | Hull", own_m: Float[np.ndarray, "own 2"]) -> float:
+    from halfseen.perception.solids import Vessel
+
     if isinstance(solid, Vessel):
         return 2 * max(solid.radius_m + solid.slope * end for end in solid.ends_m)
     narrowest = np.linalg.eigh(np.cov(own_m.T))[1][:, 0]
     low_m, high_m = np.percentile(own_m @ narrowest, [2, 98])
     return float(high_m - low_m)
+
+
+@dataclass(frozen=True)
+class TableSeen:
+    """One table, as it is seen.
+
+    Parameters
+    ----------
+    plain
+        Which object hides which, and where each stands.
+    facts
+        Fields of `Facts`, of each object.
+    """
+
+    plain: Scene
+    facts: tuple[Mapping[str, Any], ...]
+
+    def scene(self, law: "Law | None") -> Scene:
+        """Give what a world needs to know of the table; under a law, grips included."""
+        if law is None:
+            return self.plain
+        return law.gripped(self.plain, [Facts(**each) for each in self.facts])
+
+
+def tables_seen() -> list[TableSeen]:
+    """Read what is seen of the ten tables, in their order."""
+    tables = json.loads(_path().read_text(encoding="utf-8"))
+    return [
+        TableSeen(Scene(np.array(one["hides"]), one["name"], places_m=np.array(one["places_m"])), tuple(one["facts"]))
+        for one in tables
+    ]
+
+
+def look_again() -> list[TableSeen]:
+    """See the ten tables again."""
+    from halfseen.perception import perceive, read_cloud
+    from halfseen.scene import table_paths
+
+    views = [perceive(read_cloud(path)) for path in table_paths()]
+    return [TableSeen(view.scene(), tuple(asdict(each) for each in facts_of(view))) for view in views]
+
+
+def _path() -> Path:
+    return Path(str(files("halfseen.cell"))) / "tables_seen.json"
+
+
+def _as_json(seen: TableSeen) -> dict[str, Any]:
+    assert seen.plain.places_m is not None
+    places_m = seen.plain.places_m.round(6).tolist()
+    return {"name": seen.plain.name, "hides": seen.plain.hides.tolist(), "places_m": places_m, "facts": seen.facts}
+
+
+def main() -> None:
+    """Write what is seen now."""
+    tables = [_as_json(seen) for seen in look_again()]
+    write_file(_path(), "[\n" + ",\n".join(json.dumps(one, default=bool) for one in tables) + "\n]\n")
+
+
+if __name__ == "__main__":
+    main()

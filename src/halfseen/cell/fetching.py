@@ -164,7 +164,7 @@ def turned(
     Returns
     -------
     bool
-        Whether it was not told to give way to another robot; if so, it has the way back to where the object stood.
+        Whether it did not have to give way to another robot; if so, it has the way back to where the object stood.
     """
     kinematics, num_shown = cell.kinematics[robot.name], 0
     back = with_home(cell, robot, plan.way_back)
@@ -216,7 +216,7 @@ _CARRYING, _RACKING = 1.0, 0.7  # shares of the joints' speeds
 
 
 class GaveWayError(PlanError):
-    """A robot that held something was told to give way."""
+    """A robot that held something had to give way."""
 
 
 def put_away(
@@ -244,7 +244,7 @@ def put_away(
     PlanError
         The slot is out of reach with the hand as it holds.
     GaveWayError
-        It was told to give way to another robot, and has the way back to where the object stood.
+        It had to give way to another robot, and has the way back to where the object stood.
     """
     kinematics = cell.kinematics[robot.name]
     here = plan.lift[-1]

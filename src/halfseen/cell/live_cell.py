@@ -1,4 +1,4 @@
-"""The cell as it runs: what robots are told to do, physics that goes on meanwhile, and what stops it.
+"""The cell as it runs: what robots are commanded to do, physics that goes on meanwhile, and what stops it.
 
 What a robot does is a generator of commands, an `Activity`: it reads the cell when it is asked for the next command,
 and learns whether the last was carried out. All but `Reserve` always are.
@@ -82,7 +82,7 @@ class Reserve:
     way
         Angles to go through, of all moves until the next reservation.
     back
-        The way home instead, for who is told to give way: it is then reserved, and the answer is False; none where
+        The way home instead, for a robot that has to give way: it is then reserved, and the answer is False; none where
         there is nothing to go back to.
     is_patient
         Whether to wait until the space is free; else it is only tried.

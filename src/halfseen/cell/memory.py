@@ -1,6 +1,6 @@
 """What a robot knows of the objects on its table, from look to look and attempt to attempt.
 
-It knows no law: what looks told is kept as it was told, and whoever believes in a law of seeing makes chances of it.
+It knows no law: labels are kept as looks gave them, and anyone who believes in a law of seeing makes chances of them.
 """
 
 from collections.abc import Sequence
@@ -88,7 +88,7 @@ class Known:
     seen
         How it looks in the last view; None where that does not show it.
     facts
-        What the last view that showed it told of it.
+        Of the last view that showed it.
     surface_m
         Points that the last view that showed it saw of it, in the world [m].
     is_racked
@@ -133,7 +133,7 @@ class Known:
             self.middle_m, self.facts, self.surface_m = now.middle_m, now.facts, now.surface_m
 
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
-        """Keep what a look told, if it showed more than any before: else it repeats itself.
+        """Keep the label of a look, if it showed more than any before: else it repeats itself.
 
         Parameters
         ----------

@@ -69,17 +69,6 @@ class Plan:
         return np.concatenate([self.lift[::-1], self.approach[-1:], self.way_out])
 
 
-def plan(
-    grasps: Iterable[Grasp],
-    world_from_table: Float[np.ndarray, "4 4"],
-    kinematics: Kinematics,
-    begin_rad: Angles,
-    rng: np.random.Generator,
-) -> Plan:
-    """Plan the first grasp that the robot can carry out; parameters and errors are those of `plans`."""
-    return next(plans(grasps, world_from_table, kinematics, begin_rad, rng))
-
-
 def plans(
     grasps: Iterable[Grasp],
     world_from_table: Float[np.ndarray, "4 4"],

@@ -1,6 +1,6 @@
 """What a table earns, by the truth: rewards, their luck, and what else came of it.
 
-Rewards and luck are told when an attempt ends, and booked when its stage is completed: a stage that a cut left
+Rewards and luck are known when an attempt ends, and booked when its stage is completed: a stage that a cut left
 incomplete has earned nothing, in the log or here, and has had no luck either. Each of several robots has its own share,
 too: what it would have been paid had it been alone, that is the reward of its own attempts and, where it comes to its
 own end, that of what is dirty in its reach.
@@ -11,7 +11,7 @@ was seen before), so that a mean without it is the same mean, better known: a co
 """
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -192,15 +192,6 @@ class TeamRun(Run):
     busy_s: list[float] = field(default_factory=list)
 
 
-class Paid(NamedTuple):
-    """What a stage earned."""
-
-    reward: float
-    """In all [-]."""
-    of_robots: list[float]
-    """What each of several robots would have been paid had it been alone [-]; empty for one."""
-
-
 class EpisodeStatistics:
     """Books what a table earns.
 
@@ -273,14 +264,17 @@ class EpisodeStatistics:
             self._at_work.remove(arm)
             self._own[arm] += float(self._config.reward_dirty_left) * self.truth.num_dirty_left(self._cell, arm)
 
-    def pay(self, *, is_over: bool) -> Paid:
-        """Complete a stage: what was earned since the last; of the last of all what is left dirty is paid for, too."""
+    def pay(self, *, is_over: bool) -> tuple[float, list[float]]:
+        """Complete a stage, of the last of all with what is left dirty: what was earned since the last [-].
+
+        Beside it what each of several robots would have been paid had it been alone [-]; nothing for one.
+        """
         if is_over:
             self._reward += float(self._config.reward_dirty_left) * self.truth.num_dirty_left(self._cell)
             for arm in tuple(self._at_work):
                 self.leave(arm)
         self.run.reward += self._reward
         self.run.luck += self._luck
-        paid = Paid(self._reward, self._own if len(self._own) > 1 else [])
+        paid = self._reward, self._own if len(self._own) > 1 else []
         self._reward, self._luck, self._own = 0.0, 0.0, [0.0 for _ in self._own]
         return paid

@@ -181,7 +181,7 @@ class Reservations:
         here_rad = self._cell.angles_rad(self._robots[arm])
         here = self._outlines[arm].along(here_rad, np.zeros((0, len(here_rad))), self._below_m[arm])
         reserved = self._reserved[arm]
-        # It may be a place behind where its servos are told to be.
+        # It may be a place behind where its servos are commanded to be.
         return here if reserved is None else here.joined(reserved.after(max(self._passed[arm] - 1, 0)))
 
     def in_the_way(self, arm: int, space: Space) -> tuple[int, ...]:
@@ -202,7 +202,7 @@ class Reservations:
         self._reserved[arm] = None
 
     def advance(self, arm: int, angles_rad: Angles) -> None:
-        """Free what lies behind an arm, once its servos are told to be somewhere on its way."""
+        """Free what lies behind an arm, once its servos are commanded to be somewhere on its way."""
         reserved = self._reserved[arm]
         if reserved is None:
             return

@@ -1,8 +1,9 @@
-"""What a policy did in physics, in numbers: rewards, cups, failures; and what the simulated world foretold."""
+"""What a policy did in physics, in numbers: rewards, cups, failures; and what the simulated world expected."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, cast
+from typing import cast
 
 import numpy as np
 import pandas as pd
@@ -14,7 +15,6 @@ from halfseen.censoring import censoring_weights
 from halfseen.evaluation.estimate import Estimate, estimate_of
 from halfseen.logs import Logs
 from halfseen.planners.pomdp import POMDPPolicy
-from halfseen.shapes import Float
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
@@ -24,7 +24,7 @@ from halfseen.world.state import pad_scenes
 
 LEVEL = 0.95
 EPISODES_PER_TABLE, EPISODES_OF_A_PLANNER = 200, 4
-"""Episodes of each table that foretell what is earned there. In physics there is one: a planner, of which each takes a
+"""Episodes of each table that predict what is earned there. In physics there is one: a planner, of which each takes a
 thousand times as long, plays as many as add a fourth to its variance."""
 _LEAST = 1e-12
 _FEWEST_FINISHED = 2
@@ -98,14 +98,14 @@ def summarised(
     rewards, luck = (np.array([getattr(run, name) for run in seen]) for name in ("reward", "luck"))
     weights = _weights(seen)
     teams = [run for run in runs if isinstance(run, TeamRun)]
-    foretold = None if teams else predicted(scenes_of(logs), cast(Policy, policy), config, seed)
+    expected = None if teams else predicted(scenes_of(logs), cast(Policy, policy), config, seed)
     return Summary(
         reward=_mean(rewards, weights, level),
         luck=_mean(luck, weights, level),
         without_luck=_mean(rewards - luck, weights, level),
-        predicted=None if foretold is None else estimate_of(foretold, len(foretold), level),
-        gap=None if foretold is None else _mean(rewards - foretold, weights, level),
-        gap_without_luck=None if foretold is None else _mean(rewards - luck - foretold, weights, level),
+        predicted=None if expected is None else estimate_of(expected, len(expected), level),
+        gap=None if expected is None else _mean(rewards - expected, weights, level),
+        gap_without_luck=None if expected is None else _mean(rewards - luck - expected, weights, level),
         seconds=float(np.mean([run.seconds for run in runs])),
         counts={name: sum(getattr(run, name) for run in runs) for name in _COUNTS},
         verbs=_added(run.verbs for run in runs),
@@ -162,18 +162,15 @@ def scenes_of(logs: Logs) -> list[Scene]:
     assert logs.objects is not None, "tables have objects"
     first = pd.DataFrame(logs.objects[logs.objects["stage"] == 1])
     return [
-        Scene(_matrix(rows["hidden_by"]), str(trajectory), np.array(rows["grip"], dtype=np.float64))
+        Scene(
+            np.array(rows["hidden_by"].tolist(), dtype=np.float64), str(trajectory), np.array(rows["grip"], np.float64)
+        )
         for trajectory, rows in first.groupby("trajectory", sort=True)
     ]
 
 
-def _matrix(lists: Iterable[Any]) -> Float[np.ndarray, "N N"]:
-    return np.array([np.asarray(one, dtype=np.float64) for one in lists])
-
-
 def _added(each: Iterable[Mapping[str, int]]) -> dict[str, int]:
-    total: dict[str, int] = {}
+    total: Counter[str] = Counter()
     for counts in each:
-        for name, number in counts.items():
-            total[name] = total.get(name, 0) + number
-    return dict(sorted(total.items(), key=lambda pair: -pair[1]))
+        total.update(counts)
+    return dict(total.most_common())

@@ -22,7 +22,7 @@ from halfseen.world.seeing import label_evidence
 from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace
 
 MOST_OBJECTS = 12
-"""States are padded to so many objects, among which whoever explores draws; tables with more are padded to more."""
+"""States are padded to so many objects, among which anyone who explores draws; tables with more are padded to more."""
 _MOVED_M = 0.03
 
 

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Image
-from halfseen.cell.camera import Errors, Eye, perceived_whole
+from halfseen.cell.camera import CellCamera, Errors, perceived_whole
 from halfseen.cell.fetching import (
     Attempt,
     GaveWayError,
@@ -68,7 +68,7 @@ class Workcell:
     rng
         Draws the sensor's noise, the error of the camera's place, where plans begin, and when the camera is lost.
     surfaces
-        What is on the walls of each cup; None where nothing is to be told by colour.
+        What is on the walls of each cup; None where colour gives no labels.
     robot, rack
         Who works, and where washed cups go.
     stations
@@ -134,7 +134,7 @@ class Workcell:
         self.planned: list[Plan | None] = [None] * len(robots)
         self.cell = LiveCell(model, robots)
         self._rng, self._grasping, self._labeller = rng, GRASPING[grasping], labeller
-        self._eye = Eye(self.cell, table.camera, surfaces=surfaces)
+        self._eye = CellCamera(self.cell, table.camera, surfaces=surfaces)
         self._believed: Pose = from_matrix(errors.draw(rng) @ table.camera.world_from_camera.matrix)
         self._used_slots: list[list[int]] = [[] for _ in robots]
         self._sights: dict[int, _Sight] = {}
@@ -189,16 +189,16 @@ class Workcell:
         sight = self._sight(number)
         attempt, done = yield from self._fetched(number, arm)
         if done is not None and sight is not None and attempt.is_held:
-            told: list[bool | None] = []
+            labels: list[bool | None] = []
 
             def look_at(side: int) -> None:
-                # It may be told to give way before: who has seen nothing of it has not lifted it to see.
+                # It may have to give way before: an object that showed no side does not count as lifted.
                 known.lifts += side == 0
-                told.append(self._label_of_held(known, sight.seen, arm, is_first=side == 0))
+                labels.append(self._label_of_held(known, sight.seen, arm, is_first=side == 0))
 
             has_way = not (yield from turned(self.cell, robot, done, self._rng, look_at))
-            if any(label is not None for label in told):
-                known.label(0.0, any(told), is_held=True)
+            if any(label is not None for label in labels):
+                known.label(0.0, any(labels), is_held=True)
             yield from self._put_back(arm, done, has_way=has_way)
         return attempt
 

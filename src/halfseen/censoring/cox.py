@@ -20,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
 from halfseen.censoring.partial_likelihood import CutOrder, PartialLikelihood, cut_order, partial_likelihood
+from halfseen.censoring.tied_times import tied
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
@@ -141,6 +142,8 @@ class Cox(Estimator):
         Number of those that were cut.
     last_time_ : float
         The last observed end [s]; nothing was seen beyond it.
+    tolerance_s_ : float
+        Times that differ by no more count as equal [s]; 0 where no times of the fit do.
 
     Examples
     --------
@@ -165,6 +168,7 @@ class Cox(Estimator):
     num_trajectories_: int
     num_cut_: int
     last_time_: float
+    tolerance_s_: float
 
     def __init__(self, ties: Literal["efron", "breslow"] = "efron", ridge: float | int = 0.0) -> None:
         self.ties = ties
@@ -183,6 +187,7 @@ class Cox(Estimator):
         self._check_parameters()
         ends, finished = checked_ends(time, is_finished)
         values, names = checked_covariates(covariates, len(ends), "Cox")
+        ends, self.tolerance_s_ = tied(ends)
         trajectories = cut_order(ends, finished)
         means, scales = values.mean(axis=0), values.std(axis=0)
         if len(trajectories.times):
@@ -215,7 +220,7 @@ class Cox(Estimator):
         times, values = checked_question(u, covariates, "Cox", self.covariates_)
         scores = (values - self.means_) @ self.coefficients_
         levels = np.concatenate(([0.0], self.cumulative_hazard_))
-        hazard = levels[np.searchsorted(self.times_, times, side="left")]
+        hazard = levels[np.searchsorted(self.times_, times - self.tolerance_s_, side="left")]
         # A far-off row has no hazard that a float could hold; at times before all cuts its survival is still 1.
         ratio = np.exp(np.minimum(scores, 700.0)).reshape((-1,) + (1,) * max(times.ndim - 1, 0))
         with np.errstate(over="ignore"):

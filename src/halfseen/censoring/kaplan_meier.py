@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.inputs import checked_ends, checked_times
+from halfseen.censoring.tied_times import tied
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
@@ -40,6 +41,8 @@ class KaplanMeier(Estimator):
         Number of those that were cut.
     last_time_ : float
         The last observed end [s]; nothing was seen beyond it.
+    tolerance_s_ : float
+        Times that differ by no more count as equal [s]; 0 where no times of the fit do.
 
     Examples
     --------
@@ -54,6 +57,7 @@ class KaplanMeier(Estimator):
     num_trajectories_: int
     num_cut_: int
     last_time_: float
+    tolerance_s_: float
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: object = None) -> "KaplanMeier":
         """Fit the curve, given as in `CensoringModel.fit`; a covariate that changes nothing would be a false promise.
@@ -65,6 +69,7 @@ class KaplanMeier(Estimator):
         """
         _refuse_covariates(covariates)
         ends, finished = checked_ends(time, is_finished)
+        ends, self.tolerance_s_ = tied(ends)
         self.times_, self.survival_ = _steps(ends, finished)
         self.num_trajectories_ = len(ends)
         self.num_cut_ = int(len(ends) - np.count_nonzero(finished))
@@ -87,7 +92,7 @@ class KaplanMeier(Estimator):
         # Searching in the order of the times is several times faster than jumping about in a long curve.
         order = np.argsort(times, axis=None)
         seen = np.empty(times.size)
-        seen[order] = levels[np.searchsorted(self.times_, times.ravel()[order], side="left")]
+        seen[order] = levels[np.searchsorted(self.times_, times.ravel()[order] - self.tolerance_s_, side="left")]
         return seen.reshape(times.shape)
 
 

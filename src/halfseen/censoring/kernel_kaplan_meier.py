@@ -26,6 +26,7 @@ from numpy.typing import ArrayLike
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
 from halfseen.censoring.partial_likelihood import CutOrder, cut_order
+from halfseen.censoring.tied_times import tied
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
@@ -233,6 +234,8 @@ class KernelKaplanMeier(Estimator):
         Number of those that were cut.
     last_time_ : float
         The last observed end [s]; nothing was seen beyond it.
+    tolerance_s_ : float
+        Times that differ by no more count as equal [s]; 0 where no times of the fit do.
 
     Notes
     -----
@@ -255,6 +258,7 @@ class KernelKaplanMeier(Estimator):
     num_trajectories_: int
     num_cut_: int
     last_time_: float
+    tolerance_s_: float
 
     def __init__(
         self,
@@ -285,6 +289,7 @@ class KernelKaplanMeier(Estimator):
             refuse_constant(values, names)
             self._scales = values.std(axis=0)
         scaled = (values - self._means) / self._scales
+        ends, self.tolerance_s_ = tied(ends)
         self.cv_scores_ = self._scores(ends, finished, scaled)
         self.bandwidth_ = self._chosen()
         self._curve = LocalCurve.of_trajectories(ends, finished, scaled)
@@ -308,7 +313,7 @@ class KernelKaplanMeier(Estimator):
         times, values = checked_question(u, covariates, "KernelKaplanMeier", self.covariates_)
         scaled = (values - self._means) / self._scales
         per_row = times.reshape(len(scaled), -1) if times.size else np.empty((len(scaled), 0))
-        seen = self._curve.survival(per_row, scaled, self.bandwidth_, self.kernel)
+        seen = self._curve.survival(per_row - self.tolerance_s_, scaled, self.bandwidth_, self.kernel)
         wrong = np.argwhere(np.isnan(seen))
         if len(wrong):
             row, column = wrong[0]

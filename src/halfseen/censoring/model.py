@@ -21,8 +21,8 @@ class CensoringModel(Protocol):
     C is itself right-censored, by the trajectory's own end. At equal times completions come before cuts.
 
     A model that was fitted has an attribute whose name ends in ``_``, as in scikit-learn; one without is fitted, on a
-    copy, by whoever needs it. A model that conditions on covariates says ``uses_covariates = True``; one that does not
-    say so is taken not to (`uses_covariates`).
+    copy, by anyone who needs it. A model that conditions on covariates says ``uses_covariates = True``; one that does
+    not say so is taken not to (`uses_covariates`).
     """
 
     def fit(self, time: ArrayLike, is_finished: ArrayLike, covariates: Any = None) -> "CensoringModel":

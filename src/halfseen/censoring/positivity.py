@@ -112,17 +112,18 @@ def positivity_report(
     # Without a bound the trajectories that have no weight stand outside; the report says so first.
     in_use[rows] = np.where(np.isinf(weights), 0.0, weights) if bound is None else np.minimum(weights, bound)
     tail_from_s = float(np.quantile(ends[rows], 1 - TAIL_SHARE, method="higher")) if len(rows) else np.nan
-    trajectory = names.tolist()
-    order = np.lexsort((ends[rows], -weights))
-    named = [WeightedTrajectory(trajectory[rows[k]], float(ends[rows[k]]), float(weights[k])) for k in order]
+    order, num_unidentified = np.lexsort((ends[rows], -weights)), int(np.isinf(weights).sum())
+    heaviest = order[: num_unidentified + NUM_HEAVIEST]
+    columns = (names[rows[heaviest]], ends[rows[heaviest]], weights[heaviest])
+    named = tuple(map(WeightedTrajectory, *(column.tolist() for column in columns)))
     return PositivityReport(
         num_trajectories=len(ends),
         num_finished=len(rows),
         overall=weight_diagnostics(in_use, bound),
         tail=weight_diagnostics(in_use[finished & (ends >= tail_from_s)], bound),
         tail_from_s=tail_from_s,
-        heaviest=tuple(trajectory for trajectory in named if np.isfinite(trajectory.weight))[:NUM_HEAVIEST],
-        unidentified=tuple(trajectory for trajectory in named if np.isinf(trajectory.weight)),
+        heaviest=named[num_unidentified:],
+        unidentified=named[:num_unidentified],
         identified_until_s=until_s,
         num_extrapolated=int(np.count_nonzero((ends[rows] > until_s) & (seen > 0))),
         ends_in_cut=bool((~finished[ends == ends.max()]).any()),

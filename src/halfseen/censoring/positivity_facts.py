@@ -10,6 +10,7 @@ import numpy as np
 
 from halfseen.censoring.weights import FEWEST_EFFECTIVE, WeightDiagnostics
 from halfseen.shapes import Float
+from halfseen.text_table import aligned
 
 MEAN_WEIGHT_MARGIN = 0.1
 """Weights whose mean is this far from 1 do not stand for all trajectories."""
@@ -255,9 +256,7 @@ def _table(facts: PositivityFacts) -> list[str]:
     if not facts.truncations:
         return []
     head = ("weights up to", f"mean {facts.quantity}", "effective sample size", "weight taken away")
-    rows = [head, *(_cells(row) for row in facts.truncations)]
-    widths = [max(len(row[column]) for row in rows) for column in range(len(head))]
-    return ["", *("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)]
+    return ["", *aligned([head, *(_cells(row) for row in facts.truncations)], left=())]
 
 
 def _cells(row: Truncation) -> tuple[str, str, str, str]:

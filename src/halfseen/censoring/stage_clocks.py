@@ -5,10 +5,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from halfseen.censoring.tied_times import tied
 from halfseen.shapes import Bool, Float, Int
 
 SMALLEST_AGE_S = 1e-9
-"""A stage that was cut as it began was watched this long [s]; clocks are told apart to this much, too."""
+"""A stage that was cut as it began was watched this long [s]; ages are counted in it, too."""
 
 
 class StageClocks(NamedTuple):
@@ -68,10 +69,16 @@ class StageClocks(NamedTuple):
 
     @property
     def watched_s(self) -> Float[np.ndarray, "n T"]:
-        """How long each begun stage was watched, to its completion or its cut: its gap time [s]; 0 elsewhere."""
+        """How long each begun stage was watched, to its completion or its cut: its gap time [s]; 0 elsewhere.
+
+        Times that are equal up to rounding are made equal.
+        """
+        watched_s, is_begun = np.zeros(self.is_begun.shape), self.is_begun
         until = np.where(self.is_completed, self.elapsed_s, self.end_s[:, None])
-        age = np.maximum(np.round((until - self.begun_at_s) / SMALLEST_AGE_S) * SMALLEST_AGE_S, SMALLEST_AGE_S)
-        return np.where(self.is_begun, age, 0.0)
+        age = np.round((until - self.begun_at_s)[is_begun] / SMALLEST_AGE_S) * SMALLEST_AGE_S
+        if len(age):
+            watched_s[is_begun] = np.maximum(tied(age)[0], SMALLEST_AGE_S)
+        return watched_s
 
     def take(self, rows: Int[np.ndarray, " k"] | slice) -> "StageClocks":
         """Keep these trajectories, which may repeat, in this order; a slice of them copies nothing."""

@@ -16,6 +16,7 @@ from numpy.typing import ArrayLike
 from halfseen.arrays import Rows
 from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, rows_of
 from halfseen.censoring.model import CensoringModel, fitted_model
+from halfseen.censoring.tied_times import LARGEST_ROUNDING, tied_clocks
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.shapes import Float, Int
 
@@ -77,7 +78,7 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
     """
     tally = WeightTally(truncate_at)
     tally.add(weights)
-    return tally.told()
+    return tally.diagnostics()
 
 
 class WeightTally:
@@ -120,7 +121,7 @@ class WeightTally:
         self._num_rows += len(values) if values.ndim else 1
         self.num_rows_seen += int(values.any(axis=tuple(range(1, values.ndim))).sum())
 
-    def told(self) -> WeightDiagnostics:
+    def diagnostics(self) -> WeightDiagnostics:
         """Summarise what was counted."""
         if not self._num_seen:
             return WeightDiagnostics(self._num_weights, 0, 0.0, 0.0, None, 0.0)
@@ -148,7 +149,7 @@ def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:
     diagnostics
         Summary of the weights.
     stacklevel
-        As in `warnings.warn`: 2 blames the caller of this function, 3 whoever called that caller.
+        As in `warnings.warn`: 2 blames the caller of this function, 3 that caller's caller.
 
     Warns
     -----
@@ -253,6 +254,7 @@ def stage_weights(
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
     names = trajectory_names(trajectory_ids, len(ends))
     _check_clock(clock, ends, names)
+    ends, clock = tied_clocks(ends, clock)
     model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
     times = clock[rows, columns]
@@ -308,7 +310,7 @@ def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarr
         raise ArgumentError(
             f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per trajectory"
         )
-    wrong = np.argwhere((clock < 0) | (clock > ends[:, None]))
+    wrong = np.argwhere((clock < 0) | (clock > ends[:, None] * (1.0 + LARGEST_ROUNDING)))
     if len(wrong):
         row, column = wrong[0]
         raise ArgumentError(

@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from halfseen import __version__
 from halfseen.cli.group import VerbGroup
 from halfseen.cli.messages import remedy, tell_error, tell_warning, unexpected
 from halfseen.errors import HalfseenError, HalfseenWarning
@@ -19,6 +20,7 @@ VERBS = {
     "evaluate": "Say what a policy is worth, from logs of another one, before it runs.",
     "act": "Decide at one table, and say why.",
     "serve": "Answer over HTTP what to do now, and record what was decided.",
+    "monitor": "Say whether a policy in service keeps its promise, what has changed, and since when.",
     "export": "Write a policy of named actions as ONNX, for controllers without Python.",
     "watch": "Show in the browser what was seen and decided, in 3-D, and why.",
     "report": "Write one page about a folder of logs and a policy.",
@@ -35,9 +37,7 @@ MODULES = {"export": "act", "inspect": "report", "record": "serve"}
 
 def _show_version(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
     if is_asked and not ctx.resilient_parsing:
-        from halfseen.installation import version
-
-        click.echo(f"halfseen, version {version()}")
+        click.echo(f"halfseen, version {__version__}")
         ctx.exit()
 
 

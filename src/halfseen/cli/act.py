@@ -9,8 +9,9 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
-from halfseen.cli.messages import aligned, say
+from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
+from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
     from halfseen.policies import Decision
@@ -22,13 +23,13 @@ UNKNOWN = "How sure this is nobody knows: the policy was learned without pessimi
 @click.command(epilog="Example: halfseen act policy table.pcd --history logs")
 @click.argument("policy", type=options.PATH)
 @click.argument("cloud", type=options.PATH)
-@options.path("--history", told="Of a table: logs whose last trajectory is the one so far.")
+@options.path("--history", text="Of a table: logs whose last trajectory is the one so far.")
 @options.whole(
-    "--stage", least=1, most=options.MOST_STAGES, told="Stage to decide, from 1; by default as the input says, or 1."
+    "--stage", least=1, most=options.MOST_STAGES, text="Stage to decide, from 1; by default as the input says, or 1."
 )
 @options.labels
 @options.law(None, f"Of a table, where it is {SHIPPED} by default. ")
-@options.path("--picture", told="Draw the decision into this .png or .svg file.")
+@options.path("--picture", text="Draw the decision into this .png or .svg file.")
 @options.overwrite("a picture that is")
 @options.extrapolate
 @options.as_json
@@ -91,7 +92,10 @@ def act(
         draw_decision(decision, picture, view=table.view if table else None, **where)
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
     seen = getattr(observation, "seen", "")  # of tables only
-    report |= {"seen": seen} if seen else {}
+    if table is not None and seen:
+        from halfseen.tables.first_look import chances_of
+
+        report |= {"seen": seen, "p_dirty": chances_of(table.present)}
     lines = _lines(decision, seen, table.other_things if table else "", **where)
     say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
@@ -113,8 +117,8 @@ def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horiz
 
 @click.command(epilog="Example: halfseen export policy --onnx policy.onnx")
 @click.argument("policy", type=options.PATH)
-@options.path("--onnx", required=True, metavar="FILE", told="Write an ONNX model: an .onnx file.")
-@options.whole("--objects", least=1, most=100, told="Most objects of a table; by default as in the log.")
+@options.path("--onnx", required=True, metavar="FILE", text="Write an ONNX model: an .onnx file.")
+@options.whole("--objects", least=1, most=100, text="Most objects of a table; by default as in the log.")
 @options.overwrite("a file that is")
 @options.unused_seed
 def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed: int) -> None:
@@ -126,7 +130,8 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed:
     Of tables, it takes the fields of TableState as halfseen.world describes them, for a fixed number of objects; it
     gives scores, one for each action, and the number of the best.
 
-    Names of actions and covariates are in its metadata. It refuses nothing: what lies far outside the logs is for the
+    Names of actions and covariates are in its metadata, with what is to stand for those that are missing, which it does
+    not fill in. It refuses nothing: what lies far outside the logs is for the
     controller to look at.
     """
     from halfseen.policies import read_policy

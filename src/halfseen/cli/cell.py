@@ -80,16 +80,16 @@ def start_opengl() -> None:
 
 
 @click.command(epilog="Example: halfseen cell calibrate --attempts 6000 --out law")
-@options.path("--out", required=True, told="Folder that the law is written to.")
-@options.whole("--attempts", least=50, most=options.MOST_EPISODES, default=6000, told="Attempts to begin.")
+@options.path("--out", required=True, text="Folder that the law is written to.")
+@options.whole("--attempts", least=50, most=options.MOST_EPISODES, default=6000, text="Attempts to begin.")
 @options.whole(
     "--visible-only",
     least=0,
     most=options.MOST_EPISODES,
     default=0,
-    told="Attempts to begin on the same tables with grasps that are planned from visible points alone, as a contrast.",
+    text="Attempts to begin on the same tables with grasps that are planned from visible points alone, as a contrast.",
 )
-@options.path("--from", "given", told="Fit the attempts of a law's folder, or of logs, again, and try nothing.")
+@options.path("--from", "given", text="Fit the attempts of a law's folder, or of logs, again, and try nothing.")
 @options.arm
 @options.workers
 @options.seed("law")
@@ -100,9 +100,7 @@ def calibrate(
     attempts: int,
     visible_only: int,
     given: Path | None,
-    arm: Path | None,
-    flange: str | None,
-    joints: list[str] | None,
+    arm: options.Arm,
     workers: "Workers",
     seed: int,
     as_json: bool,
@@ -114,22 +112,24 @@ def calibrate(
     holds the law and its attempts. A run that was stopped goes on where it was, if it is called again.
     """
     load_mujoco()
-    from halfseen.cell.calibration.calibrate import attempts_of, law_of
+    from halfseen.cell.calibration.attempts import HORIZON
+    from halfseen.cell.calibration.law import fit_law
     from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, read_law, write_law
-    from halfseen.cell.campaign import Conditions, working_folder
+    from halfseen.cell.campaign import Conditions, attempts_of, working_folder
+    from halfseen.cell.live_cell import Stops
     from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target
 
     refuse = partial(check_target, out, overwrite, LAW)
     refuse()
-    if given is not None and arm is not None:
-        raise ArgumentError(f"--arm is {arm}, but {given} holds attempts of some arm already; leave it out")
-    robot, arm_name = robot_for(arm, flange, joints)
+    if given is not None and arm.file is not None:
+        raise ArgumentError(f"--arm is {arm.file}, but {given} holds attempts of some arm already; leave it out")
+    robot, arm_name = robot_for(arm)
     origin: dict[str, Any] = {"seed": seed, "arm": arm_name}
 
     def fitted(logs: "Logs", contrast: "Logs | None") -> dict[str, Any]:
-        law = law_of(logs)
+        law = fit_law(logs, HORIZON, Stops().limit_s)
         record = {**origin, "log": str(logs.summary())}
         write_law(law, out, record, logs=logs, contrast=contrast, overwrite=overwrite)
         return _report_of(law, logs) | origin
@@ -143,7 +143,7 @@ def calibrate(
         report = fitted(read_logs(given / ATTEMPTS if is_law else given), contrast)
     else:
         # What was recorded goes when the law is written, not before: attempts take hours.
-        what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm else "")
+        what = f"calibrate, seed {seed}" + (f", arm {arm_name}" if arm.file else "")
         with (
             working_folder(out, what, refuse) as folder,
             Progress(attempts + visible_only, "calibrate", "attempts") as bar,

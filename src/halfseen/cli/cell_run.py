@@ -20,7 +20,7 @@ from halfseen.cli.messages import say
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
-    from halfseen.cell.campaign import Follow
+    from halfseen.cell.episode import Follow
     from halfseen.workers import Workers
     from halfseen.world import Policy
 
@@ -30,20 +30,20 @@ DRAWING = 3
 
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
 @policy_option
-@options.path("--out", required=True, told="Folder that the logs are written to.")
+@options.path("--out", required=True, text="Folder that the logs are written to.")
 @options.whole(
-    "--tables", "num_tables", least=2, most=options.MOST_EPISODES, default=50, told="Number of fresh tables."
+    "--tables", "num_tables", least=2, most=options.MOST_EPISODES, default=50, text="Number of fresh tables."
 )
 @options.law(options.SHIPPED)
 @click.option("--stops/--no-stops", default=True, show_default=True, help="Whether something may cut a table.")
 @options.share(
     "--random-share",
     default=0.0,
-    told="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
+    text="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
 )
-@options.flag("--watch", "is_watched", told="Show it in the browser as it runs, until Ctrl+C.")
+@options.flag("--watch", "is_watched", text="Show it in the browser as it runs, until Ctrl+C.")
 @options.port
-@options.path("--record", told="Folder for the last hundred stages, which `halfseen watch` shows.")
+@options.path("--record", text="Folder for the last hundred stages, which `halfseen watch` shows.")
 @options.num_arms
 @options.arm
 @options.workers
@@ -61,9 +61,7 @@ def run(
     port: int,
     record: Path | None,
     num_arms: int,
-    arm: Path | None,
-    flange: str | None,
-    joints: list[str] | None,
+    arm: options.Arm,
     workers: "Workers",
     seed: int,
     as_json: bool,
@@ -86,14 +84,14 @@ def run(
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
     refuse()
-    stations = stations_for(num_arms, arm)
-    robot, arm_name = robot_for(arm, flange, joints)
+    stations = stations_for(num_arms, arm.file)
+    robot, arm_name = robot_for(arm)
     belief = belief_of(law, arm_name)
     policy = _policy(name, random_share, belief.config, num_arms)
     conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
     who = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {who}, stops {stops}, random share {random_share}"
-    what += f", arm {arm_name}" if arm else ""
+    what += f", arm {arm_name}" if arm.file else ""
     what += f", {num_arms} arms" if stations else ""
     tables = range(num_tables)
     watched = _following(policy, num_arms * belief.config.horizon, is_watched, port, record, overwrite)
@@ -136,7 +134,7 @@ def _lines(report: dict[str, Any]) -> list[str]:
 
     def estimated(estimate: dict[str, float] | None) -> str:
         if estimate is None:
-            return "cannot be said: fewer than two tables came to their own end"
+            return "inconclusive: fewer than two tables came to their own end"
         return f"{estimate['value']:+.2f} ({estimate['low']:+.2f} to {estimate['high']:+.2f})"
 
     earned, together = f"reward in physics   {estimated(report['reward'])}", report["together"]
@@ -201,19 +199,21 @@ def _following(
 
 @click.command(epilog="Example: halfseen cell film --policy planner --out film.gif")
 @policy_option
-@options.path("--out", required=True, told="File that the film is written to (.gif).")
+@options.path("--out", required=True, text="File that the film is written to (.gif).")
 @options.law(options.SHIPPED)
-@options.whole("--table", least=0, most=options.MOST_EPISODES, default=0, told="Number of the table.")
+@options.whole("--table", least=0, most=options.MOST_EPISODES, default=0, text="Number of the table.")
 @options.num_arms
 @options.arm
 @options.seed("film")
 @options.overwrite("a film that is")
-def film(name: str, out: Path, law: str, table: int, num_arms: int, seed: int, arm: Path | None, **chosen: Any) -> None:
+def film(
+    name: str, out: Path, law: str, table: int, num_arms: int, arm: options.Arm, seed: int, overwrite: bool
+) -> None:
     """Film how a policy clears a table in physics, eight times faster than it was, and say what it decides.
 
     Seed and number give the same table as in `halfseen cell run`. Drawing needs OpenGL; nothing else of halfseen does.
     """
-    refuse_output(out, "a film", [".gif"], chosen["overwrite"], [arm] if arm else [])
+    refuse_output(out, "a film", [".gif"], overwrite, [arm.file] if arm.file else [])
     start_opengl()
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.episode import Moment, play
@@ -221,8 +221,8 @@ def film(name: str, out: Path, law: str, table: int, num_arms: int, seed: int, a
     from halfseen.logs import LogRecorder
     from halfseen.world import random
 
-    stations = stations_for(num_arms, arm)
-    robot, arm_name = robot_for(arm, chosen["flange"], chosen["joints"])
+    stations = stations_for(num_arms, arm.file)
+    robot, arm_name = robot_for(arm)
     belief = belief_of(law, arm_name)
     cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
     taken = Film(OF_TWO_ARMS if stations else Shot())

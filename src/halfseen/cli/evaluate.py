@@ -1,7 +1,6 @@
 """``halfseen evaluate``: what a policy is worth, from logs of another one or in the simulated world."""
 
 import json
-import warnings
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -11,9 +10,11 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, read_robots, scenes_of
-from halfseen.cli.messages import aligned, say
+from halfseen.cli.messages import say
 from halfseen.cli.options import ASSUMED
+from halfseen.errors import noted
 from halfseen.progress import Progress
+from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
     from halfseen.policies.folder import StoredPolicy
@@ -27,13 +28,13 @@ WORK = {"start": 1, "evaluate": 4}
 @click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
 @click.argument("policy", type=options.PATH)
 @click.argument("clouds", type=options.PATH, nargs=-1)
-@options.path("--logs", told="Folder of logs that another policy made.")
+@options.path("--logs", text="Folder of logs that another policy made.")
 @options.against
-@options.flag("--world", "in_world", told="Play the tables of CLOUDS in the simulated world instead.")
+@options.flag("--world", "in_world", text="Play the tables of CLOUDS in the simulated world instead.")
 @options.law(None, f"Of --world, where it is {ASSUMED} by default. ")
 @options.team("Of --world: ")
 @options.policys_censoring
-@options.word("--censoring-by", of=options.CLOCKS, told="Clock of the cuts, as in learn; by default the policy's own.")
+@options.word("--censoring-by", of=options.CLOCKS, text="Clock of the cuts, as in learn; by default the policy's own.")
 @options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default the policy's own.")
 @click.option(
     "--augmented/--simple",
@@ -41,6 +42,7 @@ WORK = {"start": 1, "evaluate": 4}
     help="Doubly robust towards cuts, or by weights alone; by default the first, if every action was logged.",
 )
 @options.propensity
+@options.missing
 @options.trust
 @options.policys_truncation
 @click.option(
@@ -50,12 +52,28 @@ WORK = {"start": 1, "evaluate": 4}
     show_default=True,
     help="Level of the intervals.",
 )
-@options.whole("--episodes", least=2, most=options.MOST_EPISODES, default=10_000, told="Of --world: how many to play.")
+@options.whole("--episodes", least=2, most=options.MOST_EPISODES, default=10_000, text="Of --world: how many to play.")
 @options.workers
 @options.seed("numbers")
 @options.as_json
+@options.cuts
 def evaluate(
-    policy: Path, clouds: tuple[Path, ...], logs: Path | None, law: str | None, team: Path | None, **how: Any
+    policy: Path,
+    clouds: tuple[Path, ...],
+    logs: Path | None,
+    against: tuple[str, ...],
+    in_world: bool,
+    law: str | None,
+    team: Path | None,
+    cuts: options.Cuts,
+    propensity: str,
+    missing: dict[str, str] | None,
+    trust: tuple[str, ...],
+    level: float,
+    episodes: int,
+    workers: "Workers",
+    seed: int,
+    as_json: bool,
 ) -> None:
     """Say what the policy in the folder POLICY is worth before it runs.
 
@@ -69,7 +87,6 @@ def evaluate(
     from halfseen.policies.folder import read_policy
     from halfseen.policies.folder.record import plain
 
-    in_world = how.pop("in_world")
     if in_world == (logs is not None):
         raise ArgumentError("give either --logs with a folder of logs, or --world to play in the simulated world")
     if clouds and not in_world:
@@ -78,56 +95,46 @@ def evaluate(
         raise ArgumentError(f"--law is {law}, a law of the world that --world plays, and --logs is given; leave it out")
     if team is not None and not in_world:
         raise ArgumentError(f"--team is {team}, robots of the world that --world plays; leave it out")
-    if how["against"] and in_world:
+    if against and in_world:
         raise ArgumentError("--against compares by logs, and --world plays the heuristics anyway; leave one out")
-    stored, seed, is_json = read_policy(policy), how.pop("seed"), how.pop("as_json")
-    how["trust"] = options.trusted(how)
-    level, episodes = how.pop("level"), how.pop("episodes")
+    stored = read_policy(policy)
     if logs is None:
         robots = _team_for(stored, policy, team)
         report, lines = _by_world(stored, robots, clouds, law or ASSUMED, episodes, seed, level)
     else:
-        report, lines = _by_logs(stored, logs, seed, level, **how)
+        settings: Any = {"trust": trust, "against": list(against) or None, "propensity": propensity}
+        settings |= {"level": level, "random_state": seed, "workers": workers}
+        report, lines = _by_logs(stored, logs, missing, cuts, settings)
     report = {"policy": str(policy), "seed": seed, **report}
-    say(json.dumps(plain(report), indent=2, allow_nan=False) if is_json else "\n".join(lines))
+    say(json.dumps(plain(report), indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def _by_logs(
     stored: "StoredPolicy",
     folder: Path,
-    seed: int,
-    level: float,
-    *,
-    against: tuple[str, ...],
-    propensity: str,
-    trust: tuple[str, ...],
-    workers: "Workers",
-    **chosen: Any,
+    missing: dict[str, str] | None,
+    cuts: options.Cuts,
+    settings: dict[str, Any],
 ) -> tuple[dict[str, Any], list[str]]:
-    with Progress(sum(WORK.values()), "start") as bar, warnings.catch_warnings(record=True) as caught:
-        from halfseen.errors import HalfseenWarning
+    with Progress(sum(WORK.values()), "start") as bar, noted() as of_library:
         from halfseen.evaluation import evaluate as evaluated
         from halfseen.evaluation.kept import earned_here, kept_promise
         from halfseen.evaluation.specification import specification_of
         from halfseen.logs import read_logs
         from halfseen.policies.folder import log_digest
 
-        warnings.simplefilter("always", HalfseenWarning)
-        logs = read_logs(folder)
+        logs = read_logs(folder, missing=stored.missing(missing))
         bar.begin("evaluate", WORK["start"])
-        spec = specification_of(stored, logs, **chosen)
-        settings: Any = {"trust": trust, "against": list(against) or None, "propensity": propensity}
-        settings |= {"level": level, "random_state": seed, "workers": workers}
+        spec = specification_of(stored, logs, **cuts._asdict())
         answer = evaluated(stored.policy, logs, censoring=spec.censoring, q=spec.q, **settings)
         is_own, kept = log_digest(logs) == stored.record["log"].get("sha256"), None
         if not is_own and (promise := stored.record.get("promise")) is not None:
             kept = kept_promise(promise, logs, *earned_here(stored.policy, logs, spec.q, answer))
     flattered = "it was learned from these very logs, which flatters it; give logs that were kept aside for the test"
-    of_library = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
     notes = [*([flattered] if is_own else []), *answer.notes, *of_library]
     report = {
         "logs": str(folder),
-        "propensity": propensity,
+        "propensity": settings["propensity"],
         "is_learned_from_these_logs": is_own,
         **spec.as_dict(),
         "kept": None if kept is None else asdict(kept),
@@ -206,6 +213,6 @@ def _by_world(
     for each in beside:
         more = each.difference
         interval = f"{more.low:+.3g} to {more.high:+.3g}"
-        rows.append((each.opponent, f"{each.value.value:.3g}", f"{more.value:+.3g}", interval))
+        rows.append((each.baseline, f"{each.value.value:.3g}", f"{more.value:+.3g}", interval))
     played = f"{episodes} episodes on {len(scenes)} tables of the simulated world{by}; the same for the heuristics:"
     return report, [sentence, "", played, "", *aligned(rows)]

@@ -5,7 +5,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from halfseen.cli.options import ASSUMED, SHIPPED
+from halfseen.cli.options import ASSUMED, SHIPPED, Arm
 from halfseen.errors import ArgumentError
 from halfseen.suggestions import did_you_mean
 
@@ -103,8 +103,8 @@ def stations_for(num_arms: int, arm: Path | None) -> "tuple[Station, ...]":
     return PAIR
 
 
-def robot_for(arm: Path | None, flange: str | None, joints: list[str] | None) -> "tuple[Robot, str]":
-    """Make the robot of an arm's file (None: the usual arm), and say what its arm is: with a digest, if of a file.
+def robot_for(arm: Arm) -> "tuple[Robot, str]":
+    """Make the robot of an arm, and say what its arm is: with a digest, if of a file.
 
     Raises
     ------
@@ -113,18 +113,18 @@ def robot_for(arm: Path | None, flange: str | None, joints: list[str] | None) ->
     """
     from halfseen.cell import ArmFile, Robot, robot_of
 
-    if arm is None:
-        for name, given in (("--flange", flange), ("--joints", joints)):
+    if arm.file is None:
+        for name, given in (("--flange", arm.flange), ("--joints", arm.joints)):
             if given is not None:
                 raise ArgumentError(f"{name} is of an arm from a file; give the file by --arm, or leave {name} out")
         return Robot(), Robot().arm.name
-    given = ArmFile(arm, flange=flange, joints=None if joints is None else tuple(joints))
-    return robot_of(given), f"{arm.name} ({given.digest})"
+    given = ArmFile(arm.file, flange=arm.flange, joints=None if arm.joints is None else tuple(arm.joints))
+    return robot_of(given), f"{arm.file.name} ({given.digest})"
 
 
 def num_scenes(clouds: Sequence[Path]) -> int:
     """Count what `scenes_of` gives."""
-    from halfseen.cell.tables_seen import tables_seen
+    from halfseen.cell.facts import tables_seen
 
     return len(clouds) or len(tables_seen())
 
@@ -141,7 +141,7 @@ def scenes_of(
     """
     scenes = []
     if not clouds:
-        from halfseen.cell.tables_seen import tables_seen
+        from halfseen.cell.facts import tables_seen
 
         for seen in tables_seen():
             scenes.append(seen.scene(law))

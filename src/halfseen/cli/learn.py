@@ -1,17 +1,18 @@
 """``halfseen learn``: from logs of which some were cut to a policy."""
 
 import json
-import warnings
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import aligned, say
+from halfseen.cli.messages import say
+from halfseen.errors import noted
 from halfseen.progress import Progress
+from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
     from halfseen.evaluation.held_out import HeldOutVerdict
@@ -31,53 +32,56 @@ _BASES = {
 """What Q is where laws help, by what the policy is built on."""
 
 
-class _Or(click.ParamType):
-    """A word, or a number."""
+class _Learning(NamedTuple):
+    """What Q looks at, and what it may be, as `learner_for` takes it."""
 
-    def __init__(self, word: str) -> None:
-        self.word, self.name = word, f"{word}|number"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        return value if value == self.word else click.FLOAT.convert(value, param, ctx)
+    covariates: list[str] | None
+    q_function: str
+    stages: str
+    horizon: int | None
+    grasp: str | None
+    has_laws: bool
+    reg: float | str
+    pessimism: float | str
 
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
 @click.argument("logs", type=options.PLACE)
-@options.path("--out", required=True, told="Folder that the policy is written to.")
+@options.path("--out", required=True, text="Folder that the policy is written to.")
 @options.names(
     "--covariates", "Columns of the stages to look at, as x1,x2; by default numbers and text of few categories."
 )
 @options.word(
-    "--q-function", of=["auto", "linear", "quadratic", "kernel", "smooth"], default="auto", told="What Q may be."
+    "--q-function", of=["auto", "linear", "quadratic", "kernel", "smooth"], default="auto", text="What Q may be."
 )
 @options.word(
     "--censoring",
     of=CENSORING,
     default="auto",
-    told="What stands for what cuts took away: a model of the cuts for weights, or imputation.",
+    text="What stands for what cuts took away: a model of the cuts for weights, or imputation.",
 )
 @options.word(
     "--censoring-by",
     of=options.CLOCKS,
     default="trajectory",
-    told="Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).",
+    text="Clock of the cuts: that of the trajectory (total time), of each stage, or of all stages alike (gap time).",
 )
 @options.names("--censoring-covariates", "What cuts may depend on, as x1,action; by default all that the model takes.")
-@options.flag("--augmented", told="Doubly robust: right if the censoring model or the regression is.")
+@options.flag("--augmented", text="Doubly robust: right if the censoring model or the regression is.")
 @options.word(
-    "--stages", of=["auto", "separate", "pooled"], default="auto", told="One Q a stage, or one for all by steps to go."
+    "--stages", of=["auto", "separate", "pooled"], default="auto", text="One Q a stage, or one for all by steps to go."
 )
 @options.whole(
     "--horizon",
     least=1,
     most=options.MOST_STAGES,
-    told="Stages after which a trajectory ends by itself; by default those of the longest, for a table at least 10. "
+    text="Stages after which a trajectory ends by itself; by default those of the longest, for a table at least 10. "
     "Of a team, decisions of each robot; by default what the log says.",
 )
 @options.word(
     "--grasp",
     of=["auto", "laplace", "beta"],
-    told="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
+    text="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
     "default the log decides.",
 )
 @click.option(
@@ -93,18 +97,20 @@ class _Or(click.ParamType):
     help="Of a table: a law, as of `halfseen cell calibrate`, shipped or assumed, about which those of LOGS are fitted "
     "(for logs of few attempts); by default none.",
 )
-@click.option("--reg", type=_Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over trajectories.")
+@click.option(
+    "--reg", type=options.Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over trajectories."
+)
 @click.option(
     "--pessimism",
-    type=_Or("auto"),
+    type=options.Or("auto"),
     default="auto",
     show_default=True,
     help="Standard errors by which Q is lowered wherever the best action is sought; 0 for eq. 3 as it stands.",
 )
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
 @click.option(
-    "--in-passes/--in-memory",
-    "in_passes",
+    "--streaming/--in-memory",
+    "streaming",
     default=None,
     help="Whether LOGS are read part by part, once for each stage and some times more, and never held whole; by "
     "default where a Parquet folder has more than 500,000 stages. What is learned is the same.",
@@ -122,20 +128,37 @@ class _Or(click.ParamType):
     "trusted",
     of=["vouched", "best"],
     default="vouched",
-    told="Which policy is written: the one for whose gain LOGS can vouch most, or the best guess.",
+    text="Which policy is written: the one for whose gain LOGS can vouch most, or the best guess.",
 )
+@options.missing
 @options.path(
     "--exploration",
     metavar="FILE",
-    told="Write which actions to try more often, and where, for `halfseen serve --explore FILE`, as CSV.",
+    text="Write which actions to try more often, and where, for `halfseen serve --explore FILE`, as CSV.",
 )
 @options.trust
 @options.workers
 @options.seed("policy")
 @options.overwrite("a policy that is")
 @options.as_json
+@options.cuts
+@options.gathered("learning", _Learning, *_Learning._fields)
 def learn(
-    logs: str | Path, out: Path, has_verdict: bool, exploration: Path | None, workers: "Workers", **chosen: Any
+    logs: str | Path,
+    out: Path,
+    learning: _Learning,
+    cuts: options.Cuts,
+    prior_law: str | None,
+    streaming: bool | None,
+    missing: dict[str, str] | None,
+    has_verdict: bool,
+    trusted: str,
+    exploration: Path | None,
+    trust: tuple[str, ...],
+    workers: "Workers",
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
     """Learn a policy from the folder LOGS, and write it to a folder of its own, all or nothing.
 
@@ -154,31 +177,26 @@ def learn(
     """
     from halfseen.policies.folder.files import check_target
 
-    overwrite, is_json, written = (chosen.pop(name) for name in ("overwrite", "as_json", "trusted"))
     check_target(out, overwrite)
     if exploration is not None:
         _check_exploration(exploration, has_verdict, overwrite)
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
-    with Progress(total, "start") as bar, warnings.catch_warnings(record=True) as caught:
-        from halfseen.errors import HalfseenWarning
-        from halfseen.learning.flat_policy import more_cautious_learner
+    with Progress(total, "start") as bar, noted() as of_library:
+        from halfseen.learning.discrete_policy import more_cautious_learner
         from halfseen.logs.stream import opened, parts_of
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.record import plain
         from halfseen.policies.learner_choice import learner_for
         from halfseen.policies.shares import action_shares
 
-        warnings.simplefilter("always", HalfseenWarning)
-        targets, seed, trust = _targets(chosen), chosen.pop("seed"), options.trusted(chosen)
-        log = opened(logs, chosen.pop("in_passes"))
-        prior = _prior_law(chosen.pop("prior_law"))
-        choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **chosen)
+        targets, log, prior = _targets(cuts), opened(logs, streaming, missing=missing), _prior_law(prior_law)
+        choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **learning._asdict())
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "look", LEARN)
         judged, notes = _judged(learner, log, seed, bar, trust, workers) if has_verdict else (None, [])
         if judged is not None:
-            judged = judged.of_best if written == "best" else judged
+            judged = judged.of_best if trusted == "best" else judged
             learner = more_cautious_learner(learner, judged.caution)
         bar.reach(total - LOOK)
         bar.begin("look", 0)
@@ -187,11 +205,10 @@ def learn(
         write_policy(learner, log, out, overwrite=overwrite, verdict=kept)
         if exploration is not None and judged is not None:
             notes += _write_exploration(exploration, judged)
-    of_library = [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record}
     report["actions"] = plain(shares.reset_index().to_dict("records"))
     report["notes"] = [*choice.notes, *notes, *learner.unseen_, *of_library]
-    say(json.dumps(report, indent=2) if is_json else "\n".join(_lines(report)))
+    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, judged)))
 
 
 def _judged(
@@ -244,19 +261,19 @@ def _prior_law(name: str | None) -> Any:
     return WorldConfig() if (law := law_of(name)) is None else law.config()
 
 
-def _targets(chosen: dict[str, Any]) -> "Targets | str":
-    """What stands for what cuts took away, taken from the options that say it; auto where none does."""
+def _targets(cuts: options.Cuts) -> "Targets | str":
+    """What stands for what cuts took away; auto where nothing is said."""
     from halfseen.learning.targets import named_targets
 
     usual: Any = {"by": "trajectory", "covariates": None, "truncate_at": None, "is_doubly_robust": False}
-    options_of = ("censoring_by", "censoring_covariates", "truncate_at", "augmented")
-    given: Any = {name: chosen.pop(option) for name, option in zip(usual, options_of, strict=True)}
-    if (model := chosen.pop("censoring")) != "auto":
+    given: Any = {"by": cuts.censoring_by, "covariates": cuts.censoring_covariates, "truncate_at": cuts.truncate_at}
+    given["is_doubly_robust"], model = cuts.augmented, cuts.censoring or "auto"
+    if model != "auto":
         return named_targets(model, **given)
     return "auto" if given == usual else named_targets(**given)  # what is said of weights asks for weights
 
 
-def _lines(report: Mapping[str, Any]) -> list[str]:
+def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[str]:
     """Say what a policy looks at, what was chosen, what it would do, and the verdict."""
     weights, schema = report["diagnostics"]["weights"], report["schema"]
     positivity = report["diagnostics"]["positivity"]["text"].splitlines()[0]
@@ -282,7 +299,7 @@ def _lines(report: Mapping[str, Any]) -> list[str]:
         "",
         *_action_lines(report["actions"]),
         "",
-        *([*verdict_lines(report["verdict"]), ""] if report["verdict"] else []),
+        *([] if judged is None else [str(judged), ""]),
         f"Next: halfseen evaluate {report['policy']} {next_logs or '--world --team ROBOTS'}",
     ]
 
@@ -306,23 +323,6 @@ def _q_rows(report: Mapping[str, Any], schema: Mapping[str, Any]) -> list[tuple[
         ("cuts", f"{cuts}{by}{', augmented' if learner['augmented'] else ''}"),
         ("λ", _regs(**report["reg"])),
     ]
-
-
-def verdict_lines(verdict: Mapping[str, Any]) -> list[str]:
-    """The verdict, what is claimed, and where it cannot be said, what to try."""
-    lines, tried = [verdict["sentence"], *verdict["claims"]], verdict["exploration"]
-    if verdict["verdict"] != "cannot be said" or not tried["regions"]:
-        return lines
-    rows = [("try", "where", "now", "then", "of the variance")]
-    for region in tried["regions"]:
-        where = ", ".join(f"{name} {condition}" for name, condition in region["conditions"].items()) or "everywhere"
-        now, then, part = (f"{region[name]:.0%}" for name in ("now", "wanted", "part"))
-        rows.append((region["action"], where, now, then, part))
-    hint = (
-        f"Or try more often what says most: from as many trajectories the interval would be {tried['narrower']:.1f} "
-        "times narrower (for `halfseen serve --explore FILE`, which --exploration FILE writes)."
-    )
-    return [*lines, hint, "", *aligned(rows, left=(0, 1))]
 
 
 def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:

@@ -10,11 +10,13 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import refuse_output
-from halfseen.cli.messages import aligned, say, tell_error
+from halfseen.cli.messages import say, tell_error
 from halfseen.progress import Progress
+from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
-    from halfseen.perception import Label, View
+    from halfseen.perception import View
+    from halfseen.tables.first_look import FirstLook
     from halfseen.workers import Workers
 
 HEAD = ["cloud", "objects", "upright", "lying", "cut", "half hidden", "most hidden"]
@@ -24,8 +26,8 @@ ENDINGS = (".pcd", ".ply", ".npz")
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
 @click.argument("clouds", nargs=-1, required=True, type=options.PATH)
-@options.flag("--json", "is_json", told="Print JSON, for programs.")
-@options.path("--picture", told="Draw what is seen into this PNG file; of one cloud.")
+@options.flag("--json", "is_json", text="Print JSON, for programs.")
+@options.path("--picture", text="Draw what is seen into this PNG file; of one cloud.")
 @options.overwrite("a picture that is")
 @options.labels
 @options.workers
@@ -39,10 +41,10 @@ def look(
 ) -> None:
     """Say what stands on the table of a cloud, who hides whom, and, if it has colour, what looks dirty.
 
-    A cloud is a .pcd or .ply point cloud in the camera frame [m], with packed rgb or red, green and blue if it has
-    colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px] and, if there is one, a picture rgb.
-    Of several, or of a folder, every cloud has one line; those that cannot be read, or show no object, are named below,
-    and the exit status is 2.
+    A cloud is a .pcd or .ply point cloud in the frame of the camera, or of the VIEWPOINT that it says [m], with packed
+    rgb or red, green and blue if it has colour; or an .npz file with a depth image depth_m [m], a pinhole matrix K [px]
+    and, if there is one, a picture rgb. Of several, or of a folder, every cloud has one line; those that cannot be
+    read, or show no object, are named below, and the exit status is 2.
     """
     from halfseen.errors import ArgumentError
 
@@ -59,12 +61,12 @@ def look(
 
 def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | None) -> None:
     from halfseen.perception import perceive, read_cloud
-    from halfseen.perception.label_files import labels_of
     from halfseen.perception.picture import draw, sentence
+    from halfseen.tables.first_look import first_look
 
     seen = read_cloud(cloud)
     view = _with_objects(perceive(seen), cloud)
-    found = labels_of(view, seen, labels)
+    found = first_look(view, seen, labels)
     if picture is not None:
         draw(view, picture)
     if is_json:
@@ -76,7 +78,7 @@ def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | No
     say("\n".join(["", *_table(view, found)]))
 
 
-def _table(view: "View", found: "Sequence[Label] | None") -> list[str]:
+def _table(view: "View", found: "FirstLook") -> list[str]:
     header = ["object", "x [m]", "y [m]", "z [m]", "height [m]", "pose", "points", "hidden", "hidden by"]
     rows = [header]
     for seen in view.objects:
@@ -86,8 +88,10 @@ def _table(view: "View", found: "Sequence[Label] | None") -> list[str]:
         pose = "upright" if seen.is_upright else "lying"
         numbers = [f"{x:.3f}", f"{y:.3f}", f"{z:.3f}", f"{seen.height_m:.3f}"]
         rows.append([str(seen.id), *numbers, pose, str(seen.num_points), f"{seen.occlusion:.2f}", by or "-"])
-    if found is not None:
-        labels = [("in view", "label"), *((f"{label.share_in_view:.2f}", label.word) for label in found)]
+    if found.labels is not None:
+        told = zip(found.labels, found.chances, strict=True)
+        labels = [("in view", "label", "P(dirty)")]
+        labels += [(f"{label.share_in_view:.2f}", label.word, f"{chance:.2f}") for label, chance in told]
         rows = [[*row, *label] for row, label in zip(rows, labels, strict=True)]
     left = ("pose", "hidden by", "label")
     return aligned(rows, left=tuple(rows[0].index(name) for name in left if name in rows[0]))
@@ -162,11 +166,14 @@ def _with_objects(view: "View", cloud: Path) -> "View":
     return view
 
 
-def _facts(view: "View", found: "Sequence[Label] | None") -> dict[str, Any]:
+def _facts(view: "View", found: "FirstLook | None") -> dict[str, Any]:
     """Say for programs what stands on the table, and what looks dirty."""
     labels = [{}] * len(view.objects)
-    if found is not None:
-        labels = [{"label": label.word, "share_in_view": label.share_in_view} for label in found]
+    if found is not None and found.labels is not None:
+        labels = [
+            {"label": label.word, "share_in_view": label.share_in_view, "p_dirty": chance}
+            for label, chance in zip(found.labels, found.chances, strict=True)
+        ]
     return {
         "table": {"normal": view.table.normal.tolist(), "offset_m": view.table.offset_m},
         "objects": [

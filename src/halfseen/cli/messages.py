@@ -8,7 +8,6 @@ import errno
 import os
 import re
 import sys
-from collections.abc import Collection, Sequence
 
 import click
 
@@ -94,18 +93,6 @@ def _tell(message: str, colour: str) -> None:
         click.echo(headed(message, colour), err=True)
     else:  # A bar that is being shown steps aside.
         bars.tqdm.write(headed(message, colour), file=sys.stderr)
-
-
-def aligned(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
-    """Pad cells to the width of their column: those of the columns in `left` to the left, others to the right."""
-    widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.ljust(width) if k in left else cell.rjust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        ).rstrip()
-        for row in rows
-    ]
 
 
 def unexpected(error: BaseException) -> str | None:

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import click
 
@@ -25,7 +25,7 @@ MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
 MOST_WORKERS = 1024
 """Processes; each takes some hundred MB."""
 MOST_REPLICATES = 100_000
-"""Each learns anew; a thousand tell a band to a few percent."""
+"""Each learns again; a thousand tell a band to a few percent."""
 MOST_SEED = 2**32 - 1
 """Generators tell no others apart."""
 
@@ -52,6 +52,17 @@ class Choice(click.Choice):
             self.fail(error.message.rstrip(".") + ending if ending else error.message, param, ctx)
 
 
+class Or(click.ParamType):
+    """A word, or a number."""
+
+    def __init__(self, word: str) -> None:
+        self.word, self.name = word, f"{word}|number"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+        """Take the word, or a number."""
+        return value if value == self.word else click.FLOAT.convert(value, param, ctx)
+
+
 def several(*options: Any) -> Any:
     """Options as one decorator."""
 
@@ -63,50 +74,50 @@ def several(*options: Any) -> Any:
     return give
 
 
-def path(*names: str, told: str | None = None, **more: Any) -> Any:
+def path(*names: str, text: str | None = None, **more: Any) -> Any:
     """An option that is a path."""
-    return click.option(*names, type=PATH, help=told, **more)
+    return click.option(*names, type=PATH, help=text, **more)
 
 
-def flag(*names: str, told: str) -> Any:
+def flag(*names: str, text: str) -> Any:
     """An option that is given or not."""
-    return click.option(*names, is_flag=True, help=told)
+    return click.option(*names, is_flag=True, help=text)
 
 
-def whole(*names: str, least: int, most: int, told: str, default: int | None = None) -> Any:
+def whole(*names: str, least: int, most: int, text: str, default: int | None = None) -> Any:
     """An option that is a whole number."""
     kind = click.IntRange(least, most)
-    return click.option(*names, type=kind, default=default, show_default=default is not None, help=told)
+    return click.option(*names, type=kind, default=default, show_default=default is not None, help=text)
 
 
-def share(*names: str, default: float, told: str, **more: Any) -> Any:
+def share(*names: str, default: float, text: str, **more: Any) -> Any:
     """An option between 0 and 1."""
     kind = click.FloatRange(0.0, 1.0, **more)
-    return click.option(*names, type=kind, default=default, show_default=True, help=told)
+    return click.option(*names, type=kind, default=default, show_default=True, help=text)
 
 
-def word(*names: str, of: Any, told: str, default: str | None = None) -> Any:
+def word(*names: str, of: Any, text: str, default: str | None = None) -> Any:
     """An option that is one of some words."""
-    return click.option(*names, type=Choice(of), default=default, show_default=default is not None, help=told)
+    return click.option(*names, type=Choice(of), default=default, show_default=default is not None, help=text)
 
 
-def names(option: str, told: str) -> Any:
+def names(option: str, text: str) -> Any:
     """An option that takes ``x1, x2`` apart; None stays None."""
 
     def split(_: click.Context, __: click.Parameter, given: str | None) -> list[str] | None:
         return None if given is None else [name.strip() for name in given.split(",") if name.strip()]
 
-    return click.option(option, callback=split, help=told)
+    return click.option(option, callback=split, help=text)
 
 
 def seed(same: str) -> Any:
     """The option on which so much depends."""
-    return whole("--seed", least=0, most=MOST_SEED, default=0, told=f"Same seed, same {same}.")
+    return whole("--seed", least=0, most=MOST_SEED, default=0, text=f"Same seed, same {same}.")
 
 
 def overwrite(what: str) -> Any:
     """The option that lets something be replaced."""
-    return flag("--overwrite", told=f"Replace {what} already there.")
+    return flag("--overwrite", text=f"Replace {what} already there.")
 
 
 def law(default: str | None, of: str = "") -> Any:
@@ -125,29 +136,91 @@ def team(of: str = "") -> Any:
     """``--team``; None for one robot."""
     return path(
         "--team",
-        told=f"{of}Robots that clear the tables together, a .toml or .json file (see `halfseen.world.read_team`); by "
+        text=f"{of}Robots that clear the tables together, a .toml or .json file (see `halfseen.world.read_team`); by "
         "default there is one.",
     )
 
 
-as_json = flag("--json", "as_json", told="Print one JSON object for programs.")
+def gathered(name: str, make: Callable[..., Any], *options: str) -> Any:
+    """Let a command take some of its options as one thing of that name, which is made of them."""
+
+    def give(command: Callable[..., None]) -> Callable[..., None]:
+        @wraps(command)
+        def with_one(**chosen: Any) -> None:
+            made = make(*(chosen.pop(option) for option in options))
+            command(**{name: made}, **chosen)
+
+        return with_one
+
+    return give
+
+
+def _rules(_: click.Context, param: click.Parameter, given: str | None) -> dict[str, str] | None:
+    """Take ``RULE`` for all covariates, or ``x=RULE,y=RULE``; None stays None."""
+    if given is None:
+        return None
+    pairs = [each.strip().rpartition("=") for each in given.split(",") if each.strip()]
+    return {name.strip() or "*": rule.strip() for name, _, rule in pairs}
+
+
+missing = click.option(
+    "--missing",
+    metavar="RULE",
+    callback=_rules,
+    help="What stands for null in covariates: median+flag, last or refuse for all, or by column as "
+    "x=last,y=median+flag; by default null is refused.",
+)
+
+
+class Cuts(NamedTuple):
+    """What stands for what cuts took away; None where nothing is said."""
+
+    censoring: str | None
+    censoring_by: str | None
+    censoring_covariates: list[str] | None
+    augmented: bool | None
+    truncate_at: float | None
+
+
+cuts = gathered("cuts", Cuts, *Cuts._fields)
+
+
+class Arm(NamedTuple):
+    """The arm of a file; all None for the usual one."""
+
+    file: Path | None
+    flange: str | None
+    joints: list[str] | None
+
+
+def _trusted(*is_trusted: bool) -> tuple[str, ...]:
+    return tuple(name for name, is_so in zip(TRUST, is_trusted, strict=True) if is_so)
+
+
+def _workers(*how: Any) -> Any:
+    from halfseen.workers import Workers
+
+    return Workers(*how)
+
+
+as_json = flag("--json", "as_json", text="Print one JSON object for programs.")
 unused_seed = click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
 labels = path(
     "--labels",
-    told="What looks dirty, instead of what the cloud's colour tells: .csv with columns object, label (dirty, clean, "
+    text="What looks dirty, instead of what the cloud's colour tells: .csv with columns object, label (dirty, clean, "
     "unknown) and, if wanted, share_in_view; or the same as .json.",
 )
-extrapolate = flag("--extrapolate", told="Decide even far outside what the logs showed, with a warning.")
-port = whole("--port", least=0, most=65535, default=8080, told="Of this machine; 0 for any.")
+extrapolate = flag("--extrapolate", text="Decide even far outside what the logs showed, with a warning.")
+port = whole("--port", least=0, most=65535, default=8080, text="Of this machine; 0 for any.")
 CLOCKS = ("trajectory", "stage", "pooled")
-policys_censoring = word("--censoring", of=WEIGHTING, told="Censoring model; by default the policy's own.")
+policys_censoring = word("--censoring", of=WEIGHTING, text="Censoring model; by default the policy's own.")
 policys_truncation = click.option(
     "--truncate-at", type=float, help="Largest weight allowed; by default the policy's own."
 )
 against = click.option(
     "--against",
     multiple=True,
-    metavar="OPPONENT",
+    metavar="BASELINE",
     help="What it has to beat, once or more: logging, logging-rule (without its exploration), sequence:A,B,A, a rule "
     "(.csv or .toml), a policy folder; by default the first two.",
 )
@@ -155,46 +228,33 @@ propensity = word(
     "--propensity",
     of=["logged", "estimated"],
     default="logged",
-    told="How likely the logged actions were: as the log says, or estimated.",
+    text="How likely the logged actions were: as the log says, or estimated.",
 )
-trust = several(*(flag(f"--trust-{name}", told=f"Say that {name} of the log {why}.") for name, why in TRUST.items()))
+trust = several(
+    *(flag(f"--trust-{name}", text=f"Say that {name} of the log {why}.") for name, why in TRUST.items()),
+    gathered("trust", _trusted, *(f"trust_{name}" for name in TRUST)),
+)
 arm = several(
-    path("--arm", told="MJCF or URDF file of another arm; by default the Jaco 2."),
+    path("--arm", text="MJCF or URDF file of another arm; by default the Jaco 2."),
     click.option("--flange", help="Of --arm: site or body where the hand is mounted; by default it is found."),
     names("--joints", "Of --arm: its hinges from the base on, as pan,lift; by default all to the flange."),
+    gathered("arm", Arm, "arm", "flange", "joints"),
 )
-num_arms = whole("--arms", "num_arms", least=1, most=2, default=1, told="One arm behind the table, or two at its ends.")
-
-
-def trusted(chosen: dict[str, Any]) -> tuple[str, ...]:
-    """Take out of what was chosen in what the log is trusted."""
-    return tuple(name for name in TRUST if chosen.pop(f"trust_{name}"))
-
-
-def workers(command: Callable[..., None]) -> Callable[..., None]:
-    """Give a command ``--workers``, ``--engine`` and ``--address``, and let it take `workers`, which they make."""
-
-    @wraps(command)
-    def with_workers(*args: Any, num_workers: int | None, engine: Any, address: str | None, **chosen: Any) -> None:
-        from halfseen.workers import Workers
-
-        command(*args, workers=Workers(num_workers, engine, address), **chosen)
-
-    return several(
-        click.option(
-            "--workers",
-            "num_workers",
-            type=click.IntRange(1, MOST_WORKERS),
-            show_default="all cores",
-            help="Worker processes (results do not depend on it).",
-        ),
-        word(
-            "--engine",
-            of=ENGINES,
-            default="processes",
-            told="What runs them: processes of this machine, or a cluster of Ray or Dask.",
-        ),
-        click.option(
-            "--address", help="Of the cluster; by default one that lives on this machine while the command runs."
-        ),
-    )(with_workers)
+num_arms = whole("--arms", "num_arms", least=1, most=2, default=1, text="One arm behind the table, or two at its ends.")
+workers = several(
+    click.option(
+        "--workers",
+        "num_workers",
+        type=click.IntRange(1, MOST_WORKERS),
+        show_default="all cores",
+        help="Worker processes (results do not depend on it).",
+    ),
+    word(
+        "--engine",
+        of=ENGINES,
+        default="processes",
+        text="What runs them: processes of this machine, or a cluster of Ray or Dask.",
+    ),
+    click.option("--address", help="Of the cluster; by default one that lives on this machine while the command runs."),
+    gathered("workers", _workers, "num_workers", "engine", "address"),
+)

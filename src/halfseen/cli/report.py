@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import aligned, say
+from halfseen.cli.messages import say
 from halfseen.progress import Progress
+from halfseen.text_table import aligned
 
 if TYPE_CHECKING:
     from halfseen.workers import Workers
@@ -52,9 +53,10 @@ STAGES = {
 
 @click.command(epilog="Example: halfseen inspect logs --json")
 @click.argument("logs", type=options.PATH)
-@options.flag("--json", "as_json", told="Print one JSON object for programs, with every row.")
+@options.missing
+@options.flag("--json", "as_json", text="Print one JSON object for programs, with every row.")
 @options.unused_seed
-def inspect(logs: Path, as_json: bool, seed: int) -> None:
+def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool, seed: int) -> None:
     """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
     LOGS may be finished, or what a recorder has written so far, torn by a crash or at work. What breaks no rule and
@@ -67,15 +69,16 @@ def inspect(logs: Path, as_json: bool, seed: int) -> None:
         from halfseen.logs import read_logs
         from halfseen.view.log_findings import log_findings, positivity_of
 
-        read = read_logs(logs)
+        read = read_logs(logs, missing=missing)
         bar.begin("look at the log")
         report = log_findings(read, positivity_of(read))
+        report["missing"] = [] if read.filling is None else read.filling.lines()
     say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
     """Write a report for people: one sentence, what looks wrong, then the numbers."""
-    words = [doubt["sentence"] for doubt in report["suspicions"]]
+    words = [doubt["sentence"] for doubt in report["data_warnings"]]
     doubts = [f"- {word[0].upper()}{word[1:]}{'' if word.endswith('?') else '.'}" for word in words]
     stages = [row | weight for row, weight in zip(report["clock"], report["weights"], strict=True)]
     tables = [_facts(report), _table(CUTS, report["cuts"]), _actions(report["choices"]), _table(STAGES, stages)]
@@ -97,6 +100,7 @@ def _facts(report: dict[str, Any]) -> list[str]:
         ("stages", f"{report['num_stages']}, of which {report['num_completed']} completed"),
         ("robots", _robots(report["robots"])),
         ("covariates", ", ".join(report["covariates"])),
+        *(("missing", line) for line in report["missing"]),
         ("objects", str(report["num_objects"] or "none")),
         ("covariates of objects", ", ".join(report["object_covariates"])),
         ("known of trajectories", ", ".join(report["trajectory_columns"])),
@@ -142,7 +146,7 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
 @click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
 @click.argument("logs", type=options.PATH)
 @click.argument("policy", type=options.PATH, required=False)
-@options.path("--out", default=Path("report.html"), show_default=True, told="The page.")
+@options.path("--out", default=Path("report.html"), show_default=True, text="The page.")
 @options.against
 @options.policys_censoring
 @options.propensity
@@ -152,24 +156,29 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
     least=2,
     most=options.MOST_REPLICATES,
     default=100,
-    told="Draws of trajectories behind the bands around Q.",
+    text="Draws of trajectories behind the bands around Q.",
 )
 @click.option("--unit", help="What rewards are counted in, such as parts; by default what the logs say.")
+@options.missing
 @options.workers
 @options.seed("page")
 @options.overwrite("a page that is")
-@options.flag("--json", "as_json", told="Print the numbers behind the page as one JSON object.")
+@options.flag("--json", "as_json", text="Print the numbers behind the page as one JSON object.")
 def report(
     logs: Path,
     policy: Path | None,
     out: Path,
     against: tuple[str, ...],
+    censoring: str | None,
+    propensity: str,
+    truncate_at: float | None,
+    replicates: int,
     unit: str | None,
-    overwrite: bool,
-    seed: int,
-    as_json: bool,
+    missing: dict[str, str] | None,
     workers: "Workers",
-    **chosen: Any,
+    seed: int,
+    overwrite: bool,
+    as_json: bool,
 ) -> None:
     """Write one page about the folder LOGS and, if one is given, the policy in the folder POLICY.
 
@@ -179,7 +188,7 @@ def report(
     differently; and what nobody can know from these logs. Without POLICY it tells of the logs alone. The page stands
     alone: mail it, print it.
     """
-    from halfseen.logs.formats.extras import extra
+    from halfseen.installation import extra
 
     with Progress(sum(WORK.values()), "start") as bar:
         for module in ("jinja2", "matplotlib"):
@@ -191,11 +200,16 @@ def report(
         from halfseen.view.words import answer_of
 
         check_page_target(out, overwrite)
-        _refuse_without_policy(policy, {"against": against, **chosen})
-        command = _command(logs, policy, {"against": against, "unit": unit, **chosen, "seed": seed})
-        stored, log = None if policy is None else read_policy(policy), read_logs(logs)
+        chosen: dict[str, Any] = {"censoring": censoring, "propensity": propensity, "truncate_at": truncate_at}
+        asked = {"against": against, **chosen, "replicates": replicates}
+        _refuse_without_policy(policy, asked)
+        command = _command(
+            logs, policy, {"against": against, "unit": unit, "missing": _written(missing), **asked, "seed": seed}
+        )
+        stored = None if policy is None else read_policy(policy)
+        log = read_logs(logs, missing=missing if stored is None else stored.missing(missing))
         log = log if unit is None else log.in_unit(unit)
-        how: dict[str, Any] = {"num_replicates": chosen.pop("replicates"), "workers": workers, **chosen}
+        how: dict[str, Any] = {"num_replicates": replicates, "workers": workers, **chosen}
 
         def begin(step: str) -> None:
             bar.begin(step, WORK[bar.what])
@@ -223,6 +237,11 @@ def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> No
 def _given(chosen: Mapping[str, Any]) -> dict[str, Any]:
     """Options that differ from what they are where nobody says anything."""
     return {name: value for name, value in chosen.items() if value not in (None, ()) and USUAL.get(name) != value}
+
+
+def _written(missing: Mapping[str, str] | None) -> str | None:
+    """Rules as the option takes them."""
+    return ",".join(rule if name == "*" else f"{name}={rule}" for name, rule in (missing or {}).items()) or None
 
 
 def _command(logs: Path, policy: Path | None, chosen: Mapping[str, Any]) -> str:

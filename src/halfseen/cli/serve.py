@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -16,10 +17,15 @@ from halfseen.cli.options import SHIPPED
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
     from halfseen.policies.exploration_table import ExplorationTable
+    from halfseen.serving.app import Served
 
 TOKEN = "HALFSEEN_TOKEN"
 HERE = "127.0.0.1"
 SHORTEST_TOKEN = 16
+OUT_OF_RANGE = ["answer", "step-back"]
+FALL_BACK = (
+    "Rule (.csv or .toml) that decides where the policy does not; by default what its log did most in that stage."
+)
 
 
 class _ShareOrTable(click.ParamType):
@@ -40,7 +46,7 @@ class _ShareOrTable(click.ParamType):
 @click.option("--host", default=HERE, show_default=True, help="Address to answer at; any other needs a token.")
 @options.port
 @click.option("--token", envvar=TOKEN, help=f"That each request must bring; better in the environment, as {TOKEN}.")
-@options.path("--record", metavar="LOGS", told="Record what is decided into this folder of logs.")
+@options.path("--record", metavar="LOGS", text="Record what is decided into this folder of logs.")
 @click.option(
     "--explore",
     type=_ShareOrTable(),
@@ -51,9 +57,53 @@ class _ShareOrTable(click.ParamType):
 )
 @options.law(None, f"Of clouds of a table, where it is {SHIPPED} by default. ")
 @options.extrapolate
-@options.seed("draws of --explore")
+@options.path("--fall-back", metavar="RULE", text=FALL_BACK)
+@options.word(
+    "--out-of-range", of=OUT_OF_RANGE, text="Who decides just outside what the logs showed; by default the rule."
+)
+@options.path(
+    "--against",
+    metavar="RULE",
+    text="Rule of today (.csv or .toml): deal each trajectory to it or to the policy by chance, until it is clear "
+    "which earns more. Needs --record.",
+)
+@click.option(
+    "--share",
+    type=click.FloatRange(0.0, 0.5, min_open=True),
+    default=0.2,
+    show_default=True,
+    help="Of --against: the policy's share at first; it grows as the worst that is likely shrinks.",
+)
+@click.option(
+    "--most-loss",
+    type=click.FloatRange(0.0, min_open=True),
+    help="Of --against: what the policy may lose against the rule in all [reward]; by default it is stopped once it is "
+    "seen to lose.",
+)
+@click.option(
+    "--time-limit",
+    type=click.FloatRange(0.0, min_open=True),
+    default=5.0,
+    show_default=True,
+    help="How long to wait for the policy until the rule decides [s].",
+)
+@options.seed("draws of --explore and deals of --against")
 def serve(
-    policy: Path, host: str, port: int, token: str | None, record: Path | None, explore: float | Path, **chosen: Any
+    policy: Path,
+    host: str,
+    port: int,
+    token: str | None,
+    record: Path | None,
+    explore: float | Path,
+    law: str | None,
+    extrapolate: bool,
+    fall_back: Path | None,
+    out_of_range: str | None,
+    against: Path | None,
+    share: float,
+    most_loss: float | None,
+    time_limit: float,
+    seed: int,
 ) -> None:
     """Answer what `halfseen act` answers, over HTTP, by the policy in the folder POLICY. Needs the extra serve.
 
@@ -64,30 +114,63 @@ def serve(
     With --record, each decision begins a stage of a log, with its probability; POST /reward completes it, and POST /end
     ends its trajectory: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}. A cloud is then put where
     the trajectory stands, and {"reward": 5.0, "held": true} says whether its WASH or LIFT held.
+
+    A rule decides outside the logs' range, beyond the policy's horizon, where the policy fails, or after --time-limit;
+    the answer, the log and /health say so. Of tables, it ends the trajectory, and only far outside.
+
+    With --against, the log says to which of both each trajectory was dealt, and with which chance; a server that begins
+    again goes on from it. A sentence says when the policy is promoted, or stopped; GET /comparison says more.
     """
     import numpy as np
 
+    from halfseen.errors import ArgumentError
+    from halfseen.monitoring.dealing import Terms
     from halfseen.serving.answering import Answering
-    from halfseen.serving.app import Served, app_of
+    from halfseen.serving.app import app_of
+    from halfseen.serving.comparing import Comparison
     from halfseen.serving.limits import bound_socket
     from halfseen.serving.limits import serve as answer
     from halfseen.serving.recording import RecordedTrajectories
 
     _check_token(host, token)
+    if against is not None and record is None:
+        raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
     # A folder of logs is begun only where there is something to record.
-    served = Served(policy, extrapolates=chosen["extrapolate"])
+    served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
     if served.service.counts_views:
-        served.law = law_of(chosen["law"] or SHIPPED)
-    is_table = served.service.stored.is_table
+        served.law = law_of(law or SHIPPED)
+    is_table, is_compared = served.service.stored.is_table, against is not None
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
-        nullcontext() if record is None else RecordedTrajectories(record, is_of_tables=is_table) as trajectories,
+        nullcontext()
+        if record is None
+        else RecordedTrajectories(record, is_of_tables=is_table, keeps_events=is_compared) as trajectories,
     ):
-        served.answering = Answering(epsilon, table, np.random.default_rng(chosen["seed"]), trajectories)
+        served.answering = Answering(epsilon, table, np.random.default_rng(seed), trajectories)
+        if against is not None and record is not None:
+            held = Comparison(served.service, against, record, Terms(share, most_loss), seed, _said)
+            served.answering = replace(served.answering, comparison=held)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
         answer(app_of(served, token), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
+
+
+def _served(
+    policy: Path, extrapolate: bool, out_of_range: str | None, rule: Path | None, time_limit: float
+) -> "Served":
+    from halfseen.serving.answering import NOBODY
+    from halfseen.serving.app import Served
+
+    stays_within = not extrapolate and out_of_range != "answer"
+    served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)
+    if served.service.fall_back is None:
+        click.echo(f"halfseen: warning: {NOBODY}; until then, what the policy does not decide is refused", err=True)
+    return served
+
+
+def _said(sentence: str) -> None:
+    print(sentence, flush=True)
 
 
 def _table(stored: Any, path: Path) -> "ExplorationTable":
@@ -115,7 +198,7 @@ def _check_token(host: str, token: str | None) -> None:
 
 @click.command(epilog="Example: halfseen record --out logs < calls.jsonl")
 @click.argument("source", type=options.PATH, required=False)
-@options.path("--out", required=True, told="Folder of logs; one that was recorded is gone on with.")
+@options.path("--out", required=True, text="Folder of logs; one that was recorded is gone on with.")
 @click.option(
     "--listen",
     metavar="PORT|SOCKET",
@@ -125,14 +208,14 @@ def _check_token(host: str, token: str | None) -> None:
     "--fsync",
     of=["never", "trajectory", "stage", "event"],
     default="never",
-    told="How often to wait for the disk, so that a loss of power takes no more than that.",
+    text="How often to wait for the disk, so that a loss of power takes no more than that.",
 )
 @options.whole(
     "--part-mb",
     least=1,
     most=10**6,
     default=256,
-    told="Size from which on a trajectory begins in another file of OUT [MB].",
+    text="Size from which on a trajectory begins in another file of OUT [MB].",
 )
 @click.option("--reward-unit", help="What rewards are counted in, such as parts.")
 @options.unused_seed

@@ -21,22 +21,22 @@ _START, _TABLE = 4, 2
 
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
 @click.argument("clouds", type=options.PATH, nargs=-1)
-@options.path("--out", required=True, told="Folder that the logs are written to.")
-@options.whole("--episodes", least=1, most=options.MOST_EPISODES, default=1000, told="Number of trajectories.")
-@options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", told="Who decides.")
+@options.path("--out", required=True, text="Folder that the logs are written to.")
+@options.whole("--episodes", least=1, most=options.MOST_EPISODES, default=1000, text="Number of trajectories.")
+@options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", text="Who decides.")
 @options.share(
-    "--random-share", default=0.5, told="Probability that a step takes an action uniformly at random instead."
+    "--random-share", default=0.5, text="Probability that a step takes an action uniformly at random instead."
 )
 @options.share(
-    "--cut-share", default=0.33, max_open=True, told="Proportion of the trajectories that is cut, in expectation."
+    "--cut-share", default=0.33, max_open=True, text="Proportion of the trajectories that is cut, in expectation."
 )
-@options.word("--cut-kind", of=CUT_KINDS, default="independent", told="What cuts.")
+@options.word("--cut-kind", of=CUT_KINDS, default="independent", text="What cuts.")
 @options.whole(
     "--horizon",
     least=1,
     most=options.MOST_STAGES,
     default=_HORIZON,
-    told="Steps of a trajectory; of a team, of each robot.",
+    text="Steps of a trajectory; of a team, of each robot.",
 )
 @options.team()
 @options.law(options.ASSUMED)
@@ -44,12 +44,24 @@ _START, _TABLE = 4, 2
 @options.as_json
 @options.overwrite("logs that are")
 def simulate(
-    clouds: tuple[Path, ...], out: Path, team: Path | None, seed: int, as_json: bool, overwrite: bool, **chosen: Any
+    clouds: tuple[Path, ...],
+    out: Path,
+    episodes: int,
+    policy: str,
+    random_share: float,
+    cut_share: float,
+    cut_kind: str,
+    horizon: int,
+    team: Path | None,
+    law: str,
+    seed: int,
+    as_json: bool,
+    overwrite: bool,
 ) -> None:
     """Record logs of a policy on the tables of CLOUDS, by default the ten that come with halfseen.
 
     Every policy starts from the tables as the camera sees them; what is dirty and how well it can be gripped is drawn
-    anew for each trajectory. "greedy" washes what promises most now; "history" also learns from failed grasps;
+    again for each trajectory. "greedy" washes what promises most now; "history" also learns from failed grasps;
     "-penalty" counts what leaving dirty things behind will cost. Cuts come at any time alike (independent), sooner
     where much is hidden (occlusion), or when an attempt drags on (attempt).
 
@@ -65,17 +77,19 @@ def simulate(
         from halfseen.world import TableWorld, WorldConfig
 
         robots = read_robots(team)
-        law, config = law_of(chosen["law"]), WorldConfig(horizon=chosen["horizon"])
+        known, config = law_of(law), WorldConfig(horizon=horizon)
         bar.begin("look", _START)
-        scenes = scenes_of(clouds, law, on_each=bar.update)
+        scenes = scenes_of(clouds, known, on_each=bar.update)
         bar.begin("simulate", 0)
-        config = config if law is None else law.config(config)
+        config = config if known is None else known.config(config)
         world = TableWorld.of(robots, config)
-        logger = named_policy(chosen["policy"], world.played_config, chosen["random_share"])
-        logs = world.simulate(scenes, logger, chosen["episodes"], seed, chosen["cut_share"], chosen["cut_kind"])
+        logger = named_policy(policy, world.played_config, random_share)
+        logs = world.simulate(scenes, logger, episodes, seed, cut_share, cut_kind)
         logs.write(out, overwrite=overwrite)
     report = {"folder": str(out), "sentence": str(logs.summary()), **asdict(logs.summary())}
-    report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, **chosen}
+    report |= {"scenes": {scene.name: scene.num_objects for scene in scenes}, "seed": seed, "episodes": episodes}
+    report |= {"policy": policy, "random_share": random_share, "cut_share": cut_share, "cut_kind": cut_kind}
+    report |= {"horizon": horizon, "law": law}
     if robots is not None:
         report |= {"team": str(team), "robots": [robot.name for robot in robots.robots]}
     say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))

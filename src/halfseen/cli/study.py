@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -11,9 +11,12 @@ from halfseen.cli.inputs import law_folder
 from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
 
+if TYPE_CHECKING:
+    from halfseen.workers import Workers
+
 
 @click.command(epilog="Example: halfseen study --out runs/study --repetitions 200 --resume")
-@options.path("--out", default="runs/study", show_default=True, told="Folder to fill.")
+@options.path("--out", default="runs/study", show_default=True, text="Folder to fill.")
 @click.option(
     "--repetitions",
     type=click.IntRange(max=options.MOST_EPISODES),
@@ -22,13 +25,22 @@ from halfseen.cli.options import SHIPPED
 @click.option("--only", multiple=True, metavar="NAME", help="Run this experiment alone; may be given more than once.")
 @options.seed("study but for measured times")
 @options.law(SHIPPED)
-@options.flag("--no-laws", told="Learn by linear eq. 3, without laws fitted to the logs.")
-@options.flag("--resume", told="Go on where a killed study stopped, or add repetitions to one.")
+@options.flag("--no-laws", text="Learn by linear eq. 3, without laws fitted to the logs.")
+@options.flag("--resume", text="Go on where a killed study stopped, or add repetitions to one.")
 @options.workers
-@options.flag("--json", "is_json", told="Print study.json instead of the answer.")
+@options.flag("--json", "is_json", text="Print study.json instead of the answer.")
 @click.argument("clouds", nargs=-1, type=options.PATH)
 def study(
-    out: Path, repetitions: int | None, only: tuple[str, ...], law: str, clouds: tuple[Path, ...], **how: Any
+    out: Path,
+    repetitions: int | None,
+    only: tuple[str, ...],
+    seed: int,
+    law: str,
+    no_laws: bool,
+    resume: bool,
+    workers: "Workers",
+    is_json: bool,
+    clouds: tuple[Path, ...],
 ) -> None:
     """Regenerate the figures, tables and report of the study from ten captured tables, or from CLOUDS of your own.
 
@@ -42,14 +54,14 @@ def study(
     from halfseen.writing import refuse_unwritable
 
     experiments, trajectories = chosen(only), list(clouds) or table_paths()
-    experiments = without_laws(experiments) if how["no_laws"] else experiments
-    setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=how["seed"])
+    experiments = without_laws(experiments) if no_laws else experiments
+    setting = Setting((), repetitions=DEFAULT_REPETITIONS if repetitions is None else repetitions, seed=seed)
     setting, known = under(setting, law_folder(law))
     refuse_unwritable(out)
-    scenes, pictures = look_at(trajectories, known, how["workers"])
+    scenes, pictures = look_at(trajectories, known, workers)
     setting = replace(setting, scenes=scenes)
-    results = run_study(setting, out, experiments, is_resumed=how["resume"], workers=how["workers"], pictures=pictures)
-    if how["is_json"]:
+    results = run_study(setting, out, experiments, is_resumed=resume, workers=workers, pictures=pictures)
+    if is_json:
         click.echo((out / "study.json").read_text(encoding="utf-8"), nl=False)
         return
     for sentence in results.answer:

@@ -1,8 +1,7 @@
 """``halfseen watch``: a page in the browser that shows a run in 3-D, and why."""
 
-from collections.abc import Callable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,8 +14,6 @@ from halfseen.cli.options import SHIPPED
 
 if TYPE_CHECKING:
     from halfseen.view import Watched
-
-Shows = Callable[["Watched"], None]
 
 FORMS = (".html", ".gif")
 OF_KINDS = {
@@ -43,22 +40,22 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 
 @click.command(epilog="Example: halfseen watch table.pcd --policy policy")
 @click.argument("source", type=options.PATH)
-@options.path("--policy", told="Of a cloud or of logs: the folder of a policy of tables.")
-@options.path("--history", told="Of a cloud: logs whose last trajectory is the one so far.")
+@options.path("--policy", text="Of a cloud or of logs: the folder of a policy of tables.")
+@options.path("--history", text="Of a cloud: logs whose last trajectory is the one so far.")
 @options.labels
 @options.law(None, f"Of a cloud, where it is {SHIPPED} by default. ")
-@options.path("--clouds", told="Of logs: folder with the cloud of each stage.")
+@options.path("--clouds", text="Of logs: folder with the cloud of each stage.")
 @options.whole(
     "--trajectory",
     least=1,
     most=options.MOST_EPISODES,
-    told="Of logs: which trajectory, from 1; by default the first.",
+    text="Of logs: which trajectory, from 1; by default the first.",
 )
 @click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
 @options.path(
     "--export",
     multiple=True,
-    told="Write it to a file instead, once or more: .html, which opens without a server, or .gif.",
+    text="Write it to a file instead, once or more: .html, which opens without a server, or .gif.",
 )
 @options.overwrite("a file of --export that is")
 @options.port
@@ -89,86 +86,77 @@ def watch(
         if given[name] is not None and kind not in kinds:
             raise ArgumentError(f"--{name} is of {' or '.join(kinds)}, and {source} is a {kind}; leave it out")
 
-    def work(show: Shows) -> None:
-        if kind == "recording":
-            from halfseen.view.recording import read_recording
-
-            show(read_recording(source))
-        elif kind == "logs":
-            _show_logs(source, given["clouds"], given["trajectory"], given["policy"], show)
-        else:
-            _show_cloud(source, given["policy"], given["history"], given["labels"], given["law"], show)
-
-    shown = partial(_of_stages, stages, work)
-    if export:
-        _exported(export, shown)
+    if kind == "recording":
+        runs = _of_recording(source)
+    elif kind == "logs":
+        runs = _of_logs(source, given["clouds"], given["trajectory"], given["policy"])
     else:
-        _served(port, shown)
+        runs = _of_cloud(source, given["policy"], given["history"], given["labels"], given["law"])
+    shown = (_of_stages(stages, watched) for watched in runs)
+    if export:
+        _export(export, list(shown)[-1])
+    else:
+        _serve(port, shown)
 
 
-def _of_stages(span: tuple[int, int] | None, work: Callable[[Shows], None], show: Shows) -> None:
-    """Show some stages of what is shown."""
+def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
+    """Some stages of what is shown."""
+    from halfseen.errors import ArgumentError
 
-    def show_some(watched: "Watched") -> None:
-        from halfseen.errors import ArgumentError
-
-        first, last = span or (1, len(watched.stages))
-        if last > len(watched.stages):
-            raise ArgumentError(
-                f"--stages is {first}-{last}, and there are {len(watched.stages)}; leave it out for all"
-            )
-        show(replace(watched, stages=watched.stages[first - 1 : last]))
-
-    work(show_some)
+    first, last = span or (1, len(watched.stages))
+    if last > len(watched.stages):
+        raise ArgumentError(f"--stages is {first}-{last}, and there are {len(watched.stages)}; leave it out for all")
+    return replace(watched, stages=watched.stages[first - 1 : last])
 
 
-def _served(port: int, work: Callable[[Shows], None]) -> None:
+def _serve(port: int, shown: "Iterable[Watched]") -> None:
     from halfseen.view.live_page import served
 
     with served(port) as page:
-        urls = [page.url]
-
-        def show(watched: "Watched") -> None:
+        for number, watched in enumerate(shown):
             page.show(watched)
-            if urls:
-                say(f"{urls.pop()}  (Ctrl+C ends)")
-
-        work(show)
+            if number == 0:
+                say(f"{page.url}  (Ctrl+C ends)")
         page.wait()
 
 
-def _exported(files: tuple[Path, ...], work: Callable[[Shows], None]) -> None:
-    shown: list[Watched] = []
-    work(shown.append)
+def _export(files: tuple[Path, ...], watched: "Watched") -> None:
     for file in files:
         if file.suffix.lower() == ".gif":
             from halfseen.view.film import write_gif
 
-            write_gif(shown[-1], file)
+            write_gif(watched, file)
         else:
             from halfseen.view.viewer import write_html
 
-            write_html(shown[-1], file)
-        say(f"{file}: {len(shown[-1].stages)} stage{'' if len(shown[-1].stages) == 1 else 's'}")
+            write_html(watched, file)
+        say(f"{file}: {len(watched.stages)} stage{'' if len(watched.stages) == 1 else 's'}")
 
 
-def _show_cloud(
-    file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None, show: Shows
-) -> None:
-    """Show what is seen as soon as it is, and then what is decided."""
+def _of_recording(folder: Path) -> "Iterator[Watched]":
+    from halfseen.view.recording import read_recording
+
+    yield read_recording(folder)
+
+
+def _of_cloud(
+    file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None
+) -> "Iterator[Watched]":
+    """What is seen, as soon as it is where no history tells of it, and then what is decided."""
     from halfseen.errors import ArgumentError, CloudError
     from halfseen.perception import perceive, read_cloud
+    from halfseen.tables.first_look import first_look
     from halfseen.view.stages import watched_cloud
 
-    for option, value in (("--history", history), ("--labels", labels), ("--law", law)):
+    for option, value in (("--history", history), ("--law", law)):
         if policy is None and value is not None:
             raise ArgumentError(f"{option} is for a decision; give a --policy, or leave {option} out")
     cloud = read_cloud(file)
     view = perceive(cloud)
     if not view.objects:
         raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
-    show(watched_cloud(cloud, view, None, None, 0))
     if policy is None:
+        yield watched_cloud(cloud, view, None, None, 0, first_look(view, cloud, labels))
         return
     from halfseen.errors import PolicyError
     from halfseen.policies import decider_of, read_policy
@@ -180,14 +168,17 @@ def _show_cloud(
     refuse_team(stored, UNDECIDED, policy)
     if not stored.is_table:
         raise PolicyError(f"{policy}: it is no policy of tables, and {file} is a cloud; learn one from logs of tables")
-    counts_views = stored.record["schema"].get("counts_views", False)
-    known = law_of(law or SHIPPED) if counts_views else None
+    schema = stored.record["schema"]
+    known = law_of(law or SHIPPED) if schema.get("counts_views", False) else None
+    if history is None:
+        told = first_look(view, cloud, labels, schema["dirty_share"], *([known.seeing] if known else []))
+        yield watched_cloud(cloud, view, None, None, 0, told)
     now = read_observation(stored, file, history, None, labels, known)
     assert isinstance(now, Present), "a policy of tables decides where a table's trajectory stands"
-    show(watched_cloud(cloud, view, now, decider_of(stored, extrapolates=True).decide(now), stored.horizon))
+    yield watched_cloud(cloud, view, now, decider_of(stored, extrapolates=True).decide(now), stored.horizon)
 
 
-def _show_logs(folder: Path, clouds: Path | None, number: int | None, policy: Path | None, show: Shows) -> None:
+def _of_logs(folder: Path, clouds: Path | None, number: int | None, policy: Path | None) -> "Iterator[Watched]":
     from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies import read_policy
@@ -200,4 +191,4 @@ def _show_logs(folder: Path, clouds: Path | None, number: int | None, policy: Pa
             "with `halfseen cell run --record`"
         )
     stored = None if policy is None else read_policy(policy)
-    show(watched_logs(logs, clouds, number or 1, stored))
+    yield watched_logs(logs, clouds, number or 1, stored)

@@ -2,7 +2,7 @@
 
 Read it down: `targets` (what the policy would do) → `weights` (what each trajectory stands for, by what the logging
 policy did) → `cross_fitting` (Q of the policy and the doubly robust value) → `problem` (one log, one policy) →
-`opponents` (what it is compared with), `logging_rule` (among them: the logging policy without its exploration) →
+`baselines` (what it is compared with), `logging_rule` (among them: the logging policy without its exploration) →
 `comparison` → `verdict`; `off_policy` puts them together, and `held_out` judges a way of learning by the log that was
 learned from.
 """
@@ -12,21 +12,21 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.evaluation.baselines import Baseline
     from halfseen.evaluation.comparison import Comparison
     from halfseen.evaluation.estimate import Estimate
     from halfseen.evaluation.evaluation import Evaluation
     from halfseen.evaluation.held_out import HeldOutVerdict, held_out_verdict
     from halfseen.evaluation.off_policy import QSpec, evaluate
-    from halfseen.evaluation.opponents import Opponent
     from halfseen.evaluation.targets import FixedSequence
 
 __all__ = [
+    "Baseline",
     "Comparison",
     "Estimate",
     "Evaluation",
     "FixedSequence",
     "HeldOutVerdict",
-    "Opponent",
     "QSpec",
     "evaluate",
     "held_out_verdict",
@@ -40,7 +40,7 @@ __getattr__ = lazy_names(
         "Evaluation": "evaluation",
         "FixedSequence": "targets",
         "HeldOutVerdict": "held_out",
-        "Opponent": "opponents",
+        "Baseline": "baselines",
         "QSpec": "specification",
         "evaluate": "off_policy",
         "held_out_verdict": "held_out",

@@ -1,13 +1,13 @@
-"""A policy beside each of its opponents, by paired differences, and one verdict over all of them.
+"""A policy beside each of its baselines, by paired differences, and one verdict over all of them.
 
-What a trajectory adds to the value of the policy and what it adds to that of an opponent share its luck, so their
+What a trajectory adds to the value of the policy and what it adds to that of a baseline share its luck, so their
 difference trajectory by trajectory has a much narrower interval than the two values.
 
 *Better than all* is an intersection–union test [Berger1982]_: each of the paired differences has to be significant at
 the level itself, and no correction is due, for the claim is wrong only if one of them is, which errs at the level. So
-the strongest opponent may be found on the same log. What is said of each opponent alone is another matter: of several
+the strongest baseline may be found on the same log. What is said of each baseline alone is another matter: of several
 true nulls one may look false by chance. Those verdicts rest on p-values that are adjusted by Hochberg's step-up
-[Hochberg1988]_: its first step is that very test, so the two cannot contradict each other. For two opponents
+[Hochberg1988]_: its first step is that very test, so the two cannot contradict each other. For two baselines
 it holds whatever the correlation of two normal differences; for more it needs one that is not negative, and the luck of
 the policy, which all differences share, makes for that.
 
@@ -96,40 +96,40 @@ def _error_of_alike(weights: Float[np.ndarray, "n T"], deviation: float) -> floa
     return deviation * float(np.sqrt((weights**2).sum())) / len(weights)
 
 
-SEVERITY: dict[Verdict, int] = {"not better": 0, "cannot be said": 1, "better": 2}
+SEVERITY: dict[Verdict, int] = {"not better": 0, "inconclusive": 1, "better": 2}
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A policy against one opponent.
+    """A policy against one baseline.
 
     Parameters
     ----------
-    opponent
+    baseline
         In plain words.
     value
         What it earns, doubly robust; None where the log has no such action.
     difference
-        Value of the policy less that of the opponent, trajectory by trajectory; None where that of the opponent is.
+        Value of the policy less that of the baseline, trajectory by trajectory; None where that of the baseline is.
     p
         Of the difference being 0, two-sided; None where no interval is to be believed.
     adjusted_p
-        The same among all opponents (Hochberg).
+        The same among all baselines (Hochberg).
     verdict
-        ``"better"``, ``"not better"`` or ``"cannot be said"``, by the adjusted p-value.
+        ``"better"``, ``"not better"`` or ``"inconclusive"``, by the adjusted p-value.
     reason
         Why, in one sentence.
     gamma
         Γ, how strong an unrecorded cause of cuts would have to be to undo the verdict (see `sensitivity`); None where
         there is nothing to undo or nothing was cut.
     share
-        What the opponent earns as a multiple of what the logging policy does; None where that is not known to be
+        What the baseline earns as a multiple of what the logging policy does; None where that is not known to be
         above 0.
     needed
         How many times as many trajectories would decide; None where that is not known.
     """
 
-    opponent: str
+    baseline: str
     value: Estimate | None
     difference: Estimate | None
     p: float | None
@@ -148,12 +148,12 @@ def compared(
     excess: Float[np.ndarray, "n T"] | None = None,
     unit: str | None = None,
 ) -> tuple[Comparison, ...]:
-    """Compare a policy with its opponents.
+    """Compare a policy with its baselines.
 
     Parameters
     ----------
     ours, theirs
-        The policy, and its opponents.
+        The policy, and its baselines.
     level
         Of the intervals, and of the verdicts.
     excess
@@ -173,21 +173,21 @@ def compared(
     if excess is None or not excess.any():
         return tuple(found)
     each = zip(found, theirs, strict=True)
-    return tuple(replace(one, gamma=_gamma(one, ours, opponent, excess)) for one, opponent in each)
+    return tuple(replace(one, gamma=_gamma(one, ours, baseline, excess)) for one, baseline in each)
 
 
-def _gamma(found: Comparison, ours: Contender, opponent: Contender, excess: Float[np.ndarray, "n T"]) -> float | None:
-    if found.difference is None or ours.errors is None or opponent.errors is None:
+def _gamma(found: Comparison, ours: Contender, baseline: Contender, excess: Float[np.ndarray, "n T"]) -> float | None:
+    if found.difference is None or ours.errors is None or baseline.errors is None:
         return None
     # Of two policies that do the same there is nothing to be undone.
-    if found.verdict == "cannot be said" or found.difference.standard_error == 0.0:
+    if found.verdict == "inconclusive" or found.difference.standard_error == 0.0:
         return None
-    return undone_at(found.difference, excess, ours.errors - opponent.errors)
+    return undone_at(found.difference, excess, ours.errors - baseline.errors)
 
 
 def _comparison(
     ours: Contender,
-    opponent: Contender,
+    baseline: Contender,
     difference: Estimate | None,
     p: float | None,
     adjusted_p: float | None,
@@ -197,15 +197,15 @@ def _comparison(
     more = None
     if difference is not None:
         # The difference that Q alone says, where there is a Q of both.
-        gain = ours.by_model - opponent.by_model
-        more = needed(difference, gain if np.isfinite(gain) else difference.value, level, ours.alike_less(opponent))
+        gain = ours.by_model - baseline.by_model
+        more = needed(difference, gain if np.isfinite(gain) else difference.value, level, ours.alike_less(baseline))
     if difference is None or adjusted_p is None:
-        why = ours.why_unknown or opponent.why_unknown
-        verdict, reason = "cannot be said", why or f"nothing is known of what {opponent.name} earns"
+        why = ours.why_unknown or baseline.why_unknown
+        verdict, reason = "inconclusive", why or f"nothing is known of what {baseline.name} earns"
     else:
-        verdict, reason = verdict_of(difference, opponent.name, adjusted_p <= 1.0 - level, unit, more)
-    value = None if opponent.values is None else opponent.estimate(level)
-    return Comparison(opponent.name, value, difference, p, adjusted_p, verdict, reason, needed=more)
+        verdict, reason = verdict_of(difference, baseline.name, adjusted_p <= 1.0 - level, unit, more)
+    value = None if baseline.values is None else baseline.estimate(level)
+    return Comparison(baseline.name, value, difference, p, adjusted_p, verdict, reason, needed=more)
 
 
 def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
@@ -233,13 +233,13 @@ def deciding(comparisons: Sequence[Comparison]) -> Comparison:
 
 
 def joint_reason(comparisons: Sequence[Comparison]) -> str:
-    """Why the verdict over all is what it is, in one sentence that names the opponents."""
+    """Why the verdict over all is what it is, in one sentence that names the baselines."""
     main = deciding(comparisons)
     beaten = [each for each in comparisons if each is not main and each.verdict == "better"]
     why, semicolon, remedy = main.reason.partition("; ")
     if not beaten:
         return main.reason
-    others = " and ".join(f"{_more(each)} than {each.opponent}" for each in beaten)
+    others = " and ".join(f"{_more(each)} than {each.baseline}" for each in beaten)
     return f"{why}, {'and' if main.verdict == 'better' else 'though'} {others}{semicolon}{remedy}"
 
 

@@ -41,7 +41,7 @@ from halfseen.censoring import CensoringSpec
 from halfseen.errors import HalfseenError
 from halfseen.evaluation.estimate import jackknife_error
 from halfseen.evaluation.weights import StageWeights
-from halfseen.learning.judging import Judged, judged
+from halfseen.learning.judging import FittedValues, judged
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import fit_q
 from halfseen.learning.rows import Imputation, TrajectoryArrays, Transitions
@@ -90,13 +90,13 @@ def nuisances_by_folds(
             yield whole
 
 
-def of_own_fold(judged: Judged, fold: Int[np.ndarray, " n"]) -> Judged:
+def of_own_fold(judged: FittedValues, fold: Int[np.ndarray, " n"]) -> FittedValues:
     """What each trajectory's stages are worth by the Q that never saw it."""
-    return Judged(*(leaf[fold, np.arange(len(fold))] for leaf in judged))
+    return FittedValues(*(leaf[fold, np.arange(len(fold))] for leaf in judged))
 
 
 def cross_fitted(
-    judged: Judged, weights: Sequence[StageWeights], fold: Int[np.ndarray, " n"]
+    judged: FittedValues, weights: Sequence[StageWeights], fold: Int[np.ndarray, " n"]
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
     """φ of every trajectory by what never saw it; and the value without each of K folds, by the others alone.
 
@@ -110,14 +110,16 @@ def cross_fitted(
         Of each trajectory.
     """
 
-    def added(judged: Judged, weights: StageWeights) -> Float[np.ndarray, " n"]:
+    def added(judged: FittedValues, weights: StageWeights) -> Float[np.ndarray, " n"]:
         error = np.where(weights.weight > 0, judged.target - judged.taken, 0.0)
         return judged.value[:, 0] + weights.influence(error)
 
     each = zip(*((one.weight, one.standing) for one in weights), strict=True)
     own = StageWeights(*(np.stack(leaf)[fold, np.arange(len(fold))] for leaf in each))
     others = ((fold != k, k, one) for k, one in enumerate(weights))
-    without = [added(Judged(*(leaf[k][kept] for leaf in judged)), one.take(kept)).mean() for kept, k, one in others]
+    without = [
+        added(FittedValues(*(leaf[k][kept] for leaf in judged)), one.take(kept)).mean() for kept, k, one in others
+    ]
     return added(of_own_fold(judged, fold), own), np.array(without)
 
 
@@ -142,7 +144,7 @@ def judged_without(
     reward: Float[np.ndarray, "n T"],
     fold: Int[np.ndarray, " n"],
     numbered: tuple[int, Nuisances],
-) -> Judged:
+) -> FittedValues:
     """Fit Q without a fold, and let it judge every trajectory."""
     k, given = numbered
     log = log._replace(weight=given.weight, imputation=given.imputation)

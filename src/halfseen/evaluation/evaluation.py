@@ -3,12 +3,11 @@
 The mean duration is estimated just as the reward is, with the durations of completed stages for rewards. A cell that
 takes part after part earns this in the long run (renewal reward), as long as nothing passes between two trajectories.
 
-What is known of a policy from a log: three estimates, what its opponents earn, and a verdict.
+What is known of a policy from a log: three estimates, what its baselines earn, and a verdict.
 
 What can be claimed of a policy, what is guessed, and how long a log would decide, in plain words.
 """
 
-from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, NamedTuple
 
@@ -19,6 +18,7 @@ from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.problem import Problem, logging_contribution
 from halfseen.evaluation.verdict import Needed, Verdict, in_words
 from halfseen.learning.rows import TrajectoryArrays
+from halfseen.text_table import aligned
 
 SECONDS = 3600.0
 STILL_S = 1e-6
@@ -122,12 +122,12 @@ class Evaluation:
     logging
         What the logging policy earns, had nothing been cut.
     difference
-        Doubly robust value less that of the opponent that the verdict rests on, trajectory by trajectory; less that of
-        the logging policy where the log has not what this opponent does.
+        Doubly robust value less that of the baseline that the verdict rests on, trajectory by trajectory; less that of
+        the logging policy where the log has not what this baseline does.
     verdict
-        ``"better"``: than every opponent; ``"not better"``: than some; or ``"cannot be said"``.
+        ``"better"``: than every baseline; ``"not better"``: than some; or ``"inconclusive"``.
     reason
-        Why, in one sentence that names the opponent.
+        Why, in one sentence that names the baseline.
     support
         Of each stage, the share of the logged actions that the policy would take at all.
     num_trajectories
@@ -135,7 +135,7 @@ class Evaluation:
     level
         Of the intervals.
     comparisons
-        The policy against each opponent.
+        The policy against each baseline.
     notes
         How the logging policy without its exploration was found, or why it was not.
     reward_unit
@@ -175,10 +175,10 @@ class Evaluation:
     @property
     def sensitivity(self) -> str:
         """How strong an unrecorded cause of cuts would have to be to undo the verdict, in one sentence; "" if open."""
-        if self.verdict == "cannot be said":
+        if self.verdict == "inconclusive":
             return ""
         gammas = [one.gamma for one in self.comparisons if one.verdict == self.verdict and one.gamma is not None]
-        # "Better" falls with the first opponent that is not beaten; "not better" stands while one is not.
+        # "Better" falls with the first baseline that is not beaten; "not better" stands while one is not.
         return in_words((min if self.verdict == "better" else max)(gammas)) + "." if gammas else ""
 
     def __str__(self) -> str:
@@ -193,7 +193,7 @@ class Evaluation:
         head = ("against", "value", interval, "difference", interval, "adjusted p", "verdict")
         against = [head, *(_against(each) for each in self.comparisons)]
         said = [self.sentence, *filter(None, [self.sensitivity])]
-        return "\n".join([*said, "", *_aligned(values), "", *_aligned(against)])
+        return "\n".join([*said, "", *aligned(values), "", *aligned(against)])
 
 
 def _cells(estimate: Estimate | None) -> tuple[str, str]:
@@ -204,38 +204,27 @@ def _cells(estimate: Estimate | None) -> tuple[str, str]:
 
 def _against(comparison: Comparison) -> tuple[str, ...]:
     p = "" if comparison.adjusted_p is None else f"{comparison.adjusted_p:.2g}"
-    return (comparison.opponent, *_cells(comparison.value), *_cells(comparison.difference), p, comparison.verdict)
-
-
-def _aligned(rows: Sequence[Sequence[str]]) -> list[str]:
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        "  ".join(
-            cell.rjust(width) if k else cell.ljust(width)
-            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
-        )
-        for row in rows
-    ]
+    return (comparison.baseline, *_cells(comparison.value), *_cells(comparison.difference), p, comparison.verdict)
 
 
 def claim_of(found: Evaluation) -> str:
-    """The least that a policy earns more than each of its opponents."""
+    """The least that a policy earns more than each of its baselines."""
     if found.verdict != "better":
         return "nothing; no policy on the way from what the log does to the best guess is surely better"
-    opponent = deciding(found.comparisons).opponent
-    return f"at least {found.difference.low:.3g}{_unit(found)} more a trajectory than {opponent}"
+    baseline = deciding(found.comparisons).baseline
+    return f"at least {found.difference.low:.3g}{_unit(found)} more a trajectory than {baseline}"
 
 
 def guess_of(found: Evaluation) -> str:
-    """What a policy earns more than the opponent that is hardest to beat, and what is still to be recorded."""
+    """What a policy earns more than the baseline that is hardest to beat, and what is still to be recorded."""
     main = deciding(found.comparisons)
     if main.difference is None or main.p is None:
         return f"unknown; {main.reason}"
     gain = main.difference.value
-    told = f"{abs(gain):.3g}{_unit(found)} {'more' if gain > 0 else 'less'} a trajectory than {main.opponent}"
+    gained = f"{abs(gain):.3g}{_unit(found)} {'more' if gain > 0 else 'less'} a trajectory than {main.baseline}"
     if found.verdict == "better":
-        return told
-    return f"{told}, not yet provable; {more_trajectories(main.needed, found.num_trajectories)}"
+        return gained
+    return f"{gained}, not yet provable; {more_trajectories(main.needed, found.num_trajectories)}"
 
 
 def more_trajectories(needed: Needed | None, num_trajectories: int) -> str:

@@ -23,6 +23,7 @@ from halfseen.learning.covariates import is_numeric
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
+from halfseen.text_table import aligned
 
 MOST_REGIONS = 4
 """Of one action."""
@@ -48,6 +49,14 @@ class Exploration(NamedTuple):
         """Everything, ready for JSON."""
         return {"regions": [region._asdict() for region in self.regions], "narrower": self.narrower}
 
+    def __str__(self) -> str:
+        rows = [("try", "where", "now", "then", "of the variance"), *(region.cells for region in self.regions)]
+        hint = (
+            f"Or try more often what says most: from as many trajectories the interval would be {self.narrower:.1f} "
+            "times narrower (for `halfseen serve --explore FILE`, which --exploration FILE writes)."
+        )
+        return "\n".join([hint, "", *aligned(rows, left=(0, 1))])
+
 
 class Region(NamedTuple):
     """Where an action of the policy is to be tried more often."""
@@ -61,6 +70,12 @@ class Region(NamedTuple):
     """Share of them that lets the same number of tries say most."""
     part: float
     """Of the variance, that hangs on the tries; regions may share what hangs on several."""
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """Its row of a table for people."""
+        where = ", ".join(f"{name} {condition}" for name, condition in self.conditions.items()) or "everywhere"
+        return self.action, where, f"{self.now:.0%}", f"{self.wanted:.0%}", f"{self.part:.0%}"
 
 
 NOWHERE = Exploration((), 1.0)
@@ -147,11 +162,11 @@ class _Leaf(NamedTuple):
     @property
     def conditions(self) -> dict[str, str]:
         """By column what has to hold."""
-        told = {}
+        ranges = {}
         for column, (low, high) in self.limits.items():
             parts = [f"> {low:.4g}"] * bool(np.isfinite(low)) + [f"<= {high:.4g}"] * bool(np.isfinite(high))
-            told[self.names[column]] = " and ".join(parts)
-        return told
+            ranges[self.names[column]] = " and ".join(parts)
+        return ranges
 
 
 class _Part(NamedTuple):

@@ -2,7 +2,7 @@
 
 Trajectories are dealt into folds. For each fold a policy is learned in the same way from the others, and is judged by
 the trajectories of its own fold; what those add, trajectory by trajectory, is pooled over the folds into one paired
-difference for each opponent, with one interval. That is a statement about the policies of the folds, each learned from
+difference for each baseline, with one interval. That is a statement about the policies of the folds, each learned from
 a little less than the whole log (a data-adaptive parameter [Hubbard2016]_), and so about *this way of learning from
 such a log*: the policy that was learned from all of it differs a little from each of them, and is as a rule a little
 better.
@@ -39,7 +39,7 @@ from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.specification import specification
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
-from halfseen.learning.flat_policy import has_margin
+from halfseen.learning.discrete_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
@@ -58,22 +58,22 @@ class Vouched(NamedTuple):
     """Of one interval, so that those of all hold at once as often as was asked for."""
 
 
-def vouched(candidates: Sequence[Contender], opponents: Sequence[Contender], level: float) -> Vouched:
+def vouched(candidates: Sequence[Contender], baselines: Sequence[Contender], level: float) -> Vouched:
     """Choose among policies.
 
     Parameters
     ----------
     candidates
         What the log knows of each; the first is taken where nothing is known of any.
-    opponents
+    baselines
         What each has to beat; those of which nothing is known do not count.
     level
         At which the intervals of all are to hold at once.
     """
-    theirs = [each for each in opponents if each.values is not None and each.why_unknown is None]
+    theirs = [each for each in baselines if each.values is not None and each.why_unknown is None]
     known = [each.values for each in candidates if each.values is not None and each.why_unknown is None]
     gains = [np.stack(known) - each.values for each in theirs if known]
-    # A claim is on all opponents, and wrong only if one of them is.
+    # A claim is on all baselines, and wrong only if one of them is.
     single = max((level_of_each(each, level) for each in gains), default=level)
     return Vouched(int(np.argmax([_least(one, theirs, single) for one in candidates])), single)
 
@@ -100,11 +100,11 @@ def level_of_each(gains: Float[np.ndarray, "c n"], level: float) -> float:
     return max(level, 2.0 * within - 1.0)
 
 
-def _least(one: Contender, opponents: Sequence[Contender], level: float) -> float:
-    """The smallest lower bound of what it earns more than an opponent."""
+def _least(one: Contender, baselines: Sequence[Contender], level: float) -> float:
+    """The smallest lower bound of what it earns more than a baseline."""
     if one.values is None or one.why_unknown is not None:
         return -np.inf
-    return min((one.less(each, level).low for each in opponents), default=-np.inf)
+    return min((one.less(each, level).low for each in baselines), default=-np.inf)
 
 
 NUM_FOLDS = 5
@@ -123,7 +123,7 @@ class HeldOutVerdict:
     Parameters
     ----------
     verdict
-        ``"better"``, ``"not better"`` or ``"cannot be said"``.
+        ``"better"``, ``"not better"`` or ``"inconclusive"``.
     reason
         Why, in one sentence.
     num_folds
@@ -185,6 +185,10 @@ class HeldOutVerdict:
             "exploration": self.exploration.as_dict(),
         }
 
+    def __str__(self) -> str:
+        tried = [str(self.exploration)] if self.verdict == "inconclusive" and self.exploration.regions else []
+        return "\n".join([self.sentence, *self.claims, *tried])
+
 
 def _plain(estimate: Estimate) -> dict[str, float]:
     return {name: float(getattr(estimate, name)) for name in ("value", "low", "high", "standard_error")}
@@ -207,7 +211,7 @@ def held_out_verdict(
     The verdict is of `num_folds` policies that were learned as `learner` was, each from the trajectories outside one
     fold, and not of the learner's own policy, which saw every trajectory. They go by as much more caution as lets most
     be claimed. Where that cannot be done (too few trajectories, none of a fold that finished, probabilities that are
-    missing), the verdict is ``"cannot be said"``, and the reason says why.
+    missing), the verdict is ``"inconclusive"``, and the reason says why.
 
     Parameters
     ----------
@@ -240,7 +244,7 @@ def held_out_verdict(
                 policy = learn_by_folds(learner, logs, num_folds, on_progress, pool)
             found = _judged(policy, learner, logs, num_folds, against, level, trust, workers)
     except HalfseenError as error:
-        return HeldOutVerdict("cannot be said", str(error), num_folds)
+        return HeldOutVerdict("inconclusive", str(error), num_folds)
     on_progress()
     return found
 
@@ -274,7 +278,7 @@ def learn_by_folds(
     """
     if logs.num_trajectories < num_folds:
         raise ArgumentError(f"the log has {logs.num_trajectories} trajectories for {num_folds} folds; record more")
-    # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen anew in each fold.
+    # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen again in each fold.
     composed = learner.compose(logs)
     same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
@@ -316,7 +320,7 @@ def _judged(
         workers=workers,
     ) as judge:
         cases = [judge.case(judge.problem_of(policy.more_cautious(times))) for times in cautions]
-        found = vouched([case.contender for case in cases], judge.opponents, level)
+        found = vouched([case.contender for case in cases], judge.baselines, level)
         best, safe = judge.evaluation(cases[0]), judge.evaluation(cases[found.chosen], of_each=found.level)
         exploration = exploration_of(cases[0])
     return HeldOutVerdict(safe.verdict, safe.reason, num_folds, safe, cautions[found.chosen], best, exploration)

@@ -25,6 +25,19 @@ AS_PROMISED = 2.0
 OWN = 0.9
 """Share of the actions that a policy would have taken, from which on it is taken for the one that made a log."""
 
+UNITS = {
+    100.0: "percent for shares, or centimetres for metres",
+    1e3: "thousandths",
+    1e6: "millionths",
+    1e9: "billionths",
+    60.0: "seconds for minutes, or minutes for hours",
+    3600.0: "seconds for hours",
+    180.0 / np.pi: "degrees for radians",
+    25.4: "millimetres for inches",
+    -1.0: "the other sign",
+}
+"""What a covariate may have been multiplied by, and as if it were what; or divided by, the other way round."""
+
 
 @dataclass(frozen=True)
 class Kept:
@@ -34,17 +47,21 @@ class Kept:
     ----------
     sentence
         What it earned, or would, beside what was promised; "" where nothing was.
+    units
+        Covariates that look as if in another unit, a sentence each.
     drifts
-        What differs in the states, a sentence each.
+        What else differs in the states, a sentence each.
     """
 
     sentence: str
+    units: tuple[str, ...]
     drifts: tuple[str, ...]
 
     @property
     def lines(self) -> list[str]:
-        """All of it, for people."""
-        return [*filter(None, [self.sentence]), *(f"- {each}" for each in self.drifts)]
+        """All of it, for people: other units first, which make the rest meaningless."""
+        units = [f"{each[0].upper()}{each[1:]}." for each in self.units]
+        return [*units, *filter(None, [self.sentence]), *(f"- {each}" for each in self.drifts)]
 
 
 def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> tuple[Estimate, bool]:
@@ -82,12 +99,12 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
     is_own
         Whether it made the log.
     """
-    return Kept(_earned(promise["value"], earned, is_own), drifts_of(promise["stages"], logs))
+    return Kept(_earned(promise["value"], earned, is_own), *drifts_of(promise["stages"], logs))
 
 
 def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool) -> str:
     verb = "earned" if is_own else "would earn"
-    told = f"{verb} {earned.value:.3g} a trajectory here ({earned.low:.3g} to {earned.high:.3g})"
+    earning = f"{verb} {earned.value:.3g} a trajectory here ({earned.low:.3g} to {earned.high:.3g})"
     if promised is None:
         return ""
     error = float(np.hypot(promised["standard_error"], earned.standard_error))
@@ -95,11 +112,11 @@ def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool
     words = "less than promised" if less > 0 else "more than promised"
     words = "as promised" if abs(less) <= AS_PROMISED * error else words
     range_ = f"{promised['low']:.3g} to {promised['high']:.3g}"
-    return f"Promised {promised['value']:.3g} a trajectory ({range_}); it {told}: {words}."
+    return f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}."
 
 
-def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[str, ...]:
-    """Tell which covariates have another distribution than the log that a policy was learned from.
+def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Tell which covariates have another unit, and which another distribution, than the log that was learned from.
 
     Parameters
     ----------
@@ -108,36 +125,60 @@ def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[str, .
     logs
         A later log.
     """
+    units: dict[str, str] = {}
     found: dict[str, str] = {}
     for stage in promised:
         rows = logs.stages[logs.stages["stage"] == stage["stage"]]
-        told = {name: each for name, each in stage["covariates"].items() if name in rows.columns and len(rows)}
+        kept = {name: each for name, each in stage["covariates"].items() if name in rows.columns and len(rows)}
         num = 1.0 / (1.0 / stage["num_states"] + 1.0 / max(len(rows), 1))
         least = max(APART, CLEARLY / np.sqrt(num))
-        apart = {name: _apart(each, rows[name]) for name, each in told.items()}
-        strange = [name for name, distance in apart.items() if distance > least and name not in found]
+        apart = {name: _apart(each, rows[name]) for name, each in kept.items()}
+        strange = [name for name, distance in apart.items() if distance > least and name not in units | found]
         for one, other in combinations(strange, 2):
-            if max(_apart(told[one], rows[other]), _apart(told[other], rows[one])) <= least:
+            if max(_apart(kept[one], rows[other]), _apart(kept[other], rows[one])) <= least:
                 found[one] = found[other] = f"covariates {one} and {other} look swapped"
         for name in strange:
+            unit = _other_unit(kept[name], rows[name], least)
+            if unit and name not in found:
+                units[name] = f"covariate {name} {unit}"
+                continue
             found.setdefault(
                 name,
                 f"covariate {name} is distributed otherwise than in the log that it was learned from: from stage "
                 f"{stage['stage']} on, {apart[name]:.0%} of the states lie elsewhere",
             )
-    return tuple(dict.fromkeys(found.values()))
+    return tuple(units.values()), tuple(dict.fromkeys(found.values()))
 
 
-def _apart(told: Mapping[str, Any], values: Any) -> float:
+def _other_unit(kept: Mapping[str, Any], values: Any, least: float) -> str:
+    """Tell in which other unit a number would lie where it lay; "" if in none."""
+    if "values" not in kept or not pd.api.types.is_numeric_dtype(values.dtype):
+        return ""
+    factors = [factor**power for factor in UNITS for power in (1, -1)]
+    apart = [_apart(kept, values / factor) for factor in factors]
+    best = int(np.argmin(apart))
+    if apart[best] > least:
+        return ""
+    factor, is_inverse = factors[best], best % 2 == 1
+    what = UNITS[factors[best - is_inverse]]
+    if factor == -1.0:
+        return f"has {what} than in the log that it was learned from, as if in another direction: multiply it by -1"
+    size = f"{1.0 / factor:,.4g} times as small" if is_inverse else f"{factor:,.4g} times as large"
+    mend = f"multiply it by {1.0 / factor:,.4g}" if is_inverse else f"divide it by {factor:,.4g}"
+    other = " the other way round" if is_inverse else ""
+    return f"is {size} as in the log that it was learned from, as if in another unit ({what}{other}): {mend}"
+
+
+def _apart(kept: Mapping[str, Any], values: Any) -> float:
     """Largest difference of two distribution functions, or half the sum of those of shares; 1 of another kind."""
     is_number = pd.api.types.is_numeric_dtype(values.dtype)
-    if is_number != ("values" in told):
+    if is_number != ("values" in kept):
         return 1.0
     if not is_number:
         shares = values.astype(str).value_counts(normalize=True)
-        was = pd.Series(told["shares"], index=told["names"])
+        was = pd.Series(kept["shares"], index=kept["names"])
         return float(shares.sub(was, fill_value=0.0).abs().sum() / 2.0)
-    knots, numbers = np.array(told["values"]), np.sort(values.to_numpy(dtype=np.float64))
+    knots, numbers = np.array(kept["values"]), np.sort(values.to_numpy(dtype=np.float64))
     # Where all lies above a knot as below it, the next one may still tell: what lies below the lowest counts, too.
     under = float(np.searchsorted(numbers, knots[0], side="left") / len(numbers))
-    return max(under, float(np.abs(below(numbers, knots) - np.array(told["below"])).max()))
+    return max(under, float(np.abs(below(numbers, knots) - np.array(kept["below"])).max()))

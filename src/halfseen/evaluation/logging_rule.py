@@ -135,7 +135,7 @@ def logit_shares(
         beta = beta + step
         if np.abs(step).max() <= TOLERANCE * np.abs(beta).max():
             break
-        # Momentum, begun anew where it leads downhill.
+        # Momentum, begun again where it leads downhill.
         last, pace = (pace, 0.5 + np.sqrt(0.25 + pace**2)) if (slope * step).sum() > 0.0 else (1.0, 1.0)
         ahead = beta + (last - 1.0) / pace * step
     return softmax(design @ beta)

@@ -2,7 +2,7 @@
 
 A log may itself look untrue: probabilities that nobody had, covariates from after the action, cuts called ends. An
 estimate that rests on it is wrong however narrow its interval is. So nothing is called better or worse by it, unless
-whoever asks says that the log is to be trusted in this.
+anyone who asks says that the log is to be trusted in this.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -14,18 +14,18 @@ import numpy as np
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
+from halfseen.evaluation.baselines import DEFAULT, LOGGING, LOGGING_RULE, Baseline, baseline_probabilities, baselines_of
 from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason, share_of
 from halfseen.evaluation.cross_fitting import jackknifed
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation, per_hour
 from halfseen.evaluation.logging_rule import logging_rule
-from halfseen.evaluation.opponents import DEFAULT, LOGGING, LOGGING_RULE, Opponent, opponent_probabilities, opponents_of
 from halfseen.evaluation.problem import Nuisances, Problem, following, logging_contribution, problem_of
 from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of
 from halfseen.evaluation.targets import target_probabilities, task_of
 from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
 from halfseen.evaluation.weights import Propensity, check_propensity
-from halfseen.learning.judging import Judged
+from halfseen.learning.judging import FittedValues
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
@@ -83,13 +83,13 @@ class Case(NamedTuple):
     """A policy, by what a log knows of it."""
 
     problem: Problem
-    judged: Judged
+    judged: FittedValues
     contender: Contender
 
 
 @dataclass(frozen=True)
 class Judge:
-    """A log that is ready to judge policies that decide about the same, each beside the same opponents.
+    """A log that is ready to judge policies that decide about the same, each beside the same baselines.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ class Judge:
         The log as it was given.
     own
         What the logging policy earns.
-    opponents
+    baselines
         What the log knows of each.
     notes
         How they were found.
@@ -112,7 +112,7 @@ class Judge:
     problem: Problem
     logs: Logs
     own: Contender
-    opponents: tuple[Contender, ...]
+    baselines: tuple[Contender, ...]
     notes: tuple[str, ...]
     level: float
     doubt: str | None = None
@@ -127,7 +127,7 @@ class Judge:
         return _case("the policy", problem, problem.nuisances)
 
     def evaluation(self, case: Case, is_hourly: bool = False, of_each: float | None = None) -> Evaluation:
-        """Compare a policy with the opponents.
+        """Compare a policy with the baselines.
 
         Parameters
         ----------
@@ -139,8 +139,8 @@ class Judge:
             Level of each interval, where the policy was chosen among some and those of all are to hold at once.
         """
         ours, own, level, problem = case.contender, self.own, of_each or self.level, case.problem
-        compared_ = compared(ours, self.opponents, level, problem.excess, self.logs.reward_unit)
-        shares = [share_of(each, own, level) for each in self.opponents]
+        compared_ = compared(ours, self.baselines, level, problem.excess, self.logs.reward_unit)
+        shares = [share_of(each, own, level) for each in self.baselines]
         comparisons = tuple(replace(one, share=share) for one, share in zip(compared_, shares, strict=True))
         main, completed = deciding(comparisons), problem.completed
         num_trajectories = problem.trajectories.num_trajectories
@@ -173,21 +173,21 @@ def _undecided(found: Evaluation, doubt: str) -> Evaluation:
     """
 
     def open_(one: Any) -> Any:
-        return one if one.verdict == "cannot be said" else replace(one, verdict="cannot be said", reason=doubt)
+        return one if one.verdict == "inconclusive" else replace(one, verdict="inconclusive", reason=doubt)
 
-    notes = (doubt, *found.notes) if found.verdict == "cannot be said" else found.notes
+    notes = (doubt, *found.notes) if found.verdict == "inconclusive" else found.notes
     return replace(open_(found), comparisons=tuple(map(open_, found.comparisons)), notes=notes)
 
 
 def _contenders(
-    opponents: Sequence[Opponent], own: Contender, problem: Problem, logs: Logs, is_logged: bool, is_default: bool
+    baselines: Sequence[Baseline], own: Contender, problem: Problem, logs: Logs, is_logged: bool, is_default: bool
 ) -> tuple[tuple[Contender, ...], tuple[str, ...]]:
-    """What the log knows of each opponent, and how that was found.
+    """What the log knows of each baseline, and how that was found.
 
-    Where nobody named the opponents, one that the log does not show is left out.
+    Where nobody named the baselines, one that the log does not show is left out.
     """
     contenders, notes, task = [], [], problem.model.task
-    for name, policy in ((each.name, each.policy) for each in opponents):
+    for name, policy in ((each.name, each.policy) for each in baselines):
         if isinstance(policy, str) and policy == LOGGING:
             contenders.append(own._replace(name=name))
             continue
@@ -200,7 +200,7 @@ def _contenders(
                 continue
             probabilities, is_taken = rule.probabilities, rule.is_taken
         else:
-            probabilities = opponent_probabilities(policy, name, logs, problem.trajectories, task)
+            probabilities = baseline_probabilities(policy, name, logs, problem.trajectories, task)
             unseen = probabilities if isinstance(probabilities, str) else None
         if isinstance(probabilities, str):
             contenders.append(Contender(name, why_unknown=why_unknown(name, problem.support, 0.0, unseen)))
@@ -247,12 +247,12 @@ def evaluate(
     Parameters
     ----------
     policy
-        For named actions anything with `actions`, `horizon` and `probabilities`, such as `FlatPolicy` and
+        For named actions anything with `actions`, `horizon` and `probabilities`, such as `DiscretePolicy` and
         `FixedSequence`; for tables any deterministic `halfseen.world.Policy`, or one mixed with `UniformPolicy`.
     logs
         The log.
     against
-        What the policy is compared with, one or a list (see `halfseen.evaluation.opponents.opponents_of`): the logging
+        What the policy is compared with, one or a list (see `halfseen.evaluation.baselines.baselines_of`): the logging
         policy (``"logging"``), the same without its exploration (``"logging-rule"``), a sequence, a rule, another
         policy. ``"better"`` is better than each. None for the first two; the second is then left out where the log
         does not show it.
@@ -275,7 +275,7 @@ def evaluate(
         Work out what is earned in an hour of the clock, too.
     trust
         In what the log is trusted, though it looks untrue (`halfseen.evaluation.off_policy.TRUST`): without that its
-        verdict is "cannot be said".
+        verdict is "inconclusive".
     workers
         Who fits Q without each fold; they begin once a fit takes long. The answer is the same.
 
@@ -318,7 +318,7 @@ def judging(
             f"the log has {logs.num_trajectories} trajectories, and {num_folds} folds need {2 * num_folds}; record more"
         )
     is_logged, is_default = propensity == "logged", against is None
-    opponents = opponents_of(DEFAULT if is_default else against, logs)
+    baselines = baselines_of(DEFAULT if is_default else against, logs)
     spec, widened = default_q(policy, logs) if q is None else (q, logs)
     targets = default_targets(logs) if censoring is None else targets_of(censoring)
     model = q_model_of(policy, widened, targets, spec, random_state)
@@ -327,5 +327,5 @@ def judging(
     with workers.ready_if_worth() as pool:
         problem = problem._replace(pool=pool)
         own = logging_contribution(problem, LOGGING)
-        theirs, notes = _contenders(opponents, own, problem, logs, is_logged, is_default)
+        theirs, notes = _contenders(baselines, own, problem, logs, is_logged, is_default)
         yield Judge(problem, logs, own, theirs, notes, level, doubt)

@@ -32,7 +32,7 @@ from halfseen.evaluation.weights import (
     single_ratios,
     uncut_before,
 )
-from halfseen.learning.judging import Judged
+from halfseen.learning.judging import FittedValues
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import TrajectoryArrays, Transitions
@@ -103,24 +103,24 @@ class Problem(NamedTuple):
         stage_weights = completed_weights if given.imputation is None else begun_weights
         return stage_weights(self.ratio, given.uncut, self.trajectories)
 
-    def settled(self, judged: Judged) -> "Problem":
+    def settled(self, judged: FittedValues) -> "Problem":
         """The same with products of ratios where the history of a stage tells more of it than its state."""
         if self.marginal is None or self.history_deviate(judged) <= CLEARLY:
             return self
         return self._replace(marginal=None, has_history=True)
 
-    def history_deviate(self, judged: Judged) -> float:
+    def history_deviate(self, judged: FittedValues) -> float:
         """How clearly the history of a stage tells more of it than its state."""
         own, has_target = of_own_fold(judged, self.fold), self.trajectories.is_completed
         has_target = self.trajectories.is_begun if self.is_imputed else has_target
         return history_deviate(own.target - own.taken, has_target, self.trajectories, self.beyond)
 
-    def judged(self, nuisances: Sequence[Nuisances]) -> Judged:
+    def judged(self, nuisances: Sequence[Nuisances]) -> FittedValues:
         """What the Qs of the policy say that were fitted without each fold; and last that of all, if asked for."""
         fit = partial(judged_without, self.model, self.log, self.trajectories.reward, self.fold)
-        return Judged(*map(np.stack, zip(*self.pool.in_order(fit, enumerate(nuisances)), strict=True)))
+        return FittedValues(*map(np.stack, zip(*self.pool.in_order(fit, enumerate(nuisances)), strict=True)))
 
-    def contribution(self, judged: Judged, name: str = "") -> Contender:
+    def contribution(self, judged: FittedValues, name: str = "") -> Contender:
         """What each trajectory adds to the doubly robust value."""
         own = of_own_fold(judged, self.fold)
         # Where weight is put on the actions of the policy alone, what they are worth is the value of the state. So it

@@ -51,7 +51,7 @@ class WorldComparison:
 
     Parameters
     ----------
-    opponent
+    baseline
         Name of the other one.
     value
         Mean reward of its episodes.
@@ -59,7 +59,7 @@ class WorldComparison:
         Of the policy's value from that, episode by episode.
     """
 
-    opponent: str
+    baseline: str
     value: Estimate
     difference: Estimate
 
@@ -82,7 +82,7 @@ def evaluate_in_world(policy: Policy, scenes: Sequence[Scene], config: WorldConf
 
 def compare_in_world(
     policy: Policy,
-    opponents: Mapping[str, Policy],
+    baselines: Mapping[str, Policy],
     scenes: Sequence[Scene],
     config: WorldConfig,
     *,
@@ -98,7 +98,7 @@ def compare_in_world(
     ----------
     policy
         What decides, for the robot that is free where there are several.
-    opponents
+    baselines
         Other policies by their names; each plays all the episodes, too.
     scenes
         Where episodes begin, in turn.
@@ -124,7 +124,7 @@ def compare_in_world(
     SceneError
         A scene does not tell a team where its objects stand.
     """
-    policies, world = (policy, *opponents.values()), TableWorld.of(team, config)
+    policies, world = (policy, *baselines.values()), TableWorld.of(team, config)
     layouts, played = world.layouts(scenes), world.played_config
     for each in policies:
         if not isinstance(each, Policy):
@@ -142,7 +142,7 @@ def compare_in_world(
     means = [estimate_of(column, episodes, level) for column in ours]
     comparisons = (
         WorldComparison(name, estimate_of(other[0], episodes, level), estimate_of(ours[0] - other[0], episodes, level))
-        for name, other in zip(opponents, theirs, strict=True)
+        for name, other in zip(baselines, theirs, strict=True)
     )
     return WorldEvaluation(*means, level=level), tuple(comparisons)
 

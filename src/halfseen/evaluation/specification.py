@@ -15,7 +15,7 @@ import pandas as pd
 from halfseen.censoring import CENSORING_NAMES
 from halfseen.evaluation.targets import horizon_of, is_alike, task_by, task_of
 from halfseen.learning.covariates import Covariates
-from halfseen.learning.flat_policy import NamedActionPolicy
+from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation, QSpace, StageMode, q_space_of, reg_of, stage_mode_of

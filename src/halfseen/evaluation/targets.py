@@ -9,11 +9,13 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.covariates import fit_covariates
-from halfseen.learning.flat_policy import NamedActionPolicy, more_cautious
+from halfseen.learning.discrete_policy import NamedActionPolicy, more_cautious
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
+from halfseen.logs.columns import shown
+from halfseen.logs.spelling import composed
 from halfseen.shapes import Float, Int
 
 
@@ -94,12 +96,14 @@ def task_of(policy: Any, logs: Logs) -> Task:
     Raises
     ------
     ArgumentError
-        The policy is none of named actions, and the log none of tables.
+        The policy is none of named actions, and the log none of tables; or one names actions by whole numbers, and the
+        other by text.
     """
     if isinstance(policy, CrossFitted):
         # Those of all folds look at the same, and what one of them may take was logged.
         return task_of(policy.policies[0], logs)
     if isinstance(policy, NamedActionPolicy):
+        refuse_other_names(policy, logs, "the policy")
         every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
         own = getattr(policy, "actions_by_stage", every)
         covariates = getattr(policy, "covariates", None)
@@ -139,6 +143,34 @@ def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Ta
     if known is None:
         return named_task("table", grasp=grasp, **parameters)
     return named_task("team", grasp=grasp, num_robots=known, base=None, is_evaluating=True, **parameters)
+
+
+def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
+    """Refuse a policy whose actions are whole numbers where the log's are text, or the other way round.
+
+    Raises
+    ------
+    ArgumentError
+        It is such, or one of its actions is composed otherwise by Unicode; as 1 is not '1', it would seem to take what
+        was never logged.
+    """
+    logged: list[Any] = logs.stages["action"].dropna().unique().tolist()
+    composed_as = {composed(name): name for name in logged if isinstance(name, str)}
+    for name in policy.actions:
+        if isinstance(name, str) and name not in logged and composed(name) in composed_as:
+            raise ArgumentError(
+                f"the action {name!a} of {who} is {composed_as[composed(name)]!a} in the log, the same word "
+                "composed otherwise by Unicode; write it there as the policy has it"
+            )
+    is_text = [{isinstance(name, str) for name in names} for names in (policy.actions, logged)]
+    if len(is_text[0]) != 1 or len(is_text[1]) != 1 or is_text[0] == is_text[1]:
+        return
+    alike = next((name for name in logged if str(name) == str(policy.actions[0])), logged[0])
+    words = ["text" if True in each else "whole numbers" for each in is_text]
+    raise ArgumentError(
+        f"the actions of {who} are {words[0]}, such as {shown(policy.actions[0])}, and the log's are {words[1]}, such "
+        f"as {shown(alike)}; write the log's column action as {words[0]}"
+    )
 
 
 def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[Hashable]]:

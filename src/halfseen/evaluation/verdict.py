@@ -1,4 +1,4 @@
-"""Better than an opponent, not better, or cannot be said; why, in one plain sentence; and how many would decide.
+"""Better than a baseline, not better, or inconclusive; why, in one plain sentence; and how many would decide.
 
 The half-width of an interval shrinks as 1/√n: its standard error σ is the spread of what trajectories add, and the bias
 β that it allows for is of stages that more trajectories see end. With a difference of δ,
@@ -38,7 +38,7 @@ import numpy as np
 from halfseen.evaluation.estimate import Estimate, crossing
 from halfseen.shapes import Float
 
-Verdict = Literal["better", "not better", "cannot be said"]
+Verdict = Literal["better", "not better", "inconclusive"]
 
 FEWEST_TRAJECTORIES = 10.0
 """Below this effective sample size no interval is believed where products of ratios weigh."""
@@ -110,7 +110,7 @@ def why_unknown(
     Parameters
     ----------
     who
-        The policy, or its opponent.
+        The policy, or its baseline.
     support
         Of each stage that the log holds, the share of the logged actions that it would take at all.
     effective_sample_size
@@ -155,7 +155,7 @@ def _remedy(num_trajectories: int, enough: float) -> str:
 
 def verdict_of(
     difference: Estimate,
-    opponent: str = "the logging policy",
+    baseline: str = "the logging policy",
     is_significant: bool = True,
     unit: str | None = None,
     more: Needed | None = None,
@@ -165,29 +165,29 @@ def verdict_of(
     Parameters
     ----------
     difference
-        Value of the policy less that of the opponent.
-    opponent
+        Value of the policy less that of the baseline.
+    baseline
         Its name.
     is_significant
         Whether an interval without 0 still counts, given how many were looked at.
     unit
         What rewards are counted in; None if nobody has said.
     more
-        How many times as many trajectories would tell, if that is known.
+        How many times as many trajectories would decide, if that is known.
     """
     of = f" {unit}" if unit else ""
     within = _between(difference.low, difference.high, of)
     if difference.low > 0 and is_significant:
-        return "better", f"it earns {difference.value:.3g}{of} more a trajectory than {opponent}, {within}"
+        return "better", f"it earns {difference.value:.3g}{of} more a trajectory than {baseline}, {within}"
     if difference.high <= 0 and (is_significant or difference.standard_error == 0):
         less = (
             f"{-difference.value:.3g}{of} less a trajectory than" if difference.value < 0 else "as much a trajectory as"
         )
-        return "not better", f"it earns {less} {opponent}, {within}"
-    reason = f"it earns {within} a trajectory than {opponent}"
+        return "not better", f"it earns {less} {baseline}, {within}"
+    reason = f"it earns {within} a trajectory than {baseline}"
     if difference.low > 0 or difference.high <= 0:
-        return "cannot be said", f"{reason}, which is not enough among so many opponents; name fewer"
-    return "cannot be said", f"{reason}; {_more_trajectories(more or needed(difference, difference.value, LEVEL))}"
+        return "inconclusive", f"{reason}, which is not enough among so many baselines; name fewer"
+    return "inconclusive", f"{reason}; {_more_trajectories(more or needed(difference, difference.value, LEVEL))}"
 
 
 def _between(low: float, high: float, of: str) -> str:
@@ -204,7 +204,7 @@ def _more_trajectories(more: Needed) -> str:
         return "there is no significant difference, nor would a log many times as large show one if that is all"
     gain = f"{abs(more.gain):.3g} {'less' if more.gain < 0 else 'more'}"
     times = np.ceil(more.times * 10) / 10
-    return f"if it is the {gain} that Q says, some {times:.1f} times as many trajectories would tell"
+    return f"if it truly is the {gain} that Q says, about {times:.1f} times as many trajectories would decide"
 
 
 STRONGEST = 100.0

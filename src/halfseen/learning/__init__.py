@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.learning.flat_policy import FlatPolicy
+    from halfseen.learning.discrete_policy import DiscretePolicy
     from halfseen.learning.named_task import NamedActions
     from halfseen.learning.q_learner import CensoredQLearner
     from halfseen.learning.q_space import CrossValidation, KernelQ, LinearQ, QuadraticQ
     from halfseen.learning.resampling import QBootstrap, bootstrap
     from halfseen.learning.svm.estimators import CensoredSVC, CensoredSVR
-    from halfseen.learning.svm.kernels import SetKernel
+    from halfseen.learning.svm.set_kernel import SetKernel
     from halfseen.learning.svm.targets import survival_array
     from halfseen.learning.targets import BuckleyJames, DoublyRobust, Unweighted, Weighted
     from halfseen.learning.task import Task
@@ -26,8 +26,8 @@ __all__ = [
     "CensoredSVC",
     "CensoredSVR",
     "CrossValidation",
+    "DiscretePolicy",
     "DoublyRobust",
-    "FlatPolicy",
     "KernelQ",
     "LinearQ",
     "NamedActions",
@@ -50,13 +50,13 @@ __getattr__ = lazy_names(
         "CensoredSVR": "svm.estimators",
         "CrossValidation": "q_space",
         "DoublyRobust": "targets",
-        "FlatPolicy": "flat_policy",
+        "DiscretePolicy": "discrete_policy",
         "KernelQ": "q_space",
         "LinearQ": "q_space",
         "NamedActions": "named_task",
         "QBootstrap": "resampling",
         "QuadraticQ": "q_space",
-        "SetKernel": "svm.kernels",
+        "SetKernel": "svm.set_kernel",
         "Task": "task",
         "Unweighted": "targets",
         "Weighted": "targets",

@@ -6,8 +6,9 @@ with k the block of the action: on named actions that is the multinomial logisti
 table one choice among all objects and verbs.
 
 Where Q is taken at a lower confidence bound, doing what the log does needs no proof: it makes nothing worse than it
-was. So the margin of an action is waived as far as the behaviour policy leans towards it (`leaning`), and only what
-leaves the behaviour policy must be better beyond doubt, as in safe policy improvement [LarocheTrichelairTachet2019]_.
+was. So the margin of an action is waived as far as the behaviour policy leans towards it (`excess_propensity`), and
+only what leaves the behaviour policy must be better beyond doubt, as in safe policy improvement
+[LarocheTrichelairTachet2019]_.
 
 It is fitted by Newton steps of bounded length (`minimise_each`), which serve several smooth functions of few numbers at
 once. Where one is not convex, the eigenvalues of its Hessian are taken by their size, so that each step leads downhill
@@ -72,11 +73,23 @@ def _downhill(gradient: Thetas, hessian: Float[np.ndarray, "K p p"]) -> Thetas:
     return -np.einsum("kij,kj->ki", axes, along)
 
 
+MOST_FOR_NEWTON = 1000
+"""Coefficients of a choice whose curvature is worth its time; more are found by L-BFGS."""
+
 RIDGE = 1.0
 """Penalty ½·RIDGE·‖β‖² on features of unit variance, beside a log-likelihood that is summed over rows."""
 
 _FLAT = 1e-10
 """Share of the curvature that is added where the loss may be flat."""
+
+
+def log_chances(
+    utility: Float[np.ndarray, "*S A"], is_possible: Bool[np.ndarray, "*#S A"]
+) -> Float[np.ndarray, "*S A"]:
+    """Logarithm of how likely each action is [nat]; −inf where it is not possible."""
+    among = np.where(is_possible, utility, -np.inf)
+    among = among - among.max(axis=-1, keepdims=True)
+    return among - np.log(np.exp(among).sum(axis=-1, keepdims=True))
 
 
 def choice_probabilities(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
@@ -87,7 +100,7 @@ def choice_probabilities(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#
     return odds / odds.sum(axis=-1, keepdims=True)
 
 
-def leaning(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
+def excess_propensity(utility: Float[Any, "*S A"], is_possible: Bool[Any, "*#S A"]) -> Float[Any, "*S A"]:
     """How far the choice is from chance towards each action: 0 at one time in k or less, 1 at always.
 
     k counts the actions that there are to choose from.
@@ -163,24 +176,34 @@ def _fitted_logit(
     row, num_features = np.arange(len(taken)), design.shape[-1]
     penalty = RIDGE * np.tile(np.arange(num_features) > 0, len(members))
 
-    def derivatives(at: Float[np.ndarray, "1 P"]) -> Derivatives:
-        (beta,), utility = at, np.empty(is_possible.shape)
+    def loss_and_slope(beta: Float[np.ndarray, " P"]) -> tuple[float, np.ndarray, np.ndarray]:
+        utility = np.empty(is_possible.shape)
         for some, part, of_block in zip(members, parts, beta.reshape(len(members), -1), strict=True):
             utility[:, some] = part @ of_block
         utility = np.where(is_possible, utility, -np.inf)
         utility -= utility.max(axis=1, keepdims=True)
         log_probability = utility - np.log(np.exp(utility).sum(axis=1, keepdims=True))
         loss = -(weight * log_probability[row, taken]).sum() + 0.5 * float(penalty @ beta**2)
-        miss = np.exp(log_probability)
-        probability = [miss[:, some] for some in members]
+        probability = np.exp(log_probability)
+        miss = probability.copy()
         miss[row, taken] -= 1.0
         slope = [np.einsum("ra,raf->f", weight[:, None] * miss[:, m], x) for m, x in zip(members, parts, strict=True)]
-        curvature = _curvature(probability, parts, weight) + np.diag(penalty)
+        return loss, penalty * beta + np.concatenate(slope), probability
+
+    def derivatives(at: Float[np.ndarray, "1 P"]) -> Derivatives:
+        loss, slope, probability = loss_and_slope(at[0])
+        curvature = _curvature([probability[:, some] for some in members], parts, weight) + np.diag(penalty)
         # The loss may be flat along offsets: there the slope is 0, and so is the step.
         curvature += _FLAT * np.diag(np.maximum(np.diag(curvature), 1.0))
-        return np.array([loss]), (penalty * beta + np.concatenate(slope))[None], curvature[None]
+        return np.array([loss]), slope[None], curvature[None]
 
-    return minimise_each(derivatives, np.zeros((1, len(penalty)))).reshape(len(members), -1)
+    start = np.zeros(len(penalty))
+    if len(start) <= MOST_FOR_NEWTON:
+        return minimise_each(derivatives, start[None]).reshape(len(members), -1)
+    import scipy.optimize
+
+    found = scipy.optimize.minimize(lambda beta: loss_and_slope(beta)[:2], start, jac=True, method="L-BFGS-B")
+    return found.x.reshape(len(members), -1)
 
 
 def _curvature(

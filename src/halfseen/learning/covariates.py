@@ -17,6 +17,8 @@ import numpy as np
 
 from halfseen.errors import LogError
 from halfseen.lazy import Frame
+from halfseen.logs.checks import LARGEST
+from halfseen.logs.missing import remedy_of
 from halfseen.shapes import Float
 from halfseen.suggestions import did_you_mean
 
@@ -131,20 +133,27 @@ class Covariates:
         import pandas as pd
 
         from halfseen.logs.columns import value_at
+        from halfseen.logs.spelling import alike, spelled_out
 
         values: Any = frame[column]
         is_null = values.isna().to_numpy()
         if is_null.any():
             where = _place(frame, int(np.argmax(is_null)))
-            raise LogError(f"{where}: covariate {column!r} is null; fill it in")
+            raise LogError(f"{where}: covariate {column!r} is null; fill it in, or learn by --missing")
         known = self.categories[column]
         codes = pd.Index(known, dtype=object).get_indexer(values.astype(object).map(str))
         if (codes < 0).any():
             row = int(np.argmax(codes < 0))
             value = str(value_at(frame, column, row))
+            for same in (same for same in alike([*known, value]) if value in same):
+                both = " and ".join(spelled_out(same))
+                raise LogError(
+                    f"{_place(frame, row)}: covariate {column!r}: {both} differ only in their spelling, and the log "
+                    "that was learned from never showed both; write it as that log does"
+                )
             raise LogError(
                 f"{_place(frame, row)}: covariate {column!r} is {value!r}, which the log that was learned from never "
-                f"showed; known are {_listed(known)}: give one of these, or learn anew from logs that show {value!r}"
+                f"showed; known are {_listed(known)}: give one of these, or learn again from logs that show {value!r}"
             )
         return codes
 
@@ -154,11 +163,11 @@ def _numbers(frame: Frame, columns: list[str]) -> Float[np.ndarray, "m F"]:
         if not is_numeric(frame, name):
             raise LogError(f"covariate {name!r} holds no numbers, and no categories of it are known; give numbers")
     values = frame[columns].to_numpy(dtype=np.float64, na_value=np.nan)
-    wrong = np.argwhere(~np.isfinite(values))
+    wrong = np.argwhere(~(np.abs(values) <= LARGEST))
     if len(wrong):
         row, column = wrong[0]
         what = f"covariate {columns[column]!r} is {values[row, column]}"
-        raise LogError(f"{_place(frame, int(row))}: {what}; give a finite number")
+        raise LogError(f"{_place(frame, int(row))}: {what}; give a finite number of at most {LARGEST:g}")
     return values
 
 
@@ -245,7 +254,7 @@ def _look(logs: "Logs", column: str) -> _Seen:
     is_null = values.isna().to_numpy()
     if is_null.any():
         where = _place(logs.stages, int(np.argmax(is_null)))
-        return f"is null at {where}; fill it in, with a word such as 'unknown' where nothing is known, or leave it out"
+        return f"is null at {where}; {remedy_of(column)}"
     pairs: Any = logs.stages[["trajectory", column]].astype({column: object}).drop_duplicates()
     return Counter(pairs[column].map(str))
 

@@ -16,7 +16,7 @@ if m is right, whatever K̂ is. m is a step function of the age, so the integral
 must be right.
 
 m comes from two regressions, on the completed stages: of X on φ(S_t, A_t) and terms g(D) of the duration, a spline of
-few bends, by block and anew at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a
+few bends, by block and again at each step of eq. 3 (`recursion`); and of D on φ and t, by proportional hazards with a
 baseline for each block, which says what g(D) is to be expected. A stage that is completed is not a fair draw of all,
 but given its duration it is, if cuts depend on (S_t, A_t) alone; so a regression that is right needs no weights. One
 that is a little wrong had better be wrong where stages are short: for doubly robust targets each stage weighs
@@ -103,8 +103,9 @@ def fit_durations(
     features
         What D may depend on.
     """
-    # Here completion is the event, and at equal times it comes before the cut.
-    ends = np.where(is_completed, watched_s, np.nextafter(watched_s, np.inf))
+    # Here completion is the event, and at equal times it comes before the cut. Only the order counts.
+    distinct, rank = np.unique(watched_s, return_inverse=True)
+    ends = rank + np.where(is_completed, 1.0, 1.5)
     columns = np.flatnonzero(np.ptp(features, axis=0) > 0)
     if len(columns):
         model = Cox(ridge=DURATION_RIDGE).fit(ends, ~is_completed, features[:, columns])
@@ -116,7 +117,7 @@ def fit_durations(
         with np.errstate(divide="ignore"):
             hazard = np.cumsum(-np.log1p(-events / at_risk))
     kept = np.unique(np.linspace(0, len(times) - 1, min(NUM_DURATIONS, len(times))).astype(int))
-    return Durations(model, columns, times[kept], hazard[kept])
+    return Durations(model, columns, distinct[times[kept].astype(int) - 1], hazard[kept])
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from halfseen.shapes import Float, Int
 from halfseen.workers.threads import one_thread
 
 
-class Judged(NamedTuple):
+class FittedValues(NamedTuple):
     """What a Q says of every stage of a log, for one weighting or for each of B."""
 
     value: Float[np.ndarray, "*B n T"]
@@ -37,7 +37,7 @@ def judged(
     block_of_action: Int[np.ndarray, " A"],
     stages: StageMode,
     reward: Float[np.ndarray, "n T"],
-) -> Judged:
+) -> FittedValues:
     """Let each stage's own Q judge it.
 
     Parameters
@@ -59,7 +59,7 @@ def judged(
     target = _targets(log._replace(reward=reward), value)
     if fits.outcome is not None:
         target = _imputed(log, fits.outcome[in_order], target, block_of_action)
-    return Judged(value, taken, target)
+    return FittedValues(value, taken, target)
 
 
 def _values(q: Float[np.ndarray, "n T A"], log: Transitions) -> Float[np.ndarray, "n T"]:
@@ -115,14 +115,16 @@ def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, 
     """
     if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_TRAJECTORIES:
         return model, model.chosen
+    if not model.is_affordable(trajectories.features.shape[-1]):
+        return model, (*model.chosen, "stages are pooled: to try separate ones, too, would take minutes")
     gains = _held_out_gains(replace(model, stages="pooled", pessimism=0.0), trajectories)
     gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
     found = f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
     if gain > CLEARLY * error:
-        told = f"stages are separate: held out, they predict better than pooled ones {found}"
-        return replace(model, stages="separate"), (*model.chosen, told)
-    told = f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
-    return replace(model, stages="pooled"), (*model.chosen, told)
+        finding = f"stages are separate: held out, they predict better than pooled ones {found}"
+        return replace(model, stages="separate"), (*model.chosen, finding)
+    finding = f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
+    return replace(model, stages="pooled"), (*model.chosen, finding)
 
 
 def _held_out_gains(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:

@@ -1,7 +1,7 @@
 """Parts of a log as they are laid out, kept on disk between passes: reading and checking them takes longest.
 
-What cannot be kept is no loss but of time: whoever asks lays it out anew, to the same bytes. The folder is private to
-the user and gone after the passes; its arrays are mapped, so that a pass reads no more of them than it looks at.
+What cannot be kept is no loss but of time: anyone who asks lays it out again, to the same bytes. The folder is private
+to the user and gone after the passes; its arrays are mapped, so that a pass reads no more of them than it looks at.
 """
 
 import os

@@ -10,10 +10,11 @@ import pandas as pd
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.behaviour import seen_among
 from halfseen.learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
-from halfseen.learning.flat_policy import FlatPolicy, NamedActionPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy, NamedActionPolicy
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
+from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float, Int
 from halfseen.suggestions import did_you_mean
 
@@ -32,6 +33,8 @@ class NamedActions:
         Columns of the stages that Q looks at.
     categories
         Of the columns that hold text; of those that are not given they are learned by `fitted`.
+    filling
+        What stands for covariates that are missing, as `fitted` finds it in the log; None where null is refused.
 
     Raises
     ------
@@ -42,6 +45,7 @@ class NamedActions:
     actions: Actions
     covariates: Sequence[str] = ()
     categories: Categories = field(default_factory=dict)
+    filling: Filling | None = None
 
     end_action = None
     is_shared = True
@@ -76,11 +80,11 @@ class NamedActions:
         LogError
             A covariate of Q holds text that cannot be looked at; the message says why.
         """
-        return self.fitted_to_parts([logs])
+        return self.fitted_to_parts([logs], logs.filling)
 
-    def fitted_to_parts(self, parts: Iterable[Logs]) -> "NamedActions":
-        """Do so from a log in parts of whole trajectories."""
-        return replace(self, categories=learned_categories(parts, self.covariates, self.categories))
+    def fitted_to_parts(self, parts: Iterable[Logs], filling: Filling | None) -> "NamedActions":
+        """Do so from a log in parts of whole trajectories, and keep what stands for its nulls."""
+        return replace(self, categories=learned_categories(parts, self.covariates, self.categories), filling=filling)
 
     @property
     def looks_at(self) -> Covariates:
@@ -154,11 +158,11 @@ class NamedActions:
         """Rewards as they are."""
         return stages.reward, None
 
-    def policy(self, learned: LearnedQ) -> FlatPolicy:
+    def policy(self, learned: LearnedQ) -> DiscretePolicy:
         """Policy that follows Q-functions, or a batch of them, and takes what has a value."""
         coefficients, seen, margin = learned.coefficients, learned.is_seen, learned.margin
         possible = self._possible_by_stage(coefficients.shape[-3])
-        return FlatPolicy(
+        return DiscretePolicy(
             actions=tuple(self.names),
             covariates=tuple(self.covariates),
             is_possible=possible if seen is None else np.asarray(seen_among(possible, seen[::-1])),
@@ -166,7 +170,9 @@ class NamedActions:
             kernel_map=learned.kernel_map,
             margin=None if margin is None else margin[..., ::-1, :, :, :],
             behaviour=learned.behaviour,
+            behaviour_weight=learned.behaviour_weight,
             categories={name: self.categories[name] for name in self.covariates if name in self.categories},
+            filling=self.filling,
         )
 
     def target_probabilities(self, policy: Any, logs: Logs, horizon: int) -> Float[np.ndarray, "n T A"]:

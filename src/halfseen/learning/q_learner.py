@@ -43,6 +43,9 @@ from halfseen.workers.threads import in_one_thread
 PESSIMISM = 2.0
 """Standard errors by which the value of a whole trajectory is lowered, were the errors of its stages independent."""
 
+MANY_ACTIONS = 8
+"""So many actions have few stages each, so that partial pooling pays (`benchmarks/many_actions.py`)."""
+
 
 @dataclass(eq=False, repr=False)
 class CensoredQLearner(Estimator):
@@ -64,7 +67,8 @@ class CensoredQLearner(Estimator):
     q_function
         ``"linear"``: Q is linear in the covariates (for another task, in its features); ``"quadratic"``: in them and
         their products; ``"kernel"`` or ``KernelQ(…)``: Q is in the RKHS of a Gaussian kernel on them; ``"smooth"``: a
-        quadratic and such a function; ``"auto"``: smooth, but linear where a task makes features of its own.
+        quadratic and such a function; ``"auto"``: smooth, but linear where a task makes features of its own, or
+        covariates and actions are so many that it would take minutes.
     censoring
         What stands for what cuts took away: ``"kaplan-meier"``, ``"cox"``, ``"kernel"`` or a `CensoringModel`: weights
         by that model of the cuts, or ``Weighted(…)`` with its clock and covariates; ``DoublyRobust(…)``:
@@ -96,7 +100,7 @@ class CensoredQLearner(Estimator):
         Effective sample size, largest weight, share truncated.
     chosen_ : tuple of str
         What was chosen by itself, and why; a sentence each.
-    policy_ : FlatPolicy, or what the task makes
+    policy_ : DiscretePolicy, or what the task makes
         The policy that was learned, with nothing of the learner.
 
     Examples
@@ -255,8 +259,10 @@ class CensoredQLearner(Estimator):
         """Check the parameters and compose what they say; nothing is fitted.
 
         Targets are imputed by themselves, but weighted where the action of a stage in which a trajectory was cut is not
-        known; 𝒬 is smooth in plain covariates, and linear in the features that a task makes for each action; pessimism
-        is 2/√T for each of T stages, whose margins add up, and 0, eq. 3 as it is, where targets are fixed.
+        known; 𝒬 is smooth in plain covariates, linear where that would take too long (`q_space.MOST_WORK`) and in the
+        features that a task makes for each action; pessimism is 2/√T for each of T stages, whose margins add up, and 0,
+        eq. 3 as it is, where targets are fixed. With pessimism and eight actions or more they are partially pooled
+        (`recursion`), and the policy keeps to what the log does where they cannot tell (`preference`).
 
         Parameters
         ----------
@@ -281,14 +287,17 @@ class CensoredQLearner(Estimator):
             stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
             pessimism=0.0 if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
             random_state=self.random_state,
+            is_space_free=_is_auto(self.q_function),
         )
         if is_of_policy and model.pessimism > 0:
             raise ArgumentError(
                 f"pessimism is {self.pessimism}, but Q is that of a given policy, where no largest is sought; leave it "
                 "out, or learn Q of the best one (base=None)"
             )
-        is_careful = _is_auto(self.pessimism) and not (is_fixed or is_of_policy)
-        return replace(model, pessimism=PESSIMISM / self.horizon**0.5) if is_careful else model
+        if _is_auto(self.pessimism) and not (is_fixed or is_of_policy):
+            model = replace(model, pessimism=PESSIMISM / self.horizon**0.5)
+        has_many_actions = model.pessimism > 0 and task.is_shared and model.num_blocks >= MANY_ACTIONS
+        return replace(model, has_many_actions=has_many_actions)
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""

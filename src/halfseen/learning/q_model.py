@@ -1,4 +1,4 @@
-"""All that turns a log into the transitions of eq. 3 and these into Q: composed once, used by whoever fits a Q.
+"""All that turns a log into the transitions of eq. 3 and these into Q: composed once, used by anyone who fits a Q.
 
 The learner, the bootstrap, the study and off-policy evaluation all start from a `QModel`.
 
@@ -19,7 +19,18 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.behaviour import fit_choice, seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.q_space import CrossValidation, KernelMap, LinearQ, QSpace, Reg, StageMode
+from halfseen.learning.preference import preference_of
+from halfseen.learning.q_space import (
+    CrossValidation,
+    KernelMap,
+    LinearQ,
+    QSpace,
+    Reg,
+    StageMode,
+    is_affordable,
+    num_features_of,
+    refuse_too_large,
+)
 from halfseen.learning.recursion import QFunctions, fit_q
 from halfseen.learning.rows import (
     Imputation,
@@ -28,6 +39,7 @@ from halfseen.learning.rows import (
     Transitions,
     refuse_all_cut,
     refuse_too_few,
+    refuse_vanishing,
     support_of,
     trajectory_arrays,
 )
@@ -102,6 +114,15 @@ class QModel:
         Coefficients of the behaviour policy, once it is fitted, which is for pessimism alone.
     durations
         How long stages last, where that is fitted beforehand, as for a log in parts; None to fit it to each log.
+    is_space_free
+        Whether nobody asked for this 𝒬, so that it gives way to a linear one where it would take too long.
+    space_chosen
+        Why it gave way.
+    has_many_actions
+        Whether the Q of each action is shrunk towards what all have in common, rather than towards 0, and the policy
+        towards what the log does (`preference`).
+    behaviour_weight
+        τ of `preference`, once it is found.
 
     Raises
     ------
@@ -122,6 +143,10 @@ class QModel:
     pessimism: float = 0.0
     behaviour: Float[np.ndarray, "K G"] | None = None
     durations: DurationModel | None = None
+    is_space_free: bool = False
+    space_chosen: tuple[str, ...] = ()
+    has_many_actions: bool = False
+    behaviour_weight: float = 0.0
 
     def __post_init__(self) -> None:
         if not is_count(self.horizon):
@@ -154,8 +179,9 @@ class QModel:
     def with_task(self, parts: Iterable[Logs], sample: Logs) -> "QModel":
         """Fit what the task learns to a sample; but what categories there are only all parts can tell."""
         task = self.task
-        fitted = task.fitted_to_parts(parts) if isinstance(task, NamedActions) else task.fitted(sample, self.horizon)
-        return replace(self, task=fitted)
+        if isinstance(task, NamedActions):
+            return replace(self, task=task.fitted_to_parts(parts, sample.filling))
+        return replace(self, task=task.fitted(sample, self.horizon))
 
     def sample_of(self, trajectories: TrajectoryArrays) -> TrajectoryArrays:
         """Trajectories that decide on what is no sum (see above)."""
@@ -171,16 +197,48 @@ class QModel:
         return replace(self, cut_model=self.targets.fit_cuts(clocks), support=support)
 
     def with_sample(self, trajectories: TrajectoryArrays) -> "QModel":
-        """Choose the features of a kernel, and fit the behaviour policy, if there is a margin that it may waive."""
-        kernel_map = self.space.features(trajectories.encoded.taken[trajectories.is_completed], self.random_state)
-        model = replace(self, kernel_map=kernel_map)
+        """Choose the features of a kernel, and fit the behaviour policy, if there is a margin that it may waive.
+
+        Raises
+        ------
+        LogError
+            No reward is large enough to be squared.
+        """
+        refuse_vanishing(trajectories.reward[trajectories.is_completed])
+        model = self._with_affordable_space(trajectories.features.shape[-1])
+        taken = trajectories.encoded.taken[trajectories.is_completed]
+        model = replace(model, kernel_map=model.space.features(taken, self.random_state))
         if self.pessimism == 0:
             return model
+        if self.has_many_actions:
+            assert self.support is not None
+            return replace(model, **preference_of(trajectories, int(self.support.num_completed.sum()))._asdict())
         known, blocks = trajectories.is_begun & trajectories.has_action, self.blocks(trajectories.is_possible.shape[-1])
         found = fit_choice(
             trajectories.features[known], trajectories.is_possible[known], trajectories.action[known], blocks
         )
         return replace(model, behaviour=found)
+
+    @property
+    def num_blocks(self) -> int:
+        """Number K of blocks of coefficients."""
+        return 1 if self.is_joint else len(self.task.block_names)
+
+    def is_affordable(self, num_inputs: int) -> bool:
+        """Tell whether a Q of so many inputs is fitted in seconds."""
+        return is_affordable(self.space, num_inputs, self.num_blocks)
+
+    def _with_affordable_space(self, num_inputs: int) -> "QModel":
+        num_blocks = self.num_blocks
+        if self.is_space_free and not self.is_affordable(num_inputs):
+            num_features = num_features_of(self.space, num_inputs)
+            why = f"Q is linear: a smooth one would have {num_features} features for each of {num_blocks} actions"
+            return replace(self, space=LinearQ(), space_chosen=(why,))
+        # Of pooled stages there are the rows that go on, and those that the horizon ended.
+        num_slices = self.horizon if self.stages == "separate" else 2
+        num_folds = self.reg.num_folds if isinstance(self.reg, CrossValidation) else 1
+        refuse_too_large(self.space, num_inputs, num_blocks, num_folds * num_slices)
+        return self
 
     def with_durations(self, trajectories: TrajectoryArrays) -> "QModel":
         """Fit how long stages last, if targets are imputed."""
@@ -274,24 +332,36 @@ class QModel:
             coefficients, seen = coefficients[..., ::-1, :, :], None if seen is None else seen[::-1]
             root = None if root is None else root[..., ::-1, :, :, :]
         margin = None if root is None else self.pessimism * np.asarray(root)
-        return self.task.policy(LearnedQ(coefficients, self.kernel_map, seen, margin, self.behaviour))
+        return self.task.policy(
+            LearnedQ(coefficients, self.kernel_map, seen, margin, self.behaviour, self.behaviour_weight)
+        )
 
     @property
     def chosen(self) -> tuple[str, ...]:
         """What the task chose by itself, and why."""
-        return tuple(getattr(self.task, "chosen", ()))
+        return (*self.space_chosen, *self._preference_chosen, *getattr(self.task, "chosen", ()))
+
+    @property
+    def _preference_chosen(self) -> tuple[str, ...]:
+        if not self.has_many_actions:
+            return ()
+        if self.behaviour_weight == 0:
+            return ("what the log does counts for nothing: stages in which it did as it prefers brought no more",)
+        worth = f"{self.behaviour_weight:.3g} of reward for each factor of e in how likely the log takes it"
+        return (f"few stages speak for each of {self.num_blocks} actions, so what the log does counts: {worth}",)
 
     def regression(self, num_trajectories: int, num_actions: int) -> Regression:
         """Say how each step of eq. 3 is fitted, on so many trajectories."""
         return Regression(
             block_of_action=self.blocks(num_actions),
-            num_blocks=1 if self.is_joint else len(self.task.block_names),
+            num_blocks=self.num_blocks,
             regs=self.space.regs if isinstance(self.reg, CrossValidation) else np.array([self.reg]),
             num_folds=self._num_folds(num_trajectories),
             stages=self.stages,
             end_action=self.task.end_action if self.stages == "pooled" else None,
             is_scaled=self.space.is_scaled,
             pessimism=self.pessimism,
+            is_partially_pooled=self.has_many_actions,
         )
 
     def folds(self, num_trajectories: int) -> Int[np.ndarray, " n"]:

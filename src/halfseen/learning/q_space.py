@@ -214,6 +214,46 @@ and of a world of 20 covariates, all of seeds below 1000; `benchmarks/learners.p
 Q_SPACES: dict[str, QSpace] = {"linear": LinearQ(), "quadratic": QuadraticQ(), "kernel": KernelQ(), "smooth": SMOOTH}
 
 
+MOST_WORK = 1e8
+"""K·F³ of K blocks of F features that a Q may have which nobody asked for: seconds. Twenty covariates of three actions,
+or eight of sixteen, are smooth; thirty-two of sixteen are linear."""
+MOST_MEMORY = 4e9
+"""That sums over rows may take [bytes]."""
+NUM_SUMS = 4
+"""Matrices of sums of each fold and block (`sums.Moments`)."""
+
+
+def num_features_of(space: QSpace, num_inputs: int) -> int:
+    """Count the features that a Q of so many inputs has, at most."""
+    num_products = num_inputs * (num_inputs + 1) // 2
+    if isinstance(space, KernelQ):
+        return space.num_landmarks + (0 if space.trend is None else num_inputs + num_products)
+    return num_inputs + (num_products if isinstance(space, QuadraticQ) else 0)
+
+
+def is_affordable(space: QSpace, num_inputs: int, num_blocks: int) -> bool:
+    """Tell whether a Q is fitted in seconds."""
+    return num_blocks * num_features_of(space, num_inputs) ** 3 <= MOST_WORK
+
+
+def refuse_too_large(space: QSpace, num_inputs: int, num_blocks: int, num_sums: int) -> None:
+    """Refuse a Q whose sums over rows take more than `MOST_MEMORY`.
+
+    Raises
+    ------
+    ArgumentError
+        They do.
+    """
+    num_features = num_features_of(space, num_inputs)
+    needed = 8.0 * NUM_SUMS * num_sums * num_blocks * (1 + num_features) ** 2
+    if needed > MOST_MEMORY:
+        raise ArgumentError(
+            f"q_function is {name_of(space)!r}: {num_features} features for each of {num_blocks} actions take "
+            f"{needed / 1e9:.0f} GB, and {MOST_MEMORY / 1e9:.0f} GB are allowed; leave covariates out, group their "
+            "categories, or choose 'linear' or KernelQ(num_landmarks=…)"
+        )
+
+
 @dataclass(frozen=True)
 class CrossValidation:
     """λ is chosen for each regression and block by weighted cross-validation over trajectories.

@@ -11,6 +11,11 @@ so a log in memory is one part, and one that does not fit there is many (`passes
 on the rows of all stages; a row that the horizon ended says nothing of a longer future, so it serves Q_1 alone. One
 more step to go changes little, so Q_h is shrunk towards Q_{h−1}. With λ = 0 nothing is shrunk, and eq. 3 is exact.
 
+*Partial pooling* [GelmanHill2007]_: what all actions share says most of a state's value, and few rows say what one
+action adds. So Q may be the sum of what is fitted to the rows of all blocks as if they were one, and of how far each
+block lies from it, its mean among that, which is shrunk towards that of one step less to go. λ of the blocks is then
+chosen for all of them together.
+
 *Control variates* [Glasserman2003]_ are numbers that S_{t+1} tells and whose mean given (S_t, A_t) is 0.
 Each regression runs on them too, and Q leaves them out: what they explain of the target is noise that Q is spared.
 
@@ -74,6 +79,10 @@ def stack_q(each: Sequence[QFunctions]) -> QFunctions:
     return QFunctions(*stacked)
 
 
+SHRUNK_MEANS = 0.05
+"""What of λ weighs how far the mean of a block lies from what all blocks have in common."""
+
+
 class Step(NamedTuple):
     """One backward step."""
 
@@ -128,7 +137,7 @@ def _in_memory(log: Transitions, regression: Regression) -> Callable[[Step], Ste
     if largest >= regression.num_folds:
         raise ArgumentError(
             f"fold {largest} of {regression.num_folds}: folds are 0 to {regression.num_folds - 1}; deal the "
-            "trajectories anew"
+            "trajectories again"
         )
     rows, norms = packed(log, regression), None
 
@@ -190,6 +199,8 @@ class _Equations(NamedTuple):
 
     moments: Moments
     main: Ridge
+    common: Ridge | None
+    """Of all blocks as if they were one."""
     outcome: Ridge | None
     """Of X, where targets are imputed."""
     seen: Ridge | None
@@ -203,6 +214,8 @@ class _Steps:
         self.regression, self._ask, self._num_trajectories = regression, ask, num_trajectories
         self._moments: dict[int, Moments] = {}
         self._equations: dict[tuple[int, ...], _Equations] = {}
+        self._common: Any = None
+        self._offset = SHRUNK_MEANS if regression.is_partially_pooled else 0.0
 
     def fit(self, step: Step) -> tuple[QFunctions, Float[np.ndarray, "K F"], Errors | None]:
         """Fit Q of one step; with its coefficients and, last, those of control variates; and how far it is lowered."""
@@ -228,7 +241,11 @@ class _Steps:
         if self.regression.pessimism > 0:
             gram = moments.of_matrix[SEEN, :, :, :num_features, :num_features]
             seen = ridge_of(gram.sum(axis=0, keepdims=True), regs, num_trajectories, is_scaled)
-        return _Equations(moments, ridge_of(main, regs, num_trajectories, is_scaled), outcome, seen)
+        common = None
+        if self.regression.is_partially_pooled:
+            common = ridge_of(main.sum(axis=1, keepdims=True), regs, num_trajectories, is_scaled)
+        own = ridge_of(main, regs, num_trajectories, is_scaled, self._offset)
+        return _Equations(moments, own, common, outcome, seen)
 
     def _solved(
         self, equations: _Equations, sums: StepSums, centre: Float[np.ndarray, "K F"] | None
@@ -240,10 +257,10 @@ class _Steps:
             kept, used = _of_outcome(columns)
             outcome, _ = solve(equations.outcome, crosses[OUTCOME - 1][..., kept] * used)
             cross = cross + _of_imputed(moments, columns, outcome)
-        if centre is not None:
-            cross = cross - np.einsum("vkfg,kg->vkf", moments[WHOLE][..., design, design], centre)
-        coefficients, reg = solve(equations.main, cross)
-        coefficients = coefficients if centre is None else coefficients + centre
+        gram = moments[WHOLE][..., design, design]
+        if equations.common is not None:
+            centre = self._centre_of(equations.common, gram, cross, centre)
+        coefficients, reg = _around(equations.main, gram, cross, centre, self.regression.is_partially_pooled)
         q = QFunctions(coefficients[:, : columns.num_features], reg, outcome)
         if equations.seen is None:
             return q, coefficients, None
@@ -251,10 +268,38 @@ class _Steps:
         # Σ w (X − βᵀx)² of the completed stages.
         explained = 2.0 * crosses[SEEN - 1][..., design].sum(axis=0) - np.einsum("kfg,kg->kf", gram, coefficients)
         squares = np.maximum(sums.crosses.squares - np.sum(coefficients * explained, axis=-1), 0.0)
-        errors = standard_errors(equations.seen, reg * self._num_trajectories, squares, equations.moments.counts)
+        penalty, counts = reg * self._num_trajectories, equations.moments.counts
+        errors = standard_errors(equations.seen, penalty, squares, counts, self._offset)
         root = errors.root * errors.deviation[:, None, None]
         lowered = errors._replace(deviation=self.regression.pessimism * errors.deviation)
         return q._replace(root=root), coefficients, lowered
+
+    def _centre_of(
+        self,
+        equations: Ridge,
+        gram: Float[np.ndarray, "V K F F"],
+        cross: Float[np.ndarray, "V K F"],
+        centre: Float[np.ndarray, "K F"] | None,
+    ) -> Float[np.ndarray, "K F"]:
+        """What blocks have in common now, and how far each lay from it in the step before."""
+        of_all, together, before = gram.sum(axis=1, keepdims=True), cross.sum(axis=1, keepdims=True), self._common
+        self._common, _ = _around(equations, of_all, together, None if centre is None else before)
+        apart = np.zeros(cross.shape[1:]) if centre is None else centre - before
+        return self._common + apart
+
+
+def _around(
+    ridge: Ridge,
+    gram: Float[np.ndarray, "V K F F"],
+    cross: Float[np.ndarray, "V K F"],
+    centre: Float[np.ndarray, "K F"] | None,
+    is_joint: bool = False,
+) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
+    """Regress, shrunk towards a centre; None for 0."""
+    if centre is None:
+        return solve(ridge, cross, is_joint)
+    found, reg = solve(ridge, cross - np.einsum("vkfg,kg->vkf", gram, centre), is_joint)
+    return centre + found, reg
 
 
 def _of_outcome(columns: Columns) -> tuple[np.ndarray, Float[np.ndarray, " M"]]:

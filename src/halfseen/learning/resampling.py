@@ -1,6 +1,6 @@
 """How much what was learned hangs on which trajectories happened to be logged: the bootstrap [Efron1979]_.
 
-Trajectories are drawn anew from the log with replacement. Ĝ, the weights and, where targets are imputed, the durations
+Trajectories are resampled from the log with replacement. Ĝ, the weights and, where targets are imputed, the durations
 are estimated again from each such draw, and Q is fitted to it as it was to the log; features and λ's grid stay.
 """
 
@@ -13,7 +13,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
 from halfseen.learning.recursion import QFunctions, fit_q, stack_q
@@ -30,7 +30,7 @@ BATCH_SIZE = 10
 
 @dataclass(frozen=True, eq=False)
 class QBootstrap:
-    """What was learned, and what would have been learned from trajectories drawn anew.
+    """What was learned, and what would have been learned from trajectories resampled.
 
     Parameters
     ----------
@@ -66,11 +66,10 @@ class QBootstrap:
         return (best[..., None] == np.arange(possible.shape[-1])).mean(axis=0)
 
     @property
-    def _flat(self) -> FlatPolicy:
-        if not isinstance(self.policy, FlatPolicy):
+    def _flat(self) -> DiscretePolicy:
+        if not isinstance(self.policy, DiscretePolicy):
             raise ArgumentError(
-                f"a {type(self.policy).__name__} does not decide by covariates alone; compare policy and replicates, "
-                "as LearnedExplainer does for tables"
+                f"a {type(self.policy).__name__} does not decide by covariates alone; compare policy and replicates"
             )
         return self.policy
 
@@ -88,7 +87,7 @@ def bootstrap(
     is_quiet: bool = True,
     workers: Workers = ALONE,
 ) -> QBootstrap:
-    """Learn again from trajectories drawn anew with replacement.
+    """Learn again from trajectories resampled with replacement.
 
     Parameters
     ----------

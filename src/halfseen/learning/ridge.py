@@ -52,7 +52,11 @@ class Ridge(NamedTuple):
 
 
 def ridge_of(
-    gram: Float[np.ndarray, "V K F F"], regs: Float[np.ndarray, " L"], num_trajectories: int, is_scaled: bool = True
+    gram: Float[np.ndarray, "V K F F"],
+    regs: Float[np.ndarray, " L"],
+    num_trajectories: int,
+    is_scaled: bool = True,
+    offset: float = 0.0,
 ) -> Ridge:
     """Factorise the normal equations.
 
@@ -66,12 +70,15 @@ def ridge_of(
         n.
     is_scaled
         Whether λ weighs features as if each had unit variance.
+    offset
+        What of λ weighs the mean of a block; 0 leaves it free.
     """
     basis, values = _diagonalised(gram, is_scaled)
     num_held_out = len(basis) - 1
     trajectories = num_trajectories * np.append(np.full(num_held_out, (len(gram) - 1) / len(gram)), 1.0)
     penalty = np.zeros((len(regs), len(trajectories), 1, values.shape[-1]))
-    penalty[..., 1:] = (regs[:, None] * trajectories)[:, :, None, None]
+    penalty[:] = (regs[:, None] * trajectories)[:, :, None, None]
+    penalty[..., 0] *= offset
     is_seen = values > RANK_TOLERANCE * values[..., 1:].max(axis=-1, keepdims=True, initial=0.0)
     is_seen[..., 0] = values[..., 0] > 0
     shrink = np.where(is_seen, 1.0 / np.where(is_seen, values + penalty, 1.0), 0.0)
@@ -112,10 +119,13 @@ def with_prior(gram: Float[np.ndarray, "V K F F"], num_last: int) -> Float[np.nd
     return gram + np.diag(np.where(is_last, 1.0 / num_folds, 0.0))
 
 
-def solve(ridge: Ridge, cross: Float[np.ndarray, "V K F"]) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
+def solve(
+    ridge: Ridge, cross: Float[np.ndarray, "V K F"], is_joint: bool = False
+) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
     """Regress on the rows of the normal equations, given Σ w x y: coefficients, the offset first, and the λ of each.
 
-    The best held-out λ serves each block; where several serve equally well, as in a block too small to tell, the last.
+    The best held-out λ serves each block, or all of them jointly; where several serve equally well, as in a block too
+    small to tell, the last.
     """
     num_blocks, num_held_out, best = cross.shape[1], len(ridge.held_out), 0
     transposed, train = np.swapaxes(ridge.basis, -1, -2), _leave_one_out(cross)
@@ -124,7 +134,8 @@ def solve(ridge: Ridge, cross: Float[np.ndarray, "V K F"]) -> tuple[Float[np.nda
         # Σ w (y − xᵀβ)² − Σ w y², which no λ changes, over all folds.
         tried = np.ascontiguousarray(along[:, :num_held_out].transpose(1, 2, 3, 0))
         of_cross = np.matmul(transposed[:num_held_out], cross[:num_held_out, ..., None])
-        best = _last_smallest((tried * (ridge.held_out @ tried - 2.0 * of_cross)).sum(axis=(0, 2)).T)
+        errors = (tried * (ridge.held_out @ tried - 2.0 * of_cross)).sum(axis=(0, 2)).T
+        best = _last_smallest(errors.sum(axis=1, keepdims=True) if is_joint else errors)
     chosen = along[best, -1, np.arange(num_blocks)]
     coefficients = np.matmul(ridge.basis[-1], chosen[..., None])[..., 0]
     return coefficients, np.broadcast_to(ridge.regs[best], num_blocks).copy()
@@ -150,7 +161,11 @@ class Errors(NamedTuple):
 
 
 def standard_errors(
-    ridge: Ridge, penalty: Float[np.ndarray, " K"], squares: Float[np.ndarray, " K"], counts: Float[np.ndarray, "3 K"]
+    ridge: Ridge,
+    penalty: Float[np.ndarray, " K"],
+    squares: Float[np.ndarray, " K"],
+    counts: Float[np.ndarray, "3 K"],
+    offset: float = 0.0,
 ) -> Errors:
     """Tell how well a fit is known.
 
@@ -166,13 +181,16 @@ def standard_errors(
         Σ w (y − xᵀβ)².
     counts
         Σw; Σw², as heavy weights make of many rows few; and the number of rows with a weight.
+    offset
+        As for `ridge_of`.
     """
     values, (weight, of_squares, count) = ridge.values[0], counts
     mass, spread = np.maximum(values[:, 0], _TINY), values[:, 1:]
     least = 1e-8 * spread.max(axis=-1, keepdims=True, initial=0.0) + _TINY
     penalised = np.maximum(spread + penalty[:, None], least)
-    root = ridge.basis[0] / np.sqrt(np.column_stack([mass, penalised]))[:, None, :]
-    fitted = 1.0 + np.sum(np.maximum(spread, 0.0) / penalised, axis=-1)
+    held = mass + offset * penalty
+    root = ridge.basis[0] / np.sqrt(np.column_stack([held, penalised]))[:, None, :]
+    fitted = mass / held + np.sum(np.maximum(spread, 0.0) / penalised, axis=-1)
     left = count / np.maximum(count - fitted, 0.1 * count + 0.5)
     variance = left * squares / np.where(weight > 0, weight, 1.0)
     return Errors(root, np.sqrt(variance * of_squares / mass))

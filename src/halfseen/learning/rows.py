@@ -15,10 +15,11 @@ import numpy as np
 
 from halfseen.arrays import library_of, mapped
 from halfseen.censoring import StageClocks
-from halfseen.errors import ArgumentError, PositivityError
+from halfseen.errors import ArgumentError, LogError, PositivityError
 from halfseen.lazy import Frame
 from halfseen.learning.q_space import StageMode
 from halfseen.learning.task import Encoded
+from halfseen.logs.checks import LARGEST
 from halfseen.shapes import Bool, Float, Int
 
 if TYPE_CHECKING:
@@ -233,17 +234,17 @@ def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode)
     """Say of each kind that was allowed and never seen completed where that was, and how often it was begun."""
     reached: Bool[np.ndarray, "T 1"] = np.any(support.num_completed > 0, axis=1, keepdims=True)
     lacking = support.is_allowed & ~support.is_seen(stages) & reached
-    told = []
+    findings = []
     for kind in np.flatnonzero(lacking.any(axis=0)):
         rows = np.flatnonzero(lacking[:, kind])
         begun = int(support.num_begun[rows, kind].sum())
         where = "" if stages == "pooled" else f" in stage {', '.join(str(row + 1) for row in rows)}"
         cut = f"begun {begun} times and cut each time" if begun else "never taken"
-        told.append(
+        findings.append(
             f"{names[kind]} was never seen completed{where} ({cut}), so its value is not known and the policy never "
             "takes it there; to learn it, log it uniformly at random now and then"
         )
-    return told
+    return findings
 
 
 def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
@@ -259,6 +260,19 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
             f"all {len(is_finished)} trajectories were cut, so how a trajectory ends was never seen; record until some "
             "finish, or shorten the horizon so that reaching it counts as finished"
         )
+
+
+def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
+    """Refuse rewards so small that their squares cannot be squared.
+
+    Raises
+    ------
+    LogError
+        The largest is above 0 and below the inverse of what a log may hold.
+    """
+    largest = float(np.max(np.abs(reward), initial=0.0))
+    if 0.0 < largest < 1 / LARGEST:
+        raise LogError(f"the largest reward is {largest:g}, whose fourth power is 0; give rewards in another unit")
 
 
 def refuse_too_few(num_seen: int, num_trajectories: int) -> None:

@@ -1,10 +1,10 @@
 """Eq. 3 in passes over a log that need not fit in memory: the sums of its parts add up.
 
 Each backward step asks every shard of the log for sums, and adds them in the order of the shards; so what is learned is
-what the whole log in memory would give, but for the rounding of the sums, and the same bytes whoever sums. What is no
-sum is fitted to the same sample of trajectories as in memory (`q_model`). The log itself is read and checked once;
-after that its arrays are read from disk, where they were kept (`kept_parts`). Whoever has not got a part lays it out
-anew, to the same bytes; so it does not matter which worker sums a shard, nor how often one is lost.
+what the whole log in memory would give, but for the rounding of the sums, and the same bytes whichever worker sums.
+What is no sum is fitted to the same sample of trajectories as in memory (`q_model`). The log itself is read and checked
+once; after that its arrays are read from disk, where they were kept (`kept_parts`). Anyone who has not got a part lays
+it out again, to the same bytes; so it does not matter which worker sums a shard, nor how often one is lost.
 """
 
 import ctypes
@@ -32,7 +32,7 @@ from halfseen.learning.sums import Rows, packed
 from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.folder import Folder
-from halfseen.logs.shards import Part, Shard, ShardReader, Tables, logs_of
+from halfseen.logs.stream import Part, Shard, ShardReader, Tables, logs_of
 from halfseen.progress import Progress
 from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Pool, Workers
@@ -76,7 +76,7 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
         Workers were lost again and again.
     """
     if isinstance(logs, LogStream):
-        return _in_passes(logs, model, has_choice, workers or ALONE)
+        return _streaming(logs, model, has_choice, workers or ALONE)
     model, trajectories = model.fitted(logs)
     model, chosen = with_stages(model, model.sample_of(trajectories)) if has_choice else (model, model.chosen)
     log = model.transitions(trajectories)
@@ -84,7 +84,7 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
     return Learned(model, model.fit(log), chosen, log.weight, diagnostics)
 
 
-def _in_passes(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Learned:
+def _streaming(stream: LogStream, model: QModel, has_choice: bool, workers: Workers) -> Learned:
     """The first pass gathers what Ĝ needs, and a sample of the trajectories; each backward step is a pass."""
     refuse_all_cut(stream.is_finished)
     shards, num_trajectories = stream.shards(), stream.num_trajectories
@@ -105,10 +105,10 @@ def _in_passes(stream: LogStream, model: QModel, has_choice: bool, workers: Work
         give_back()
         rewarded = chain.from_iterable(work(model).rewarded(shard) for shard in shards)
         model = replace(model, task=model.task.fitted_to_rewards(rewarded))
-        return _backward_in_passes(work(model), shards, pool, trajectories.is_possible.shape[-1], chosen)
+        return _backward_streaming(work(model), shards, pool, trajectories.is_possible.shape[-1], chosen)
 
 
-def _backward_in_passes(
+def _backward_streaming(
     work: "_Work", shards: list[Shard], pool: Pool, num_actions: int, chosen: tuple[str, ...]
 ) -> Learned:
     model, num_trajectories = work.model, work.num_trajectories
@@ -138,7 +138,7 @@ def _backward_in_passes(
             refuse_too_few(tally.num_rows_seen, num_trajectories)
         file.flush()
         weights = np.memmap(file, dtype=np.float64, mode="r", shape=(num_trajectories, model.horizon))
-    return Learned(model, q, chosen, weights, tally.told())
+    return Learned(model, q, chosen, weights, tally.diagnostics())
 
 
 def sample_of(stream: LogStream, seed: int, most: int | None = None) -> Logs:

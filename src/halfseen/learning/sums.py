@@ -11,7 +11,7 @@ that is not imputed is the case share = 1, without terms.
 V̂ of the states that a backward step asks for: the largest Q, or the largest lower confidence bound of Q.
 
 Standard errors of Q take longest, and from one backward step to the next their root R most often stays what it was, but
-for a factor. So ‖Rᵀ (1, φ)‖ is kept as `Norms` with the R that it is of, and found anew where R is another.
+for a factor. So ‖Rᵀ (1, φ)‖ is kept as `Norms` with the R that it is of, and found again where R is another.
 """
 
 from itertools import pairwise
@@ -50,6 +50,8 @@ class Regression(NamedTuple):
     """Whether λ weighs features as if each had unit variance; False for features of a kernel."""
     pessimism: float = 0.0
     """Standard errors (`ridge`) by which Q is lowered wherever the largest is sought; 0 for eq. 3 as it is."""
+    is_partially_pooled: bool = False
+    """Whether the Q of each block is shrunk, with its offset, towards one that all blocks have in common."""
 
 
 class Columns(NamedTuple):

@@ -156,9 +156,9 @@ def named_targets(
         of_weights = {"by": None if by == "trajectory" else by, "covariates": covariates, "truncate_at": truncate_at}
         for name, value in of_weights.items():
             if value is not None:
-                told = f"{name} is {value!r}, but censoring {censoring!r} makes no weights"
+                choice = f"{name} is {value!r}, but censoring {censoring!r} makes no weights"
                 raise ArgumentError(
-                    f"{told}; leave it out, or choose a model of the cuts: 'kaplan-meier', 'cox', 'kernel'"
+                    f"{choice}; leave it out, or choose a model of the cuts: 'kaplan-meier', 'cox', 'kernel'"
                 )
         if is_doubly_robust:
             raise ArgumentError(f"doubly robust targets need a model of the cuts, but censoring is {censoring!r}")

@@ -71,6 +71,8 @@ class LearnedQ(NamedTuple):
     """M of the lower confidence bound Q̂ − ‖Mᵀ (1, features)‖; None without pessimism."""
     behaviour: Float[np.ndarray, "K G"] | None = None
     """Coefficients of the behaviour policy, which waives margins (`behaviour`); None where it is not known."""
+    behaviour_weight: float = 0.0
+    """τ: what a nat of log b counts for beside Q (`preference`)."""
 
 
 @runtime_checkable

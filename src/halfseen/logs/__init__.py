@@ -2,11 +2,11 @@
 
 A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
-Read down: `frames` (what is accepted) → `columns` (names, types, refusals) → `schema` (the rules) → `checks` (which ask
-them) → `summary`, `logs` (the record) → `breakdown`. On disk: `parquet` (what a file takes) → `folder` → `shards`,
+Read down: `missing` (what stands for null in covariates) → `columns` (what is accepted, names, types, refusals) →
+`checks` (the rules, and who asks them) → `logs` (the record, its summary and breakdown). On disk: `folder` (Parquet) →
 `stream` (a log that need not fit in memory) → `joining` (many as one). While a robot runs: `journal` (lines, chained by
-checksums) → `writer` → `recorded` (from events to tables) → `values`, `state` → `trajectory_recorder` → `recorder` →
-`protocol` (without Python). What `halfseen inspect` finds: `plausibility`, `suspicions`. Other forms: `formats`.
+checksums, and who writes them) → `recorded` (from events to tables) → `values` → `recorder` → `protocol` (without
+Python). What `halfseen inspect` finds: `plausibility`, `data_quality`. Other forms: `formats`.
 """
 
 from typing import TYPE_CHECKING
@@ -15,11 +15,9 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.logs.joining import Compacted, compact, write_stream
-    from halfseen.logs.logs import Logs
-    from halfseen.logs.recorder import LogRecorder
+    from halfseen.logs.logs import Logs, LogsSummary
+    from halfseen.logs.recorder import CAUSES, LogRecorder, TrajectoryRecorder
     from halfseen.logs.stream import LogStream, read_logs
-    from halfseen.logs.summary import LogsSummary
-    from halfseen.logs.trajectory_recorder import CAUSES, TrajectoryRecorder
 
 __all__ = [
     "CAUSES",
@@ -37,13 +35,13 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "CAUSES": "trajectory_recorder",
+        "CAUSES": "recorder",
         "Compacted": "joining",
         "LogRecorder": "recorder",
         "LogStream": "stream",
         "Logs": "logs",
-        "LogsSummary": "summary",
-        "TrajectoryRecorder": "trajectory_recorder",
+        "LogsSummary": "logs",
+        "TrajectoryRecorder": "recorder",
         "compact": "joining",
         "read_logs": "stream",
         "write_stream": "joining",

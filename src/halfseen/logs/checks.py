@@ -1,8 +1,16 @@
-"""A log's tables in their types and in order, checked against each other and against the rules of `schema`."""
+"""What must hold for a log: one table of rules, each with the column that it is about, what is wrong, and the remedy.
+
+Tables are brought to these types and into order, and each rule is asked. Of several robots a stage belongs to the
+one that decided at its beginning, and what a robot began is over, at the latest, by the clock at which it decides
+again; what it began last may end at any time. Where stages tell in r_does what robot r is at as they begin ("WASH 3",
+"FREE"), that is believed: of two robots that are free at once, the first may take what the second has let go of,
+although that decides a moment later. A robot r that dropped out alone has the clock of that in r_out_s of its
+trajectory.
+"""
 
 from collections.abc import Callable, Iterable
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -14,7 +22,7 @@ from halfseen.logs.columns import (
     NEEDED,
     OBJECT_COLUMNS,
     ROBOT,
-    STAGE_COLUMNS,
+    STEPPED_BACK,
     UNKNOWN_CAUSE,
     as_counts,
     as_floats,
@@ -22,6 +30,7 @@ from halfseen.logs.columns import (
     check_covariates,
     is_of_one_robot,
     is_own_reward,
+    is_stage_covariate,
     refuse,
     refuse_misnamed,
     require_columns,
@@ -29,21 +38,162 @@ from halfseen.logs.columns import (
     shown,
     value_at,
 )
-from halfseen.logs.schema import (
-    COLUMN_TYPES,
-    COMPLETION_RULES,
-    OBJECT_RULES,
-    ORDER_RULES,
-    ROBOT_RULE,
-    TRAJECTORY_RULES,
-    Rule,
-    drop_out_rules,
-    out_cause_rule,
-    own_reward_rule,
-    thousandfold,
-    type_of,
+from halfseen.logs.missing import KEEP, Filling, Missing, learned_filling
+from halfseen.shapes import Bool, Int
+
+EARLIEST_DATE_S = 1e9
+"""What is longer is no trajectory but a date, or counted in milliseconds or less [s]; 32 years."""
+UNIT_TOLERANCE = 1e-6
+"""How near to a power of 1,000 the ratio of a trajectory's end to its last stage must be to look like another unit."""
+ROUNDING = 1e-5
+"""By how much of a trajectory's end its last stage may seem to outlast it: times are rounded, or were subtracted."""
+LARGEST = 1e75
+"""Larger numbers cannot be squared twice as floats."""
+
+
+# fmt: off
+COLUMN_TYPES = {
+    "trajectories": {"trajectory": "name", "end_s": "number", "cause": "name or null"},
+    "stages": {
+        "trajectory": "name", "stage": "count", "elapsed_s": "number", "probability": "number", "reward": "number",
+        "action": "name or null", "object": "name or null", ROBOT: "name", STEPPED_BACK: "name or null",
+    },
+    "objects": {"trajectory": "name", "stage": "count", "object": "name"},
+}
+"""Types of the columns that have a meaning; those of one robot of several are in `type_of`."""
+# fmt: on
+
+Mask = Bool[np.ndarray, " rows"]
+
+
+class Rule(NamedTuple):
+    """What must not be.
+
+    Parameters
+    ----------
+    column
+        What it is about.
+    is_wrong
+        Which rows break it, from the table's columns and what is derived of them.
+    message
+        What is wrong; names in braces stand for values of the row.
+    remedy
+        What to do.
+    """
+
+    column: str
+    is_wrong: Callable[[Any], Mask]
+    message: str
+    remedy: str
+
+
+# fmt: off
+TRAJECTORY_RULES = (
+    Rule("trajectory", lambda t: t.trajectory.duplicated().to_numpy(),
+         "it is in trajectories twice", "give each trajectory one row and a name of its own"),
+    Rule("end_s", lambda t: ~((t.end_s > 0) & np.isfinite(t.end_s)),
+         "end_s {end_s} is no end", "give the finite time from its beginning to its end, > 0 s"),
+    Rule("end_s", lambda t: t.end_s >= EARLIEST_DATE_S,
+         "end_s {end_s} is a date or no seconds", "give the seconds since the trajectory's beginning"),
+    Rule("ending", lambda t: ~t.is_cut & ~t.is_finished,
+         "ending {ending} is unknown", f"say {FINISHED!r} where the trajectory reached its own end, and {CUT!r} where "
+         "something outside the task ended it"),
+    Rule("cause", lambda t: ~t.is_cut & t.cause.notna().to_numpy(),
+         "it finished, yet has the cause {cause}", f"only a cut has one: leave it null, or make the ending {CUT!r}"),
 )
-from halfseen.shapes import Int
+ORDER_RULES = (
+    Rule("stage", lambda s: ~s.is_first & (s.stage == s.stage_before),
+         "the stage is there twice", "drop one of the two rows, or renumber them"),
+    Rule("stage", lambda s: s.stage != s.expected,
+         "stage {expected} is missing before it", "number the stages of a trajectory 1, 2, 3, … without gaps"),
+    Rule("elapsed_s", lambda s: ~s.is_completed & ~s.is_cut_stage,
+         "elapsed_s is null, yet only the last stage of a cut trajectory is not completed",
+         "give the clock at its end, or cut the trajectory there"),
+    Rule("elapsed_s", lambda s: s.is_completed & s.is_cut_stage,
+         "elapsed_s {elapsed_s} completes the last stage of a cut trajectory",
+         "add the stage in which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'"),
+    # Where two robots of a team are free at once, the stage between their decisions takes no time.
+    Rule("elapsed_s",
+         lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
+         "elapsed_s {elapsed_s} is no time after the trajectory's beginning", "fix the clock"),
+    Rule("elapsed_s", lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
+         "elapsed_s {elapsed_s} is also the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
+    Rule("elapsed_s", lambda s: s.is_completed & ~s.is_first & (s.elapsed_s < s.before_s),
+         "elapsed_s {elapsed_s} is before the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
+    Rule("elapsed_s", lambda s: s.is_completed & (s.elapsed_s > s.end_s * (1.0 + ROUNDING)),
+         "elapsed_s {elapsed_s} is after the trajectory's end_s {end_s}",
+         "fix end_s, or make this the stage in which the trajectory was cut"),
+    Rule("elapsed_s", lambda s: s.is_last & (s.times > 1.0),
+         "end_s {end_s} is {times:.0e} times the elapsed_s {elapsed_s} of the last stage, as if units were mixed",
+         "give both in seconds"),
+)
+ROBOT_RULE = Rule(
+    "robot", lambda s: s.is_at_same, "robot {robot} begins with object {object}, which robot {other} is at since stage "
+    "{since}", f"mend robot or object, or leave {ROBOT!r} out if one robot made all stages")
+COMPLETION_RULES = (
+    Rule("action", lambda s: s.is_completed & s.action.isna().to_numpy(),
+         "the stage is completed, yet its action is null", "give the action that was taken"),
+    Rule("reward", lambda s: s.is_completed & ~np.isfinite(s.reward),
+         "the stage is completed, yet its reward is {reward}", "give the finite reward that it earned"),
+    Rule("reward", lambda s: ~s.is_completed & ~np.isnan(s.reward),
+         "reward {reward} is given, yet the stage was not completed", "leave it null, or give elapsed_s"),
+    Rule("reward", lambda s: np.abs(s.reward) > LARGEST,
+         "reward {reward}: the fourth power of such a number is none", "give rewards in another unit"),
+    Rule("probability",
+         lambda s: ~((s.probability > 0) & (s.probability <= 1)) & (s.is_completed | ~np.isnan(s.probability)),
+         "probability {probability} of the logged action is outside (0, 1]",
+         "fix it, or leave the column out if it was not logged"),
+)
+OBJECT_RULES = (
+    Rule("stage", lambda o: o.trajectory_row < 0,
+         "trajectories has no such trajectory", "add its row to trajectories, or drop its objects"),
+    Rule("stage", lambda o: (o.stage < 1) | (o.stage > o.last),
+         "the trajectory has stages 1 to {last}", "add the stage to stages, or drop its objects"),
+)
+
+
+def own_reward_rule(column: str) -> Rule:
+    """Of what one robot brought in a stage."""
+    return Rule(column, lambda s: ~np.where(s.is_completed, np.isfinite(vars(s)[column]), np.isnan(vars(s)[column])),
+                f"{column} is {{{column}}}",
+                "give a finite number for each completed stage, and null for one that was not, or leave it out")
+
+
+def out_cause_rule(cause: str) -> Rule:
+    """Of why a robot dropped out."""
+    clock, robot = cause.replace("_cause", "_s"), cause.split("_")[0]
+    return Rule(cause, lambda t: vars(t)[cause].notna().to_numpy() & np.isnan(vars(t).get(clock, np.nan)),
+                f"{cause} is given, yet {clock} is not", f"give the clock at which robot {robot} dropped out")
+
+
+def drop_out_rules(robot: int) -> tuple[Rule, Rule]:
+    """Of a robot that may drop out: of its clock in trajectories, and of what it decides in stages."""
+    clock = f"{robot}_out_s"
+    return (
+        Rule(clock, lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
+             f"{clock} {{{clock}}} lies outside the trajectory, which ends at {{end_s}} s",
+             "fix it, null where the robot did not drop out before it"),
+        Rule(ROBOT, lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > vars(s)[clock]),
+             f"robot {robot} decides at {{begin_s}} s, yet dropped out at {{{clock}}} s",
+             f"fix {clock} or the stage's robot"),
+    )
+# fmt: on
+
+
+def thousandfold(one: Any, other: Any, tolerance: float = UNIT_TOLERANCE) -> Any:
+    """A power of a thousand, if numbers are that many times others, as if units were mixed; else NaN."""
+    # A clock that still stands at 0 tells no unit.
+    with np.errstate(divide="ignore", invalid="ignore"):
+        thousands = np.log(one / np.where(other == 0.0, np.nan, other)) / np.log(1000.0)
+        return np.where(np.abs(thousands - np.round(thousands)) < tolerance, 1000.0 ** np.round(thousands), np.nan)
+
+
+def type_of(table: str, column: str) -> str | None:
+    """Type of a column that has a meaning; None for others."""
+    if is_of_one_robot(column) and is_own_reward(column) == (table == "stages") and table != "objects":
+        return "name or null" if column.endswith("_out_cause") else "number"
+    return COLUMN_TYPES[table].get(column)
+
 
 _TYPES: dict[str, Callable[[str, pd.DataFrame, str], pd.Series]] = {
     "count": as_counts,
@@ -131,8 +281,32 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
     if values.may_stand:
         _find_two_at_one(stages, values, trajectory_row)
     _enforce(stages, values, rules)
-    check_covariates("stages", stages, (*STAGE_COLUMNS, *filter(is_own_reward, stages.columns)))
     return stages
+
+
+def complete_stages(stages: pd.DataFrame, missing: Missing) -> tuple[pd.DataFrame, Filling | None]:
+    """Fill in the covariates of checked stages that are null, and check them all.
+
+    Parameters
+    ----------
+    stages
+        Checked stages.
+    missing
+        As `halfseen.logs.missing` describes it; ``"keep"`` to let null stand.
+
+    Raises
+    ------
+    ArgumentError
+        One is no rule, or of no covariate.
+    LogError
+        A covariate cannot be filled in, is null and to be refused, or is no finite number.
+    """
+    covariates, is_kept = [name for name in stages.columns if is_stage_covariate(name)], missing == KEEP
+    filling = None if is_kept else learned_filling(missing, covariates, lambda name: [stages[name]], len(stages))
+    stages = stages if filling is None else filling.of_log(stages)
+    known = [name for name in stages.columns if not is_stage_covariate(name)]
+    check_covariates("stages", stages, known, may_be_null=is_kept)
+    return stages, filling
 
 
 def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFrame:
@@ -190,7 +364,7 @@ def _typed(name: str, frame: pd.DataFrame, optional: str | None = None) -> pd.Da
     """A copy with all columns that are needed, in their types; one more is added where it is not there."""
     require_columns(name, frame, NEEDED[name])
     refuse_misnamed(name, frame)
-    table = frame.copy()
+    table = frame.copy(deep=False)
     if optional is not None and optional not in table.columns:
         table[optional] = pd.Series(None, index=table.index, dtype=object)
     kinds = {column: type_of(name, column) for column in (*COLUMN_TYPES[name], *table.columns)}
@@ -252,8 +426,8 @@ def _find_two_at_one(stages: pd.DataFrame, values: Any, trajectory_row: Int[np.n
     values.is_at_same = earlier.notna().to_numpy() & is_other & (decides_again_s[before] > values.begin_s)
     for at in map(int, np.flatnonzero(values.is_at_same)):
         does = f"{values.other.iloc[at]}_does"
-        told = value_at(stages, does, at) if does in stages.columns else None
-        has_let_go = isinstance(told, str) and not told.endswith(f" {value_at(stages, 'object', at)}")
+        what = value_at(stages, does, at) if does in stages.columns else None
+        has_let_go = isinstance(what, str) and not what.endswith(f" {value_at(stages, 'object', at)}")
         values.is_at_same[at] = not has_let_go
 
 
@@ -276,5 +450,5 @@ def _enforce(
     names: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
     for rule in rules:
-        wrong, told = np.asarray(rule.is_wrong(values), dtype=bool), f"{rule.message}; {rule.remedy}"
-        refuse(table, wrong, lambda row, told=told: told.format_map(_RowOf(values, row)), names)
+        wrong, line = np.asarray(rule.is_wrong(values), dtype=bool), f"{rule.message}; {rule.remedy}"
+        refuse(table, wrong, lambda row, line=line: line.format_map(_RowOf(values, row)), names)

@@ -1,19 +1,150 @@
-"""Names and types of columns, and how a broken log is refused: where, what, the value, the remedy."""
+"""What a table may come as, names and types of its columns, and how a broken log is refused.
+
+A table is kept as a pandas frame that survives Parquet unchanged. A refusal says where, what, the value, the remedy.
+"""
 
 import re
-from collections.abc import Callable, Iterable
-from typing import Any
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
 
 from halfseen.errors import LogError
-from halfseen.logs.frames import LARGEST_FRACTION
+from halfseen.logs.missing import remedy_of, share_of
+from halfseen.reading import reason_of
 from halfseen.shapes import Bool, Float
 from halfseen.suggestions import closest
 
-STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot")
+LARGEST_FRACTION = 2**53
+"""From it on, fractions tell no whole numbers apart: it may stand for the next one, too."""
+
+
+@runtime_checkable
+class ArrowStream(Protocol):
+    """Any table that speaks Arrow's C stream interface: pyarrow, polars, DuckDB, …."""
+
+    def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
+        """Hand the table over."""
+        ...
+
+
+FrameLike: TypeAlias = pd.DataFrame | ArrowStream | Mapping[str, Any]
+
+
+def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.DataFrame:
+    """Copy a table into the form in which it is kept.
+
+    The copy goes through Arrow, so that what is kept in memory and what comes back from disk are the same to the last
+    type: lists become arrays, and text is text. Parquet knows no categories but of text, so that numbers that are said
+    to be categories become text.
+
+    Parameters
+    ----------
+    name
+        What the table is called, for messages.
+    data
+        A pandas frame, an Arrow table or a dict of arrays.
+    own_columns
+        Columns in which categories are names, and stay what they are.
+
+    Raises
+    ------
+    LogError
+        The data are no table, or a column mixes types.
+    """
+    try:
+        frame = data if isinstance(data, pd.DataFrame) else _from_other(data)
+    except (ValueError, TypeError, LookupError, AttributeError, pa.ArrowException) as error:
+        # What pandas noted of an Arrow table may be broken.
+        raise LogError(
+            f"{name}: not a table ({reason_of(error)}); give a pandas frame, an Arrow table or a dict of arrays"
+        ) from error
+    labels = [label for label in frame.columns if not isinstance(label, str)]
+    if labels:
+        raise LogError(f"{name}: column {labels[0]!r} has a name that is not text; rename it")
+    repeated = frame.columns[frame.columns.duplicated()]
+    if len(repeated):
+        raise LogError(f"{name}: there are two columns {repeated[0]!r}; drop or rename one")
+    return through_arrow(name, _with_categories_of_text(frame, own_columns).copy())
+
+
+def through_arrow(name: str, frame: pd.DataFrame) -> pd.DataFrame:
+    """Take a frame to Arrow and back, after which doing so again changes nothing; its numbers are not copied."""
+    plain = frame.copy(deep=False)
+    plain.index, plain.attrs = pd.RangeIndex(len(frame)), {}
+    others = [label for label, dtype in plain.dtypes.items() if not _is_number(dtype)]
+    if not others:
+        return plain
+    try:
+        table = pa.Table.from_pandas(plain[others], preserve_index=False)
+    except (pa.ArrowException, TypeError, ValueError) as error:
+        reason = "; ".join(str(part) for part in error.args)
+        raise LogError(f"{name}: a column cannot be stored ({reason}); give each column one type") from error
+    plain[others] = frame_of(table.cast(_stored_schema(table.schema)))
+    return plain
+
+
+def _with_categories_of_text(frame: pd.DataFrame, but: Collection[str]) -> pd.DataFrame:
+    texts = {
+        label: frame[label].cat.rename_categories(dtype.categories.map(str))
+        for label, dtype in frame.dtypes.items()
+        if isinstance(dtype, pd.CategoricalDtype) and len(dtype.categories) and label not in but
+    }
+    return frame.assign(**texts) if texts else frame
+
+
+def _is_number(dtype: Any) -> bool:
+    """Tell whether Arrow gives a column of this type back as it is, and would cost time alone."""
+    if isinstance(dtype, pd.BooleanDtype):
+        return True
+    return isinstance(dtype, np.dtype) and dtype.isnative and dtype.kind in "biuf" and dtype.itemsize in (1, 4, 8)
+
+
+def _stored_schema(schema: pa.Schema) -> pa.Schema:
+    """Parquet has no time stamps of whole seconds, nor categories but of text; so we have none."""
+    for i, field in enumerate(schema):
+        if pa.types.is_dictionary(field.type) and not pa.types.is_string(field.type.value_type):
+            schema = schema.set(i, field.with_type(field.type.value_type))
+        if pa.types.is_timestamp(field.type) and field.type.unit == "s":
+            schema = schema.set(i, field.with_type(pa.timestamp("ms", field.type.tz)))
+    return schema
+
+
+def _from_other(data: object) -> pd.DataFrame:
+    if isinstance(data, Mapping):
+        return pd.DataFrame({key: _column(values) for key, values in data.items()})
+    if isinstance(data, ArrowStream):
+        return frame_of(pa.table(data))
+    raise TypeError(f"it is a {type(data).__name__}")
+
+
+def frame_of(table: pa.Table) -> pd.DataFrame:
+    """Make a frame; whole numbers with nulls become fractions, but where fractions do not tell them apart."""
+    frame = table.to_pandas()
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        if column.null_count and pa.types.is_integer(column.type) and _is_beyond_fractions(column):
+            frame[name] = column.to_pandas(types_mapper={column.type: pd.Int64Dtype()}.get)
+    return frame
+
+
+def _is_beyond_fractions(column: pa.ChunkedArray) -> bool:
+    numbers = column.drop_null().to_numpy()
+    return len(numbers) > 0 and max(-int(numbers.min()), int(numbers.max())) >= LARGEST_FRACTION
+
+
+def _column(values: Any) -> Any:
+    if isinstance(values, pa.Array | pa.ChunkedArray):
+        return frame_of(pa.table({"values": values}))["values"]
+    # Else pandas makes fractions of whole numbers among which one is null.
+    is_list = isinstance(values, list | tuple)
+    return np.array([*values, None], dtype=object)[:-1] if is_list and any(each is None for each in values) else values
+
+
+STEPPED_BACK = "stepped_back"
+"""Column that says why the rule decided in a policy's place, null where it did not; no covariate."""
+STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot", STEPPED_BACK)
 TRAJECTORY_COLUMNS = ("trajectory", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("trajectory", "stage", "object")
 _OWN = {"stages": STAGE_COLUMNS, "trajectories": TRAJECTORY_COLUMNS, "objects": OBJECT_COLUMNS}
@@ -166,25 +297,33 @@ def as_labels(name: str, frame: pd.DataFrame, column: str, *, is_null_allowed: b
     wrong = ~is_null & ~_is_whole(numbers)
     if wrong.any():
         row = int(np.argmax(wrong))
-        raise LogError(f"{name}, row {row}: {column} {numbers[row]} is no name; give whole numbers or text")
+        is_large = abs(numbers[row]) >= LARGEST_FRACTION
+        why = ", for from 2^53 on a fraction may stand for the next number, too" if is_large else ""
+        raise LogError(f"{name}, row {row}: {column} {numbers[row]} is no name{why}; give whole numbers or text")
     return values.astype("Int64" if is_null.any() else "int64")
 
 
 def _is_whole(numbers: Float[np.ndarray, " n"]) -> Bool[np.ndarray, " n"]:
     """Which are whole numbers that fractions tell apart."""
-    return (np.abs(numbers) <= LARGEST_FRACTION) & (numbers == np.floor(numbers))
+    return (np.abs(numbers) < LARGEST_FRACTION) & (numbers == np.floor(numbers))
 
 
-def check_covariates(name: str, frame: pd.DataFrame, known: tuple[str, ...]) -> None:
-    """Refuse null, NaN and infinity among numeric covariates, those in lists included."""
+def check_covariates(name: str, frame: pd.DataFrame, known: Collection[str], *, may_be_null: bool = False) -> None:
+    """Refuse null, NaN and infinity among numeric covariates, those in lists included; null may be allowed."""
     for column in (column for column in frame.columns if column not in known):
+        wrong = _missing_numbers(frame[column])
+        is_null = frame[column].isna().to_numpy(dtype=bool) if wrong.any() else wrong
+        wrong = wrong & ~is_null if may_be_null else wrong
 
-        def trouble(row: int, column: str = column) -> str:
+        def trouble(row: int, column: str = column, is_null: Any = is_null) -> str:
             what = f"covariate {column} is {shown(value_at(frame, column, row))}"
-            return f"{what}; give the number that the policy saw, or leave column {column!r} of {name} out"
+            remedy = f"give the number that the policy saw, or leave column {column!r} of {name} out"
+            if name == "objects" or not is_null[row]:
+                return f"{what}; {remedy}"
+            return f"{what}, as in {share_of(int(is_null.sum()), len(frame))} read with it; {remedy_of(column)}"
 
         columns = OBJECT_COLUMNS if name == "objects" else ("trajectory", "stage")
-        refuse(frame, _missing_numbers(frame[column]), trouble, columns)
+        refuse(frame, wrong, trouble, columns)
 
 
 def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:

@@ -18,6 +18,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import common_unit, shown
 from halfseen.logs.folder import MANIFEST, Folder, Place, place_of, write_manifest
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import KEEP
 from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
 from halfseen.writing import placed, refuse_taken
@@ -41,7 +42,8 @@ def joined(parts: Sequence[Logs]) -> Logs:
     if len({part.objects is None for part in parts}) > 1:
         raise LogError("only some of the logs have objects; join those that have and those that have none apart")
     tables: Any = {name: _stacked([part.tables[name] for part in parts]) for name in parts[0].tables}
-    return Logs(**tables, reward_unit=common_unit(part.reward_unit for part in parts))
+    missing = parts[0].missing if all(part.missing == parts[0].missing for part in parts) else None
+    return Logs(**tables, reward_unit=common_unit(part.reward_unit for part in parts), missing=missing)
 
 
 def _stacked(frames: list[pd.DataFrame]) -> pa.Table:
@@ -145,7 +147,7 @@ def compact(
 ) -> Compacted:
     """Write the logs of many folders into one, all or nothing.
 
-    Trajectories are numbered anew, in the order of the folders; the columns ``run`` and ``run_trajectory`` of
+    Trajectories are renumbered, in the order of the folders; the columns ``run`` and ``run_trajectory`` of
     `Logs.trajectories` say what they were called in which folder. Those that are still being recorded are left out.
 
     Parameters
@@ -173,7 +175,7 @@ def compact(
     schemas: dict[str, pa.Schema] = {}
     counts, units = Compacted(len(runs), 0, 0, 0), []
     for run in runs:
-        found, num_running = _ended(read_logs(run))
+        found, num_running = _ended(read_logs(run, missing=KEEP))
         counts = counts._replace(num_running=counts.num_running + num_running)
         if found is not None:
             units.append(found.reward_unit)
@@ -212,13 +214,13 @@ def _ended(logs: Logs) -> tuple[Logs | None, int]:
 
 
 def _parts(runs: Sequence[Place], on_progress: Callable[[], object]) -> Iterator[Logs]:
-    """Logs of some thousand trajectories, numbered anew."""
+    """Logs of some thousand trajectories, renumbered."""
     held, num_held, first = [], 0, 0
     for run in runs:
-        found, _ = _ended(read_logs(run))
+        found, _ = _ended(read_logs(run, missing=KEEP))
         if found is not None:
             tables: dict[str, Any] = _named(found, run, first)
-            held.append(Logs(**tables, reward_unit=found.reward_unit))
+            held.append(Logs(**tables, reward_unit=found.reward_unit, missing=KEEP))
             first, num_held = first + found.num_trajectories, num_held + found.num_trajectories
         if num_held >= TRAJECTORIES_AT_ONCE:
             yield joined(held)

@@ -22,20 +22,17 @@ too, somebody or something stopped them.
 """
 
 from collections.abc import Collection, Iterator
-from itertools import pairwise
 from statistics import NormalDist
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from halfseen.arrays import RowIds, RowMask, Rows
-from halfseen.logs.breakdown import durations_s
-from halfseen.logs.columns import shown
-from halfseen.logs.logs import Logs
+from halfseen.logs.grouping import Grouped, coded, grouped_covariates, rows_with
+from halfseen.logs.logs import Logs, durations_s
 from halfseen.shapes import Float
 
-NUM_GROUPS, MOST_CATEGORIES = 5, 12
 LEVEL = 1e-3
 """Chance with which what is true is called impossible, at most, over all that is looked at in one check."""
 FEWEST = 30
@@ -47,55 +44,6 @@ IMBALANCE_LEVEL = 0.01
 FEWEST_ENDS, ENDS_LEVEL = 10, 1e-4
 COMMON = 0.2
 """Mean of p from which on an action tells whether a covariate depends on it: 1/p of rare ones is too heavy-tailed."""
-
-
-class Grouped(NamedTuple):
-    """One covariate, in groups.
-
-    Parameters
-    ----------
-    name
-        Of the column.
-    group
-        Of each row, from 0.
-    words
-        What each of the G groups holds: "below 3", "'red'".
-    """
-
-    name: str
-    group: RowIds
-    words: tuple[str, ...]
-
-    @property
-    def num_groups(self) -> int:
-        """G."""
-        return len(self.words)
-
-
-def grouped_covariates(logs: Logs, stages: Any) -> Iterator[Grouped]:
-    """Group each covariate of some of a log's stages."""
-    for name in logs.stage_covariates:
-        found = grouped(str(name), stages[name])
-        if found is not None:
-            yield found
-
-
-def grouped(name: str, values: Any) -> Grouped | None:
-    """Group a column: numbers by fifths, or by value where there are few, text by value; None for one or too many."""
-    if not values.map(pd.api.types.is_hashable).all():
-        return None
-    kinds = values.nunique()
-    if not pd.api.types.is_numeric_dtype(values.dtype) or kinds <= NUM_GROUPS:
-        if not 2 <= kinds <= MOST_CATEGORIES or values.isna().any():
-            return None
-        code, names = pd.factorize(values, sort=values.dtype != object)
-        return Grouped(name, code.astype(np.int64), tuple(map(shown, names)))
-    numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
-    ends = np.unique(np.nanquantile(numbers, np.arange(1, NUM_GROUPS) / NUM_GROUPS))
-    # What lies at an end lies below it: values that many rows share stay together.
-    group = np.searchsorted(ends, np.where(np.isnan(numbers), ends[0], numbers), side="left")
-    words = [f"{ends[0]:.3g} or less", *(f"{low:.3g} to {high:.3g}" for low, high in pairwise(ends))]
-    return Grouped(name, group.astype(np.int64), (*words, f"above {ends[-1]:.3g}"))
 
 
 def excess_p(inverse: Rows, group: RowIds, num_groups: int, sizes: Float[np.ndarray, " G"]) -> Float[np.ndarray, " G"]:
@@ -152,12 +100,11 @@ def untrue_probabilities(logs: Logs) -> Iterator[str]:
     yield from _too_few_others(probability)
     if logs.has_objects or len(stages) < FEWEST:
         return
-    actions, stage = stages["action"].astype(str).to_numpy(), stages["stage"].to_numpy(dtype=np.int64)
+    (action, names), stage = coded(stages["action"]), stages["stage"].to_numpy(dtype=np.int64)
     # The stages with one number are a group, and so are all together.
     sizes = np.append(np.bincount(stage)[1:], len(stages)).astype(float)
-    names = np.unique(actions)
-    for name in names:
-        took = actions == name
+    for k, name in enumerate(names):
+        took = action == k
         inverse = 1.0 / probability[took]
         group = np.concatenate([stage[took] - 1, np.full(len(inverse), len(sizes) - 1)])
         p = excess_p(np.tile(inverse, 2), group, len(sizes), sizes)
@@ -197,8 +144,8 @@ def leaks(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
     stages, probability = _with_probability(logs)
     if len(stages) < FEWEST or logs.has_objects or any(untrue_probabilities(logs)):
         return
-    actions = stages["action"].astype(str).to_numpy()
-    took = {f"{name} was": actions == name for name in np.unique(actions)}
+    action, names = coded(stages["action"])
+    took = {f"{name} was": action == k for k, name in enumerate(names)}
     took["the likeliest action was"] = probability > 0.5
     groups = [each for each in grouped_covariates(logs, stages) if of is None or each.name in of]
     num_tests = sum(each.num_groups for each in groups) * len(took)
@@ -225,7 +172,7 @@ def _with_probability(logs: Logs) -> tuple[Any, Rows]:
     stages: Any = logs.stages
     if "probability" not in stages.columns:
         return stages[:0], np.zeros(0)
-    stages = stages[stages["probability"].notna() & stages["action"].notna()]
+    stages = rows_with(stages, "probability", "action")
     # So that no square of 1/p overflows.
     return stages, np.maximum(stages["probability"].to_numpy(dtype=np.float64), TINY)
 
@@ -240,14 +187,13 @@ def outcomes_among_covariates(logs: Logs, of: Collection[str] | None = None) -> 
     of
         Names of covariates; None for all.
     """
-    stages = logs.stages[logs.stages["reward"].notna() & logs.stages["action"].notna()]
+    stages = rows_with(logs.stages, "reward", "action", most=MOST_REWARDS)
     if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
         return
-    stages = stages.iloc[:MOST_REWARDS]
     reward = stages["reward"].to_numpy(dtype=np.float64)
     if not np.ptp(reward) > 0.0:
         return
-    action = pd.factorize(stages["action"].astype(str))[0]
+    action, _ = coded(stages["action"])
     known = list(grouped_covariates(logs, stages))
     blocks = [_indicators(action), _indicators(stages["stage"].to_numpy())]
     blocks += [_indicators(each.group) for each in known]
@@ -283,8 +229,8 @@ def _is_after(stages: Any, each: Grouped, explained: float) -> bool:
     """Whether a covariate that foretells so much depends on the action of its stage."""
     if "probability" not in stages.columns or stages["probability"].isna().any():
         return explained > NEARLY_ALL
-    probability, actions = stages["probability"].to_numpy(dtype=np.float64), stages["action"].astype(str).to_numpy()
-    took = [actions == name for name in np.unique(actions)] + [probability > MOST_EXPLAINED]
+    probability, (action, names) = stages["probability"].to_numpy(dtype=np.float64), coded(stages["action"])
+    took = [action == k for k in range(len(names))] + [probability > MOST_EXPLAINED]
     common = [rows for rows in took if rows.any() and probability[rows].mean() > COMMON]
     each_p = [imbalance_p(rows, probability, each.group, each.num_groups) for rows in common]
     return len(common) * min(each_p, default=1.0) < IMBALANCE_LEVEL

@@ -55,7 +55,7 @@ class Call(NamedTuple):
 
 CALLS = {
     "begin_trajectory": Call(("name", "columns")),
-    "begin_stage": Call(("covariates", "objects", "action", "object", "probability", "robot")),
+    "begin_stage": Call(("covariates", "objects", "action", "object", "probability", "robot", "stepped_back")),
     "complete_stage": Call(("reward", "elapsed_s", "own_rewards"), 1),
     "drop_out": Call(("robot", "cause", "elapsed_s"), 2),
     "still_running": Call(("elapsed_s",)),
@@ -157,10 +157,10 @@ def _no_number(word: str) -> Any:
 
 
 def _once(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    told = dict(pairs)
-    if len(told) < len(pairs):
+    values = dict(pairs)
+    if len(values) < len(pairs):
         raise ValueError("a name is given twice in an object")
-    return told
+    return values
 
 
 HOST = "127.0.0.1"

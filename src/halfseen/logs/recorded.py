@@ -22,15 +22,16 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 
-from halfseen.errors import LogError, within
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, common_unit, is_own_reward, shown
-from halfseen.logs.journal import JournalEvents, following, journal_parts, tell_missing
-from halfseen.logs.writer import is_being_recorded
+from halfseen.errors import LogError, NothingRecordedError, within
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, common_unit, is_own_reward, shown
+from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
 from halfseen.reading import reason_of
 
+JUST_BEFORE = 0.01
+"""Of the time since the clock before it: how long before the end of a stage a trajectory ends that was cut after it. It
+is less than others take to their next clock, and more than rounding (`halfseen.censoring.tied_times`)."""
 RESOLUTION_S = 1e-9
 """What a clock can tell apart [s]; a trajectory that was torn before its clock moved ends there."""
 CRASH, STILL_RUNNING = "crash", "still-running"
@@ -41,6 +42,7 @@ _TYPES = {
     "probability": pa.float64(),
     "end_s": pa.float64(),
     "cause": pa.string(),
+    STEPPED_BACK: pa.string(),
 }
 
 
@@ -72,7 +74,7 @@ def journal_log(folder: Path) -> dict[str, Any]:
 
     built = tables_of(ended())
     if not built:
-        raise LogError(f"{folder}: no stage is recorded yet; record one first")
+        raise NothingRecordedError(f"{folder}: no stage is recorded yet; record one first")
     with within(folder):
         return {**built, "reward_unit": common_unit(units)}
 
@@ -171,7 +173,7 @@ class RecordedTrajectory:
         if ending == FINISHED:
             self._complete(end_s)
         elif self._done is not None and self._done.get("is_given"):
-            end_s = float(np.nextafter(self._done["at_s"], 0.0))
+            end_s = self._just_before(self._done["at_s"])
             self._take_back(end_s)
         self.ending, end_s = ending, max(end_s, RESOLUTION_S)
         row = {**self._trajectory, "end_s": end_s, "ending": ending, "cause": cause}
@@ -183,7 +185,7 @@ class RecordedTrajectory:
     def _begin(self, event: dict[str, Any]) -> None:
         key = {"trajectory": event["trajectory"], "stage": event["stage"]}
         row = {**key, "elapsed_s": None, "action": None, "object": None, "reward": None, "probability": None}
-        row |= {name: event[name] for name in ("action", "object", "probability", ROBOT) if name in event}
+        row |= {name: event[name] for name in ("action", "object", "probability", ROBOT, STEPPED_BACK) if name in event}
         self.rows["stages"].append(row | event["covariates"])
         self.rows["objects"] += [{**key, **seen} for seen in event.get("objects", ())]
 
@@ -191,6 +193,11 @@ class RecordedTrajectory:
         """Ctrl-C came before the recorder knew that the stage had begun, and it was given again."""
         number = self.rows["stages"].pop()["stage"]
         self.rows["objects"] = [row for row in self.rows["objects"] if row["stage"] != number]
+
+    def _just_before(self, at_s: float) -> float:
+        clocks_s = [stage["elapsed_s"] or 0.0 for stage in self.rows["stages"]]
+        before_s = max((each for each in [*clocks_s, *self._out_s.values()] if each < at_s), default=0.0)
+        return at_s - JUST_BEFORE * (at_s - before_s)
 
     def _take_back(self, end_s: float) -> None:
         """Of several robots that decided at one time, it is cut in the first stage that had not ended before."""

@@ -1,22 +1,215 @@
-"""A log that need not fit in memory: read and written a few thousand whole trajectories at a time."""
+"""A log that need not fit in memory: read a few thousand whole trajectories at a time, in order or by shards.
 
-from collections.abc import Iterable, Iterator
+A shard is whole trajectories that stand one after another, which any process can read alone.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.logs.checks import checked_trajectories
-from halfseen.logs.columns import FINISHED, NEEDED, as_counts, is_stage_covariate, require_columns, shown
-from halfseen.logs.folder import MANIFEST, ROWS_IN_GROUP, Folder, Place, place_of, read_folder, read_manifest
-from halfseen.logs.frames import as_frame
+from halfseen.logs.columns import (
+    FINISHED,
+    NEEDED,
+    as_counts,
+    as_frame,
+    frame_of,
+    is_stage_covariate,
+    require_columns,
+    shown,
+)
+from halfseen.logs.folder import (
+    MANIFEST,
+    ROWS_IN_GROUP,
+    Folder,
+    Place,
+    broken_table,
+    place_of,
+    read_folder,
+    read_manifest,
+)
 from halfseen.logs.logs import Logs
-from halfseen.logs.shards import Shard, shards_of, tables_of_size
+from halfseen.logs.missing import Filling, Missing, learned_filling
+
+MOST_PARTS = 64
+"""Of a shard; a worker that is lost takes with it what it was to read."""
+NUM_SHARDS = 64
+"""Of a log with enough parts, at least."""
+compute: Any = pyarrow.compute
+
+
+Tables = dict[str, pa.Table]
+"""By name."""
+
+
+class Part(NamedTuple):
+    """Trajectories that are held in memory at once."""
+
+    number: int
+    trajectories: tuple[int, int]
+    """Rows of the table of trajectories: the first, and the one after the last."""
+    rows: dict[str, tuple[int, int]]
+    """Of the other tables."""
+
+
+class Shard(NamedTuple):
+    """Parts that are read one after the other."""
+
+    number: int
+    parts: tuple[Part, ...]
+
+    @property
+    def trajectories(self) -> slice:
+        """Rows of the table of trajectories."""
+        return slice(self.parts[0].trajectories[0], self.parts[-1].trajectories[1])
+
+
+class ShardReader:
+    """Reads parts of a folder, each from the groups of rows that hold it.
+
+    Parameters
+    ----------
+    folder
+        The folder.
+    """
+
+    def __init__(self, folder: Folder) -> None:
+        self._folder = folder
+        self._tables = {name: _Table(folder, name) for name in folder.num_rows}
+
+    def read(self, part: Part) -> Logs:
+        """Read a part.
+
+        Raises
+        ------
+        LogError
+            A file is broken, or the part is; the trajectory is named.
+        """
+        return logs_of(self._folder, [self.tables(part)])
+
+    def tables(self, part: Part, kept: np.ndarray | None = None) -> Tables:
+        """Read a part, or some of its trajectories, and check nothing.
+
+        Parameters
+        ----------
+        part
+            Which.
+        kept
+            Numbers of the trajectories to keep, counted from the beginning of the part; None for all.
+        """
+        tables = {
+            name: self._tables[name].rows(*ends)
+            for name, ends in {**part.rows, "trajectories": part.trajectories}.items()
+        }
+        if kept is None:
+            return tables
+        names = tables["trajectories"]["trajectory"].take(kept)
+        return {name: table.filter(compute.is_in(table["trajectory"], names)) for name, table in tables.items()}
+
+
+def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
+    """Make a log of the tables of some parts.
+
+    Raises
+    ------
+    LogError
+        It is broken; the trajectory is named.
+    """
+    tables: dict[str, Any] = {name: pa.concat_tables([part[name] for part in parts]) for name in folder.num_rows}
+    with within(folder.place):
+        return Logs(**tables, reward_unit=folder.reward_unit, missing=folder.filling)
+
+
+class _Table:
+    def __init__(self, folder: Folder, name: str) -> None:
+        self._file_name = folder.place / f"{name}.parquet"
+        self._file = folder.opened(name)
+        sizes = [self._file.metadata.row_group(group).num_rows for group in range(self._file.num_row_groups)]
+        self._begin = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
+        self._held: tuple[int, pa.Table] | None = None
+
+    def rows(self, begin: int, end: int) -> pa.Table:
+        first = int(np.searchsorted(self._begin, begin, side="right")) - 1
+        last = int(np.searchsorted(self._begin, end, side="left"))
+        groups = [self._group(group) for group in range(first, last)]
+        return pa.concat_tables(groups).slice(begin - int(self._begin[first]), end - begin)
+
+    def _group(self, group: int) -> pa.Table:
+        if self._held is None or self._held[0] != group:
+            try:
+                self._held = group, self._file.read_row_group(group)
+            except (OSError, pa.ArrowException) as error:
+                raise broken_table(self._file_name, error) from error
+        return self._held[1]
+
+
+def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
+    """Deal the parts of a folder into shards, by its size alone.
+
+    Parameters
+    ----------
+    folder
+        The folder, whose tables are sorted by trajectory.
+    trajectories_at_once
+        Trajectories of a part.
+
+    Raises
+    ------
+    LogError
+        A table has not as many trajectories, one after another, as that of the trajectories.
+    """
+    num_trajectories = folder.num_rows["trajectories"]
+    ends = {name: _ends(folder, name, trajectories_at_once) for name in folder.num_rows if name != "trajectories"}
+    parts = []
+    for number, first in enumerate(range(0, num_trajectories, trajectories_at_once)):
+        rows = {name: (int(end[number]), int(end[number + 1])) for name, end in ends.items()}
+        parts.append(Part(number, (first, min(first + trajectories_at_once, num_trajectories)), rows))
+    size = min(max(len(parts) // NUM_SHARDS, 1), MOST_PARTS)
+    groups = [parts[first : first + size] for first in range(0, len(parts), size)]
+    return [Shard(number, tuple(group)) for number, group in enumerate(groups)]
+
+
+def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
+    """Rows of a table in which parts begin, and the number of its rows."""
+    found, num_trajectories, num_rows, last = [], 0, 0, None
+    for column in folder.batches(name, ["trajectory"]):
+        is_new = np.ones(len(column), dtype=bool)
+        values = column["trajectory"]
+        differs = compute.fill_null(compute.not_equal(values.slice(1), values.slice(0, len(values) - 1)), True)
+        is_new[1:] = differs.to_numpy(zero_copy_only=False)
+        is_new[0] = last is None or values[0].as_py() != last
+        at = np.flatnonzero(is_new)
+        numbers = num_trajectories + np.arange(len(at))
+        found.append(num_rows + at[numbers % trajectories_at_once == 0])
+        num_trajectories, num_rows, last = num_trajectories + len(at), num_rows + len(column), values[-1].as_py()
+    if num_trajectories != folder.num_rows["trajectories"]:
+        raise LogError(
+            f"{folder.place / name}.parquet: the rows of its trajectories do not stand together, or a trajectory has "
+            "none; write the logs by Logs.write or write_stream, which sort them"
+        )
+    return np.concatenate([*found, [num_rows]])
+
+
+def tables_of_size(batches: Iterable[pa.RecordBatch], size: int) -> Iterator[pa.Table]:
+    """Put batches together, and cut them into tables of as many rows each, but for the last one."""
+    held: list[pa.RecordBatch] = []
+    for batch in batches:
+        held.append(batch)
+        while sum(map(len, held)) >= size:
+            table = pa.Table.from_batches(held)
+            yield table.slice(0, size)
+            held = table.slice(size).to_batches()
+    if held:
+        yield pa.Table.from_batches(held)
+
 
 TRAJECTORIES_AT_ONCE = 2_000
 """Trajectories that are held in memory at once."""
@@ -37,6 +230,8 @@ class LogStream:
         A folder of Parquet files, or its address in an object store.
     trajectories_at_once
         Trajectories of each part.
+    missing
+        What stands for covariates of the stages that are null, as `Logs` takes it; it is learned in a pass of its own.
 
     Attributes
     ----------
@@ -50,10 +245,12 @@ class LogStream:
     LogError
         The folder or one of its files is missing or broken, or the trajectories are.
     ArgumentError
-        `trajectories_at_once` is below 1.
+        `trajectories_at_once` is below 1, or `missing` is no rule or names no covariate.
     """
 
-    def __init__(self, folder: str | Place, trajectories_at_once: int = TRAJECTORIES_AT_ONCE) -> None:
+    def __init__(
+        self, folder: str | Place, trajectories_at_once: int = TRAJECTORIES_AT_ONCE, *, missing: Missing = None
+    ) -> None:
         if trajectories_at_once < 1:
             raise ArgumentError(f"trajectories_at_once is {trajectories_at_once}; read at least 1")
         self.folder = place_of(folder)
@@ -64,6 +261,9 @@ class LogStream:
             with within(self.folder):
                 columns = as_frame(name, self.as_folder.opened(name).schema_arrow.remove_metadata().empty_table())
                 require_columns(name, columns, NEEDED[name])
+        with within(self.folder):
+            filling = learned_filling(missing, self.stage_covariates, self._column, self.num_stages)
+        self.as_folder = self.as_folder._replace(filling=filling)
         # A table of millions of trajectories is larger than all that is held beside it.
         ends = [
             (part["end_s"].to_numpy(), (part["ending"] == FINISHED).to_numpy(bool))
@@ -109,7 +309,7 @@ class LogStream:
         try:
             return shards_of(self.as_folder, self.trajectories_at_once)
         except LogError:
-            # Whoever reads them one after the other can tell which trajectory is out of place.
+            # Anyone who reads them one after the other can tell which trajectory is out of place.
             for _ in self:
                 pass
             raise
@@ -124,8 +324,14 @@ class LogStream:
 
     @property
     def stage_covariates(self) -> list[str]:
-        """Names of the stages' covariates."""
-        return [name for name in self.as_folder.opened("stages").schema_arrow.names if is_stage_covariate(name)]
+        """Names of the stages' covariates, with the columns that tell which were missing."""
+        there = [name for name in self.as_folder.opened("stages").schema_arrow.names if is_stage_covariate(name)]
+        return there if self.filling is None else [*there, *(name for name in self.filling.flags if name not in there)]
+
+    @property
+    def filling(self) -> Filling | None:
+        """What stands for covariates that were null; None if null is refused."""
+        return self.as_folder.filling
 
     @property
     def num_stages(self) -> int:
@@ -146,7 +352,10 @@ class LogStream:
         """Read some columns of the stages alone, row by row as they stand."""
         for batch in self.as_folder.batches("stages", list(names)):
             # What pandas once noted of the table may be broken, and nothing rests on it.
-            yield batch.replace_schema_metadata().to_pandas()
+            yield frame_of(pa.Table.from_batches([batch.replace_schema_metadata()]))
+
+    def _column(self, name: str) -> Iterator[Any]:
+        return (as_frame("stages", frame)[name] for frame in self.stage_columns(name))
 
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
@@ -157,7 +366,7 @@ class LogStream:
             names: Any = part["trajectory"]
             tables: dict[str, Any] = {name: reader.upto(names) for name, reader in readers.items()}
             with within(self.folder):
-                logs = Logs(trajectories=part, **tables, reward_unit=self.reward_unit)
+                logs = Logs(trajectories=part, **tables, reward_unit=self.reward_unit, missing=self.filling)
             yield logs
         for reader in readers.values():
             reader.refuse_leftover()
@@ -179,7 +388,7 @@ class LogStream:
             yield trajectories
 
 
-def read_logs(folder: str | Place) -> Logs:
+def read_logs(folder: str | Place, *, missing: Missing = None) -> Logs:
     """Read a folder that `Logs.write` or a `LogRecorder` wrote, or one of CSV files, and check it again.
 
     A recorder's folder can be read at any time. A trajectory that a crash tore has the cause "crash"; one that is being
@@ -189,6 +398,8 @@ def read_logs(folder: str | Place) -> Logs:
     ----------
     folder
         The folder; its address, where it lies in an object store, as Parquet files.
+    missing
+        What stands for covariates of the stages that are null, as `Logs` takes it.
 
     Raises
     ------
@@ -201,21 +412,23 @@ def read_logs(folder: str | Place) -> Logs:
         # Formats know logs, not the other way round.
         from halfseen.logs.formats.csv_folder import read_csv
 
-        return read_csv(folder)
-    told = read_folder(folder)
+        return read_csv(folder, missing=missing)
+    tables = read_folder(folder)
     with within(folder):
-        return Logs(**told)
+        return Logs(**tables, missing=missing)
 
 
-def opened(folder: str | Place, in_passes: bool | None = None) -> Logs | LogStream:
+def opened(folder: str | Place, streaming: bool | None = None, *, missing: Missing = None) -> Logs | LogStream:
     """Read a log, or, if it is one of many stages, open it to be read in passes.
 
     Parameters
     ----------
     folder
         A log of any form, or the address of one of Parquet files in an object store.
-    in_passes
+    streaming
         Whether it is to be read in passes; None for what suits its size.
+    missing
+        What stands for covariates of the stages that are null, as `Logs` takes it.
 
     Raises
     ------
@@ -225,14 +438,14 @@ def opened(folder: str | Place, in_passes: bool | None = None) -> Logs | LogStre
     folder = place_of(folder)
     # In a store there is no other form.
     is_parquet = not isinstance(folder, Path) or (folder / MANIFEST).is_file()
-    if in_passes and not is_parquet:
+    if streaming and not is_parquet:
         raise LogError(
             f"{folder}: only folders of Parquet files are read in passes; make one of it: halfseen convert {folder} "
             "--out FOLDER"
         )
-    if in_passes is None:
-        in_passes = is_parquet and read_manifest(folder).num_rows["stages"] > MOST_STAGES_IN_MEMORY
-    return LogStream(folder) if in_passes else read_logs(folder)
+    if streaming is None:
+        streaming = is_parquet and read_manifest(folder).num_rows["stages"] > MOST_STAGES_IN_MEMORY
+    return LogStream(folder, missing=missing) if streaming else read_logs(folder, missing=missing)
 
 
 def parts_of(log: Logs | LogStream) -> Iterable[Logs]:

@@ -12,8 +12,15 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, is_of_one_robot, shown
-from halfseen.logs.frames import LARGEST_FRACTION
+from halfseen.logs.columns import (
+    LARGEST_FRACTION,
+    OBJECT_COLUMNS,
+    STAGE_COLUMNS,
+    STEPPED_BACK,
+    TRAJECTORY_COLUMNS,
+    is_of_one_robot,
+    shown,
+)
 
 _OWN_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 _LARGEST_WHOLE = 2**63
@@ -73,7 +80,7 @@ class Schema:
         covariates, objects
             What was seen.
         chosen
-            robot, action, object and probability, None where there is none.
+            robot, action, object, probability and stepped_back, None where there is none.
         where
             The trajectory and the stage, for messages.
         """
@@ -133,7 +140,14 @@ class Schema:
             choice["probability"] = checked_number(probability, "probability", where, remedy)
             if not 0 < choice["probability"] <= 1:
                 raise LogError(f"{where}: probability is {choice['probability']}; {remedy}")
-        return choice
+        return choice | self._step_back(chosen.get(STEPPED_BACK), where)
+
+    def _step_back(self, why: Any, where: str) -> Row:
+        if why is None:
+            return {}
+        if not isinstance(why, str):
+            raise LogError(f"{where}: {STEPPED_BACK} is {_short(why)}; say why the rule decided, or leave it out")
+        return {STEPPED_BACK: checked_text(why, where, STEPPED_BACK)}
 
     def _check_always(self, what: str, is_given: bool, where: str) -> None:
         """Refuse what is given in some stages only."""

@@ -5,7 +5,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from halfseen.arrays import Image, Intrinsics, Points
+from halfseen.arrays import Image, Intrinsics, Points, RowMask
 from halfseen.errors import CloudError
 from halfseen.shapes import Float, Shaped, UInt8
 
@@ -14,10 +14,14 @@ LARGEST_MEDIAN_DISTANCE_M, LARGEST_DISTANCE_M = 50.0, 1000.0
 # Of a pinhole matrix; images are a few thousand pixels wide [px].
 LARGEST_INTRINSIC_PX = 1e6
 
+# What is nearer to the eye than this came of a ray without return, in single precision [m]; and axes are as exact.
+SAME_PLACE_M = SAME_AXES = 1e-6
+
 # Of a file; the largest depth cameras have 5 million pixels. Looking at so many takes 1 GB.
 MOST_POINTS = 6_000_000
 
 Vector: TypeAlias = Float[np.ndarray, "3"]
+Rotation: TypeAlias = Float[np.ndarray, "3 3"]
 Colours: TypeAlias = UInt8[np.ndarray, "n 3"]
 Picture: TypeAlias = UInt8[np.ndarray, "H W 3"]
 
@@ -29,8 +33,9 @@ class Cloud:
     Parameters
     ----------
     points_m
-        Points in the camera frame, x right, y down, z forward [m]. A ray without return is a row of NaN, so that
-        unknown stays apart from absent. Rows that are not finite, or exactly at the origin, count as no return.
+        Points in the camera frame, x right, y down, z forward, or in another one [m]. A ray without return is a row of
+        NaN, so that unknown stays apart from absent. Rows that are not finite, or exactly at the origin or the eye,
+        count as no return.
     shape
         Rows and columns of the image [px] when the points are organised row by row, else None.
     intrinsics
@@ -41,12 +46,14 @@ class Cloud:
         Where the camera stands in the frame of the points [m]; the origin in a camera frame.
     colours
         Red, green and blue of each point, returned or not; None if the camera sees no colour.
+    camera_axes
+        Columns: the camera's right, down and forward in the frame of the points; those of a camera frame by default.
 
     Raises
     ------
     CloudError
-        Shape, colours and number of points disagree, distances are none in metres, or the pinhole matrix is not finite
-        or has no positive focal lengths.
+        The axes are not square to one another; shape, colours and number of points disagree; distances are none in
+        metres; or the pinhole matrix is not finite or has no positive focal lengths.
     """
 
     points_m: Points
@@ -55,25 +62,31 @@ class Cloud:
     name: str = "cloud"
     eye_m: Vector = field(default_factory=lambda: np.zeros(3))
     colours: Colours | None = None
+    camera_axes: Rotation = field(default_factory=lambda: np.eye(3))
 
     def __post_init__(self) -> None:
-        points = np.array(self.points_m, dtype=np.float64)
-        points[~np.isfinite(points).all(axis=1) | ~points.any(axis=1)] = np.nan
+        points, eye = (np.array(each, dtype=np.float64) for each in (self.points_m, self.eye_m))
         if self.shape is not None and self.shape[0] * self.shape[1] != len(points):
             raise CloudError(
                 f"{self.name}: {len(points)} points do not fill {self.shape[0]} rows of {self.shape[1]}; "
                 "mend WIDTH and HEIGHT or give shape=None"
             )
-        eye = np.array(self.eye_m, dtype=np.float64)
         if not np.isfinite(eye).all():
             raise CloudError(f"{self.name}: the viewpoint is {eye.tolist()}; it must be finite, in metres")
+        points[~returned(points, eye)] = np.nan
         _check_metres(points - eye, self.name)
+        axes = np.array(self.camera_axes, dtype=np.float64)
+        if axes.shape != (3, 3) or not np.allclose(axes.T @ axes, np.eye(3), atol=SAME_AXES) or np.linalg.det(axes) < 0:
+            raise CloudError(
+                f"{self.name}: the camera's axes are {axes.tolist()}; they must be the columns of a rotation"
+            )
         K = self.intrinsics
         if K is not None:
             check_intrinsics(K, self.name)
             K = np.array(K, dtype=np.float64)
         colours = None if self.colours is None else _checked_colours(self.colours, len(points), self.name)
-        for name, value in (("points_m", points), ("eye_m", eye), ("intrinsics", K), ("colours", colours)):
+        own = {"points_m": points, "eye_m": eye, "intrinsics": K, "colours": colours, "camera_axes": axes}
+        for name, value in own.items():
             if value is not None:
                 value.setflags(write=False)
             object.__setattr__(self, name, value)
@@ -114,6 +127,20 @@ class Cloud:
     def num_returns(self) -> int:
         """Number of rays that returned a point."""
         return int(np.isfinite(self.points_m[:, 2]).sum())
+
+
+def returned(points_m: Points, eye_m: Vector) -> RowMask:
+    """Which points returned: those that are finite, and neither at the origin nor at the eye.
+
+    Parameters
+    ----------
+    points_m, eye_m
+        Points, and where the camera stands in their frame [m].
+    """
+    apart_m = SAME_PLACE_M * max(1.0, float(np.abs(eye_m).max())) if eye_m.any() else 0.0
+    with np.errstate(invalid="ignore"):  # signalling NaN
+        is_apart = (np.abs(points_m - eye_m) > apart_m).any(axis=1)
+    return np.asarray(is_apart & np.isfinite(points_m).all(axis=1) & points_m.any(axis=1))
 
 
 def _check_metres(from_eye: Points, name: str) -> None:

@@ -1,12 +1,14 @@
 """Hidden ends of vessels: a cup whose mouth is behind another is as long as cups are, as far as the image allows."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import cache, partial
 
 import numpy as np
 
 from halfseen.perception.objects import Labels
 from halfseen.perception.plane import Plane
-from halfseen.perception.range_image import RangeImage
+from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Vessel
 
@@ -45,9 +47,10 @@ def extended(i: int, vessel: Vessel, labels: Labels, plane: Plane, image: RangeI
     num_steps = int((probable - seen) / STEP_M)
     if num_steps < 1:
         return vessel
+    own = cache(partial(covered, vessel, plane, image))
     rooms = [
-        0 if vessel.is_upright else _room(i, vessel, 0, num_steps, labels, plane, image),
-        _room(i, vessel, 1, num_steps, labels, plane, image),
+        0 if vessel.is_upright else _room(i, vessel, 0, num_steps, own, labels, plane, image),
+        _room(i, vessel, 1, num_steps, own, labels, plane, image),
     ]
     # Both ends share what is missing; what one has no room for, the other takes.
     first = min(rooms[0], max(num_steps // 2, num_steps - rooms[1]))
@@ -60,7 +63,16 @@ def _prolonged(vessel: Vessel, end: int, num_steps: int) -> Vessel:
     return replace(vessel, ends_m=(low, high + more) if end else (low - more, high))
 
 
-def _room(i: int, vessel: Vessel, end: int, num_steps: int, labels: Labels, plane: Plane, image: RangeImage) -> int:
+def _room(
+    i: int,
+    vessel: Vessel,
+    end: int,
+    num_steps: int,
+    own: Callable[[], Pixels],
+    labels: Labels,
+    plane: Plane,
+    image: RangeImage,
+) -> int:
     """How many steps an end can go on; the foot of a standing vessel is on the table and never does."""
     longest = _prolonged(vessel, end, num_steps)
     asked = covered(longest, plane, image)
@@ -71,7 +83,7 @@ def _room(i: int, vessel: Vessel, end: int, num_steps: int, labels: Labels, plan
     is_hiding, is_against, is_before, is_added = np.zeros((4, labels.size), dtype=bool)
     is_hiding[asked] = hiding
     is_against[asked] = np.isfinite(depth_m) & (label != i) & ~hiding
-    is_before[covered(vessel, plane, image)] = True
+    is_before[own()] = True
     room = 0
     for step in range(1, num_steps + 1):
         after = covered(_prolonged(vessel, end, step), plane, image) if step < num_steps else asked

@@ -1,5 +1,6 @@
 """From sheets to objects: a vessel shows its outer and its inner wall as two sheets, an occluder cuts a wall in two."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -7,13 +8,15 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from halfseen.arrays import Points
+from halfseen.perception.clouds import Vector
 from halfseen.perception.objects import Labels, pixels_of
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
 from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.perception.splitting import FEWEST_POINTS, divided
-from halfseen.perception.vessel_fits import fit_lying, fit_standing, flat_misfit, robust_cost, thinned
+from halfseen.perception.vessel_fits import flat_misfit, lying_vessels, robust_cost, standing_vessels, thinned
+from halfseen.shapes import Float
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
 WORST_VESSEL_MISFIT = 3.2
@@ -21,6 +24,8 @@ WORST_VESSEL_MISFIT = 3.2
 STANDING_MISFIT = 0.35
 # A fit that is worse than this may be that of a vessel on its handle, if that halves the cost.
 HANDLE_MISFIT, HANDLE_GAIN = 1.6, 0.5
+# Fewer points show no vessel.
+FEWEST_OF_VESSEL = 8
 # What a plane fits this much better than a vessel is the face of a box.
 FLAT_GAIN = 0.5
 # Points that carry a hull; more change no pixel of it.
@@ -71,9 +76,19 @@ class _Piece:
     given: Vessel | Hull | None = None
 
     @cached_property
+    def thin_m(self) -> Points:
+        """Some of its points."""
+        return thinned(self.points_m)
+
+    @cached_property
+    def box_m(self) -> tuple[Vector, Vector]:
+        """Lowest and highest coordinates of these."""
+        return self.thin_m.min(axis=0), self.thin_m.max(axis=0)
+
+    @cached_property
     def solid(self) -> Vessel | Hull:
         """Its completed shape, fitted when it is first asked for: some pieces are merged before."""
-        return completed(self.points_m) if self.given is None else self.given
+        return completed([self.points_m])[0] if self.given is None else self.given
 
 
 def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, tuple[Vessel | Hull, ...], int]:
@@ -124,18 +139,17 @@ def objects_of_sheets(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[
 
 def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, list[_Piece]]:
     """Make a piece of each sheet; one that is no vessel and shows two is divided."""
-    sheets, points_m = sheets.copy(), image.points_m.reshape(-1, 3)
-    pieces = []
-    for sheet, pixels in enumerate(pixels_of(sheets)):
-        points = plane.table_points(points_m[pixels])
-        piece, is_first = _Piece((sheet,), _spread(points)), None
-        if len(points) >= FEWEST_POINTS and _is_doubtful(piece.solid):
-            is_first = divided(points)
+    sheets, points_m, pieces = sheets.copy(), image.points_m.reshape(-1, 3), []
+    of_sheet = pixels_of(sheets)
+    sets = [plane.table_points(points_m[pixels]) for pixels in of_sheet]
+    spread = [_spread(points) for points in sets]
+    for sheet, (points, solid) in enumerate(zip(sets, completed(spread), strict=True)):
+        is_first = divided(points) if len(points) >= FEWEST_POINTS and _is_doubtful(solid) else None
         if is_first is None or is_first.all() or not is_first.any():
-            pieces.append(piece)
+            pieces.append(_Piece((sheet,), spread[sheet], solid))
             continue
         new = int(sheets.max()) + 1
-        sheets.ravel()[pixels[~is_first]] = new
+        sheets.ravel()[of_sheet[sheet][~is_first]] = new
         pieces += [_Piece((sheet,), _spread(points[is_first])), _Piece((new,), _spread(points[~is_first]))]
     return sheets, pieces
 
@@ -144,26 +158,35 @@ def _is_doubtful(solid: Vessel | Hull) -> bool:
     return isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT
 
 
-def completed(points_m: Points) -> Vessel | Hull:
-    """Complete what is seen of an object: the vessel that fits best, or the hull if none fits.
+def completed(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel | Hull]:
+    """Complete what is seen of each object: the vessel that fits best, or the hull if none fits.
 
     Parameters
     ----------
-    points_m
-        Points of the object as (right, away, height) [m].
+    sets
+        Points of each object as (right, away, height) [m].
     """
-    if len(points_m) < 8:
-        return Hull(points_m)
-    vessel = fit_standing(points_m)
-    if vessel.misfit < STANDING_MISFIT:
-        return vessel
-    lying = fit_lying(points_m)
-    vessel = lying if lying.misfit < vessel.misfit and _is_low(lying, points_m) else vessel
-    if vessel.misfit > HANDLE_MISFIT:
-        lying = fit_lying(points_m, is_on_wall=False)
-        vessel = lying if lying.misfit < HANDLE_GAIN * vessel.misfit and _is_low(lying, points_m) else vessel
-    is_vessel = vessel.misfit < WORST_VESSEL_MISFIT and flat_misfit(points_m) > FLAT_GAIN * vessel.misfit
-    return vessel if is_vessel else Hull(thinned(points_m, NUM_HULL_POINTS))
+    large = [k for k, points in enumerate(sets) if len(points) >= FEWEST_OF_VESSEL]
+    vessels = dict(zip(large, standing_vessels([sets[k] for k in large]), strict=True))
+    on_wall, on_handle = (
+        [k for k in large if vessels[k].misfit > enough] for enough in (STANDING_MISFIT, HANDLE_MISFIT)
+    )
+    lying = iter(lying_vessels([sets[k] for k in on_wall + on_handle], len(on_handle)))
+    for asked, enough, gain in ((on_wall, STANDING_MISFIT, 1.0), (on_handle, HANDLE_MISFIT, HANDLE_GAIN)):
+        for k, vessel in zip(asked, lying, strict=False):
+            if enough < vessels[k].misfit > vessel.misfit / gain and _is_low(vessel, sets[k]):
+                vessels[k] = vessel
+    return [
+        vessels[k] if k in vessels and _is_vessel(vessels[k], points) else Hull(thinned(points, NUM_HULL_POINTS))
+        for k, points in enumerate(sets)
+    ]
+
+
+def _is_vessel(vessel: Vessel, points_m: Points) -> bool:
+    """Whether a vessel fits well, and a plane no better by far; one that stands and fits leaves nothing to ask."""
+    if vessel.is_upright and vessel.misfit < STANDING_MISFIT:
+        return True
+    return vessel.misfit < WORST_VESSEL_MISFIT and flat_misfit(points_m) > FLAT_GAIN * vessel.misfit
 
 
 def _is_low(lying: Vessel, points_m: Points) -> bool:
@@ -183,34 +206,48 @@ def _merged(pieces: list[_Piece], sheets: Labels, plane: Plane, image: RangeImag
     apart: set[tuple[_Piece, _Piece]] = set()
     i = num_fits = 0
     while i < len(pieces):
-        for j in range(i + 1, len(pieces)):
-            if (pieces[i], pieces[j]) in apart:
-                continue
-            joint, is_sure = _candidate(pieces[i], pieces[j])
+        others = [piece for piece in pieces[i + 1 :] if (pieces[i], piece) not in apart]
+        for small, joint, is_sure in _candidates(pieces[i], others, MOST_JOINT_FITS - num_fits):
             num_fits += joint is not None and not is_sure
             if num_fits > MOST_JOINT_FITS:
                 raise ValueError(f"they fall into {len(pieces)} pieces, of which too many might belong together")
-            if joint is not None and (is_sure or _is_one(pieces[i], pieces[j], joint, sheets, plane, image)):
-                pieces = [joint, *(piece for k, piece in enumerate(pieces) if k not in (i, j))]
+            if joint is not None and (is_sure or _is_one(pieces[i], small, joint, sheets, plane, image)):
+                pieces = [joint, *(piece for piece in pieces if piece not in (pieces[i], small))]
                 pieces.sort(key=lambda piece: -len(piece.points_m))
                 i = -1
                 break
-            apart.add((pieces[i], pieces[j]))
+            apart.add((pieces[i], small))
         i += 1
     return pieces
+
+
+def _candidates(large: _Piece, others: Sequence[_Piece], num_fitted: int) -> list[tuple[_Piece, _Piece | None, bool]]:
+    """Put each piece together with another, up to the first that surely belongs; the others are fitted together."""
+    pairs: list[tuple[_Piece, _Piece | None, bool]] = []
+    for small in others:
+        pairs.append((small, *_candidate(large, small)))
+        if pairs[-1][2]:
+            break
+    asked = [k for k, (_, joint, is_sure) in enumerate(pairs) if joint is not None and not is_sure][:num_fitted]
+    joints = [joint for k in asked if (joint := pairs[k][1]) is not None]
+    for k, joint, solid in zip(asked, joints, completed([joint.points_m for joint in joints]), strict=True):
+        pairs[k] = (pairs[k][0], replace(joint, given=solid), False)
+    return pairs
 
 
 def _candidate(large: _Piece, small: _Piece) -> tuple[_Piece | None, bool]:
     """Put two pieces together, and say whether they are surely one object; None if they are two."""
     if not _is_near(large, small):
         return None, False
-    points = _spread(np.concatenate([large.points_m, small.points_m]))
-    joint = _Piece(large.sheets + small.sheets, points)
     if _is_handle(small, large):
-        return replace(joint, given=large.solid), True
+        return _joint(large, small, large.solid), True
     if _is_claimed(small, large) or _is_claimed(large, small):
-        return joint, True
-    return (joint if _is_near_wall(small, large) or _is_near_wall(large, small) else None), False
+        return _joint(large, small), True
+    return (_joint(large, small) if _is_near_wall(small, large) or _is_near_wall(large, small) else None), False
+
+
+def _joint(large: _Piece, small: _Piece, given: Vessel | Hull | None = None) -> _Piece:
+    return _Piece(large.sheets + small.sheets, _spread(np.concatenate([large.points_m, small.points_m])), given)
 
 
 def _is_one(large: _Piece, small: _Piece, joint: _Piece, sheets: Labels, plane: Plane, image: RangeImage) -> bool:
@@ -225,8 +262,8 @@ def _is_one(large: _Piece, small: _Piece, joint: _Piece, sheets: Labels, plane: 
 
 def _is_near(large: _Piece, small: _Piece) -> bool:
     """Whether some points of two pieces are near to one another; boxes around them, and one point, mostly tell."""
-    one, other = thinned(large.points_m), thinned(small.points_m)
-    apart = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
+    one, other, (low, high), (other_low, other_high) = large.thin_m, small.thin_m, large.box_m, small.box_m
+    apart = np.maximum(low - other_high, other_low - high)
     if np.linalg.norm(np.maximum(apart, 0.0)) > FARTHEST_PIECES_M + SURE_M:
         return False
     nearest = one[np.argmin(np.square(one - other.mean(axis=0)).sum(axis=1))]
@@ -237,7 +274,7 @@ def _is_near(large: _Piece, small: _Piece) -> bool:
 
 
 def _is_part(piece: _Piece, vessel: Vessel) -> bool:
-    misfit = robust_cost(vessel.outside_m(thinned(piece.points_m)))
+    misfit = robust_cost(vessel.outside_m(piece.thin_m))
     return misfit < JOINT_MISFIT or _is_inside(piece, vessel)
 
 
@@ -245,7 +282,7 @@ def _is_near_wall(piece: _Piece, other: _Piece) -> bool:
     vessel = other.solid
     if not isinstance(vessel, Vessel):
         return False
-    return bool(np.median(np.abs(vessel.outside_m(thinned(piece.points_m)))) < SAME_WALL_M)
+    return bool(np.median(np.abs(vessel.outside_m(piece.thin_m))) < SAME_WALL_M)
 
 
 def _is_claimed(piece: _Piece, other: _Piece) -> bool:
@@ -256,7 +293,7 @@ def _is_claimed(piece: _Piece, other: _Piece) -> bool:
 
 def _is_inside(piece: _Piece, vessel: Vessel) -> bool:
     """Whether a piece is the inner wall or an end of a vessel: solids never share room."""
-    points = thinned(piece.points_m)
+    points = piece.thin_m
     outside, along = vessel.outside_m(points), vessel.along_m(points)
     low, high = vessel.ends_m
     is_between = (along > low - INSIDE_M) & (along < high + INSIDE_M)
@@ -272,7 +309,7 @@ def _is_handle(small: _Piece, large: _Piece) -> bool:
     vessel = large.solid
     if not isinstance(vessel, Vessel) or len(small.points_m) > HANDLE_SHARE * len(large.points_m):
         return False
-    points = thinned(small.points_m)
+    points = small.thin_m
     outside, along = vessel.outside_m(points), vessel.along_m(points)
     low, high = vessel.ends_m
     starts = np.percentile(np.abs(outside), 5) < HANDLE_START_M

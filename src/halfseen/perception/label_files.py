@@ -1,4 +1,4 @@
-"""Labels from a file, for whoever labels by other means than colour: CSV, or JSON, an entry an object."""
+"""Labels from a file, for anyone who labels by other means than colour: CSV, or JSON, an entry an object."""
 
 import csv
 import os
@@ -31,10 +31,10 @@ class LabelFile:
 
     def __call__(self, view: View, cloud: Cloud) -> tuple[Label, ...]:
         """Label each object of a view as the file says."""
-        told = read_labels(self.path, len(view.objects))
+        labels = read_labels(self.path, len(view.objects))
         return tuple(
             replace(label, share_in_view=share_in_view(seen)) if label.share_in_view is None else label
-            for seen, label in zip(view.objects, told, strict=True)
+            for seen, label in zip(view.objects, labels, strict=True)
         )
 
 

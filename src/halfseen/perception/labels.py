@@ -27,7 +27,7 @@ class Label:
     Parameters
     ----------
     is_dirty
-        What it looks like; None if too little of it was in view to tell.
+        What it looks like; None if that cannot be told: too little of it was in view, or it has a pattern.
     share_in_view
         Share of its walls, inside and out, that was in view, in [0, 1]; None if nobody said.
     num_stained_px
@@ -76,7 +76,8 @@ class StainCounter:
     The hue of a colour is the logarithms of its channels less their mean, which light and shade do not change. A pixel
     is stained if it is darker than the object's median, and its hue is nearer to that of a stain than to the object's
     own, the median over its pixels, by a margin that noise rarely crosses. On a glaze as brown as a stain no stain is
-    seen.
+    seen. An object half of whose pixels are farther than the margin from that median has a pattern, and no hue of its
+    own to tell stains from: it is not labelled.
 
     Parameters
     ----------
@@ -99,8 +100,20 @@ class StainCounter:
 
     def _label(self, seen: SeenObject, colours: UInt8[np.ndarray, "px 3"]) -> Label:
         num_stained = int(self.is_stained(colours).sum())
-        is_dirty = num_stained >= self.fewest_px if len(colours) >= self.fewest_px else None
+        can_tell = len(colours) >= self.fewest_px and not self.is_patterned(colours)
+        is_dirty = num_stained >= self.fewest_px if can_tell else None
         return Label(is_dirty, share_in_view(seen), num_stained, len(colours))
+
+    def is_patterned(self, colours: UInt8[np.ndarray, "px 3"]) -> bool:
+        """Whether one object has no hue of its own.
+
+        Parameters
+        ----------
+        colours
+            Red, green and blue of its pixels.
+        """
+        hues, _ = _hues_and_lightness(colours)
+        return bool(np.median(np.linalg.norm(hues - np.median(hues, axis=0), axis=1)) > self.margin)
 
     def is_stained(self, colours: UInt8[np.ndarray, "px 3"]) -> Bool[np.ndarray, " px"]:
         """Which pixels of one object are stained.

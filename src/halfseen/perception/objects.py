@@ -1,15 +1,15 @@
 """What stands on the table: pixels above the plane, grouped into sheets of continuous depth."""
 
 import numpy as np
-from scipy.ndimage import binary_closing
+from scipy.ndimage import maximum_filter, minimum_filter
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import ConvexHull
 from skimage.measure import label as measure_label
 
-from halfseen.arrays import Rows
+from halfseen.arrays import Image, Rows
 from halfseen.perception.plane import Plane, is_on_plane
-from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
+from halfseen.perception.range_image import Pixels, RangeImage
 from halfseen.shapes import Bool, Float, Int
 
 # Points lower than this over the table are table: cloth, warp of the lens [m]; farther away, so many sigmas of noise.
@@ -47,14 +47,16 @@ def sheets_on_table(image: RangeImage, plane: Plane) -> Labels:
     Labels
         Sheet of each pixel, from 0, largest first; −1 where there is none.
     """
-    is_above = _is_above(image, plane)
-    sheets = _continuous(image, is_above)
-    hull = _table_outline(image, plane)
+    height_m = plane.height_m(image.points_m)
+    sheets = _continuous(image, _above(image, height_m))
+    hull = _table_outline(image, plane, height_m)
     if hull is None:
         return sheets
     is_sheet = sheets >= 0
     across, sheet = plane.across_m(image.points_m[is_sheet]), sheets[is_sheet]
-    is_inside = (across @ hull[:, :2].T + hull[:, 2] < OVERHANG_M).all(axis=1)
+    right, away, is_inside = *np.ascontiguousarray(across.T), np.ones(len(across), dtype=bool)
+    for a, b, c in hull:
+        is_inside &= a * right + b * away + c < OVERHANG_M
     share = np.bincount(sheet[is_inside], minlength=int(sheets.max()) + 1) / np.maximum(np.bincount(sheet), 1)
     return relabelled(sheets, np.flatnonzero(share >= SMALLEST_SHARE_ON_TABLE).tolist())
 
@@ -88,26 +90,25 @@ def pixels_of(labels: Labels) -> list[Pixels]:
     return np.split(pixels[order], np.cumsum(np.bincount(label))[:-1]) if len(pixels) else []
 
 
-def _is_above(image: RangeImage, plane: Plane) -> PixelMask:
-    height = plane.height_m(image.points_m)
-    lowest = np.maximum(LOWEST_OBJECT_M, LOWEST_OBJECT_SIGMAS * image.sensor.noise_m(image.depth_m))
+def _above(image: RangeImage, height_m: Image) -> Pixels:
     with np.errstate(invalid="ignore"):
-        return (height > lowest) & (height < HIGHEST_OBJECT_M)
+        pixels = np.flatnonzero((height_m > LOWEST_OBJECT_M) & (height_m < HIGHEST_OBJECT_M))
+    return pixels[height_m.ravel()[pixels] > LOWEST_OBJECT_SIGMAS * image.noise_m.ravel()[pixels]]
 
 
-def _continuous(image: RangeImage, is_above: PixelMask) -> Labels:
-    above, labels = np.flatnonzero(is_above), np.full(is_above.shape, -1)
+def _continuous(image: RangeImage, above: Pixels) -> Labels:
+    labels, width = np.full(image.depth_m.shape, -1), image.depth_m.shape[1]
     if not len(above):
         return labels
-    depth = image.depth_m.ravel()
-    node = np.cumsum(is_above) - 1
+    depth_m = image.depth_m.ravel()[above]
+    step_m = np.maximum(DEPTH_STEP_M, DEPTH_STEP_SIGMAS * image.noise_m.ravel()[above])
     edges = []
-    for next_px, is_pair in ((1, is_above[:, :-1] & is_above[:, 1:]), (len(is_above[0]), is_above[:-1] & is_above[1:])):
-        row, column = np.nonzero(is_pair)
-        here = row * len(is_above[0]) + column
-        step = np.maximum(DEPTH_STEP_M, DEPTH_STEP_SIGMAS * image.sensor.noise_m(depth[here]))
-        joined = here[np.abs(depth[here] - depth[here + next_px]) < step]
-        edges.append(node[np.stack([joined, joined + next_px])])
+    for next_px in (1, width):
+        beside = np.minimum(np.searchsorted(above, above + next_px), len(above) - 1)
+        is_joined = (above[beside] == above + next_px) & (np.abs(depth_m - depth_m[beside]) < step_m)
+        if next_px == 1:
+            is_joined &= above % width < width - 1
+        edges.append(np.stack([np.flatnonzero(is_joined), beside[is_joined]]))
     pairs = np.concatenate(edges, axis=1)
     graph = coo_matrix((np.ones(pairs.shape[1]), (pairs[0], pairs[1])), shape=(len(above), len(above)))
     labels.ravel()[above] = _largest_first(connected_components(graph, directed=False)[1], SMALLEST_SHEET_PX)
@@ -124,17 +125,16 @@ def _largest_first(labels: Int[np.ndarray, " above"], fewest_px: int) -> Int[np.
     return table[labels]
 
 
-def _table_outline(image: RangeImage, plane: Plane) -> Float[np.ndarray, "edges 3"] | None:
+def _table_outline(image: RangeImage, plane: Plane, height_m: Image) -> Float[np.ndarray, "edges 3"] | None:
     """Half-planes ``a·x + b·y + c ≤ 0`` of the convex outline of the largest connected piece of table."""
-    pixels = np.flatnonzero(is_on_plane(plane, image))
-    across_m = plane.across_m(image.points_m.reshape(-1, 3)[pixels])
-    is_near = (np.abs(across_m - np.median(across_m, axis=0)) < TABLE_REACH_M).all(axis=1)
-    right_m, away_m = across_m[is_near].T
+    pixels = np.flatnonzero(is_on_plane(height_m, image))
+    right_m, away_m = _near(np.ascontiguousarray(plane.across_m(image.points_m.reshape(-1, 3).take(pixels, axis=0)).T))
     right, num_right, low_right = _cells(right_m)
     away, num_away, low_away = _cells(away_m)
     shape, low = (num_right, num_away), np.array([low_right, low_away])
     num_points = np.bincount(right * num_away + away, minlength=num_right * num_away).reshape(shape)
-    closed = binary_closing(num_points > 0, np.ones((2 * TABLE_GAP_CELLS + 1,) * 2))
+    size = 2 * TABLE_GAP_CELLS + 1
+    closed = minimum_filter(maximum_filter(num_points > 0, size), size)
     pieces = np.asarray(measure_label(closed, connectivity=1))
     if not pieces.any():
         return None
@@ -143,6 +143,13 @@ def _table_outline(image: RangeImage, plane: Plane) -> Float[np.ndarray, "edges 
     cells = _ends_of_rows(pieces == int(sizes.argmax())) + low
     corners = np.concatenate([cells + np.array(shift) for shift in ((0, 0), (0, 1), (1, 0), (1, 1))]) * TABLE_CELL_M
     return ConvexHull(corners).equations
+
+
+def _near(across_m: Float[np.ndarray, "2 n"]) -> Float[np.ndarray, "2 k"]:
+    """Leave out what is far from the middle; where no two points are so far apart, nothing is."""
+    if not across_m.size or np.ptp(across_m, axis=1).max() < TABLE_REACH_M:
+        return across_m
+    return across_m[:, (np.abs(across_m - np.median(across_m, axis=1, keepdims=True)) < TABLE_REACH_M).all(axis=0)]
 
 
 def _cells(place_m: Rows) -> tuple[Int[np.ndarray, " n"], int, int]:

@@ -124,16 +124,14 @@ def _hides(
     labels: Int[np.ndarray, " px"],
 ) -> Hides:
     """Share of each silhouette before which each other object lies, seen there or hidden itself."""
-    num_objects = len(silhouettes)
-    hides = np.zeros((num_objects, num_objects))
-    for i in range(num_objects):
-        within = np.flatnonzero(silhouettes[i])
-        label, is_hidden, middle = labels[within], is_behind[i, within], middles[i, within]
-        is_mine = label == i
-        for j in range(num_objects):
-            if i == j or not len(within):
-                continue
-            is_other = label == j
-            is_inferred = ~is_mine & ~is_other & silhouettes[j, within] & (middles[j, within] < middle)
-            hides[i, j] = ((is_hidden & is_other) | is_inferred).mean()
+    objects = np.arange(len(silhouettes))[:, None]
+    hides = np.zeros((len(silhouettes), len(silhouettes)))
+    is_shared = silhouettes.sum(axis=0, dtype=np.uint16) > 1
+    for i, silhouette in enumerate(silhouettes):
+        within = np.flatnonzero(silhouette & is_shared)
+        label, middle = labels[within], middles[i, within]
+        is_other = (label == objects) & is_behind[i, within]
+        is_inferred = (label != i) & (label != objects) & silhouettes[:, within] & (middles[:, within] < middle)
+        hides[i] = np.count_nonzero(is_other | is_inferred, axis=1) / max(np.count_nonzero(silhouette), 1)
+    np.fill_diagonal(hides, 0.0)
     return hides

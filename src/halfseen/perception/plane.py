@@ -5,7 +5,7 @@ from functools import cached_property
 
 import numpy as np
 
-from halfseen.arrays import Points, Rows
+from halfseen.arrays import Image, Points, Rows
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Vector
 from halfseen.perception.range_image import PixelMask, RangeImage
@@ -16,6 +16,8 @@ from halfseen.shapes import Bool, Float, Int
 RANSAC_SEED = 7
 NUM_HYPOTHESES = 150
 NUM_POINTS_THINNED = 3000
+# Hypotheses at once: so many fit into a cache.
+AT_ONCE = 8
 # Points of a hypothesis come from one neighbourhood of this radius, relative to the image's longer side: a plane
 # through three far points is mostly a plane through nothing.
 NEIGHBOURHOOD_SHARE = 0.12
@@ -197,9 +199,14 @@ def _best_plane(
     normals, firsts = normals[lengths >= 1e-9] / lengths[lengths >= 1e-9, None], corners[lengths >= 1e-9, 0]
     tolerance_m = _tolerance_m(sensor, points[:, 2])
     offsets_m = np.einsum("hi,hi->h", normals, firsts)
-    apart_m = normals @ points[:, :3].T
-    apart_m -= offsets_m[:, None]
-    support = np.count_nonzero(np.abs(apart_m, out=apart_m) < tolerance_m, axis=1)
+    transposed = np.ascontiguousarray(points[:, :3].T)
+    support = np.concatenate(
+        [
+            np.count_nonzero(np.abs(normals[k : k + AT_ONCE] @ transposed - each[:, None]) < tolerance_m, axis=1)
+            for k, each in ((k, offsets_m[k : k + AT_ONCE]) for k in range(0, len(normals), AT_ONCE))
+        ]
+        or [np.zeros(0, dtype=int)]
+    )
     if not support.any():
         return None
     best = int(support.argmax())
@@ -209,13 +216,18 @@ def _best_plane(
 def _neighbours(
     pixels: Float[np.ndarray, "n 2"], radius_px: float, generator: np.random.Generator
 ) -> Int[np.ndarray, "hypotheses 3"]:
-    """Draw three points that are near to one another, for each hypothesis."""
+    """Draw three points that are near to one another, for each hypothesis; pixels are in order, row by row."""
     first = generator.integers(len(pixels), size=NUM_HYPOTHESES)
-    # Whole numbers, and short ones: there are half a million pairs.
-    farthest = int(np.ceil(radius_px)) - 1
-    apart = [np.abs(axis - axis[first, None]) for axis in pixels.T.astype(np.int16)]
-    near = [np.flatnonzero(row) for row in np.maximum(*apart) <= farthest]
-    return np.stack([each[generator.integers(len(each), size=3)] for each in near])
+    farthest, (column, row) = int(np.ceil(radius_px)) - 1, pixels.T.astype(np.int64)
+    lines, width = np.unique(row), int(column.max()) + 2 * farthest + 2
+    # Of each row, those near to a hypothesis follow one another.
+    order, left = row * width + column + farthest, lines * width + column[first, None]
+    starts, ends = np.searchsorted(order, left), np.searchsorted(order, left + 2 * farthest + 1)
+    num_near = np.where(np.abs(lines - row[first, None]) <= farthest, ends - starts, 0)
+    until = num_near.cumsum(axis=1)
+    drawn = generator.integers(until[:, -1:], size=(NUM_HYPOTHESES, 3))
+    hypothesis, line = np.arange(NUM_HYPOTHESES)[:, None], (until[:, None] <= drawn[:, :, None]).sum(axis=2)
+    return starts[hypothesis, line] + drawn - (until - num_near)[hypothesis, line]
 
 
 def _facing(normal: Vector, point: Vector) -> Plane:
@@ -229,15 +241,15 @@ def _tolerance_m(sensor: DepthSensor, depth_m: Rows) -> Rows:
 
 def _fitted(points: Points, plane: Plane, sensor: DepthSensor, num_rounds: int = 3) -> Plane:
     """Total least squares over the inliers, weighted by the noise of each."""
-    tolerance_m, weights = _tolerance_m(sensor, points[:, 2]), 1.0 / sensor.noise_m(points[:, 2]) ** 2
+    across, weights = np.ascontiguousarray(points.T), 1.0 / sensor.noise_m(points[:, 2]) ** 2
+    tolerance_m = _tolerance_m(sensor, points[:, 2])
     for _ in range(num_rounds):
-        is_inlier = np.abs(plane.height_m(points)) < tolerance_m
-        inliers, weight = points[is_inlier], weights[is_inlier]
-        if len(inliers) < 3:
+        weight = weights * (np.abs(plane.normal @ across - plane.offset_m) < tolerance_m)
+        if np.count_nonzero(weight) < 3:
             return plane
-        middle = np.average(inliers, axis=0, weights=weight)
-        spread = (inliers - middle) * np.sqrt(weight)[:, None]
-        plane = _facing(np.linalg.eigh(spread.T @ spread)[1][:, 0], middle)
+        middle = across @ weight / weight.sum()
+        offset = across - middle[:, None]
+        plane = _facing(np.linalg.eigh((offset * weight) @ offset.T)[1][:, 0], middle)
     return plane
 
 
@@ -249,20 +261,18 @@ def _support(plane: Plane, planes: list[tuple[Plane, Bool[np.ndarray, " n"]]]) -
 
 def _area_m2(plane: Plane, points: Points) -> float:
     """Area of the plane that points cover, in cells as wide as their typical spacing [m²]."""
-    across = points @ plane.axes().T
     cell_m = 0.02
-    return len(np.unique(np.floor(across / cell_m), axis=0)) * cell_m**2
+    right, away = np.floor(plane.axes() @ points.T / cell_m).astype(np.int64)
+    return len(np.unique((right - right.min()) * (np.ptp(away) + 1) + away - away.min())) * cell_m**2
 
 
-def is_on_plane(plane: Plane, image: RangeImage) -> PixelMask:
+def is_on_plane(height_m: Image, image: RangeImage) -> PixelMask:
     """Pixels whose points belong to a plane.
 
     Parameters
     ----------
-    plane, image
-        The plane and what the camera sees.
+    height_m, image
+        How high each point is above the plane [m], and what the camera sees.
     """
     with np.errstate(invalid="ignore"):
-        return np.abs(plane.height_m(image.points_m)) < _tolerance_m(image.sensor, image.depth_m.ravel()).reshape(
-            image.depth_m.shape
-        )
+        return np.abs(height_m) < np.maximum(SMALLEST_TOLERANCE_M, INLIER_SIGMAS * image.noise_m)

@@ -6,9 +6,19 @@ from functools import cached_property
 import numpy as np
 from scipy.spatial import KDTree
 
-from halfseen.arrays import Intrinsics, Points, RowIds, Rows
+from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Vector
+from halfseen.perception.pinhole import (
+    FEWEST_RETURNS,
+    LARGEST_REPROJECTION_PX,
+    NUM_ASKED,
+    Pinhole,
+    aligned_pinhole,
+    misfit_px,
+    pixels_of_returns,
+    turned_pinhole,
+)
 from halfseen.perception.sensor import XTION, DepthSensor
 from halfseen.shapes import Bool, Float, Int
 
@@ -18,10 +28,6 @@ VIRTUAL_PIXEL_SCALE = 1.3
 NUM_RAYS_MEASURED = 4000
 # Longest side of a virtual image [px]: one stray point far to the side must not make an image of gigabytes.
 LARGEST_VIRTUAL_SIDE_PX = 1280
-# Largest distance between an organised point and its pixel's ray that still counts as a pinhole image [px].
-LARGEST_REPROJECTION_PX = 2.0
-# Fewest returns from which a table can be told [points].
-FEWEST_RETURNS = 200
 
 PixelPoints = Float[np.ndarray, "H W 3"]
 PixelMask = Bool[np.ndarray, "H W"]
@@ -42,7 +48,7 @@ class RangeImage:
     pixel_of_point
         Flat pixel index of each point of the cloud; −1 for rays without return.
     cloud_from_camera
-        Rotation that takes directions of this camera into the frame of the cloud.
+        Takes directions of this camera into the frame of the cloud: a rotation, mirrored where the cloud is.
     is_virtual
         True if the camera was made up because the cloud is not organised.
     name
@@ -63,6 +69,11 @@ class RangeImage:
     def depth_m(self) -> Float[np.ndarray, "H W"]:
         """Distance along the optical axis [m]; NaN where nothing returned."""
         return np.ascontiguousarray(self.points_m[..., 2])
+
+    @cached_property
+    def noise_m(self) -> Float[np.ndarray, "H W"]:
+        """Standard deviation of each depth [m]; NaN where nothing returned."""
+        return self.sensor.noise_m(self.depth_m)
 
     @cached_property
     def is_return(self) -> PixelMask:
@@ -90,68 +101,71 @@ def range_image(cloud: Cloud, sensor: DepthSensor = XTION) -> RangeImage:
             f"{cloud.name}: {cloud.num_returns} of {len(cloud.points_m)} points are finite and a table takes "
             f"{FEWEST_RETURNS}; check the camera's range and exposure"
         )
-    if cloud.shape is not None:
-        points = _from_eye(cloud)
-        K = cloud.intrinsics if cloud.intrinsics is not None else _fitted_intrinsics(points, cloud.shape)
-        if K is not None:
-            return _organised(cloud, sensor, points, K)
-    return _virtual(cloud, sensor)
+    points = _from_eye(cloud)
+    organised = None if cloud.shape is None else _organised(cloud, sensor, points)
+    return _virtual(cloud, sensor, points) if organised is None else organised
 
 
 def _from_eye(cloud: Cloud) -> Points:
-    return cloud.points_m - cloud.eye_m if cloud.eye_m.any() else cloud.points_m
+    """Points in the frame of the camera; as they are where that is theirs."""
+    points = cloud.points_m - cloud.eye_m if cloud.eye_m.any() else cloud.points_m
+    return _turned(points, cloud.camera_axes)
 
 
-def _organised(cloud: Cloud, sensor: DepthSensor, points: Points, K: Intrinsics) -> RangeImage:
+def _turned(points: Points, axes: Float[np.ndarray, "3 3"]) -> Points:
+    return points if np.array_equal(axes, np.eye(3)) else points @ axes
+
+
+def _organised(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage | None:
+    """Its own image; None if its points lie on the rays of no pinhole camera: a wide lens, or another frame."""
     assert cloud.shape is not None
-    pixel_of_point = np.where(np.isfinite(points[:, 2]), np.arange(len(points)), -1)
-    image = points.reshape(*cloud.shape, 3)
-    return RangeImage(image, K, pixel_of_point, np.eye(3), False, cloud.name, sensor)
-
-
-def _fitted_intrinsics(points: Points, shape: tuple[int, int]) -> Intrinsics | None:
-    """Pinhole matrix that explains an organised cloud, or None if none does (another frame, a wide lens)."""
-    pixels = np.flatnonzero(np.isfinite(points[:, 2]) & (points[:, 2] > 0))
-    if len(pixels) < FEWEST_RETURNS:
+    pinhole = _pinhole(cloud, points)
+    if not pinhole.is_camera:
         return None
-    K = np.eye(3)
-    for axis, pixel in ((0, pixels % shape[1]), (1, pixels // shape[1])):
-        slope = points[pixels, axis] / points[pixels, 2]
-        design = np.stack([slope, np.ones(len(slope))], axis=1)
-        (focal, centre), *_ = np.linalg.lstsq(design, pixel.astype(np.float64), rcond=None)
-        if focal <= 0 or np.median(np.abs(design @ [focal, centre] - pixel)) > LARGEST_REPROJECTION_PX:
-            return None
-        K[axis, axis], K[axis, 2] = focal, centre
-    return K
+    pixel_of_point = np.where(np.isfinite(points[:, 2]), np.arange(len(points)), -1)
+    image = _turned(points, pinhole.axes).reshape(*cloud.shape, 3)
+    axes = cloud.camera_axes @ pinhole.axes
+    return RangeImage(image, pinhole.intrinsics, pixel_of_point, axes, False, cloud.name, sensor)
 
 
-def _virtual(cloud: Cloud, sensor: DepthSensor) -> RangeImage:
+def _pinhole(cloud: Cloud, points: Points) -> Pinhole:
+    """Camera that an organised cloud says, or shows."""
+    assert cloud.shape is not None
+    K, asked = cloud.intrinsics, pixels_of_returns(points, cloud.shape, NUM_ASKED)
+    given = None if K is None else Pinhole(K, np.eye(3), 0.0)
+    if given is not None and misfit_px(*asked, given.intrinsics) <= LARGEST_REPROJECTION_PX:
+        return given
+    seen = aligned_pinhole(*pixels_of_returns(points, cloud.shape))
+    seen = seen if seen.is_camera else turned_pinhole(*asked)
+    return seen if seen.is_camera or given is None else given
+
+
+def _virtual(cloud: Cloud, sensor: DepthSensor, points: Points) -> RangeImage:
     """Image of a pinhole camera at the eye of the cloud, with pixels just wide enough to hold a point each."""
-    points = _from_eye(cloud)
-    cloud_from_camera = _virtual_rotation(points)
+    turned = _virtual_rotation(points)
     rows = np.flatnonzero(np.isfinite(points[:, 2]))
-    seen = points[rows] @ cloud_from_camera
+    seen = _turned(points[rows], turned)
     in_front = seen[:, 2] > 0
-    rows, seen = rows[in_front], seen[in_front]
+    if not in_front.all():
+        rows, seen = rows[in_front], seen[in_front]
     slope = seen[:, :2] / seen[:, 2:]
-    low, high = np.percentile(slope, [0.1, 99.9], axis=0)
+    low, high = np.array([np.percentile(each, [0.1, 99.9]) for each in np.ascontiguousarray(slope.T)]).T
     pitch = max(_ray_pitch(slope) * VIRTUAL_PIXEL_SCALE, float((high - low).max()) / LARGEST_VIRTUAL_SIDE_PX)
     if not np.isfinite(pitch):
         raise CloudError(f"{cloud.name}: all points lie on one ray from the camera; check its calibration and its lens")
     low = low - 4 * pitch
     num_columns, num_rows = np.ceil((high + 4 * pitch - low) / pitch).astype(int).tolist()
-    pixel = np.floor((slope - low) / pitch).astype(np.int64)
-    inside = ((pixel >= 0) & (pixel < [num_columns, num_rows])).all(axis=1)
-    rows, seen = rows[inside], seen[inside]
-    flat = pixel[inside, 1] * num_columns + pixel[inside, 0]
+    column, row = np.floor((slope.T - low[:, None]) / pitch).astype(np.int64)
+    inside = np.flatnonzero((column >= 0) & (column < num_columns) & (row >= 0) & (row < num_rows))
+    flat, seen = (row * num_columns + column)[inside], np.take(seen, inside, axis=0)
     image = np.full((num_rows * num_columns, 3), np.nan)
     nearest = _nearest(flat, seen, len(image))
-    image[flat[nearest]] = seen[nearest]
+    image[flat[nearest]] = np.take(seen, nearest, axis=0)
     pixel_of_point = np.full(len(points), -1, dtype=np.int64)
-    pixel_of_point[rows] = flat
+    pixel_of_point[rows[inside]] = flat
     K = np.array([[1 / pitch, 0, -low[0] / pitch - 0.5], [0, 1 / pitch, -low[1] / pitch - 0.5], [0, 0, 1]])
     shaped = image.reshape(num_rows, num_columns, 3)
-    return RangeImage(shaped, K, pixel_of_point, cloud_from_camera, True, cloud.name, sensor)
+    return RangeImage(shaped, K, pixel_of_point, cloud.camera_axes @ turned, True, cloud.name, sensor)
 
 
 def _nearest(pixel: Pixels, seen: Points, num_pixels: int) -> Int[np.ndarray, " m"]:
@@ -162,15 +176,17 @@ def _nearest(pixel: Pixels, seen: Points, num_pixels: int) -> Int[np.ndarray, " 
         least = np.full(num_pixels, np.inf)
         np.minimum.at(least, at, value)
         left = left[value == least[at]]
+        if len(left) == np.count_nonzero(least < np.inf):
+            break
     return left
 
 
 def _virtual_rotation(points: Points) -> Float[np.ndarray, "3 3"]:
     """Take the camera frame itself if all points lie before it, else a frame that looks at their middle."""
-    finite = points[np.isfinite(points[:, 2])]
-    if (finite[:, 2] > 0).all():
+    is_return = np.isfinite(points[:, 2])
+    if (points[is_return, 2] > 0).all():
         return np.eye(3)
-    forward = _unit(np.median(finite, axis=0))
+    forward = _unit(np.median(points[is_return], axis=0))
     down = np.array([0.0, 0.0, -1.0]) if abs(forward[2]) < 0.9 else np.array([0.0, 1.0, 0.0])
     right = _unit(np.cross(down, forward))
     return np.stack([right, np.cross(forward, right), forward], axis=1)
@@ -182,23 +198,11 @@ def _unit(vector: Vector) -> Vector:
 
 def _ray_pitch(slope: Float[np.ndarray, "n 2"]) -> float:
     """Median distance from a ray to its nearest neighbour, as tangents."""
-    ordered = slope[_order(*np.ascontiguousarray(slope.T))]
-    is_new = np.ones(len(ordered), dtype=bool)
-    np.any(ordered[1:] != ordered[:-1], axis=1, out=is_new[1:])
-    ordered = ordered[is_new]
-    asked = ordered[:: max(1, len(ordered) // NUM_RAYS_MEASURED)]
+    # As complex numbers, rays are in order by one tangent, and by the other where that is equal.
+    ordered = np.sort(np.ascontiguousarray(slope).view(np.complex128).ravel())
+    ordered = ordered[np.append(True, ordered[1:] != ordered[:-1])]
+    rays = ordered.view(np.float64).reshape(-1, 2)
+    asked = rays[:: max(1, len(rays) // NUM_RAYS_MEASURED)]
     # The tree is for few questions: built fast, not for speed of answers.
-    distance, _ = KDTree(ordered, balanced_tree=False, compact_nodes=False).query(asked, k=2)
+    distance, _ = KDTree(rays, leafsize=64, balanced_tree=False, compact_nodes=False).query(asked, k=2)
     return max(float(np.median(distance[:, 1])), 1e-5)
-
-
-def _order(first: Rows, second: Rows) -> RowIds:
-    """Order by one number, and by another where that is equal, which is rare: one sort is faster than two."""
-    order = np.argsort(first)
-    ranked = first[order]
-    is_tie = np.zeros(len(order), dtype=bool)
-    is_tie[1:] = ranked[1:] == ranked[:-1]
-    is_tie[:-1] |= is_tie[1:]
-    tied = order[is_tie]
-    order[is_tie] = tied[np.lexsort((second[tied], first[tied]))]
-    return order

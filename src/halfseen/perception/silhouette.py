@@ -61,18 +61,14 @@ def middle_depth_m(
     asked
         Pixels to work out.
     """
-    rows, columns = np.divmod(asked, image.depth_m.shape[1])
-    K = image.intrinsics
-    across, down = (columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1]
-    ray = np.stack([across, down, np.ones(len(rows))], axis=1)
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    K, (rows, columns) = image.intrinsics, np.divmod(asked, image.depth_m.shape[1])
+    right, down = (columns - K[0, 2]) / K[0, 0], (rows - K[1, 2]) / K[1, 1]
+    ahead = 1.0 / np.sqrt(right * right + down * down + 1.0)
     start, end = plane.camera_points(solid.axis_ends_m())
-    axis = end - start
-    length = max(float(np.linalg.norm(axis)), 1e-9)
-    axis = axis / length
+    length = max(float(np.linalg.norm(end - start)), 1e-9)
+    axis = (end - start) / length
     # The point of the axis nearest to a ray through the origin, held between the ends.
-    cosine = ray @ axis
-    apart = np.maximum(1.0 - cosine**2, 1e-6)
-    along = np.clip((cosine * (ray @ start) - start @ axis) / apart, 0.0, length)
-    nearest = start + along[:, None] * axis
-    return (nearest * ray).sum(axis=1) * ray[:, 2]
+    cosine, towards = ((right * way[0] + down * way[1] + way[2]) * ahead for way in (axis, start))
+    apart = np.maximum(1.0 - cosine * cosine, 1e-6)
+    along = np.clip((cosine * towards - start @ axis) / apart, 0.0, length)
+    return (towards + along * cosine) * ahead

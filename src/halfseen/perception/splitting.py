@@ -1,10 +1,12 @@
 """Two vessels in one sheet: cups so near to one another that no step in depth lies between them."""
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from halfseen.arrays import Points, RowMask, Rows
 from halfseen.perception.solids import Vessel
-from halfseen.perception.vessel_fits import fit_lying, fit_standing, thinned
+from halfseen.perception.vessel_fits import lying_vessels, standing_vessels, thinned
 from halfseen.shapes import Float
 
 # Rounds of fitting two vessels and giving each point to the nearer one; they settle in three. A misfit that is worse
@@ -43,11 +45,8 @@ def divided(points_m: Points) -> RowMask | None:
     for _ in range(NUM_ROUNDS):
         if not SMALLEST_SHARE < is_first.mean() < 1 - SMALLEST_SHARE:
             return None
-        one = _fitted(sample[is_first])
-        if one.misfit > HOPELESS_MISFIT:
-            return None
-        pair = (one, _fitted(sample[~is_first]))
-        if pair[1].misfit > HOPELESS_MISFIT:
+        pair = _fitted([sample[is_first], sample[~is_first]])
+        if max(vessel.misfit for vessel in pair) > HOPELESS_MISFIT:
             return None
         before, is_first = is_first, _distance_m(pair[0], sample) < _distance_m(pair[1], sample)
         # What is settled would be fitted again, to the same.
@@ -56,8 +55,12 @@ def divided(points_m: Points) -> RowMask | None:
     return _distance_m(pair[0], points_m) < _distance_m(pair[1], points_m) if _are_two(*pair) else None
 
 
-def _fitted(points_m: Points) -> Vessel:
-    return min((fit_standing(points_m), fit_lying(points_m)), key=lambda vessel: vessel.misfit)
+def _fitted(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel]:
+    """Vessel that fits each set best, standing or lying."""
+    return [
+        min(pair, key=lambda vessel: vessel.misfit)
+        for pair in zip(standing_vessels(sets), lying_vessels(sets), strict=True)
+    ]
 
 
 def _distance_m(vessel: Vessel, points_m: Points) -> Rows:

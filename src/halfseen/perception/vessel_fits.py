@@ -1,12 +1,14 @@
 """Vessels that fit points: standing, lying on a wall, lying on a handle."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from halfseen.arrays import Points, Rows
+from halfseen.perception.clouds import Vector
+from halfseen.perception.marquardt import Bounds, Free, Frees, fitted, soft_l1
 from halfseen.perception.solids import Vessel, around
-from halfseen.perception.trust_region import Bounds, Free, Misses, fitted, soft_l1
 from halfseen.perception.walls import (
     LARGEST_RADIUS_M,
     LYING_BOUNDS,
@@ -16,6 +18,7 @@ from halfseen.perception.walls import (
     WALL_NOISE_M,
     LyingWalls,
     StandingWalls,
+    Walls,
 )
 from halfseen.shapes import Float
 
@@ -35,56 +38,70 @@ INLIER_M = 0.008
 AT_BOUND = 1e-4
 
 
-def fit_standing(points_m: Points) -> Vessel:
-    """Fit a standing vessel.
+def standing_vessels(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel]:
+    """Fit a standing vessel to each set of points.
 
     Parameters
     ----------
-    points_m
-        Points of its walls as (right, away, height) [m].
+    sets
+        Points of the walls of each as (right, away, height) [m].
     """
-    points = thinned(points_m)
-    middle_height = float(np.median(points[:, 2]))
-    middle, radius = _circle(points[:, :2])
-    walls, start = StandingWalls(points, middle_height), np.array([*middle, radius, USUAL_SLOPE])
-    ((p, misfit),) = _solved(walls, [start], STANDING_BOUNDS, len(points))
+    if not sets:
+        return []
+    thin = [thinned(points) for points in sets]
+    heights = [float(np.median(points[:, 2])) for points in thin]
+    circles = [_circle(points[:, :2]) for points in thin]
+    starts = np.array([[*middle, radius, USUAL_SLOPE] for middle, radius in circles])
+    places, misfits = _solved(StandingWalls.of(thin, heights), starts, STANDING_BOUNDS)
+    return [
+        _standing(p, misfit, height, points)
+        for p, misfit, height, points in zip(places, misfits, heights, sets, strict=True)
+    ]
+
+
+def _standing(p: Free, misfit: float, middle_height: float, points_m: Points) -> Vessel:
     centre = np.array([p[0], p[1], middle_height])
     axis = np.array([0.0, 0.0, 1.0])
-    vessel = Vessel(centre, axis, float(p[2]), float(p[3]), (-middle_height, 0.0), misfit)
+    vessel = Vessel(centre, axis, float(p[2]), float(p[3]), (-middle_height, 0.0), float(misfit))
     return replace(vessel, ends_m=(-middle_height, _ends(vessel, points_m)[1]))
 
 
-def fit_lying(points_m: Points, *, is_on_wall: bool = True) -> Vessel:
-    """Fit a vessel that lies on the table.
+def lying_vessels(sets: Sequence[Float[np.ndarray, "_ 3"]], num_on_handle: int = 0) -> list[Vessel]:
+    """Fit a vessel that lies on the table to each set of points.
 
     Parameters
     ----------
-    points_m
-        Points of its walls as (right, away, height) [m].
-    is_on_wall
-        False lets it rest on a handle, too: raised and tilted.
+    sets
+        Points of the walls of each as (right, away, height) [m].
+    num_on_handle
+        So many, the last, may rest on a handle, too: raised and tilted.
     """
-    points = thinned(points_m)
-    walls = LyingWalls(points, np.median(points, axis=0), *(WALL_REST if is_on_wall else HANDLE_REST))
-    starts = _lying_starts(walls)
-    p, misfit = min(_solved(walls, starts, LYING_BOUNDS, len(points)), key=lambda pair: pair[1])
-    if p[3] < 0:
-        p = np.array([-p[0], p[1], p[2], -p[3], p[4] + np.pi, -p[5]])
-    (centre,), (axis,) = walls.places(p[None])
-    vessel = Vessel(centre, axis, float(p[2]), float(p[3]), (0.0, 0.0), misfit)
-    return replace(vessel, ends_m=_ends(vessel, points_m))
+    if not sets:
+        return []
+    thin = [each for each in map(thinned, sets) for _ in range(NUM_FOLLOWED)]
+    middles = [np.median(points, axis=0) for points in thin[::NUM_FOLLOWED] for _ in range(NUM_FOLLOWED)]
+    rests = np.repeat([WALL_REST, HANDLE_REST], NUM_FOLLOWED * np.array([len(sets) - num_on_handle, num_on_handle]), 0)
+    walls = LyingWalls.of(thin, middles, *rests.T)
+    starts = [_lying_starts(*each) for each in zip(thin[::NUM_FOLLOWED], middles[::NUM_FOLLOWED], strict=True)]
+    p, misfits = _solved(walls, np.concatenate(starts), LYING_BOUNDS)
+    best = np.arange(0, len(p), NUM_FOLLOWED) + misfits.reshape(-1, NUM_FOLLOWED).argmin(axis=1)
+    is_turned = p[:, 3] < 0
+    p[is_turned] = p[is_turned] * [-1.0, 1.0, 1.0, -1.0, 1.0, -1.0] + [0.0, 0.0, 0.0, 0.0, np.pi, 0.0]
+    centres, axes = walls.places(p)
+    vessels = [Vessel(centres[k], axes[k], float(p[k, 2]), float(p[k, 3]), (0.0, 0.0), float(misfits[k])) for k in best]
+    return [replace(vessel, ends_m=_ends(vessel, points)) for vessel, points in zip(vessels, sets, strict=True)]
 
 
-def _lying_starts(walls: LyingWalls) -> list[Free]:
+def _lying_starts(points: Points, middle: Vector) -> Frees:
     """Parameters to start from, those that fit best."""
-    points = walls.points_m
     radius = float(np.clip(points[:, 2].max() / 2, 0.015, 0.08))
     directions = 2 * np.pi * np.arange(NUM_DIRECTIONS) / NUM_DIRECTIONS
     # What is seen is the near side: the axis is half a radius behind its middle.
-    starts = [np.array([radius / 2 * np.cos(way), radius, radius, USUAL_SLOPE, way, 0.0]) for way in directions]
-    across, along = around(points, *walls.places(np.stack(starts)))
+    starts = np.array([[radius / 2 * np.cos(way), radius, radius, USUAL_SLOPE, way, 0.0] for way in directions])
+    walls = LyingWalls.of([points[:0]] * NUM_DIRECTIONS, [middle] * NUM_DIRECTIONS, *WALL_REST)
+    across, along = around(points, *walls.places(starts))
     costs = np.abs(across - np.maximum(radius + USUAL_SLOPE * along, 0.0)).mean(axis=1)
-    return [starts[k] for k in np.argsort(costs, kind="stable")[:NUM_FOLLOWED]]
+    return starts[np.argsort(costs, kind="stable")[:NUM_FOLLOWED]]
 
 
 def flat_misfit(points_m: Points) -> float:
@@ -125,18 +142,15 @@ def robust_cost(residuals_m: Rows) -> float:
     return float(np.mean(soft_l1(residuals_m / WALL_NOISE_M)))
 
 
-def _solved(walls: Misses, starts: list[Free], bounds: Bounds, num_points: int) -> list[tuple[Free, float]]:
+def _solved(walls: Walls, starts: Frees, bounds: Bounds) -> tuple[Frees, Rows]:
     """Parameters that fit best from each start, and the mean robust cost of a point.
 
     Infinite is a radius or slope of no vessel.
     """
     low, high = bounds.low, bounds.high
-    places = fitted(walls, [np.clip(start, low + 1e-6, high - 1e-6) for start in starts], bounds)
-    is_none = [np.any(place.p < low + AT_BOUND) or np.any(place.p > high - AT_BOUND) for place in places]
-    costs = [float(np.mean(soft_l1(place.residuals[:num_points]))) for place in places]
-    return [
-        (place.p, np.inf if at_bound else cost) for place, cost, at_bound in zip(places, costs, is_none, strict=True)
-    ]
+    p = fitted(walls, np.clip(starts, low + 1e-6, high - 1e-6), bounds)
+    is_none = ((p < low + AT_BOUND) | (p > high - AT_BOUND)).any(axis=1)
+    return p, np.where(is_none, np.inf, walls.misfits(p))
 
 
 def _circle(across_m: Float[np.ndarray, "n 2"]) -> tuple[Float[np.ndarray, "2"], float]:

@@ -1,19 +1,20 @@
-"""By how much points miss the wall of a vessel, and how that changes with where it is: what a fit makes small.
+"""By how much points miss the walls of vessels, and how that changes with where these are: what a fit makes small.
 
 Parameters of a standing vessel are its place (right, away), a radius and a slope; of a lying one, its place (aside,
 height), a radius, a slope, and the direction and tilt of its axis. Residuals are those of the points, then how far
-parameters are from what is usual. How they change is told by small differences; radius and slope move no axis.
+parameters are from what is usual. Many vessels are worked out at once, each beside points of its own.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
-from halfseen.arrays import Points
+from halfseen.arrays import Rows
 from halfseen.perception.clouds import Vector
-from halfseen.perception.solids import around
-from halfseen.perception.trust_region import Bounds, Frees
-from halfseen.shapes import Float
+from halfseen.perception.marquardt import Bounds, Frees, Residuals, Slopes, soft_l1
+from halfseen.shapes import Bool, Float, Shaped
 
 # Residuals of a fit are counted in units of this noise across a wall [m]; larger ones (handle, bottom) count linearly.
 WALL_NOISE_M = 0.003
@@ -23,11 +24,10 @@ USUAL_RADIUS_M, RADIUS_SPREAD_M = 0.040, 0.020
 USUAL_SLOPE, SLOPE_SPREAD = 0.10, 0.12
 SMALLEST_RADIUS_M, LARGEST_RADIUS_M = 0.008, 0.13
 STEEPEST_SLOPE = 1.5
-# Step of a difference, relative to a parameter or to 1.
-DIFFERENCE = float(np.sqrt(np.finfo(np.float64).eps))
+# A point on an axis has no direction from it.
+SMALLEST_M = 1e-12
 
-Residuals = Float[np.ndarray, "k rows"]
-Slopes = Float[np.ndarray, "k p rows"]
+OfPoints = Float[np.ndarray, "k n"]
 
 
 def _bounds(num_free: int) -> Bounds:
@@ -41,106 +41,178 @@ STANDING_BOUNDS, LYING_BOUNDS = _bounds(4), _bounds(6)
 
 
 @dataclass(frozen=True, eq=False)
-class StandingWalls:
-    """Walls of standing vessels beside points.
+class Walls:
+    """Vessels beside points of their own: as many as the longest set has, beside a weight.
 
     Parameters
     ----------
-    points_m
-        Points as (right, away, height) [m].
-    middle_height_m
-        Where the radius holds [m].
+    right_m, away_m, height_m
+        Points, from the middle of each set [m]; of the padding anything.
+    weight_per_m
+        One over the noise of a point; 0 for the padding [1/m].
     """
 
-    points_m: Points
-    middle_height_m: float
+    right_m: OfPoints
+    away_m: OfPoints
+    height_m: OfPoints
+    weight_per_m: OfPoints
 
     def at(self, p: Frees) -> tuple[Residuals, Slopes]:
-        """Residuals of several, and how each parameter changes them."""
-        right, away, height = self.points_m.T
-        each, step = _each_changed(p, STANDING_BOUNDS)
-        across = np.hypot(right - each[:, :3, :1], away - each[:, :3, 1:2])
-        radius = each[:, [0, 3, 4], 2:3] + each[:, [0, 3, 4], 3:4] * (height - self.middle_height_m)
-        rows = np.empty((*each.shape[:2], len(right) + 2))
-        np.subtract(across, radius[:, :1], out=rows[:, :3, :-2])
-        np.subtract(across[:, :1], radius[:, 1:], out=rows[:, 3:, :-2])
-        rows[..., :-2] /= WALL_NOISE_M
-        _unusual(each, rows[..., -2:])
-        return _differences(rows, step)
+        """Residuals of each, and how each parameter changes them."""
+        raise NotImplementedError
+
+    def misfits(self, p: Frees) -> Float[np.ndarray, " k"]:
+        """Mean robust cost of a point of each."""
+        residuals = self.at(p)[0][:, : self.weight_per_m.shape[1]]
+        return soft_l1(residuals).sum(axis=1) / np.count_nonzero(self.weight_per_m, axis=1)
+
+    def some(self, which: Bool[np.ndarray, " k"]) -> Any:
+        """Keep some of the vessels."""
+        return replace(self, **{field.name: getattr(self, field.name)[which] for field in fields(self)})
+
+
+def _padded(sets: Sequence[Float[np.ndarray, "_ 3"]], middles_m: Float[np.ndarray, "k 3"]) -> dict[str, OfPoints]:
+    """Points from the middles, and their weights."""
+    points_m = np.ones((4, len(sets), max(map(len, sets))))
+    points_m[3] = 0.0
+    for k, points in enumerate(sets):
+        points_m[:3, k, : len(points)] = (points - middles_m[k]).T
+        points_m[3, k, : len(points)] = 1.0 / WALL_NOISE_M
+    return dict(zip(("right_m", "away_m", "height_m", "weight_per_m"), points_m, strict=True))
 
 
 @dataclass(frozen=True, eq=False)
-class LyingWalls:
+class StandingWalls(Walls):
+    """Walls of standing vessels beside points."""
+
+    @classmethod
+    def of(cls, sets: Sequence[Float[np.ndarray, "_ 3"]], middle_heights_m: Sequence[float]) -> "StandingWalls":
+        """Put each vessel beside its points.
+
+        Parameters
+        ----------
+        sets
+            Points of each, as (right, away, height) [m].
+        middle_heights_m
+            Where the radius of each holds [m].
+        """
+        middles_m = np.zeros((len(sets), 3))
+        middles_m[:, 2] = middle_heights_m
+        return cls(**_padded(sets, middles_m))
+
+    def at(self, p: Frees) -> tuple[Residuals, Slopes]:
+        """Residuals of each, and how each parameter changes them."""
+        right, away, weight = self.right_m - p[:, :1], self.away_m - p[:, 1:2], self.weight_per_m
+        across = np.maximum(np.sqrt(right * right + away * away), SMALLEST_M)
+        residuals, slopes = _rows(p, across, 2)
+        np.multiply(across - p[:, 2:3] - p[:, 3:4] * self.height_m, weight, out=residuals[:, :-2])
+        outward = weight / across
+        for k, slope in enumerate((right * outward, away * outward, weight, self.height_m * weight)):
+            np.negative(slope, out=slopes[:, k, :-2])
+        _unusual(p, residuals[:, -2:], slopes[:, :, -2:])
+        return residuals, slopes
+
+
+@dataclass(frozen=True, eq=False)
+class LyingWalls(Walls):
     """Walls of lying vessels beside points.
 
     Parameters
     ----------
-    points_m
-        Points as (right, away, height) [m].
+    right_m, away_m, height_m, weight_per_m
+        As of others; heights are over the table [m].
     middle_m
-        Beside which the places are [m].
+        Beside which the place of each is [m].
     rest_spread_m, tilt_spread_rad
-        How far the axis is from where it is when the wall touches the table: in height [m], tilt [rad].
+        How far each axis is from where it is when the wall touches the table: in height [m], tilt [rad].
     """
 
-    points_m: Points
-    middle_m: Vector
-    rest_spread_m: float
-    tilt_spread_rad: float
+    middle_m: Float[np.ndarray, "k 3"]
+    rest_spread_m: Float[np.ndarray, " k"]
+    tilt_spread_rad: Float[np.ndarray, " k"]
+
+    @classmethod
+    def of(
+        cls,
+        sets: Sequence[Float[np.ndarray, "_ 3"]],
+        middles_m: Sequence[Vector],
+        rest_spread_m: float | Rows,
+        tilt_spread_rad: float | Rows,
+    ) -> "LyingWalls":
+        """Put each vessel beside its points.
+
+        Parameters
+        ----------
+        sets
+            Points of each, as (right, away, height) [m].
+        middles_m, rest_spread_m, tilt_spread_rad
+            As of the class; one spread is that of all.
+        """
+        middle_m = np.array(middles_m) * [1.0, 1.0, 0.0]
+        rest, tilt = (np.full(len(sets), spread) for spread in (rest_spread_m, tilt_spread_rad))
+        return cls(**_padded(sets, middle_m), middle_m=middle_m, rest_spread_m=rest, tilt_spread_rad=tilt)
 
     def at(self, p: Frees) -> tuple[Residuals, Slopes]:
-        """Residuals of several, and how each parameter changes them."""
-        each, step = _each_changed(p, LYING_BOUNDS)
-        placed, walls = each[:, [0, 1, 2, 5, 6]], each[:, [3, 4]]
-        across, along = around(self.points_m, *self.places(placed.reshape(-1, 6)))
-        across, along = (values.reshape(len(p), 5, -1) for values in (across, along))
-        rows = np.empty((*each.shape[:2], across.shape[-1] + 4))
-        outside = across - np.maximum(placed[..., 2:3] + placed[..., 3:4] * along, 0.0)
-        rows[:, :3, :-4], rows[:, 5:, :-4] = outside[:, :3], outside[:, 3:]
-        radius = np.maximum(walls[..., 2:3] + walls[..., 3:4] * along[:, :1], 0.0)
-        np.subtract(across[:, :1], radius, out=rows[:, 3:5, :-4])
-        rows[..., :-4] /= WALL_NOISE_M
-        _unusual(each, rows[..., -4:-2])
-        self._unrested(each, rows[..., -2:])
-        return _differences(rows, step)
+        """Residuals of each, and how each parameter changes them."""
+        # Points in the frame of each axis, and on the table along its direction and across: as of turned unit vectors.
+        (cosine, level), (sine, steep) = np.cos(p[:, 4:]).T[..., None], np.sin(p[:, 4:]).T[..., None]
+        from_middle = cosine * self.away_m - sine * self.right_m
+        ahead, up = cosine * self.right_m + sine * self.away_m, self.height_m - p[:, 1:2]
+        aside, over, along = from_middle - p[:, :1], level * up - steep * ahead, level * ahead + steep * up
+        across = np.maximum(np.sqrt(aside * aside + over * over), SMALLEST_M)
+        radius = p[:, 2:3] + p[:, 3:4] * along
+        residuals, slopes = _rows(p, across, 4)
+        np.multiply(across - np.maximum(radius, 0.0), self.weight_per_m, out=residuals[:, :-4])
+        outward = self.weight_per_m / across
+        sideward, upward = outward * aside, outward * over
+        wall = self.weight_per_m if radius.min() > 0 else self.weight_per_m * (radius > 0)
+        rows, wider = slopes[:, :, :-4], p[:, 3:4] * wall
+        np.negative(sideward, out=rows[:, 0])
+        np.subtract(steep * wider, level * upward, out=rows[:, 1])
+        np.negative(wall, out=rows[:, 2])
+        np.multiply(along, rows[:, 2], out=rows[:, 3])
+        np.subtract(rows[:, 0] * ahead, (steep * upward + level * wider) * from_middle, out=rows[:, 4])
+        np.subtract(-wider * over, upward * along, out=rows[:, 5])
+        _unusual(p, residuals[:, -4:-2], slopes[:, :, -4:-2])
+        self._unrested(p, residuals[:, -2:], slopes[:, :, -2:])
+        return residuals, slopes
 
     def places(self, p: Frees) -> tuple[Float[np.ndarray, "k 3"], Float[np.ndarray, "k 3"]]:
-        """Centres and axes of several."""
+        """Centres and axes of each."""
         along, across, level = np.cos(p[:, 4]), np.sin(p[:, 4]), np.cos(p[:, 5])
         axes, centres_m = np.empty((len(p), 3)), np.empty((len(p), 3))
         axes[:, 0], axes[:, 1], axes[:, 2] = level * along, level * across, np.sin(p[:, 5])
-        centres_m[:, 0] = self.middle_m[0] - p[:, 0] * across
-        centres_m[:, 1] = self.middle_m[1] + p[:, 0] * along
+        centres_m[:, 0] = self.middle_m[:, 0] - p[:, 0] * across
+        centres_m[:, 1] = self.middle_m[:, 1] + p[:, 0] * along
         centres_m[:, 2] = p[:, 1]
         return centres_m, axes
 
-    def _unrested(self, p: Float[np.ndarray, "k each 6"], out: Float[np.ndarray, "k each 2"]) -> None:
+    def _unrested(self, p: Frees, residuals: Float[np.ndarray, "k 2"], slopes: Float[np.ndarray, "k p 2"]) -> None:
         """How far the axis is from where it is when the vessel rests on the table."""
-        tilt = np.arctan(p[..., 3])
-        out[..., 0] = (p[..., 1] - p[..., 2] * np.cos(tilt)) / self.rest_spread_m
-        out[..., 1] = (p[..., 5] - tilt) / self.tilt_spread_rad
+        radius, slope = p[:, 2], p[:, 3]
+        shorter, closer, steadier = (
+            1.0 / np.sqrt(1.0 + slope * slope),
+            1.0 / self.rest_spread_m,
+            1.0 / self.tilt_spread_rad,
+        )
+        residuals[:, 0] = (p[:, 1] - radius * shorter) * closer
+        residuals[:, 1] = (p[:, 5] - np.arctan(slope)) * steadier
+        slopes[:, 1, 0], slopes[:, 5, 1] = closer, steadier
+        slopes[:, 2, 0] = -shorter * closer
+        slopes[:, 3, 0] = radius * slope * shorter * shorter * shorter * closer
+        slopes[:, 3, 1] = -shorter * shorter * steadier
 
 
-def _each_changed(p: Frees, bounds: Bounds) -> tuple[Float[np.ndarray, "k each p"], Frees]:
-    """Parameters, then the same with one of them changed, each in turn; and by how much.
-
-    They step away from zero, or towards it where a bound is in the way.
-    """
-    step = DIFFERENCE * np.where(p >= 0, 1.0, -1.0) * np.maximum(1.0, np.abs(p))
-    there = p + step
-    there = np.where((there < bounds.low) | (there > bounds.high), p - step, there)
-    each, which = np.repeat(p[:, None], 1 + p.shape[1], axis=1), np.arange(p.shape[1])
-    each[:, 1 + which, which] = there
-    return each, there - p
+def _rows(p: Frees, across: OfPoints, num_more: int) -> tuple[Residuals, Slopes]:
+    """Room for residuals, and for how they change; the last do with few parameters."""
+    num_rows = across.shape[1] + num_more
+    slopes = np.empty((*p.shape, num_rows))
+    slopes[:, :, -num_more:] = 0.0
+    return np.empty((len(p), num_rows)), slopes
 
 
-def _unusual(p: Float[np.ndarray, "k each p"], out: Float[np.ndarray, "k each 2"]) -> None:
+def _unusual(p: Frees, residuals: Shaped[np.ndarray, "k 2"], slopes: Shaped[np.ndarray, "k p 2"]) -> None:
     """How far radius and slope are from what is usual."""
-    out[..., 0] = (p[..., 2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M
-    out[..., 1] = (p[..., 3] - USUAL_SLOPE) / SLOPE_SPREAD
-
-
-def _differences(rows: Float[np.ndarray, "k each rows"], step: Frees) -> tuple[Residuals, Slopes]:
-    slopes = rows[:, 1:] - rows[:, :1]
-    slopes /= step[:, :, None]
-    return np.ascontiguousarray(rows[:, 0]), slopes
+    residuals[:, 0] = (p[:, 2] - USUAL_RADIUS_M) / RADIUS_SPREAD_M
+    residuals[:, 1] = (p[:, 3] - USUAL_SLOPE) / SLOPE_SPREAD
+    slopes[:, 2, 0], slopes[:, 3, 1] = 1.0 / RADIUS_SPREAD_M, 1.0 / SLOPE_SPREAD

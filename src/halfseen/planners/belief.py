@@ -93,8 +93,8 @@ def offset_nodes(config: WorldConfig) -> Float[Array, "*R G"]:
     return (xp.asarray(std)[..., None] * _NODES).astype(np.float32)
 
 
-def trait_at(config: WorldConfig, node: Int[Array, "*B N"]) -> Any:
-    """Hidden trait of the law of grasping with u of each object at one of `offset_nodes`, by number."""
+def latent_at(config: WorldConfig, node: Int[Array, "*B N"]) -> Any:
+    """Hidden latent of the law of grasping with u of each object at one of `offset_nodes`, by number."""
     law = known_grasping(config)
     drawn = library_of(node).asarray(_NODES, dtype=np.float32)[node]
     if isinstance(law, GraspingByRobot):

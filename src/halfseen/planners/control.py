@@ -17,6 +17,8 @@ import numpy as np
 from halfseen.arrays import at, library_of, mapped
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import (
+    Outlook,
+    Table,
     control_value,
     laid_out,
     left_price,
@@ -30,7 +32,7 @@ from halfseen.world import random
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.random import Key
-from halfseen.world.rollout import BATCH, SIDE_BY_SIDE, SideBySide, Stage, stages_of_play
+from halfseen.world.rollout import BATCH, in_parts, side_by_side, stages_of_play
 from halfseen.world.state import Layout, TableState
 from halfseen.world.transition import start
 
@@ -49,10 +51,6 @@ class Controlled(NamedTuple):
     def reward(self) -> Float[np.ndarray, " B"]:
         """Of the same mean as the reward of each trajectory, with less noise."""
         return self.value + self.advantage
-
-    def on(self, some: slice) -> "Controlled":
-        """Keep some of the tables."""
-        return Controlled(*(each[some] for each in self))
 
 
 def controlled_rewards(
@@ -84,22 +82,14 @@ def controlled(
     config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[np.ndarray, " B"]
 ) -> Controlled:
     """What `controlled_rewards` says, in parts."""
-    starts = range(0, len(episode), BATCH)
-    parts = [_controlled(config, layouts, policy, key, episode[k : k + BATCH]) for k in starts]
-    return Controlled(*map(np.concatenate, zip(*parts, strict=True)))
+    return in_parts(_controlled, config, layouts, policy, key, episode)
 
 
 def controlled_each(
     config: WorldConfig, layouts: Layout, policies: Sequence[Policy], key: Key, episode: Int[np.ndarray, " B"]
 ) -> list[Controlled]:
     """What `controlled` says of each policy; they play side by side, which takes less time."""
-    num, found = len(episode), []
-    size = max(1, SIDE_BY_SIDE // max(num, 1))
-    for first in range(0, len(policies), size):
-        some = policies[first : first + size]
-        together = _controlled(config, layouts, SideBySide(some), key, np.tile(episode, len(some)))
-        found += [together.on(slice(k * num, (k + 1) * num)) for k in range(len(some))]
-    return found
+    return side_by_side(_controlled, config, layouts, policies, key, episode)
 
 
 def start_values(
@@ -114,7 +104,8 @@ def start_values(
         some = episode[first : first + BATCH]
         layout = mapped(lambda leaf, some=some: leaf[some % len(leaf)], layouts)
         begun, _ = start(config, layout, random.split(random.fold_in(key, some), 3)[0])
-        found.append(_value(config, begun))
+        table, look = _looked(config, begun)
+        found.append(left_price(config, table) + control_value(table, look))
     return np.concatenate(found)
 
 
@@ -124,27 +115,19 @@ def _controlled(
     _, stages = stages_of_play(config, layouts, policy, key, episode)
     value, total, robot_s = np.zeros((3, len(episode)))
     for number, stage in enumerate(stages):
-        of_state, advantage = _value_and_advantage(config, stage)
+        table, look = _looked(config, stage.state)
+        of_state, left = control_value(table, look), left_price(config, table)
+        rule, control = rule_and_control(config, table, look)
+        values = library_of(rule).where(table.steps_to_go == 1, rule, control)
         if number == 0:
-            value = of_state.astype(np.float64)
-        total += np.where(stage.is_taken, advantage, 0.0)
+            value = (left + of_state).astype(np.float64)
+        of_action = at(laid_out(np.zeros_like(left), values), stage.decision.action)
+        total += np.where(stage.is_taken, of_action - of_state, 0.0)
         robot_s += np.where(stage.is_taken, stage.outcome.duration_s, 0.0)
     return Controlled(value, total, robot_s)
 
 
-def _value(config: WorldConfig, state: TableState) -> Float[np.ndarray, " B"]:
-    """V° of some states."""
+def _looked(config: WorldConfig, state: TableState) -> tuple[Table, Outlook]:
+    """What is believed of tables, and what may follow one attempt."""
     table = table_of(belief_of(config, state))
-    look = outlook_of(config, table, setting_of((config,), table))
-    return left_price(config, table) + control_value(table, look)
-
-
-def _value_and_advantage(config: WorldConfig, stage: Stage) -> tuple[Float[np.ndarray, " B"], Float[np.ndarray, " B"]]:
-    """V° of the states of a stage, and by how much the action taken is worth more."""
-    table = table_of(belief_of(config, stage.state))
-    look = outlook_of(config, table, setting_of((config,), table))
-    rule, control = rule_and_control(config, table, look)
-    values = library_of(rule).where(table.steps_to_go == 1, rule, control)
-    value, left = control_value(table, look), left_price(config, table)
-    of_action = at(laid_out(np.zeros_like(left), values), stage.decision.action)
-    return left + value, of_action - value
+    return table, outlook_of(config, table, setting_of((config,), table))

@@ -1,7 +1,7 @@
 """Why an action, by a planner that knows its own error.
 
-What an explanation holds, and how it is read off draws of Q, is `halfseen.world.explanation`'s, which the bootstrap of
-a learned policy shares and for which it must not import a planner; here is where a planner's draws come from.
+What an explanation holds, and how it is read off draws of Q, is `halfseen.world.explanation`'s; here is where a
+planner's draws come from.
 
 Q is estimated by rollouts in which the myopic look-ahead decides (`rollout`): too low, as nobody improves on the rule
 after the first action, and noisy. What is known of the optimum is then

@@ -1,4 +1,4 @@
-"""Futures of a table: what is hidden is drawn from the belief, then played, whoever works at it.
+"""Futures of a table: what is hidden is drawn from the belief, then played, whichever robot works at it.
 
 Where `rollout` moves a belief, a future here moves the world itself, so that all that the transition knows (robots,
 times, prices) counts. Nothing that is truly hidden is read: attributes and grips are drawn as `belief` has them, and
@@ -16,7 +16,7 @@ import numpy as np
 
 from halfseen.arrays import STATIC, Array, at, chosen, expit, library_of, mapped, record, stacked
 from halfseen.errors import ArgumentError
-from halfseen.planners.belief import grip_posterior, known_seeing, trait_at
+from halfseen.planners.belief import grip_posterior, known_seeing, latent_at
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import WAIT, Verb, possible_actions
@@ -24,7 +24,7 @@ from halfseen.world.attempts import attempted
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, Policy
 from halfseen.world.random import Key
-from halfseen.world.seeing import Glimpse, KnownSeeing, Told, label_evidence
+from halfseen.world.seeing import Glimpse, KnownSeeing, LookOutcome, labelled
 from halfseen.world.state import HiddenState, Pending, Robots, TableState, occlusion
 from halfseen.world.transition import step, until_out_s
 
@@ -37,7 +37,7 @@ Tree = TypeVar("Tree")
 
 @record
 class ForeseenSeeing:
-    """Labels by the probabilities of a law, given the truth and what is known: no hidden trait is needed.
+    """Labels by the probabilities of a law, given the truth and what is known: no latent variable is needed.
 
     Parameters
     ----------
@@ -47,19 +47,15 @@ class ForeseenSeeing:
 
     law: KnownSeeing
 
-    def draw_trait(self, num_objects: int, key: Key) -> None:
-        """No trait: what persists is in `Glimpse.seen`."""
+    def draw_latent(self, num_objects: int, key: Key) -> None:
+        """No latent variable: what persists is in `Glimpse.seen`."""
         return
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: None, key: Key
-    ) -> Told:
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], latent: None, key: Key
+    ) -> LookOutcome:
         """Label each object once."""
-        if_dirty, if_clean = self.law.positive(glimpse.occluded, glimpse.seen, glimpse.is_held)
-        positive = library_of(is_dirty).where(is_dirty, if_dirty, if_clean)
-        says_dirty = random.uniform(key, is_dirty.shape[-1]) < positive
-        seen = self.law.after(glimpse.occluded, glimpse.seen, says_dirty, glimpse.is_held)
-        return Told(log_odds + label_evidence(if_dirty, if_clean, says_dirty), seen, None)
+        return labelled(self.law, glimpse, log_odds, is_dirty, key)
 
 
 def spread(tree: Tree, num: int, axis: int) -> Tree:
@@ -86,20 +82,20 @@ def imagined(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
     hidden, robots = _imagined_table(config, state, table_key), state.robots
     each = [_pending(config, state, robots, k, random.fold_in(robots_key, k)) for k in range(config.num_robots)]
     pending = stacked([of_robot for of_robot, _ in each], axis=state.steps_to_go.ndim)
-    xp, trait = library_of(robots.is_busy), hidden.grasp_trait
+    xp, latent = library_of(robots.is_busy), hidden.grasp_latent
     is_at_object = robots.is_busy & (robots.verb > 0) & (robots.verb != WAIT)
     is_its = is_at_object[..., None] & (xp.arange(state.num_objects) == robots.target[..., None])
     for k, (_, offset) in enumerate(each):
-        trait = mapped(lambda all_of, own, k=k: xp.where(is_its[..., k, :], own[..., None], all_of), trait, offset)
+        latent = mapped(lambda all_of, own, k=k: xp.where(is_its[..., k, :], own[..., None], all_of), latent, offset)
     until_s = until_out_s(config, random.fold_in(robots_key, config.num_robots))
-    return replace(hidden, grasp_trait=trait, pending=pending, until_out_s=until_s)
+    return replace(hidden, grasp_latent=latent, pending=pending, until_out_s=until_s)
 
 
 def _imagined_table(config: WorldConfig, state: TableState, key: Key) -> HiddenState:
     dirty_key, grip_key = random.split(key)
     is_dirty = random.uniform(dirty_key, state.num_objects) < expit(state.log_odds)
     node = random.categorical(grip_key, grip_posterior(config, state).log_weights)
-    return HiddenState(is_dirty, trait_at(config, node), None)
+    return HiddenState(is_dirty, latent_at(config, node), None)
 
 
 def _pending(config: WorldConfig, state: TableState, robots: Robots, robot: int, key: Key) -> tuple[Pending, Any]:
@@ -135,7 +131,7 @@ def _pending(config: WorldConfig, state: TableState, robots: Robots, robot: int,
         hides=hides,
         is_moved=hides != state.hides,
     )
-    return pending, mapped(lambda offset: at(at(offset, targets), first), drawn.grasp_trait)
+    return pending, mapped(lambda offset: at(at(offset, targets), first), drawn.grasp_latent)
 
 
 def less_luck(

@@ -59,7 +59,7 @@ class GridGrasping:
         """Of the law that tells how likely an attempt holds."""
         return self.base.offset_std
 
-    def draw_trait(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
+    def draw_latent(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
         """Draw u of each object, on the nodes of the planners' beliefs."""
         xp, (nodes, prior) = library_of(key), offset_prior()
         drawn = random.categorical(key, _log_shares(xp, prior, (*key.shape[:-1], num_objects)))
@@ -68,18 +68,18 @@ class GridGrasping:
     def attempt(
         self,
         table: Arrangement,
-        trait: Float[Array, "*B N"],
+        latent: Float[Array, "*B N"],
         verb: Int[Array, "*B"],
         target: Int[Array, "*B"],
         key: Key,
     ) -> Attempt:
         """Draw whether it holds, and then how long it takes; whatever is to be done with the object."""
         xp, (held_key, time_key) = library_of(key), random.split(key)
-        log_failure = self.log_failure(at(table.occlusion, target), at(table.grip, target) + at(trait, target))
+        log_failure = self.log_failure(at(table.occlusion, target), at(table.grip, target) + at(latent, target))
         is_held = random.log_uniform(held_key) >= log_failure
         share = _log_shares(xp, self.held_share, time_key.shape[:-1])
         time_s = xp.asarray(self.held_s, dtype=np.float32)[random.categorical(time_key, share)]
-        return Attempt(is_held, xp.where(is_held, time_s, np.float32(self.limit_s)), table.hides, trait)
+        return Attempt(is_held, xp.where(is_held, time_s, np.float32(self.limit_s)), table.hides, latent)
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
         """As the base has it."""

@@ -29,9 +29,9 @@ from halfseen.planners.one_step import (
     tries_then,
 )
 from halfseen.shapes import Bool, Float, Int
-from halfseen.world.actions import Verb, possible_actions
+from halfseen.world.actions import Verb, is_decider, possible_actions
 from halfseen.world.config import WorldConfig
-from halfseen.world.others import Others, is_decider, others_of
+from halfseen.world.others import Others, others_of
 from halfseen.world.policy import Decision, surely
 from halfseen.world.random import Key
 from halfseen.world.state import Robots, TableState
@@ -74,7 +74,7 @@ class MyopicPolicy:
         return surely(library_of(q).argmax(q, axis=-1))
 
 
-class _Crew(NamedTuple):
+class _AtWork(NamedTuple):
     """Robots that go on, at a table."""
 
     effort: tuple[Float[Array, " N *B"], ...]
@@ -97,11 +97,11 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
     look = outlook_of(config, table, setting._replace(label=setting.label * ~_washed(state, robots, others)))
     seconds = config.transport_s + xp.stack([each[ATTEMPT_S] for each in look.expected])
     everyone = others.goes_on | is_decider(state)
-    with_me, without_me = (_crew(config, state, robots, seconds, who) for who in (everyone, others.goes_on))
+    with_me, without_me = (_at_work(config, state, robots, seconds, who) for who in (everyone, others.goes_on))
     own_s = xp.take_along_axis(seconds, robot[None, None], axis=0)[0] / speed[state.decider]
     gains = limited(tries_after(tries_then(config, look, with_me.effort)), with_me.num_decisions)
     values = attempts_worth(config, look, gains[None], own_s, with_me.reward_per_s)
-    # Whoever is last to leave ends the trajectory, and nothing is looked at any more.
+    # Anyone who is last to leave ends the trajectory, and nothing is looked at any more.
     finish = _value_now(config, look, without_me) * xp.any(others.goes_on, axis=-1)
     wait = _value_now(config, look, with_me) + with_me.reward_per_s * _wait_s(config, robots, others, seconds)
     q = xp.concatenate([laid_out(finish, values), wait[..., None]], axis=-1)
@@ -116,13 +116,13 @@ def _washed(state: TableState, robots: Robots, others: Others) -> Bool[Array, " 
     return xp.moveaxis(xp.any(is_washing & is_target, axis=-2), -1, 0)
 
 
-def _crew(
+def _at_work(
     config: WorldConfig,
     state: TableState,
     robots: Robots,
     seconds: Float[Array, "L N *B"],
     goes_on: Bool[Array, "*B K"],
-) -> _Crew:
+) -> _AtWork:
     assert state.workspace is not None
     xp, to_go = library_of(goes_on), robots.decisions_to_go - is_decider(state)
     reach = (goes_on & (to_go > 0))[..., None] & state.workspace.is_in_reach
@@ -133,13 +133,13 @@ def _crew(
     reward_per_s = config.reward_per_s / xp.maximum(xp.sum(goes_on, axis=-1), 1).astype(np.float32)
     price = -reward_per_s * seconds / xp.where(speed > _ZERO, speed, _ONE)
     effort = tuple(xp.where(speed > _ZERO, price, OUT_OF_REACH))
-    return _Crew(effort, xp.sum(xp.where(goes_on, to_go, 0), axis=-1), reward_per_s)
+    return _AtWork(effort, xp.sum(xp.where(goes_on, to_go, 0), axis=-1), reward_per_s)
 
 
-def _value_now(config: WorldConfig, look: Outlook, crew: _Crew) -> Float[Array, "*B"]:
+def _value_now(config: WorldConfig, look: Outlook, team: _AtWork) -> Float[Array, "*B"]:
     """Value of the table as it stands."""
-    tries = tries_of(config, look, tuple(each[NOW] for each in look.expected), crew.effort, way=0)
-    return limited(tries.sum(axis=2)[:, 0], crew.num_decisions)
+    tries = tries_of(config, look, tuple(each[NOW] for each in look.expected), team.effort, way=0)
+    return limited(tries.sum(axis=2)[:, 0], team.num_decisions)
 
 
 def _wait_s(config: WorldConfig, robots: Robots, others: Others, seconds: Float[Array, "L N *B"]) -> Float[Array, "*B"]:

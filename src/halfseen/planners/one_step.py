@@ -134,9 +134,9 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
 
 def _failure(law: Any, occluded: Any, offset: Any) -> Any:
     """P(an attempt misses)."""
-    told = getattr(law, "failure", None)
-    if told is not None:
-        return told(occluded, offset)
+    failure = getattr(law, "failure", None)
+    if failure is not None:
+        return failure(occluded, offset)
     log_failure = law.log_failure(occluded, offset)
     return library_of(log_failure).exp(log_failure)
 

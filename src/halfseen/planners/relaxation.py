@@ -1,12 +1,12 @@
 """What nobody can beat on a table of any size: the value to one who is told more [BrownSmithSun2010]_.
 
-Whoever is told more can do no worse. Three informants are here, each of which tells more than the one before:
+Anyone who is told more can do no worse. Three informants are here, each of which tells more than the one before:
 
 - ``"looks"`` tells before the first action how well each object is gripped, and what as many looks at each object as
   the horizon allows would say if nothing hid it. No policy sees more labels, nor better ones: a label from behind
   another object is as good as one in full view that is sometimes turned round at random. Where errors persist, it tells
   what would be found in every view that an object of the table can have, from the most hidden to the one in the hand:
-  views are nested, so whoever sees some of them can tell no more;
+  views are nested, so anyone who sees some of them can tell no more;
 - ``"hidden"`` tells which objects are dirty instead;
 - ``"everything"`` tells the time that every grasp will take as well: the exponential draw of every step.
 
@@ -21,8 +21,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_labels import Labels, labels_of, spread_over_labels
-from halfseen.planners.exact_model import GridWorld
+from halfseen.planners.exact_table import GridWorld, Labels, labels_of, spread_over_labels
 from halfseen.shapes import Float
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping, KnownGrasping
@@ -110,9 +109,9 @@ def information_relaxation_bound(
     is_exact = reveals != "everything" and num_told <= MAX_ENUMERATED
     if is_exact:
         each = np.array(list(product(range(len(dirty)), range(world.num_grip_nodes))))
-        told = each[list(product(range(len(each)), repeat=num_objects))]
-        weight = (of_dirty[told[..., 0]] * world.grip_prior[told[..., 1]]).prod(axis=1)
-        is_dirty, offset = dirty[told[..., 0]], world.grip_offsets[told[..., 1]]
+        combination = each[list(product(range(len(each)), repeat=num_objects))]
+        weight = (of_dirty[combination[..., 0]] * world.grip_prior[combination[..., 1]]).prod(axis=1)
+        is_dirty, offset = dirty[combination[..., 0]], world.grip_offsets[combination[..., 1]]
     else:
         shape, weight = (num_samples, num_objects), np.full(num_samples, 1.0 / num_samples)
         if num_grip_nodes is None:

@@ -16,8 +16,7 @@ whose errors are taken to be as large:
   errors of stages were independent: what actions have in common is no reason to doubt which is better.
 
 *What this does not know:* what was chosen because it looked best, that Q was learned with caution, and causes that the
-log does not hold. ``benchmarks/calibration.py --stored`` says how often all this holds of small tables, where Q is
-known.
+log does not hold. ``benchmarks/calibration.py`` says how often all this holds of small tables, where Q is known.
 """
 
 from collections.abc import Sequence

@@ -12,7 +12,7 @@ from halfseen.shapes import Float
 
 @dataclass(frozen=True)
 class Decision:
-    """What to do, and on what grounds.
+    """What to do, and why.
 
     Parameters
     ----------
@@ -29,6 +29,8 @@ class Decision:
         95 % interval of Q itself, by name of each possible action [reward]; empty where nobody knows it.
     chance_best
         Probability that no action is better, by name of each possible action; empty where nobody knows it.
+    filled
+        Covariates that were missing, and were filled in; `warnings` say by what.
     """
 
     action: Any
@@ -37,6 +39,7 @@ class Decision:
     warnings: tuple[str, ...] = ()
     intervals: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     chance_best: Mapping[str, float] = field(default_factory=dict)
+    filled: tuple[str, ...] = ()
 
 
 @runtime_checkable

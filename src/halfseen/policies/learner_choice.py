@@ -43,7 +43,7 @@ def learner_for(
         The log.
     covariates
         Columns of the stages to look at, which makes the actions named ones; None for a table where the log has
-        objects, else for all that hold numbers, or text of few categories.
+        objects, else for all that hold numbers, or text of few categories. Where they were missing comes with them.
     horizon
         Stages after which a trajectory ends by itself; None for those of the longest trajectory, on a table at least
         10. Of a team, decisions of each robot; None for what the log says.
@@ -130,16 +130,17 @@ def actions_by_stage(logs: Logs | LogStream, horizon: int) -> dict[int, list[Any
 
 
 def _columns(logs: Logs | LogStream, wanted: Sequence[str] | None) -> tuple[list[str], tuple[str, ...]]:
-    there = logs.stage_covariates
+    there, filled = logs.stage_covariates, () if logs.filling is None else tuple(logs.filling.lines())
     if wanted is not None:
         unknown = [name for name in wanted if name not in there]
         if unknown:
             known = (", ".join(there) or "none") + did_you_mean(unknown[0], there)
             raise ArgumentError(f"--covariates names {unknown[0]!r}; the stages have {known}")
-        return list(wanted), ()
+        flags = {} if logs.filling is None else logs.filling.flags
+        return [*wanted, *(flag for flag, name in flags.items() if name in wanted and flag not in wanted)], filled
     unfit = unfit_covariates(parts_of(logs))
     notes = tuple(f"it does not look at {name}, which {trouble}" for name, trouble in unfit.items())
-    return [name for name in there if name not in unfit], notes
+    return [name for name in there if name not in unfit], (*filled, *notes)
 
 
 def _horizon_notes(longest: int, given: int | None, horizon: int) -> tuple[str, ...]:

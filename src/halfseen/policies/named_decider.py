@@ -1,20 +1,31 @@
 """Decisions of a policy of named actions: from the covariates of one stage, and why."""
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from halfseen.errors import ArgumentError, LogError, PolicyError
 from halfseen.lazy import Frame
-from halfseen.learning.flat_policy import FlatPolicy, Valued
+from halfseen.learning.covariates import Categories
+from halfseen.learning.discrete_policy import DiscretePolicy, Valued
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import SAME_VALUE, Decision, lead, next_best, values_by_name
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.ranges import Range, Ranges, RangesOfStage, beyond, everything, middle_of, refuse_far
+from halfseen.policies.ranges import (
+    Range,
+    Ranges,
+    RangesOfStage,
+    beyond,
+    everything,
+    middle_of,
+    refuse_far,
+    refuse_outside,
+)
 from halfseen.reading import json_of, read_bytes, read_text, reason_of
 
 
@@ -28,10 +39,17 @@ class NamedObservation:
         One row, with the covariates of the policy among its columns; or their values by name.
     stage
         The stage to decide, from 1.
+    last
+        Covariates of the stage before in the same trajectory, filled in, for the rule ``"last"``; None where there is
+        none.
+    filled
+        What was missing and is filled in already: in one sentence for each covariate, what stands for it.
     """
 
     row: Frame | Mapping[str, Any]
     stage: int
+    last: Mapping[str, Any] | None = None
+    filled: Mapping[str, str] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,12 +66,15 @@ class NamedDecider:
         Whether to decide where a covariate lies far outside these ranges, too.
     q_error
         What is known of the errors of its Q; None if nothing.
+    stays_within
+        Whether to refuse whatever lies outside these ranges, however near.
     """
 
-    policy: FlatPolicy
+    policy: DiscretePolicy
     ranges: RangesOfStage = everything
     extrapolates: bool = False
     q_error: QError | None = None
+    stays_within: bool = False
 
     def decide(self, observation: NamedObservation) -> Decision:
         """Take the possible action with the largest Q, with pessimism less its margin.
@@ -64,18 +85,25 @@ class NamedDecider:
             There is no such stage.
         LogError
             A covariate is missing, no finite number, null or of an unknown category.
-        PolicyError
+        OutOfRangeError
             A covariate lies far outside what the logs showed, and it is not to be extrapolated.
         """
-        policy, row = self.policy, observation.row
+        policy, row, filled = self.policy, observation.row, observation.filled
+        if policy.filling is not None:
+            state = row if isinstance(row, Mapping) else _first_of(row)
+            full, said = completed(policy, state, observation.last)
+            filled = {**filled, **said}
+            row = known_covariates(policy, full, "the state") if isinstance(row, Mapping) else _row(full, "the state")
         if isinstance(row, Mapping):
-            return self.decide_known(row, observation.stage)
+            return self.decide_known(row, observation.stage, filled)
         policy.looks_at.encode(row)
         texts = policy.categories
         values = {name: (str if name in texts else float)(row[name].iloc[0]) for name in policy.covariates}
-        return self.decide_known(values, observation.stage)
+        return self.decide_known(values, observation.stage, filled)
 
-    def decide_known(self, values: Mapping[str, Any], stage: int) -> Decision:
+    def decide_known(
+        self, values: Mapping[str, Any], stage: int, filled: Mapping[str, str] = MappingProxyType({})
+    ) -> Decision:
         """Decide as `decide` does, and faster, from covariates that `looks_at` knows all of.
 
         Parameters
@@ -84,12 +112,14 @@ class NamedDecider:
             Finite numbers, and text of known categories, by name.
         stage
             The stage to decide, from 1.
+        filled
+            As `NamedObservation` has it.
 
         Raises
         ------
         ArgumentError
             There is no such stage.
-        PolicyError
+        OutOfRangeError
             As `decide`.
         """
         policy = self.policy
@@ -97,7 +127,9 @@ class NamedDecider:
         possible = np.where(policy.is_possible[stage - 1], valued.scores[0], -np.inf)
         ranges = self.ranges(stage)
         by_range = {name: {name: value} for name, value in values.items()}
-        if not self.extrapolates:
+        if self.stays_within:
+            refuse_outside(ranges, by_range)
+        elif not self.extrapolates:
             refuse_far(ranges, by_range)
         names = [str(name) for name in policy.actions]
         intervals, chance_best = self._certainty(valued, stage, names)
@@ -105,9 +137,10 @@ class NamedDecider:
             action=policy.actions[int(np.argmax(possible))],
             q_values=values_by_name(names, possible),
             reason=flat_reason(policy, values, stage, ranges or None, chance_best),
-            warnings=beyond(ranges, by_range),
+            warnings=(*beyond(ranges, by_range), *filled.values()),
             intervals=intervals,
             chance_best=chance_best,
+            filled=tuple(filled),
         )
 
     def _certainty(
@@ -125,7 +158,7 @@ class NamedDecider:
 
 
 def flat_reason(
-    policy: FlatPolicy,
+    policy: DiscretePolicy,
     row: Mapping[str, Any],
     stage: int,
     ranges: Ranges | None,
@@ -218,13 +251,23 @@ def read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) 
     states = _read_states(file, policy.categories)
     if len(states) != 1:
         raise PolicyError(f"{file}: it holds {len(states)} states; give one: a JSON object, or a header and one row")
-    values, said = known_covariates(policy, states[0], str(file)), states[0].get("stage")
+    state, said = states[0], states[0].get("stage")
+    full, filled = completed(policy, state)
+    values = known_covariates(policy, full, str(file))
     if said is not None and stage not in (None, said):
         raise ArgumentError(f"--stage is {stage}, but {file} says {said}; leave one of them out")
-    return NamedObservation(values, checked_stage(said if said is not None else stage or 1, stored.horizon, str(file)))
+    number = checked_stage(said if said is not None else stage or 1, stored.horizon, str(file))
+    return NamedObservation(values, number, filled=filled)
 
 
-def known_covariates(policy: FlatPolicy, state: Mapping[str, Any], where: str) -> dict[str, float | str]:
+def completed(
+    policy: DiscretePolicy, state: Mapping[str, Any], last: Mapping[str, Any] | None = None
+) -> tuple[Mapping[str, Any], dict[str, str]]:
+    """Fill in what a state lacks, as far as the policy has rules for that, and say what was; see `NamedObservation`."""
+    return (state, {}) if policy.filling is None else policy.filling.of_state(state, policy.covariates, last)
+
+
+def known_covariates(policy: DiscretePolicy, state: Mapping[str, Any], where: str) -> dict[str, float | str]:
     """Take what a policy looks at from a state in memory, as `NamedDecider.decide_known` does.
 
     Parameters
@@ -263,11 +306,11 @@ def checked_stage(stage: Any, horizon: int, where: str) -> int:
     return int(stage)
 
 
-def _looks_at(policy: FlatPolicy) -> str:
+def _looks_at(policy: DiscretePolicy) -> str:
     return ", ".join(policy.covariates) or "no covariates"
 
 
-def _check_row(row: Frame, policy: FlatPolicy, where: str) -> None:
+def _check_row(row: Frame, policy: DiscretePolicy, where: str) -> None:
     """Refuse a row without what the policy looks at."""
     missing = [name for name in policy.covariates if name not in row.columns]
     if missing:
@@ -281,7 +324,12 @@ def _check_row(row: Frame, policy: FlatPolicy, where: str) -> None:
         raise PolicyError(f"{where}: {error}") from error
 
 
-def _read_states(file: Path, texts: Iterable[str]) -> list[dict[str, Any]]:
+def _cell(value: Any, categories: Collection[str] | None) -> Any:
+    """An empty cell of text is null, unless it is a category."""
+    return None if categories is not None and value == "" and value not in categories else value
+
+
+def _read_states(file: Path, texts: Categories) -> list[dict[str, Any]]:
     try:
         if file.suffix == ".json":
             state = json_of(read_text(file))
@@ -289,9 +337,15 @@ def _read_states(file: Path, texts: Iterable[str]) -> list[dict[str, Any]]:
         import pandas as pd
 
         exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
-        return pd.read_csv(BytesIO(read_bytes(file)), **exact).to_dict("records")
+        states = pd.read_csv(BytesIO(read_bytes(file)), **exact).to_dict("records")
+        return [{name: _cell(value, texts.get(name)) for name, value in each.items()} for each in states]
     except (OSError, ValueError) as error:
         raise PolicyError(f"{file}: it cannot be read ({reason_of(error)}); give one state as .json or .csv") from error
+
+
+def _first_of(frame: Frame) -> dict[str, Any]:
+    is_null = frame.iloc[0].isna()
+    return {name: None if is_null[name] else frame[name].iloc[0] for name in frame.columns}
 
 
 def _row(state: Mapping[str, Any], where: str) -> Frame:

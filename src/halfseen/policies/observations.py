@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.policies.certainty import QError
 from halfseen.policies.decision import Decider
 from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
@@ -23,13 +23,14 @@ def decider_of(
     extrapolates: bool = False,
     q_error: QError | None = None,
     least_rewards: dict[str, float] | None = None,
+    stays_within: bool = False,
 ) -> Decider:
     """Put a policy behind the port.
 
     Parameters
     ----------
     policy
-        A `StoredPolicy`, which knows all that follows but `extrapolates`; a `FlatPolicy`; or any
+        A `StoredPolicy`, which knows all that follows but how far to go outside its ranges; a `DiscretePolicy`; or any
         `halfseen.world.Policy`: learned, a planner or a heuristic.
     ranges
         What the logs showed where it was learned.
@@ -39,6 +40,8 @@ def decider_of(
         What is known of the errors of its Q; None if nothing, and then nobody knows how sure a decision is.
     least_rewards
         Of each verb of a table, the least that it paid in the logs [reward]; None if nobody knows.
+    stays_within
+        Of named actions: True to refuse whatever lies outside these ranges, however near.
 
     Raises
     ------
@@ -55,9 +58,10 @@ def decider_of(
             extrapolates=extrapolates,
             q_error=policy.q_error,
             least_rewards=policy.least_rewards,
+            stays_within=stays_within,
         )
-    if isinstance(policy, FlatPolicy):
-        return NamedDecider(policy, ranges, extrapolates, q_error)
+    if isinstance(policy, DiscretePolicy):
+        return NamedDecider(policy, ranges, extrapolates, q_error, stays_within)
     # Tables load the world, which takes longer than a decision on named actions.
     from halfseen.policies.table_decider import TableDecider
     from halfseen.world.policy import Policy

@@ -1,6 +1,7 @@
 """What ONNX graphs of policies are written with, the parts that all of them have, and that of named actions.
 
-Each function is the line of `KernelMap`, `halfseen.learning.behaviour` or `FlatPolicy.valued` that it is named after.
+Each function is the line of `KernelMap`, `halfseen.learning.behaviour` or `DiscretePolicy.valued` that it is named
+after.
 
 Inputs of a policy of named actions are the covariates of n states as numbers, in double precision, in the order of
 `Covariates.names`, and the stage, from 1; outputs are what the policy goes by, −∞ where an action is not possible, and
@@ -13,7 +14,7 @@ from typing import Any
 import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_space import KernelMap
 
 OPSET, IR_VERSION = 18, 9
@@ -88,7 +89,7 @@ def kernel_features(graph: Graph, features: str, psi: KernelMap) -> str:
     return graph("Concat", trend, smooth, axis=1)
 
 
-def leaning(graph: Graph, utility: str, possible: str) -> str:
+def excess_propensity(graph: Graph, utility: str, possible: str) -> str:
     """How far the log's own choice is from chance towards each action; actions are the last axis."""
     odds = graph("Softmax", graph("Where", possible, utility, np.float64(-np.inf)), axis=-1)
     num_possible = graph.total(graph.as_number(possible), -1, keeps=True)
@@ -100,7 +101,7 @@ def leaning(graph: Graph, utility: str, possible: str) -> str:
 COVARIATES, STAGE = "covariates", "stage"
 
 
-def flat_graph(policy: FlatPolicy) -> tuple[Any, dict[str, Any]]:
+def discrete_graph(policy: DiscretePolicy) -> tuple[Any, dict[str, Any]]:
     """Write a policy of named actions as an ONNX model, and what is to be known of it."""
     graph = Graph(np.float64)
     at = graph("Sub", STAGE, np.int64(1))
@@ -111,25 +112,28 @@ def flat_graph(policy: FlatPolicy) -> tuple[Any, dict[str, Any]]:
     each = graph("Gather", policy.coefficients, at)
     scores = graph("MatMul", design, graph("Transpose", each, perm=[1, 0]))
     if policy.margin is not None:
-        margins = _margins(graph, policy, design, at)
+        margins, prefers = _margins(graph, policy, design, at), None
         if policy.behaviour is not None:
             utility = graph("MatMul", graph("Concat", ones, COVARIATES, axis=1), policy.behaviour.T)
-            margins = graph("Mul", graph("Sub", np.float64(1.0), leaning(graph, utility, possible)), margins)
+            margins = graph("Mul", graph("Sub", np.float64(1.0), excess_propensity(graph, utility, possible)), margins)
+            prefers = graph("LogSoftmax", graph("Where", possible, utility, np.float64(-np.inf)), axis=-1)
         scores = graph("Sub", scores, margins)
+        if policy.behaviour_weight > 0:
+            scores = graph("Add", scores, graph("Mul", np.float64(policy.behaviour_weight), prefers))
     graph("Where", possible, scores, np.float64(-np.inf), to=SCORES)
     graph("ArgMax", SCORES, axis=1, keepdims=0, to=ACTION)
-    told = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
-    return _model(graph, policy), told
+    properties = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
+    return _model(graph, policy), properties
 
 
-def _margins(graph: Graph, policy: FlatPolicy, design: str, at: str) -> str:
+def _margins(graph: Graph, policy: DiscretePolicy, design: str, at: str) -> str:
     """‖Mᵀ (1, features)‖ of each action."""
     each = graph("MatMul", design, graph("Gather", policy.margin, at))
     squares = graph("ReduceSum", graph("Mul", each, each), np.array([2]), keepdims=0)
     return graph("Transpose", graph("Sqrt", squares), perm=[1, 0])
 
 
-def _model(graph: Graph, policy: FlatPolicy) -> Any:
+def _model(graph: Graph, policy: DiscretePolicy) -> Any:
     inputs = [
         helper.make_tensor_value_info(COVARIATES, TensorProto.DOUBLE, ["n", policy.looks_at.num_features]),
         helper.make_tensor_value_info(STAGE, TensorProto.INT64, []),

@@ -7,6 +7,7 @@ for each action, −∞ where it is not possible, and the number of the best one
 """
 
 import json
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +16,9 @@ from onnx import TensorProto, helper
 
 import halfseen
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, flat_graph, kernel_features, leaning
+from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, discrete_graph, excess_propensity, kernel_features
 from halfseen.tables.features import LEAST_IN_SIGHT, LIKELY_ODDS, NUM_FEATURES, NUM_TABLE_FEATURES, ROUNDING
 from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import LinearTablePolicy
@@ -44,17 +45,19 @@ def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
         It holds what ONNX cannot, or `num_objects` is not for it.
     """
     policy = stored.policy
-    if isinstance(policy, FlatPolicy):
+    if isinstance(policy, DiscretePolicy):
         if num_objects is not None:
             raise ArgumentError("a number of objects is for policies of tables, and this one is not: leave it out")
-        model, told = flat_graph(policy)
+        model, properties = discrete_graph(policy)
+        # What fills in covariates and their flags is for the controller to do, before the model is asked.
+        properties |= {} if policy.filling is None else {"missing": asdict(policy.filling)}
     elif isinstance(policy, LinearTablePolicy) and stored.is_table:
-        model, told = table_graph(policy, stored.horizon, num_objects or _most_objects(stored))
+        model, properties = table_graph(policy, stored.horizon, num_objects or _most_objects(stored))
     else:
         without = "; learn it without laws (halfseen learn --no-laws)" if stored.is_table else ""
         raise PolicyError(f"the policy is of kind {stored.record['kind']!r}, which is not exported: serve it{without}")
     model.producer_name, model.producer_version = "halfseen", halfseen.__version__
-    helper.set_model_props(model, {name: json.dumps(value) for name, value in told.items()})
+    helper.set_model_props(model, {name: json.dumps(value) for name, value in properties.items()})
     try:
         onnx.checker.check_model(model)
     except onnx.checker.ValidationError as error:
@@ -109,13 +112,13 @@ def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tu
         margins = _margins(graph, policy, design, at, verbs)
         if policy.behaviour is not None:
             utility = _dot(graph, _with_one(graph, raw, actions), np.asarray(policy.behaviour)[verbs])
-            lean = leaning(graph, utility, possible)
+            lean = excess_propensity(graph, utility, possible)
             margins = graph("Mul", graph("Sub", np.float32(1.0), lean), margins)
         scores = graph("Sub", scores, margins)
     graph("Where", possible, scores, np.float32(-np.inf), to=SCORES)
     graph("ArgMax", SCORES, axis=0, keepdims=0, to=ACTION)
-    told = {"actions": list(actions.names), "objects": num_objects, "horizon": horizon}
-    return graph.model(_inputs(horizon, num_objects), _outputs(actions)), told
+    properties = {"actions": list(actions.names), "objects": num_objects, "horizon": horizon}
+    return graph.model(_inputs(horizon, num_objects), _outputs(actions)), properties
 
 
 def table_inputs(state: TableState) -> dict[str, np.ndarray]:

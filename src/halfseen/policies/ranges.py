@@ -3,7 +3,7 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from halfseen.errors import PolicyError
+from halfseen.errors import OutOfRangeError
 
 Range = tuple[float, float] | Mapping[str, int]
 """Least and largest value of what is a number; of text, how many states showed each category."""
@@ -20,7 +20,9 @@ Values = Mapping[str, Mapping[str, Any]]
 FARTHEST = 1.0
 """Ranges beyond its own end, as wide as itself, from which on a value is far outside."""
 
-_SLACK = 1e-6
+ROUNDING = 1e-6
+"""Relative error of what is worked out in single precision, as the states of tables are."""
+NO_TRAJECTORY = "no trajectory of the logs came to this stage"
 
 
 def everything(stage: int) -> Ranges:
@@ -33,7 +35,7 @@ def middle_of(seen: Range) -> float | str:
     return max(seen, key=seen.__getitem__) if isinstance(seen, Mapping) else sum(seen) / 2.0
 
 
-def beyond(ranges: Ranges | None, values: Values) -> tuple[str, ...]:
+def beyond(ranges: Ranges | None, values: Values, rounding: float = 0.0) -> tuple[str, ...]:
     """Say what lies outside, the first of each kind.
 
     Parameters
@@ -42,15 +44,32 @@ def beyond(ranges: Ranges | None, values: Values) -> tuple[str, ...]:
         What the logs showed.
     values
         For each name of a range, whose value, and which.
+    rounding
+        Relative error of the values; what is given is compared as it is.
     """
-    if ranges is None:
-        return ("no trajectory of the logs came to this stage; Q is extrapolated",)
-    warnings = []
+    found = [NO_TRAJECTORY] if ranges is None else _outside(ranges, values, rounding)
+    return tuple(f"{one}; Q is extrapolated" for one in found)
+
+
+def refuse_outside(ranges: Ranges | None, values: Values) -> None:
+    """Refuse what lies outside at all.
+
+    Raises
+    ------
+    OutOfRangeError
+        Something does; it is named with its value and the range.
+    """
+    found = [NO_TRAJECTORY] if ranges is None else _outside(ranges, values, 0.0)
+    if found:
+        raise OutOfRangeError(found[0])
+
+
+def _outside(ranges: Ranges, values: Values, rounding: float) -> list[str]:
+    found = []
     for name, seen in ranges.items():
-        outside = [(whose, value) for whose, value in values[name].items() if not _is_within(seen, value)]
-        for whose, value in outside[:1]:
-            warnings.append(f"{whose} is {_told(seen, value)}; Q is extrapolated")
-    return tuple(warnings)
+        outside = [(whose, value) for whose, value in values[name].items() if not _is_within(seen, value, rounding)]
+        found += [f"{whose} is {_beyond(seen, value)}" for whose, value in outside[:1]]
+    return found
 
 
 def refuse_far(ranges: Ranges | None, values: Values) -> None:
@@ -67,35 +86,44 @@ def refuse_far(ranges: Ranges | None, values: Values) -> None:
 
     Raises
     ------
-    PolicyError
+    OutOfRangeError
         Something is; it is named with its value, the range and the remedy.
     """
     for name, seen in (ranges or {}).items():
         far = [] if isinstance(seen, Mapping) else [one for one in values[name].items() if _is_far(seen, one[1])]
         if far:
             whose, value = far[0]
-            raise PolicyError(
-                f"{whose} is {_told(seen, value)} by more than these span, so that Q says nothing of it; look at its "
+            raise OutOfRangeError(
+                f"{whose} is {_beyond(seen, value)} by more than these span, so that Q says nothing of it; look at its "
                 "unit, learn from logs that show it, or pass --extrapolate (extrapolates=True)"
             )
 
 
-def _is_within(seen: Range, value: Any) -> bool:
+def _is_within(seen: Range, value: Any, rounding: float) -> bool:
     if isinstance(seen, Mapping):
         return value in seen
     low, high = seen
-    slack = _SLACK * max(1.0, abs(low), abs(high))
+    slack = rounding * max(1.0, abs(low), abs(high))
     return low - slack <= value <= high + slack
 
 
 def _is_far(seen: tuple[float, float], value: float) -> bool:
     low, high = seen
     width = (high - low) or max(1.0, abs(high))
-    return max(low - value, value - high) > FARTHEST * width * (1.0 + _SLACK)
+    return max(low - value, value - high) > FARTHEST * width * (1.0 + ROUNDING)
 
 
-def _told(seen: Range, value: Any) -> str:
+def _beyond(seen: Range, value: Any) -> str:
     if isinstance(seen, Mapping):
         return f"{value}, which no state of the logs showed at this stage"
-    low, high = seen
-    return f"{value:.4g}, outside the logs ({low:.3g} to {high:.3g})"
+    is_value, (low, high) = _distinct(float(value), seen)
+    return f"{is_value}, outside the logs ({low} to {high})"
+
+
+def _distinct(value: float, seen: tuple[float, float]) -> tuple[str, tuple[str, str]]:
+    """Write a value and a range with as many digits as show on which side of it the value lies."""
+    for digits in range(3, 18):
+        is_value, low, high = (f"{each:.{digits}g}" for each in (value, *seen))
+        if not float(low) <= float(is_value) <= float(high):
+            return f"{value:.{max(digits, 4)}g}", (low, high)
+    return repr(value), (repr(seen[0]), repr(seen[1]))

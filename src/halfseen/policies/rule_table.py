@@ -81,6 +81,21 @@ class Condition:
         given = pd.Series(stage, index=frame.index) if self.column == STAGE else self._column(frame)
         return np.asarray(COMPARISONS[self.sign](given, self.value), dtype=bool)
 
+    def holds_in(self, values: Mapping[str, Any], stage: int) -> bool:
+        """Whether it holds in one state, by the names of its covariates; faster than `holds`.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such covariate, or it is text where a number is asked for, or the other way round.
+        """
+        given = stage if self.column == STAGE else values.get(self.column)
+        if given is None or isinstance(given, str) != isinstance(self.value, str):
+            raise ArgumentError(
+                f"the rule asks for {self.column} {self.sign} {self.value}, and {self.column} is {given}"
+            )
+        return bool(COMPARISONS[self.sign](given, self.value))
+
     def _column(self, frame: pd.DataFrame) -> Any:
         if self.column in STAGE_COLUMNS:
             raise ArgumentError(
@@ -92,9 +107,9 @@ class Condition:
         given: Any = frame[self.column]
         is_number = is_numeric_dtype(given.dtype)
         if is_number == isinstance(self.value, str):
-            told = f"{self.column} {self.sign} {self.value}"
+            condition = f"{self.column} {self.sign} {self.value}"
             raise ArgumentError(
-                f"the rule asks for {told}, and {self.column} holds {'' if is_number else 'no '}numbers"
+                f"the rule asks for {condition}, and {self.column} holds {'' if is_number else 'no '}numbers"
             )
         if given.isna().any():
             row: Any = frame[given.isna()].iloc[0]
@@ -175,6 +190,16 @@ class RuleTable:
     def actions(self) -> tuple[Hashable, ...]:
         """Names, in the order in which they first appear."""
         return tuple(dict.fromkeys(row.action for row in self.rows))
+
+    def action(self, values: Mapping[str, Any], stage: int) -> Hashable:
+        """The action of the first row that matches one state.
+
+        Raises
+        ------
+        ArgumentError
+            As `Condition.holds_in`.
+        """
+        return next(row.action for row in self.rows if all(one.holds_in(values, stage) for one in row.conditions))
 
     def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """1 for the action of the first row that matches."""

@@ -8,10 +8,10 @@ import numpy as np
 
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import Decision, lead, next_best, values_by_name
-from halfseen.policies.ranges import RangesOfStage, beyond, everything, refuse_far
+from halfseen.policies.ranges import ROUNDING, RangesOfStage, beyond, everything, refuse_far
 from halfseen.shapes import Float
 from halfseen.tables.assisted import LawPolicy
-from halfseen.tables.explain import Grounds, implied, table_grounds
+from halfseen.tables.explain import TableExplanation, action_reason, implied
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.present import Present
 from halfseen.world.actions import ActionSpace, Verb
@@ -62,7 +62,7 @@ class TableDecider:
         return self.decide_with(observation, key_of(self.seed))
 
     def decide_with(self, observation: Present, key: Key) -> Decision:
-        """Decide with a key of one's own, such as that of a decision to be told anew.
+        """Decide with a key of one's own, such as that of a decision to be told again.
 
         Raises
         ------
@@ -73,16 +73,16 @@ class TableDecider:
         ranges, values = self.ranges(observation.stage), observed_values(state)
         if not self.extrapolates:
             refuse_far({name: seen for name, seen in (ranges or {}).items() if name in UNBOUNDED}, values)
-        warnings = (*observation.notes, *beyond(ranges, values))
-        grounds = Grounds.of(state, observation.dirty_share, self._worst_wash())
+        warnings = (*observation.notes, *beyond(ranges, values, ROUNDING))
+        explanation = TableExplanation.of(state, observation.dirty_share, self._worst_wash())
         if not hasattr(self.policy, "q_values"):
             action = int(self.policy.decide(state, key).action)
             rule = type(self.policy).__name__
             return Decision(
-                names[action], {}, f"{names[action]}: by {rule}; {table_grounds(grounds, action)}.", warnings
+                names[action], {}, f"{names[action]}: by {rule}; {action_reason(explanation, action)}.", warnings
             )
         q, intervals, chance_best = self._valued(observation, key, names)
-        reason = table_reason(grounds, q, chance_best)
+        reason = table_reason(explanation, q, chance_best)
         if isinstance(self.policy, LawPolicy):
             reason = f"{reason[:-1]}; {implied(self.policy, state, int(np.argmax(q)))}."
         return Decision(names[int(np.argmax(q))], values_by_name(names, q), reason, warnings, intervals, chance_best)
@@ -95,8 +95,8 @@ class TableDecider:
         state, stage = observation.state, observation.stage
         if not (isinstance(policy, LinearTablePolicy) and policy.margin is not None and self.q_error):
             return _as_floats(policy.q_values(state, key)), {}, {}
-        told = policy.q_values(state), policy.estimates(state), policy.deviations(state)
-        q, estimates, deviations = map(_as_floats, told)
+        values = policy.q_values(state), policy.estimates(state), policy.deviations(state)
+        q, estimates, deviations = map(_as_floats, values)
         blocks = ActionSpace(state.num_objects).verbs
         of_stage = self.q_error.stages_from(stage, stage + int(state.steps_to_go) - 1), self.q_error.lasting
         error = deviations / self.q_error.pessimism
@@ -125,12 +125,14 @@ def _as_floats(values: Any) -> np.ndarray:
     return np.asarray(values, dtype=np.float64)
 
 
-def table_reason(grounds: Grounds, q: Float[np.ndarray, " A"], chance_best: Mapping[str, float] | None = None) -> str:
+def table_reason(
+    explanation: TableExplanation, q: Float[np.ndarray, " A"], chance_best: Mapping[str, float] | None = None
+) -> str:
     """Say why the best action of one table is best.
 
     Parameters
     ----------
-    grounds
+    explanation
         What there is to be said of the table.
     q
         Q of each action; −∞ where impossible.
@@ -142,16 +144,16 @@ def table_reason(grounds: Grounds, q: Float[np.ndarray, " A"], chance_best: Mapp
     >>> from halfseen.tables.present import first_state
     >>> from halfseen.world import Scene
     >>> state = first_state(Scene(np.array([[0.0, 0.5], [0.0, 0.0]])), horizon=10, dirty_share=0.6).state
-    >>> table_reason(Grounds.of(state, 0.6), np.array([0.0, 1.0, 0.5, 0.0, 1.8]))
+    >>> table_reason(TableExplanation.of(state, 0.6), np.array([0.0, 1.0, 0.5, 0.0, 1.8]))
     'LIFT 1: worth 0.80 more than WASH 0; it would lay bare 50% of object 0, of which nothing is known yet; as for \
 WASH 0, it is half hidden (0.50), and nothing is known yet of whether it is dirty.'
     """
-    names, best = ActionSpace(len(grounds.is_there)).names, int(np.argmax(q))
-    own = table_grounds(grounds, best)
-    told, other = [lead(names, q, best, chance_best or {}), own], next_best(q, best)
+    names, best = ActionSpace(len(explanation.is_there)).names, int(np.argmax(q))
+    own = action_reason(explanation, best)
+    clauses, other = [lead(names, q, best, chance_best or {}), own], next_best(q, best)
     # What a wrong WASH costs is told once.
-    free = replace(grounds, worst_wash=None)
-    rest = grounds if table_grounds(free, best) == own else free
-    if other is not None and (against := table_grounds(rest, other)) != own:
-        told.append(f"as for {names[other]}, {against}")
-    return f"{'; '.join(told)}."
+    free = replace(explanation, worst_wash=None)
+    rest = explanation if action_reason(free, best) == own else free
+    if other is not None and (against := action_reason(rest, other)) != own:
+        clauses.append(f"as for {names[other]}, {against}")
+    return f"{'; '.join(clauses)}."

@@ -1,20 +1,17 @@
 """From a cloud of a table, and its history, to what a policy decides from."""
 
-from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
-import numpy as np
-
 from halfseen.errors import ArgumentError, CloudError, PolicyError, within
-from halfseen.perception import Label, View, perceive, read_cloud
+from halfseen.perception import View, perceive, read_cloud
 from halfseen.perception.kind import other_things_in_words
 from halfseen.perception.label_files import labels_of
-from halfseen.perception.labels import WORDS
 from halfseen.policies.folder.stored import StoredPolicy, refuse_log_of_team
 from halfseen.policies.named_decider import STATE_FILES
+from halfseen.tables.first_look import chances_in_words, labels_in_words
 from halfseen.tables.present import Present, first_state, labelled
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import AssumedSeeing, KnownSeeing
@@ -124,16 +121,15 @@ def see_table(
         raise CloudError(
             f"{file}: no objects on the table; put the table with its objects whole into the view{cleared}"
         )
-    told, others = labels_of(view, cloud, labels), other_things_in_words(view)
+    seen_labels, others = labels_of(view, cloud, labels), other_things_in_words(view)
     scene = view.scene() if law is None else law.scene(view)
     now = _present(stored, view, scene, past, stage)
     if others:
         now = replace(now, notes=(others, *now.notes))
-    if told is None:
+    if seen_labels is None:
         return TableSeen(now, view, others)
-    source = "colour" if labels is None else str(labels)
-    after = labelled(now, [label.is_dirty for label in told], AssumedSeeing() if law is None else law.seeing)
-    return TableSeen(replace(after, seen=_seen(now, after, told, source)), view, others)
+    after = labelled(now, [label.is_dirty for label in seen_labels], AssumedSeeing() if law is None else law.seeing)
+    return TableSeen(replace(after, seen=_seen(now, after, labels_in_words(seen_labels, labels))), view, others)
 
 
 def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, stage: int | None) -> Present:
@@ -154,14 +150,10 @@ def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, 
     return now
 
 
-def _seen(before: Present, after: Present, told: Sequence[Label], source: str) -> str:
+def _seen(before: Present, after: Present, said: str) -> str:
     """Say what labels told, and how much they count."""
-    named = {word: [k for k, label in enumerate(told) if label.word == word] for word in WORDS.values()}
-    listed = "; ".join(f"{word}: {', '.join(map(str, objects))}" for word, objects in named.items() if objects)
-    start = f"Labels by {source} ({listed})"
-    if before.is_labelled:
-        but = f", but for what is new to it: {', '.join(map(str, before.new))}" if before.new else ""
-        return f"{start} are not counted again: the history holds what was seen at this stage{but}."
-    moved = np.asarray(after.state.log_odds - before.state.log_odds, dtype=np.float64)[: len(told)]
-    by = f"by {moved.min():+.2f} to {moved.max():+.2f}" if np.ptp(moved) else f"by {moved[0]:+.2f}"
-    return f"{start} moved the log-odds of DIRTY {by}."
+    if not before.is_labelled:
+        return f"{said}; {chances_in_words(after)}."
+    but = f", but for what is new to it: {', '.join(map(str, before.new))}" if before.new else ""
+    kept = f"{said} are not counted again: the history holds what was seen at this stage{but}"
+    return f"{kept}; {chances_in_words(after)}."

@@ -1,4 +1,4 @@
-"""Make the ten tables that come with the package anew: ``python -m halfseen.scene [--out DIR]``."""
+"""Make the ten tables that come with the package again: ``python -m halfseen.scene [--out DIR]``."""
 
 import sys
 from pathlib import Path
@@ -19,7 +19,7 @@ from halfseen.writing import refuse_unwritable
     help="Folder that gets tables/ and truth/; by default the package itself.",
 )
 def main(out: Path) -> None:
-    """Make the ten tables anew, clouds and truth; the same versions give the same bytes.
+    """Make the ten tables again, clouds and truth; the same versions give the same bytes.
 
     Example: python -m halfseen.scene --out fresh
     """

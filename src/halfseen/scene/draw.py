@@ -47,12 +47,21 @@ def random_table(seed: int) -> Table:
     """
     rng = np.random.default_rng(seed)
     # The number is drawn once, so that rejection does not favour tables with few cups.
-    num_cups = int(rng.integers(NUM_CUPS[0], NUM_CUPS[1] + 1))
+    num_cups = _num_cups(rng)
     for _ in range(_NUM_PROPOSALS):
         table = _propose(num_cups, f"table of seed {seed}", rng)
         if table is not None and _is_kept(table):
             return table
     raise SceneError(f"seed {seed}: none of {_NUM_PROPOSALS} tables with {num_cups} cups was kept; take another seed")
+
+
+def num_cups_of(seed: int) -> int:
+    """How many cups `random_table(seed)` has, without drawing it."""
+    return _num_cups(np.random.default_rng(seed))
+
+
+def _num_cups(rng: np.random.Generator) -> int:
+    return int(rng.integers(NUM_CUPS[0], NUM_CUPS[1] + 1))
 
 
 def _propose(num_cups: int, name: str, rng: np.random.Generator) -> Table | None:

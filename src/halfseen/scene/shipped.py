@@ -86,7 +86,7 @@ def read_table(k: int) -> Table:
 
 
 def write_shipped(folder: Path, which: Iterable[int]) -> None:
-    """Make tables anew, cloud and truth; each file appears whole or not at all.
+    """Make tables again, cloud and truth; each file appears whole or not at all.
 
     Parameters
     ----------

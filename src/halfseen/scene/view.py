@@ -4,6 +4,7 @@
 # pyright: reportAttributeAccessIssue=false
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import mujoco
 import numpy as np
@@ -88,8 +89,9 @@ def ideal_view(
     )
 
 
+@lru_cache(maxsize=1)
 def table_view(table: Table, baseline_m: float) -> IdealView:
-    """See a table, with everything on it, with its own camera.
+    """See a table, with everything on it, with its own camera; the last view is kept, as who draws a table looks at it.
 
     Parameters
     ----------
@@ -101,13 +103,17 @@ def table_view(table: Table, baseline_m: float) -> IdealView:
     Returns
     -------
     IdealView
-        The view.
+        The view; its arrays are read-only.
     """
-    return ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
+    view = ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
+    for image in (view.depth_m, view.body, view.incidence_cosine, view.is_lit):
+        image.flags.writeable = False
+    return view
 
 
+@lru_cache(maxsize=1)
 def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
-    """See every cup as if it stood alone in the world.
+    """See every cup as if it stood alone in the world; what was seen of the last table is kept.
 
     Only pixels inside the box around the cup's outline are cast, so that ten cups cost less than one full picture.
 
@@ -119,13 +125,14 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
     Returns
     -------
     numpy.ndarray
-        Depth [m] of each cup; infinite where the cup is not.
+        Depth [m] of each cup; infinite where the cup is not; read-only.
     """
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
         window = _window(table.camera, cup, pose)
         depth_m, _, _ = pixel_hits(lone_cup_model(cup, pose), table.camera, window)
         depths_m[index][window] = np.where(np.isnan(depth_m), np.inf, depth_m)
+    depths_m.flags.writeable = False
     return depths_m
 
 

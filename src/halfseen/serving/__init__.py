@@ -1,8 +1,9 @@
 """A policy that answers over HTTP: what `halfseen act` says, to whatever controller asks, without a Python of its own.
 
-Read down: `limits` (who may ask, how much and how slowly; the server) → `recording` (what was decided becomes the next
-log, and now and then it is another action, with its probability) → `table_state` (the objects of a table, as a log has
-them) → `answering` (a question, an answer) → `openapi` (what can be asked) → `app`.
+Read down: `models` (what is asked and answered) → `limits` (who may ask, how much and how slowly; the server) →
+`recording` (what was decided becomes the next log, and now and then it is another action, with its probability) →
+`table_state` (the objects of a table, as a log has them) → `stepping_back` (where a rule decides) → `comparing` (which
+trajectories are the policy's) → `answering` (a question, an answer) → `openapi` → `app`.
 """
 
 from typing import TYPE_CHECKING
@@ -12,11 +13,18 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.serving.answering import Answering
     from halfseen.serving.app import Served, app_of
+    from halfseen.serving.comparing import Comparison
     from halfseen.serving.recording import RecordedTrajectories
 
-__all__ = ["Answering", "RecordedTrajectories", "Served", "app_of"]
+__all__ = ["Answering", "Comparison", "RecordedTrajectories", "Served", "app_of"]
 
 __getattr__ = lazy_names(
     __name__,
-    {"Answering": "answering", "RecordedTrajectories": "recording", "Served": "app", "app_of": "app"},
+    {
+        "Answering": "answering",
+        "Comparison": "comparing",
+        "RecordedTrajectories": "recording",
+        "Served": "app",
+        "app_of": "app",
+    },
 )

@@ -6,23 +6,38 @@ A policy that is warm is asked about covariates, the objects of a table as a log
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 import numpy as np
+from msgspec import UNSET
 
-from halfseen.errors import HalfseenError
+from halfseen.errors import HalfseenError, OutOfRangeError
 from halfseen.policies import decider_of, read_policy
 from halfseen.policies.decision import Decider, Decision
 from halfseen.policies.exploration_table import ExplorationTable
+from halfseen.policies.fall_back import FallBack, fall_back_of
 from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.record import as_json
 from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
-from halfseen.policies.named_decider import NamedDecider, checked_stage, known_covariates
+from halfseen.policies.named_decider import NamedDecider, checked_stage, completed, known_covariates
 from halfseen.policies.ranges import middle_of
-from halfseen.serving.limits import Refusal
-from halfseen.serving.recording import Begun, RecordedTrajectories, taken, uniform_shares
+from halfseen.serving.comparing import POLICY, RULE, Comparison
+from halfseen.serving.models import BODY, Cloud, Decided, Refusal, Table, model_of
+from halfseen.serving.recording import Begun, RecordedTrajectories, Taken, chance_of, taken, uniform_shares
+from halfseen.serving.stepping_back import SteppedBack, Tally, decided_by_rule
 
+if TYPE_CHECKING:
+    from halfseen.policies.table_observation import SeenLaw
+
+NOBODY = (
+    "the folder of the policy, of an earlier version, does not say what its log did most; learn it again, or serve it "
+    "with --fall-back RULE"
+)
+LATEST_STAGE = 10_000
+"""What is later is no stage."""
 MOST_WARMED = 12
 """Objects of the largest table that is compiled for before the first request; a larger one is when it comes."""
 
@@ -39,11 +54,14 @@ class InService:
         The same behind the port.
     digest
         What tells it from others: the first 12 digits of the SHA-256 of its record and its numbers.
+    fall_back
+        What decides where the policy does not; None if nobody knows.
     """
 
     stored: StoredPolicy
     decider: Decider
     digest: str
+    fall_back: FallBack | None = None
 
     @property
     def counts_views(self) -> bool:
@@ -51,26 +69,33 @@ class InService:
         return self.stored.is_table and self.stored.record["schema"].get("counts_views", False)
 
 
-def taken_into_service(folder: Path, *, extrapolates: bool = False) -> InService:
+def taken_into_service(
+    folder: Path, *, extrapolates: bool = False, stays_within: bool = False, rule: Path | None = None
+) -> InService:
     """Read a policy, check all of it, and let it decide once, so that no request waits for what loads late.
 
     Parameters
     ----------
     folder
         As `read_policy` takes it.
-    extrapolates
-        As `decider_of` takes it.
+    extrapolates, stays_within
+        As `decider_of` takes them.
+    rule
+        A file that `fall_back_of` takes; None for what the log did most.
 
     Raises
     ------
+    ArgumentError
+        The rule is none for this policy.
     PolicyError
         It cannot be read, or decides for a team.
     """
     stored = read_policy(folder)
     refuse_team(stored, UNDECIDED, folder)
-    decider = decider_of(stored, extrapolates=extrapolates)
+    fall_back = fall_back_of(stored, rule)
+    decider = decider_of(stored, extrapolates=extrapolates, stays_within=stays_within)
     _warm(stored, decider)
-    return InService(stored, decider, _digest(stored))
+    return InService(stored, decider, _digest(stored), fall_back)
 
 
 def _warm(stored: StoredPolicy, decider: Decider) -> None:
@@ -97,14 +122,6 @@ def _digest(stored: StoredPolicy) -> str:
     return digest.hexdigest()[:12]
 
 
-if TYPE_CHECKING:
-    from halfseen.policies.table_observation import SeenLaw
-
-BODY = "the request"
-OBJECTS, STAGE = "objects", "stage"
-NO_TABLE = 'the policy is of tables; give {"objects": [...]} as a stage of a log has them, or a cloud as multipart'
-
-
 @dataclass(frozen=True, eq=False)
 class Seen:
     """What a policy is asked about.
@@ -119,7 +136,7 @@ class Seen:
         To be recorded.
     names
         Of the objects, in the order of the numbers that actions have; none where nothing is acted on.
-    told
+    said
         What labels told, in one sentence.
     """
 
@@ -127,10 +144,15 @@ class Seen:
     stage: int
     begun: Begun = field(default_factory=Begun)
     names: Sequence[Any] = ()
-    told: str = ""
+    said: str = ""
 
 
-def seen_in_state(service: InService, state: Mapping[str, Any], next_stage: int | None = None) -> Seen:
+def seen_in_state(
+    service: InService,
+    state: Mapping[str, Any],
+    next_stage: int | None = None,
+    last: Mapping[str, Any] | None = None,
+) -> Seen:
     """Take a state as JSON has it.
 
     Parameters
@@ -138,9 +160,11 @@ def seen_in_state(service: InService, state: Mapping[str, Any], next_stage: int 
     service
         What decides.
     state
-        Covariates by name, or `OBJECTS`; and `STAGE`, if it is not the first.
+        Covariates by name, or what `Table` holds; and the stage, if it is not the first.
     next_stage
         The stage that is recorded next; None if nothing is recorded.
+    last
+        Covariates of the stage before, as they are recorded; None where none is.
 
     Raises
     ------
@@ -149,15 +173,29 @@ def seen_in_state(service: InService, state: Mapping[str, Any], next_stage: int 
     Refusal
         It says another stage than the one that is recorded next.
     """
-    stage = checked_stage(state.get(STAGE, next_stage or 1), service.stored.horizon, BODY)
+    stage = checked_stage(state.get("stage", next_stage or 1), LATEST_STAGE, BODY)
     _check_next(stage, next_stage)
-    covariates = {name: value for name, value in state.items() if name not in (STAGE, OBJECTS)}
     if service.stored.is_table:
-        return _table(service, state, covariates, stage)
+        return _table(service, state, _covariates(state), stage)
     decider = service.decider
     assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
-    known = known_covariates(decider.policy, state, BODY)
-    return Seen(lambda: decider.decide_known(known, stage), stage, Begun(covariates))
+    policy = decider.policy
+    full, filled = completed(policy, state, last)
+    begun, texts = Begun(_covariates(full)), policy.categories.items()
+    new = {name: given for name, of in texts if isinstance(given := full.get(name), str) and given not in of}
+    known = known_covariates(policy, {**full, **{name: policy.categories[name][0] for name in new}}, BODY)
+    if new:
+        return Seen(partial(_refuse_new, new), stage, begun)
+    return Seen(lambda: decider.decide_known(known, stage, filled), stage, begun)
+
+
+def _covariates(state: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in state.items() if name not in Table.__struct_fields__}
+
+
+def _refuse_new(new: Mapping[str, str]) -> Decision:
+    name, given = next(iter(new.items()))
+    raise OutOfRangeError(f"{name} is {given!r:.40}, which no state of the logs showed")
 
 
 def _check_next(stage: int | None, next_stage: int | None) -> None:
@@ -166,9 +204,7 @@ def _check_next(stage: int | None, next_stage: int | None) -> None:
 
 
 def _table(service: InService, state: Mapping[str, Any], covariates: Mapping[str, Any], stage: int) -> Seen:
-    objects = state.get(OBJECTS)
-    if not isinstance(objects, list) or not objects or not all(isinstance(one, dict) for one in objects):
-        raise Refusal(422, NO_TABLE)
+    objects = model_of(state, Table).objects
     from halfseen.serving.table_state import present_of
 
     present, names = present_of(service.stored, objects, stage)
@@ -176,12 +212,7 @@ def _table(service: InService, state: Mapping[str, Any], covariates: Mapping[str
 
 
 def seen_in_cloud(
-    service: InService,
-    cloud: Path,
-    labels: Path | None,
-    stage: int | None,
-    law: "SeenLaw | None",
-    trajectories: RecordedTrajectories | None = None,
+    service: InService, given: Cloud, law: "SeenLaw | None", trajectories: RecordedTrajectories | None = None
 ) -> Seen:
     """Take a cloud of a table that nothing is known of but this look, and what is recorded of its trajectory.
 
@@ -189,8 +220,10 @@ def seen_in_cloud(
     ----------
     service
         What decides.
-    cloud, labels, stage, law
-        As `halfseen.policies.table_observation.see_table` takes them.
+    given
+        What is seen of it.
+    law
+        As `halfseen.policies.table_observation.see_table` takes it.
     trajectories
         What records; None if nothing is recorded, and then the cloud begins a trajectory.
 
@@ -206,16 +239,17 @@ def seen_in_cloud(
         raise Refusal(415, f"the policy looks at {looks_at}, not at clouds; give a JSON object of these")
     from halfseen.policies.table_observation import Past, see_table
 
+    stage, labels = given.stage or None, given.labels or None
     if trajectories is not None:
         _check_next(stage, trajectories.next_stage(is_of_cloud=True))
     so_far = None if trajectories is None else trajectories.so_far
     past = None if so_far is None else Past(so_far.logs, so_far.held)
     try:
-        table = see_table(service.stored, cloud, past, stage, labels, law)
+        table = see_table(service.stored, given.cloud, past, stage, labels, law)
     except HalfseenError as error:
-        raise type(error)(str(error).replace(f"{cloud.parent}/", "")) from error
-    present, told = table.present, table.present.seen.replace(f"{cloud.parent}/", "")
-    seen = Seen(lambda: service.decider.decide(present), present.stage, told=told)
+        raise type(error)(str(error).replace(f"{given.cloud.parent}/", "")) from error
+    present, said = table.present, table.present.seen.replace(f"{given.cloud.parent}/", "")
+    seen = Seen(lambda: service.decider.decide(present), present.stage, said=said)
     if trajectories is None:
         return seen
     from halfseen.serving.table_state import rows_of
@@ -240,47 +274,80 @@ class Answering:
         What they are drawn with.
     trajectories
         Where they are recorded; None if they are not.
+    tally
+        How often the rule decided.
+    comparison
+        Deals trajectories to the policy or the rule of today; None where all are the policy's.
     """
 
     epsilon: float = 0.0
     table: ExplorationTable | None = None
     rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
     trajectories: RecordedTrajectories | None = None
+    tally: Tally = field(default_factory=Tally)
+    comparison: Comparison | None = None
 
-    def answer(self, service: InService, seen: Seen) -> dict[str, Any]:
-        """Decide, and say so.
+    def answer(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Decided:
+        """Put what the policy decides, or what the rule does in its place, into an answer.
 
         Raises
         ------
-        HalfseenError
-            The policy cannot decide from this.
+        Refusal
+            The policy does not decide, and nobody knows what does in its place.
         """
-        decided = seen.decide()
-        shares = (
-            uniform_shares(decided, self.epsilon)
-            if self.table is None
-            else self.table.shares(seen.begun.covariates, seen.stage)
+        back = decided if isinstance(decided, SteppedBack) else None
+        made = self._taken(service, seen, decided)
+        arm: Any = UNSET
+        if self.comparison is not None:
+            made, arm = self._dealt(self.comparison, seen, decided, made)
+            back = back if arm == POLICY else None
+        self.tally.add(back)
+        verb, _, number = str(made.decision.action).partition(" ")
+        acted = {"verb": verb, "object": seen.names[int(number)] if number else None} if seen.names else {}
+        return Decided(
+            **{**vars(made.decision), "warnings": [*made.decision.warnings, *service.stored.doubts]},
+            probability=made.probability,
+            is_explored=made.is_explored,
+            stage=seen.stage,
+            horizon=service.stored.horizon,
+            policy=service.digest,
+            seen=seen.said or UNSET,
+            stepped_back=UNSET if back is None else back.why,
+            arm=arm,
+            **acted,
         )
-        made = taken(decided, shares, self.rng)
-        decision, stored = made.decision, service.stored
-        told: dict[str, Any] = {
-            "action": decision.action,
-            "probability": made.probability,
-            "is_explored": made.is_explored,
-            "stage": seen.stage,
-            "horizon": stored.horizon,
-            **vars(decision),
-            "warnings": [*decision.warnings, *stored.doubts],
-            "policy": service.digest,
-        }
-        if seen.told:
-            told["seen"] = seen.told
-        if seen.names:
-            verb, _, number = str(decision.action).partition(" ")
-            told |= {"verb": verb, "object": seen.names[int(number)] if number else None}
-        return told
 
-    def recorded(self, seen: Seen, told: dict[str, Any]) -> dict[str, Any]:
+    def _dealt(
+        self, comparison: Comparison, seen: Seen, decided: Decision | SteppedBack, made: Taken
+    ) -> tuple[Taken, str]:
+        """What the arm of the trajectory does, with the probability that either arm does it."""
+        deal, (action, name) = comparison.dealt(), comparison.rule.action(seen.begun.covariates, seen.stage)
+        if deal.is_policys:
+            by_rule = 1.0 if made.decision.action == action else 0.0
+            return made._replace(probability=deal.probability(made.probability, by_rule)), POLICY
+        by_policy = self._chance(seen, decided, made, action)
+        decision = Decision(action, {}, f"{action}: {name}, to which this trajectory was dealt.")
+        return Taken(decision, deal.probability(by_policy, 1.0), False), RULE
+
+    def _chance(self, seen: Seen, decided: Decision | SteppedBack, made: Taken, action: Any) -> float:
+        """Probability with which the policy's arm takes an action."""
+        if isinstance(decided, SteppedBack):
+            return 1.0 if made.decision.action == action else 0.0
+        return chance_of(decided, self._shares(seen, decided), str(action))
+
+    def _shares(self, seen: Seen, decided: Decision) -> dict[str, float]:
+        if self.table is not None:
+            return self.table.shares(seen.begun.covariates, seen.stage)
+        return uniform_shares(decided, self.epsilon)
+
+    def _taken(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Taken:
+        if isinstance(decided, Decision):
+            return taken(decided, self._shares(seen, decided), self.rng)
+        if service.fall_back is None:
+            raise Refusal(422, f"{decided.detail}, and {NOBODY}")
+        return Taken(decided_by_rule(decided, service.fall_back, seen.begun.covariates, seen.stage), 1.0, False)
+
+    def recorded(self, seen: Seen, reply: Decided) -> Decided:
         """Record what was decided, where that is wanted, and say so.
 
         Raises
@@ -288,4 +355,12 @@ class Answering:
         Refusal
             It cannot be recorded; then nothing was decided.
         """
-        return told if self.trajectories is None else told | {"trajectory": self.trajectories.decided(seen.begun, told)}
+        if self.trajectories is None:
+            return reply
+        begun, comparison = seen.begun, self.comparison
+        if comparison is not None:
+            begun = replace(begun, columns={**begun.columns, **comparison.columns()})
+        name = self.trajectories.decided(begun, reply)
+        if comparison is not None:
+            comparison.dealt().took()
+        return msgspec.structs.replace(reply, trajectory=name)

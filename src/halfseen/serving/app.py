@@ -8,11 +8,14 @@ import threading
 import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+import anyio
+from msgspec import UNSET, Struct
+from msgspec.structs import asdict
 from starlette.applications import Starlette
 from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
@@ -21,11 +24,18 @@ from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from halfseen.errors import HalfseenError
+from halfseen.policies.decision import Decision
 from halfseen.reading import json_of
+from halfseen.serving import models
 from halfseen.serving.answering import Answering, InService, Seen, seen_in_cloud, seen_in_state, taken_into_service
-from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, Refusal, cloud_in
-from halfseen.serving.openapi import described, page_of
+from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, cloud_in
+from halfseen.serving.models import Decided, Refusal, model_of
+from halfseen.serving.openapi import FORM, JSON, described, page_of
 from halfseen.serving.recording import RecordedTrajectories
+from halfseen.serving.stepping_back import SteppedBack, asked, late
+
+if TYPE_CHECKING:
+    from halfseen.policies.table_observation import SeenLaw
 
 
 @asynccontextmanager
@@ -61,12 +71,6 @@ async def reloading_at_hang_up(reload: Callable[[], Awaitable[Any]]) -> AsyncIte
         loop.remove_signal_handler(hang_up)
 
 
-if TYPE_CHECKING:
-    from halfseen.policies.table_observation import SeenLaw
-
-Answer = Callable[[Request], Awaitable[Any]]
-
-
 @dataclass(eq=False)
 class Served:
     """A policy that is served, and what it is served with.
@@ -81,12 +85,21 @@ class Served:
         Whether to decide far outside what the logs showed, too.
     law
         Of tables, what a cell's law tells of labels; None for the assumed one.
+    stays_within
+        Of named actions, whether the rule decides whatever lies outside what the logs showed, however near.
+    rule
+        A file with the rule; None for what the log did most.
+    limit_s
+        How long to wait for the policy until the rule decides [s]; None for as long as it takes.
     """
 
     folder: Path
     answering: Answering = field(default_factory=Answering)
     extrapolates: bool = False
     law: "SeenLaw | None" = None
+    stays_within: bool = False
+    rule: Path | None = None
+    limit_s: float | None = None
 
     def __post_init__(self) -> None:
         self.service = self.read()
@@ -94,7 +107,9 @@ class Served:
 
     def read(self) -> InService:
         """Read the policy as it is in its folder now; raises what `taken_into_service` does."""
-        return taken_into_service(self.folder, extrapolates=self.extrapolates)
+        return taken_into_service(
+            self.folder, extrapolates=self.extrapolates, stays_within=self.stays_within, rule=self.rule
+        )
 
     async def reload(self) -> InService:
         """Put the policy of the folder in the place of the one that answers; requests go on meanwhile.
@@ -106,24 +121,15 @@ class Served:
         """
         fresh = await run_in_threadpool(self.read)
         async with self.lock:
+            answering, recording = self.answering, self.answering.trajectories
+            if answering.comparison is not None and recording is not None:
+                to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
+                self.answering = replace(answering, comparison=await run_in_threadpool(to))
             self.service = fresh
         return fresh
 
-    @property
-    def trajectories(self) -> RecordedTrajectories:
-        """What records.
-
-        Raises
-        ------
-        Refusal
-            Nothing is recorded.
-        """
-        if self.answering.trajectories is None:
-            raise Refusal(409, "this server records nothing; start it with --record LOGS")
-        return self.answering.trajectories
-
-    async def answer(self, request: Request, look: Callable[[InService], Seen]) -> dict[str, Any]:
-        """Look, decide and record, one at a time; tables decide beside the loop, so that others are answered.
+    async def answer(self, request: Request, look: Callable[[InService], Seen]) -> Decided:
+        """Look, decide and record, one at a time; what may last runs beside the loop, so that others are answered.
 
         Raises
         ------
@@ -131,18 +137,25 @@ class Served:
             It cannot be recorded, or nobody would learn what was decided; then nothing was.
         """
         async with self.lock:
-            service = self.service
-
-            def decide() -> tuple[Seen, dict[str, Any]]:
+            service, is_table = self.service, self.service.stored.is_table
+            if not is_table:
                 seen = look(service)
-                return seen, self.answering.answer(service, seen)
+                given = self.answering.answer(service, seen, await self._decided(service, seen))
+                return self.answering.recorded(seen, given)
+            await _check_is_there(request)
+            seen = await run_in_threadpool(look, service)
+            given = self.answering.answer(service, seen, await self._decided(service, seen))
+            await _check_is_there(request)
+            return await run_in_threadpool(self.answering.recorded, seen, given)
 
-            if not service.stored.is_table:
-                return self.answering.recorded(*decide())
-            await _check_is_there(request)
-            seen, told = await run_in_threadpool(decide)
-            await _check_is_there(request)
-            return await run_in_threadpool(self.answering.recorded, seen, told)
+    async def _decided(self, service: InService, seen: Seen) -> Decision | SteppedBack:
+        """Ask the policy; what comes too late is dropped."""
+        ask = partial(asked, seen.decide, seen.stage, service.stored.horizon)
+        if self.limit_s is None:
+            return await run_in_threadpool(ask) if service.stored.is_table else ask()
+        with anyio.move_on_after(self.limit_s):
+            return await anyio.to_thread.run_sync(ask, abandon_on_cancel=True)
+        return late(self.limit_s)
 
 
 async def _check_is_there(request: Request) -> None:
@@ -168,26 +181,24 @@ def app_of(served: Served, token: str | None = None, *, largest_bytes: int | Non
         "/end": ("POST", _end),
         "/reload": ("POST", _reload),
         "/health": ("GET", _health),
+        "/comparison": ("GET", _comparison),
         "/openapi.json": ("GET", _openapi),
+        "/": ("GET", _page),
     }
-    routes = [
-        Route(trajectory, _told(partial(answer, served)), methods=[how]) for trajectory, (how, answer) in asked.items()
-    ]
-    page = Route("/", _page(served), methods=["GET"])
+    routes = [Route(path, _answering(partial(answer, served)), methods=[how]) for path, (how, answer) in asked.items()]
     refused: Any = {HTTPException: _no_address}
-    app = Starlette(
-        routes=[*routes, page], exception_handlers=refused, lifespan=lambda _: reloading_at_hang_up(served.reload)
-    )
+    app = Starlette(routes=routes, exception_handlers=refused, lifespan=lambda _: reloading_at_hang_up(served.reload))
     largest = largest_bytes or (LARGEST_CLOUD_BYTES if served.service.stored.is_table else LARGEST_STATE_BYTES)
     return Bounded(app, _refused, token, largest)  # type: ignore[arg-type]
 
 
-def _told(answer: Answer) -> Callable[[Request], Awaitable[Response]]:
+def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Response]]:
     """Answer in JSON; what is refused in one line."""
 
     async def respond(request: Request) -> Response:
         try:
-            return _json(await answer(request))
+            given = await answer(request)
+            return given if isinstance(given, Response) else _json(given)
         except Refusal as refusal:
             return _error(refusal)
         except HalfseenError as error:
@@ -200,92 +211,100 @@ def _told(answer: Answer) -> Callable[[Request], Awaitable[Response]]:
     return respond
 
 
-async def _decide(served: Served, request: Request) -> dict[str, Any]:
-    kind = _content_type(request)
-    if kind == "multipart/form-data":
-        return await _decide_cloud(served, request)
-    state, trajectories = await _object(request), served.answering.trajectories
+async def _decide(served: Served, request: Request) -> Decided:
+    trajectories = served.answering.trajectories
+    if _content_type(request) == FORM:
+        async with cloud_in(request) as cloud:
+            return await served.answer(request, lambda service: seen_in_cloud(service, cloud, served.law, trajectories))
+    state = await _object(request)
 
     def look(service: InService) -> Seen:
-        return seen_in_state(service, state, None if trajectories is None else trajectories.next_stage())
+        if trajectories is None:
+            return seen_in_state(service, state)
+        return seen_in_state(service, state, trajectories.next_stage(), trajectories.last)
 
     return await served.answer(request, look)
 
 
-async def _decide_cloud(served: Served, request: Request) -> dict[str, Any]:
-    async with cloud_in(request) as given:
-        trajectories = served.answering.trajectories
-        return await served.answer(request, lambda service: seen_in_cloud(service, *given, served.law, trajectories))
+def _recording(served: Served) -> RecordedTrajectories:
+    if served.answering.trajectories is None:
+        raise Refusal(409, "this server records nothing; start it with --record LOGS")
+    return served.answering.trajectories
 
 
-async def _reward(served: Served, request: Request) -> dict[str, Any]:
-    told = await _object(request, required=("reward",), others=("elapsed_s", "held"))
+async def _reward(served: Served, request: Request) -> models.Progress:
+    given = model_of(await _object(request), models.Reward)
     async with served.lock:
-        return served.trajectories.rewarded(told["reward"], told.get("elapsed_s"), told.get("held"))
+        return _recording(served).rewarded(given.reward, given.elapsed_s, given.held)
 
 
-async def _end(served: Served, request: Request) -> dict[str, Any]:
-    told = await _object(request, required=("ending",), others=("cause", "elapsed_s"))
-    ending, cause = told["ending"], told.get("cause")
-    if ending not in ("finished", "cut") or (ending == "cut") != isinstance(cause, str):
-        raise Refusal(422, 'give {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}, or what cut it')
+async def _end(served: Served, request: Request) -> models.Ended:
+    given = model_of(await _object(request), models.End)
     async with served.lock:
-        return served.trajectories.ended(cause, told.get("elapsed_s"))
+        recording, comparison = _recording(served), served.answering.comparison
+        ended = recording.ended(given.cause, given.elapsed_s)
+        if comparison is not None:
+            await run_in_threadpool(comparison.ended, recording.events)
+        return ended
 
 
-async def _reload(served: Served, request: Request) -> dict[str, Any]:
-    return {"policy": (await served.reload()).digest}
+async def _comparison(served: Served, request: Request) -> models.Compared:
+    if served.answering.comparison is None:
+        raise Refusal(409, "this server compares nothing; start it with --against RULE")
+    return served.answering.comparison.facts
 
 
-async def _health(served: Served, request: Request) -> dict[str, Any]:
+async def _reload(served: Served, request: Request) -> models.Reloaded:
+    return models.Reloaded((await served.reload()).digest)
+
+
+async def _health(served: Served, request: Request) -> models.Health:
     service, trajectories = served.service, served.answering.trajectories
-    told = {"status": "ok", "policy": service.digest, "kind": service.stored.record["kind"]}
-    return told if trajectories is None else {**told, "recording": trajectories.facts}
+    recording = UNSET if trajectories is None else trajectories.facts
+    comparison = served.answering.comparison
+    compared = UNSET if comparison is None else comparison.facts
+    kind, rule = service.stored.record["kind"], served.answering.tally.facts
+    return models.Health("ok", service.digest, kind, rule, recording, compared)
 
 
 async def _openapi(served: Served, request: Request) -> dict[str, Any]:
-    return described(served.service, is_recording=served.answering.trajectories is not None)
+    answering = served.answering
+    is_recording, is_comparing = answering.trajectories is not None, answering.comparison is not None
+    return described(served.service, is_recording=is_recording, is_comparing=is_comparing)
 
 
-def _page(served: Served) -> Callable[[Request], Awaitable[Response]]:
-    async def page(request: Request) -> Response:
-        is_recording = served.answering.trajectories is not None
-        policy = "default-src 'none'; style-src 'unsafe-inline'"
-        page = page_of(described(served.service, is_recording=is_recording))
-        return HTMLResponse(page, headers={"Content-Security-Policy": policy})
-
-    return page
+async def _page(served: Served, request: Request) -> Response:
+    policy = "default-src 'none'; style-src 'unsafe-inline'"
+    return HTMLResponse(page_of(await _openapi(served, request)), headers={"Content-Security-Policy": policy})
 
 
-async def _object(request: Request, required: tuple[str, ...] = (), others: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Read the JSON object of a request; with names, it holds the required ones, and nothing but these and others."""
-    if _content_type(request) != "application/json":
+async def _object(request: Request) -> dict[str, Any]:
+    if _content_type(request) != JSON:
         raise Refusal(415, f"content-type is {_content_type(request)!r}; send JSON, as application/json")
     try:
-        told = json_of(await request.body())
+        given = json_of(await request.body())
     except ValueError as error:
         raise Refusal(400, f"the request is no JSON ({str(error)[:100]})") from error
-    if not isinstance(told, dict):
-        raise Refusal(422, f"the request is a JSON {type(told).__name__}; send one object")
-    missing = [name for name in required if name not in told]
-    unknown = [name for name in told if required and name not in (*required, *others)]
-    if missing or unknown:
-        wrong = f"there is no {missing[0]!r}" if missing else f"nothing is known of {unknown[0][:40]!r}"
-        raise Refusal(422, f"the request: {wrong}; give {', '.join(required)} and, if wanted, {', '.join(others)}")
-    return told
+    if not isinstance(given, dict):
+        raise Refusal(422, f"the request is a JSON {type(given).__name__}; send one object")
+    return given
 
 
 def _content_type(request: Request) -> str:
     return request.headers.get("content-type", "").partition(";")[0].strip().lower()
 
 
-def _json(told: Any, status: int = 200) -> Response:
-    body = json.dumps(told, allow_nan=False).encode()
-    return Response(body, status, media_type="application/json")
+def _json(given: Any, status: int = 200) -> Response:
+    body = json.dumps(given, default=_given_fields, allow_nan=False).encode()
+    return Response(body, status, media_type=JSON)
+
+
+def _given_fields(answer: Struct) -> dict[str, Any]:
+    return {name: value for name, value in asdict(answer).items() if value is not UNSET}
 
 
 def _error(refusal: Refusal) -> Response:
-    return _json({"error": refusal.message}, refusal.status)
+    return _json(refusal.answer, refusal.status)
 
 
 async def _refused(refusal: Refusal, scope: Any, receive: Any, send: Any) -> None:

@@ -12,7 +12,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, Mutabl
 from contextlib import asynccontextmanager
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import uvicorn
 from starlette.datastructures import UploadFile
@@ -21,24 +21,7 @@ from starlette.requests import Request
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from halfseen.errors import ArgumentError
-
-
-class Refusal(Exception):
-    """A request that cannot be answered; the next one can.
-
-    Parameters
-    ----------
-    status
-        Of HTTP.
-    message
-        What is wrong, where, the value and the remedy, in one line.
-    """
-
-    def __init__(self, status: int, message: str) -> None:
-        super().__init__(message)
-        self.status = status
-        self.message = " ".join(message.split())
-
+from halfseen.serving.models import Cloud, Refusal, model_of
 
 Message = MutableMapping[str, Any]
 Receive = Callable[[], Awaitable[Message]]
@@ -147,65 +130,37 @@ def _given_once(body: bytes, receive: Receive) -> Receive:
     return again
 
 
-class CloudGiven(NamedTuple):
-    """What the form holds."""
-
-    cloud: Path
-    """With the ending of the name that it was sent by."""
-    labels: Path | None
-    """What looks dirty."""
-    stage: int | None
-    """The stage to decide, from 1."""
-
-
 @asynccontextmanager
-async def cloud_in(request: Request) -> AsyncIterator[CloudGiven]:
+async def cloud_in(request: Request) -> AsyncIterator[Cloud]:
     """Keep the files of a form for a while.
 
     Raises
     ------
     Refusal
-        It is no form, holds no cloud, or a stage that is no number.
+        It is no form, or none that `Cloud` takes.
     """
-    form = await _form(request)
-    try:
-        with TemporaryDirectory() as folder:
-            cloud, labels = [await _kept(name, form.get(name), Path(folder)) for name in ("cloud", "labels")]
-            if cloud is None:
-                raise Refusal(422, "the form has no file 'cloud'; give one whose name ends in .pcd, .ply or .npz")
-            yield CloudGiven(cloud, labels, _stage(form.get("stage")))
-    finally:
-        await form.close()
+    names = Cloud.__struct_fields__
+    async with contextlib.AsyncExitStack() as kept:
+        try:
+            form = await kept.enter_async_context(request.form(max_files=2, max_fields=1, max_part_size=1 << 10))
+        except HTTPException as error:
+            trouble = f"the request is no multipart form ({error.detail}); give {', '.join(names)}"
+            raise Refusal(400, trouble) from error
+        folder = Path(kept.enter_context(TemporaryDirectory()))
+        given = {name: await _kept(name, form[name], folder) for name in names if name in form}
+        yield model_of(given, Cloud, is_text=True)
 
 
-async def _form(request: Request) -> Any:
-    try:
-        return await request.form(max_files=2, max_fields=1, max_part_size=1 << 10)
-    except HTTPException as error:
-        raise Refusal(
-            400, f"the request is no multipart form ({error.detail}); give cloud, labels and stage"
-        ) from error
-
-
-def _stage(given: Any) -> int | None:
-    if given is None:
-        return None
-    if not (isinstance(given, str) and given.isascii() and given.isdigit() and len(given) < 10):
-        raise Refusal(422, f"stage is {str(given)[:20]!r}; it is a whole number from 1")
-    return int(given)
-
-
-async def _kept(name: str, given: Any, folder: Path) -> Path | None:
-    """Write a file of a form where what reads files finds it."""
-    if not isinstance(given, UploadFile):
-        return None
+async def _kept(name: str, given: UploadFile | str, folder: Path) -> Path | str:
+    """Write a file of a form where what reads files finds it; text stays."""
+    if isinstance(given, str):
+        return given
     ending = PurePosixPath(given.filename or "").suffix
     file = folder / f"{name}{ending if ending[1:].isalnum() and len(ending) < 10 else ''}"
     file.write_bytes(await given.read())
     return file
 
 
-HERE = "127.0.0.1"
 MOST_CONNECTIONS = 128
 SLOWEST_HEAD_S = 30.0
 LARGEST_HEAD_BYTES = 1 << 14
@@ -280,7 +235,7 @@ def bound_socket(host: str, port: int) -> socket.socket:
 
 @contextlib.contextmanager
 def _until_stopped() -> Iterator[None]:
-    """Let a request to end, which uvicorn raises anew once all is answered, end no more than what is inside."""
+    """Let a request to end, which uvicorn raises again once all is answered, end no more than what is inside."""
     before = signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         with contextlib.suppress(KeyboardInterrupt):

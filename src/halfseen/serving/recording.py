@@ -16,13 +16,13 @@ from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import UNSET
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.recorder import LogRecorder
-from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.recorder import LogRecorder, TrajectoryRecorder
 from halfseen.policies.decision import Decision
-from halfseen.serving.limits import Refusal
+from halfseen.serving.models import Decided, Ended, Progress, Refusal
 
 STOPPED = "server stopped"
 """Cause of the cut of a trajectory that was in progress when the server stopped."""
@@ -52,7 +52,7 @@ class SoFar(NamedTuple):
     """A trajectory in progress, to go on from."""
 
     logs: Logs
-    """It alone, as whoever reads it later has it."""
+    """It alone, as anyone who reads it later has it."""
     objects: list[dict[str, Any]]
     """Of its last stage."""
     held: bool | None
@@ -70,21 +70,24 @@ class RecordedTrajectories:
         Whether stages are of tables: then what would break a rule of theirs is not recorded, and a trajectory can be
         gone on from.
 
+    keeps_events
+        As `LogRecorder` takes it.
+
     Raises
     ------
     HalfseenError
         The folder cannot be recorded into.
     """
 
-    def __init__(self, folder: Path, *, is_of_tables: bool = False) -> None:
-        self._recorder = LogRecorder(folder, check=self._check_table if is_of_tables else None)
+    def __init__(self, folder: Path, *, is_of_tables: bool = False, keeps_events: bool = False) -> None:
+        check = self._check_table if is_of_tables else None
+        self._recorder = LogRecorder(folder, check=check, keeps_events=keeps_events)
         self._is_of_tables = is_of_tables
         self._checked: Logs | None = None
         self._trajectory: TrajectoryRecorder | None = None
         self._num_begun = 0
-        self._is_waiting = False
         self._begun = Begun()
-        self._decided: dict[str, Any] = {}
+        self._unrewarded: Decided | None = None
         self._held: bool | None = None
 
     def __enter__(self) -> "RecordedTrajectories":
@@ -117,10 +120,9 @@ class RecordedTrajectories:
         return self._num_begun + 1
 
     def _check_rewarded(self) -> None:
-        if self._is_waiting:
-            raise Refusal(
-                409, f"{self._where}: it has no reward yet; POST it to /reward, or the trajectory's end to /end"
-            )
+        if self._unrewarded is not None:
+            remedy = "POST it to /reward, or the trajectory's end to /end"
+            raise Refusal(409, f"{self._where}: it has no reward yet; {remedy}")
 
     @property
     def so_far(self) -> SoFar | None:
@@ -130,23 +132,32 @@ class RecordedTrajectories:
         return SoFar(self._checked, self._begun.objects, self._held)
 
     @property
-    def facts(self) -> dict[str, Any]:
-        """Where it stands, for a client that has forgotten it: the trajectory, its last stage, and what is waited for.
+    def last(self) -> Mapping[str, Any] | None:
+        """Covariates of the last stage of the trajectory in progress; None where none is."""
+        return None if self._trajectory is None else self._begun.covariates
 
-        Where that is a reward, it is told for what: the answer may have been lost.
-        """
-        told = {"trajectory": self._trajectory and self._trajectory.name, "stage": self._num_begun}
-        return told | ({"waits_for": "reward", **self._decided} if self._is_waiting else {"waits_for": "decision"})
+    @property
+    def events(self) -> tuple[dict[str, Any], ...]:
+        """Of the trajectory that began last, where they are kept."""
+        last = self._recorder.trajectory
+        return () if last is None else last.events
 
-    def decided(self, begun: Begun, told: Mapping[str, Any]) -> Any:
+    @property
+    def facts(self) -> Progress:
+        """Where it stands, for a client that has forgotten it."""
+        name, waits = self._trajectory and self._trajectory.name, self._unrewarded
+        action = () if waits is None else (waits.action, waits.object)
+        return Progress(name, self._num_begun, "reward" if action else "decision", *action)
+
+    def decided(self, begun: Begun, reply: Decided) -> int | str:
         """Begin a stage with what was seen and is done, and name its trajectory.
 
         Parameters
         ----------
         begun
             What was seen.
-        told
-            What is answered: action and probability, and at a table verb and object.
+        reply
+            What is answered.
 
         Raises
         ------
@@ -154,12 +165,17 @@ class RecordedTrajectories:
             The stage before has no reward yet, or a value is none that this log takes.
         """
         self.next_stage(is_of_cloud=begun.is_of_cloud)
-        verb, target = told.get("verb", told["action"]), told.get("object")
+        verb, target = reply.verb or reply.action, None if reply.object is UNSET else reply.object
         before = self._checked
         try:
             trajectory = self._trajectory or self._recorder.begin_trajectory(**begun.columns)
             trajectory.begin_stage(
-                begun.covariates, begun.objects, action=verb, object=target, probability=told["probability"]
+                begun.covariates,
+                begun.objects,
+                action=verb,
+                object=target,
+                probability=reply.probability,
+                stepped_back=None if reply.stepped_back is UNSET else reply.stepped_back,
             )
         except Exception as error:
             self._checked, begun_trajectory = before, self._recorder.trajectory
@@ -169,8 +185,7 @@ class RecordedTrajectories:
                 raise
             raise Refusal(422, f"nothing is decided, for it could not be recorded: {error}") from error
         self._begun, self._held = begun, None
-        self._decided = {name: told[name] for name in ("action", "object") if name in told}
-        self._trajectory, self._num_begun, self._is_waiting = trajectory, self._num_begun + 1, True
+        self._trajectory, self._num_begun, self._unrewarded = trajectory, self._num_begun + 1, reply
         return trajectory.name
 
     def _check_table(self, logs: Logs) -> None:
@@ -179,7 +194,7 @@ class RecordedTrajectories:
         checked_tables(logs, is_team=False)
         self._checked = logs
 
-    def rewarded(self, reward: Any, elapsed_s: Any = None, held: Any = None) -> dict[str, Any]:
+    def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> Progress:
         """Complete the stage in progress.
 
         Parameters
@@ -191,30 +206,20 @@ class RecordedTrajectories:
 
         Raises
         ------
-        Refusal
-            No stage is in progress, or a value is none that a log takes.
+        LogError, Refusal
+            A value is none that a log takes; no stage is in progress.
         """
-        if self._trajectory is None or not self._is_waiting:
+        if self._trajectory is None or self._unrewarded is None:
             raise Refusal(409, "no stage waits for a reward; POST what is seen to /decide first")
-        self._check_held(held)
-        try:
-            self._trajectory.complete_stage(reward, elapsed_s=elapsed_s)
-        except LogError as error:
-            raise Refusal(422, str(error)) from error
-        self._is_waiting, self._held = False, held
+        if held is not None and not self._begun.is_of_cloud:
+            raise Refusal(422, f"{self._where}: held is for clouds, and this came as JSON, which tells it itself")
+        if held is not None and self._unrewarded.object is None:
+            raise Refusal(422, f"{self._where}: held is {held}, but {self._unrewarded.action} tries nothing")
+        self._trajectory.complete_stage(reward, elapsed_s=elapsed_s)
+        self._unrewarded, self._held = None, held
         return self.facts
 
-    def _check_held(self, held: Any) -> None:
-        if held is None:
-            return
-        if not isinstance(held, bool):
-            raise Refusal(422, f"{self._where}: held is {str(held)[:20]!r}; it is true or false")
-        if not self._begun.is_of_cloud:
-            raise Refusal(422, f"{self._where}: held is for clouds, and this came as JSON, which tells it itself")
-        if self._decided["object"] is None:
-            raise Refusal(422, f"{self._where}: held is {held}, but {self._decided['action']} tries nothing")
-
-    def ended(self, cause: str | None, elapsed_s: Any = None) -> dict[str, Any]:
+    def ended(self, cause: str | None, elapsed_s: float | None = None) -> Ended:
         """End the trajectory in progress.
 
         Parameters
@@ -226,33 +231,31 @@ class RecordedTrajectories:
 
         Raises
         ------
-        Refusal
-            No trajectory is in progress, its last stage has no reward, or a value is none that a log takes.
+        LogError, Refusal
+            A value is none that a log takes; no trajectory is in progress, or its last stage has no reward.
         """
         if self._trajectory is None:
             raise Refusal(409, "no trajectory is in progress; POST what is seen to /decide, which begins one")
         if cause is None:
             self._check_rewarded()
-        try:
-            if cause is None:
-                self._trajectory.finish(elapsed_s=elapsed_s)
-            else:
-                self._trajectory.cut(cause, elapsed_s=elapsed_s)
-        except LogError as error:
-            raise Refusal(422, str(error)) from error
-        told = {
-            "trajectory": self._trajectory.name,
-            "stages": self._num_begun,
-            "ending": "finished" if cause is None else "cut",
-        }
-        self._trajectory, self._checked, self._num_begun = None, None, 0
-        self._is_waiting = False
-        return told
+            self._trajectory.finish(elapsed_s=elapsed_s)
+        else:
+            self._trajectory.cut(cause, elapsed_s=elapsed_s)
+        ended = Ended(self._trajectory.name, self._num_begun, "finished" if cause is None else "cut")
+        self._trajectory, self._checked, self._num_begun, self._unrewarded = None, None, 0, None
+        return ended
 
     @property
     def _where(self) -> str:
         assert self._trajectory is not None, "what waits has a trajectory"
         return f"trajectory {self._trajectory.name}, stage {self._num_begun}"
+
+
+def chance_of(decision: Decision, shares: Mapping[str, float], action: str) -> float:
+    """Probability with which `taken` takes an action."""
+    possible = {name: share for name, share in shares.items() if decision.q_values.get(name) is not None}
+    rest = 1.0 - sum(possible.values()) if action == str(decision.action) else 0.0
+    return rest + possible.get(action, 0.0)
 
 
 class Taken(NamedTuple):
@@ -303,4 +306,4 @@ def taken(decision: Decision, shares: Mapping[str, float], rng: np.random.Genera
     if drawn == best:
         return Taken(decision, 1.0 - float(reached[-1]) + possible.get(best, 0.0), False)
     reason = f"{drawn}: by chance, to explore; left to itself the policy takes {decision.reason}"
-    return Taken(replace(decision, action=drawn, reason=reason), possible[drawn], True)
+    return Taken(replace(decision, action=type(decision.action)(drawn), reason=reason), possible[drawn], True)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import Points, mapped
-from halfseen.logs.trajectory_recorder import log_so_far
+from halfseen.logs.recorder import log_so_far
 from halfseen.logs.values import Schema
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.tables.present import Present
@@ -45,8 +45,8 @@ def present_of(stored: StoredPolicy, objects: Sequence[dict[str, Any]], stage: i
     LogError
         They break a rule of tables.
     """
-    _, told = Schema().with_stage({}, list(objects), _NOTHING_DONE, "the request")
-    begun = {"event": "stage", "trajectory": 1, "stage": 1, "at_s": 0.0, "columns": {}, **told}
+    _, columns = Schema().with_stage({}, list(objects), _NOTHING_DONE, "the request")
+    begun = {"event": "stage", "trajectory": 1, "stage": 1, "at_s": 0.0, "columns": {}, **columns}
     states = states_of(log_so_far([begun]), stored.horizon)
     state = mapped(lambda leaf: leaf[0, 0], states)
     state = replace(state, steps_to_go=np.int32(stored.horizon - stage + 1))

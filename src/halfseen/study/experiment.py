@@ -4,12 +4,17 @@ A repetition is a pure function of the configuration, the setting, what was prep
 be pickled, and what it returns is plain numbers. So repetitions may run in any order, in any process, on any machine.
 """
 
+import tomllib
 from collections.abc import Callable, Iterable, Mapping
+from functools import cache
+from importlib.resources import files
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
 
+import jinja2
 import pandas as pd
 from matplotlib.figure import Figure
 
+from halfseen import wording
 from halfseen.study.setting import Setting
 
 PieceOf = Mapping[str, Any]
@@ -91,6 +96,22 @@ class Section(NamedTuple):
     """Sentences that stand at the head of the report."""
     opening: Drawing | None = None
     """What the report opens with, its title being the sentence beside it; of one section at most."""
+
+
+@cache
+def _texts() -> dict[str, dict[str, jinja2.Template]]:
+    environment = jinja2.Environment(undefined=jinja2.StrictUndefined)
+    environment.globals.update({name: each for name, each in vars(wording).items() if callable(each)})
+    texts = tomllib.loads(files("halfseen.study").joinpath("words.toml").read_text(encoding="utf-8"))
+    return {
+        experiment: {name: environment.from_string(text.replace("\n", " ")) for name, text in of.items()}
+        for experiment, of in texts.items()
+    }
+
+
+def words(experiment: str, text: str, **facts: Any) -> str:
+    """Fill in a text of words.toml, which may use the functions of `halfseen.wording`."""
+    return _texts()[experiment][text].render(facts)
 
 
 @runtime_checkable

@@ -12,7 +12,7 @@ policy's decisions fall short of V°, plus what V° is worth in the mean of many
 differ by the former alone.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
@@ -28,19 +28,21 @@ from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import AUTO, Encoded
+from halfseen.logs import Logs
 from halfseen.planners.control import controlled_each, start_values
 from halfseen.shapes import Float
-from halfseen.study.policies import logging_policy
+from halfseen.study.policies import Contender, decision_times_ms, logging_policy, timed_policy
 from halfseen.study.setting import Setting
-from halfseen.study.treatments import CENSORING, trajectory_arrays, treated, tried_in
+from halfseen.study.treatments import CENSORING, trajectory_arrays, treated
 from halfseen.tables.assisted import RulePolicy
-from halfseen.tables.encoding import encoded_states
+from halfseen.tables.encoding import encoded_states, layouts_of
 from halfseen.tables.evidence import Evidence, evidence_of
 from halfseen.tables.features import table_features
+from halfseen.tables.grasp_attempts import attempts
 from halfseen.tables.grasp_choice import choose_by, grasp_model_by
 from halfseen.tables.grasp_models import BetaGrasp
-from halfseen.tables.law_test import layouts_of, weighed
-from halfseen.tables.learner import Assisted, Chosen, assisted_by, rule_or_linear
+from halfseen.tables.law_test import weighed
+from halfseen.tables.learner import LINEAR, Assisted, Chosen, assisted_by, rule_or_linear
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.workers.threads import one_thread
 from halfseen.world import random
@@ -114,7 +116,11 @@ class Source:
 
     def cut_rate(self, share: float, kind: CutKind) -> float:
         """Rate that cuts this proportion of the trajectories in expectation, from a pilot."""
-        return cut_rate(self.play(NUM_PILOT_TRAJECTORIES, PILOT), share, kind)
+        return cut_rate(self._pilot, share, kind)
+
+    @cached_property
+    def _pilot(self) -> Episodes:
+        return self.play(NUM_PILOT_TRAJECTORIES, PILOT)
 
     def logged(self, episodes: Episodes, grasp: Grasp = AUTO, *, laws: bool = True) -> "LoggedTrajectories":
         """Take episodes to learn from, as `LoggedTrajectories` has it."""
@@ -133,6 +139,17 @@ class Source:
         """Play a policy on some of them, by number."""
         return _played(evaluate_some(self.world, self.layouts, policy, self.key(purpose), np.array(episodes)))
 
+    def decision_times_ms(self, contenders: Iterable[Contender], num_states: int, laws: bool) -> dict[str, float]:
+        """Median decision times [ms], on one state of each of many trajectories, early and late ones in turn.
+
+        `laws` are those of the learned policy.
+        """
+        episodes = self.play(num_states)
+        num_stages = np.asarray(episodes.is_taken).sum(axis=1)
+        states = [mapped(lambda leaf, k=k: leaf[k, k % num_stages[k]], episodes.states) for k in range(num_states)]
+        timed = {each.name: timed_policy(each, self.world, laws) for each in contenders}
+        return {name: float(np.median(values)) for name, values in decision_times_ms(timed, states).items()}
+
     def start_value(self, num_tables: int) -> float:
         """Mean of V° of so many tables as they are set, none of which is played."""
         values = start_values(self.world, self.layouts, random_key(self.seed, STARTS), np.arange(num_tables))
@@ -150,9 +167,9 @@ def _played(totals: Totals) -> Played:
     return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
 
 
-def evidence_in(cuts: CutEpisodes, world: WorldConfig) -> Evidence:
-    """What a log tells of laws; of the world, prices and times are looked at."""
-    return evidence_of(to_logs(cuts, CUT_KIND, NAMELESS, world.dirty_share), world)
+def log_of(cuts: CutEpisodes, world: WorldConfig) -> Logs:
+    """Episodes as a log, from which attempts and laws are read; of the world, the share of dirty objects counts."""
+    return to_logs(cuts, CUT_KIND, NAMELESS, world.dirty_share)
 
 
 class Learned(NamedTuple):
@@ -165,6 +182,11 @@ class Learned(NamedTuple):
     """What linear eq. 3 learns without laws."""
     assisted: Assisted | None = None
     """With what laws, and what the policy is built on; None where it is `linear`."""
+
+    @property
+    def basis(self) -> str:
+        """What the policy is built on."""
+        return LINEAR if self.assisted is None else self.assisted.basis
 
 
 @dataclass(frozen=True)
@@ -199,18 +221,21 @@ class LoggedTrajectories:
         learned: dict[tuple[int, int], Learned] = {}
         for numbers in treatments.values():
             cuts = logs[numbers[0]][0]
-            tried = tried_in(cuts) if isinstance(self.grasp, str) or self.laws else pd.DataFrame({"trajectory": []})
-            # A log is written and read once for what it tells of laws; its first trajectories tell a part of that.
-            evidence = evidence_in(cuts, self.source.world) if self.laws else None
+            tried, evidence = pd.DataFrame({"trajectory": []}), None
+            if isinstance(self.grasp, str) or self.laws:
+                # A log is written and read once; its first trajectories tell a part of that.
+                log = log_of(cuts, self.source.world)
+                tried = attempts(log, cuts.is_begun.shape[1])
+                evidence = evidence_of(log, self.source.world) if self.laws else None
             laid_out = {number: self.lay_out(cuts, logs[number][1]) for number in numbers}
             for size in sizes:
                 first_tried = tried.iloc[: int(tried["trajectory"].searchsorted(size))]
                 grasp, encoded = self._seen_by(cuts, first_tried, size)
-                told = None if evidence is None else evidence.first(size)
+                first_evidence = None if evidence is None else evidence.first(size)
                 for number, trajectories in laid_out.items():
                     first = trajectories.take(slice(size))._replace(encoded=encoded)
                     model = self.model(logs[number][1], grasp).with_cuts(first)
-                    learned[size, number] = self._learn_from(first, model, told, first_tried)
+                    learned[size, number] = self._learn_from(first, model, first_evidence, first_tried)
         return [learned[size, number] for size in sizes for number in range(len(logs))]
 
     def learn_one(self, cuts: CutEpisodes, num_trajectories: int) -> Policy:
@@ -243,10 +268,7 @@ class LoggedTrajectories:
     def _seen_by(
         self, cuts: CutEpisodes, tried: pd.DataFrame, num_trajectories: int
     ) -> tuple[GraspModel | None, Encoded]:
-        """What tells the probability of a grasp, by what the first of a log tried, and what the learner sees by it.
-
-        It is seen until the next one is asked for: the features of all lie in the same memory.
-        """
+        """What tells the probability of a grasp, by what the first of a log tried, and what the learner sees by it."""
         common = mapped(lambda leaf: leaf[:num_trajectories], self.encoded)
         if not isinstance(self.grasp, str):
             return self.grasp, common
@@ -255,13 +277,9 @@ class LoggedTrajectories:
             return None, common
         at = np.nonzero(cuts.is_begun[:num_trajectories])
         there = mapped(lambda leaf: np.asarray(leaf)[at], self.episodes.states)
-        features = self._room[:num_trajectories]
+        features = np.zeros_like(common.features)
         features[at] = table_features(there, grasp)
         return grasp, common._replace(features=features)
-
-    @cached_property
-    def _room(self) -> Float[np.ndarray, "n T A F"]:
-        return np.zeros_like(self.encoded.features)
 
     def model(self, treatment: str, grasp: GraspModel | None = None) -> QModel:
         """How the product's own learner fits Q under a treatment, without laws."""

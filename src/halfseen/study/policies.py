@@ -1,20 +1,36 @@
-"""The registry of who takes part: each policy's name, how people call it, what kind it is, and how it is made."""
+"""Who takes part: each policy's name, how people call it, its kind, how it is made, and how long it takes to decide."""
 
-from collections.abc import Callable
+import os
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
+from pathlib import Path
+
+import numpy as np
 
 from halfseen.figures import INK, ORANGE, OURS, PEER, PLANNER, SOFT
 from halfseen.planners.named import named_policy
 from halfseen.planners.pomdp import POMDPPolicy
+from halfseen.shapes import Float
+from halfseen.tables.assisted import AssistedPolicy, Excess
+from halfseen.tables.features import NUM_FEATURES
+from halfseen.tables.policy import LinearTablePolicy
+from halfseen.world import random
+from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import ExploringPolicy, Policy
+from halfseen.world.state import TableState
 
 BEST = ("best_heuristic", "best_planner")
 """Roles of the heuristic and the planner that were the strongest on episodes of their own."""
 LOG_RANDOM_SHARE = 0.5
 """Probability with which a logged action was drawn uniformly at random; else it is the strongest heuristic's."""
+MOST_TIMED_S = 0.25
+"""Time that is spent on timing one policy, but for its last decision [s]."""
+FEWEST_TIMED = 3
 
 
 class Kind(StrEnum):
@@ -121,3 +137,61 @@ def horizon_planner(horizon: int, num_simulations: int) -> Contender:
 def logging_policy(world: WorldConfig) -> ExploringPolicy:
     """The strongest heuristic, with half of the actions drawn uniformly at random."""
     return ExploringPolicy(STRONGEST_RULE.policy(world), LOG_RANDOM_SHARE)
+
+
+def timed_policy(who: Contender, world: WorldConfig, laws: bool) -> Policy:
+    """A policy that decides as fast as a contender: what was learned, or what laws are, changes nothing in that.
+
+    `laws` are those of the learned policy.
+    """
+    if who.kind == Kind.LEARNED and laws:
+        return AssistedPolicy(world, None, Excess.none(world.horizon))
+    if who.kind in (Kind.LEARNED, Kind.LINEAR):
+        return LinearTablePolicy(np.zeros((world.horizon, len(Verb), NUM_FEATURES + 1), dtype=np.float32))
+    return STRONGEST_RULE.policy(world) if who == FITTED_RULE else who.policy(world)
+
+
+def decision_times_ms(
+    policies: Mapping[str, Policy], states: Sequence[TableState]
+) -> dict[str, Float[np.ndarray, " S"]]:
+    """Time of a decision of each policy, on one core [ms].
+
+    Each decides once on each state, the policies in turn, so that what slows the machine slows them alike; a policy
+    stops once `MOST_TIMED_S` are spent on it.
+    """
+    key = random.key_of(0)
+    times: dict[str, list[float]] = {name: [] for name in policies}
+    with one_core():
+        for state in states:
+            for name, policy in policies.items():
+                if sum(times[name]) < 1e3 * MOST_TIMED_S or len(times[name]) < FEWEST_TIMED:
+                    times[name].append(1e3 * seconds(partial(policy.decide, state, key)))
+    return {name: np.array(values) for name, values in times.items()}
+
+
+def seconds(function: Callable[[], object]) -> float:
+    """Time that a call takes [s]."""
+    begin = time.perf_counter()
+    function()
+    return time.perf_counter() - begin
+
+
+@contextmanager
+def one_core() -> Iterator[None]:
+    """Keep every thread of this process on one core, where the system can do that (Linux)."""
+    threads = Path("/proc/self/task")
+    if not hasattr(os, "sched_setaffinity") or not threads.is_dir():
+        yield
+        return
+    before = os.sched_getaffinity(0)
+
+    def pin(cores: set[int]) -> None:
+        for thread in threads.iterdir():
+            with suppress(ProcessLookupError):  # the thread has just ended
+                os.sched_setaffinity(int(thread.name), cores)
+
+    pin({min(before)})
+    try:
+        yield
+    finally:
+        pin(before)

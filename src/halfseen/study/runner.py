@@ -1,6 +1,12 @@
-"""The study from end to end: prepare once, repeat what is missing, tabulate, write tables, figures and the report."""
+"""The study from end to end: prepare once, repeat what is missing, tabulate, write tables, figures and the report.
 
-from collections.abc import Mapping, Sequence
+What is done stays done: one file a piece, whole or not there, so that a killed study goes on.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -11,21 +17,102 @@ import numpy as np
 from halfseen.errors import ArgumentError
 from halfseen.figures import drawn
 from halfseen.progress import Progress
+from halfseen.reading import NUMBERS, json_of, read_text, reason_of
 from halfseen.study.experiment import Experiment, PieceOf, Pieces, Tables, Timed
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of
 from halfseen.study.setting import Setting
-from halfseen.study.store import Store, as_json
 from halfseen.suggestions import did_you_mean
-from halfseen.workers import Pool, Workers
+from halfseen.workers import Workers
 from halfseen.workers.piece import versions
 from halfseen.writing import held_alone, write_file
 
+FINGERPRINT = "design.json"
 PREPARED = "prepared"
 TABULATING = 0.1
 """What measuring and tabulating an experiment take, where its repetitions take 1: about as long for each of them."""
 MOST_AT_ONCE = 8
 """Repetitions that a worker makes in a row: short ones together take a few seconds."""
+
+
+def as_json(value: Any) -> str:
+    """The same bytes for the same value; NaN is refused."""
+    plain = json.dumps(
+        value, indent=1, sort_keys=True, allow_nan=False, default=lambda array: np.asarray(array).tolist()
+    )
+    return plain + "\n"
+
+
+class Store:
+    """The folder where an experiment keeps its pieces; those of another `fingerprint` are never mixed in.
+
+    A piece is kept with a digest of itself and of the study that it belongs to: one that was changed, or that another
+    study wrote into the same folder meanwhile, is refused and not believed.
+    """
+
+    def __init__(self, folder: Path, fingerprint: dict[str, Any], is_resumed: bool) -> None:
+        self.folder = folder
+        claim, path = as_json(fingerprint), folder / FINGERPRINT
+        try:
+            if not is_resumed and folder.exists():
+                if not path.is_file() and any(folder.iterdir()):
+                    raise ArgumentError(
+                        f"--out: {folder} holds no study ({FINGERPRINT} is missing), so it is not removed; name "
+                        "another folder"
+                    )
+                shutil.rmtree(folder)
+            held = read_text(path) if path.exists() else claim
+        except (OSError, UnicodeDecodeError) as error:
+            raise ArgumentError(
+                f"--out {folder}: cannot be written ({reason_of(error)}); name a folder that you may write"
+            ) from error
+        if held != claim:
+            raise ArgumentError(
+                f"--resume: {folder} belongs to a study of another design, seed or version; leave --resume out "
+                "to begin again, or name another --out"
+            )
+        write_file(path, claim)
+        self._claim = claim
+
+    def has(self, name: str) -> bool:
+        """Whether a piece is there."""
+        return self._file(name).exists()
+
+    def keep(self, name: str, piece: Any) -> None:
+        """Keep a piece."""
+        write_file(self._file(name), as_json({"piece": piece, "sha256": self._digest(piece)}))
+
+    def read(self, name: str) -> Any:
+        """Read a piece.
+
+        Raises
+        ------
+        ArgumentError
+            It cannot be read, was changed, or is of another study.
+        """
+        path = self._file(name)
+        try:
+            kept = json_of(read_text(path, NUMBERS))
+            if not (isinstance(kept, dict) and kept.get("sha256") == self._digest(kept.get("piece"))):
+                raise ValueError("it was changed, or another study wrote it")
+        except (OSError, ValueError) as error:
+            raise ArgumentError(
+                f"--out: {path} cannot be read ({reason_of(error)}); remove it and go on with "
+                "--resume: it is made again"
+            ) from error
+        return kept["piece"]
+
+    def kept(self, name: str, make: Callable[[], Any]) -> Any:
+        """Read a piece, which is made if it is not there; what was made is returned as it will be read."""
+        if not self.has(name):
+            self.keep(name, make())
+        return self.read(name)
+
+    def _digest(self, piece: Any) -> str:
+        return hashlib.sha256((self._claim + as_json(piece)).encode()).hexdigest()
+
+    def _file(self, name: str) -> Path:
+        return self.folder / f"{name}.json"
 
 
 def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed: bool) -> Store:
@@ -42,31 +129,28 @@ def design_of(experiment: Experiment) -> dict[str, Any]:
     return asdict(experiment) if is_dataclass(experiment) and not isinstance(experiment, type) else {}
 
 
+def repetition(index: int) -> str:
+    """Name of the piece that a repetition is."""
+    return f"repetition-{index:05d}"
+
+
 class Run(NamedTuple):
-    """An experiment, and where it keeps its pieces."""
+    """An experiment, where it keeps its pieces, and the number of its repetitions."""
 
     experiment: Experiment
     store: Store
+    num: int
 
-    def num(self, setting: Setting) -> int:
-        """Repetitions of the experiment."""
-        return min(setting.repetitions, self.experiment.most_repetitions or setting.repetitions)
-
-    def missing(self, setting: Setting) -> list[int]:
+    def missing(self) -> list[int]:
         """Repetitions that are to be made."""
-        return [index for index in range(self.num(setting)) if not self.store.has(repetition(index))]
+        return [index for index in range(self.num) if not self.store.has(repetition(index))]
 
     def tabulated(self, setting: Setting) -> Tables:
         """Make the tables from the pieces that are kept; a resumed study has the times that the killed one measured."""
         its = self.experiment
-        repetitions = [self.store.read(repetition(index)) for index in range(self.num(setting))]
+        repetitions = [self.store.read(repetition(index)) for index in range(self.num)]
         measured = self.store.kept("measured", lambda: its.measure(setting)) if isinstance(its, Timed) else {}
         return its.tabulate(setting, Pieces(self.store.read(PREPARED), measured, repetitions))
-
-
-def repetition(index: int) -> str:
-    """Name of the piece that a repetition is."""
-    return f"repetition-{index:05d}"
 
 
 def run_all(
@@ -76,15 +160,25 @@ def run_all(
 
     Times are measured while nothing else runs: after that, when what is timed has been compiled.
     """
-    runs = [Run(experiment, store) for experiment, store in zip(experiments, stores, strict=True)]
+    most = setting.repetitions
+    nums = [min(most, each.most_repetitions or most) for each in experiments]
+    runs = [Run(*each) for each in zip(experiments, stores, nums, strict=True)]
+    # Those of few repetitions, which are long, come first, so that all workers end together.
+    in_order = sorted(runs, key=lambda run: run.num)
     with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:
-        # Those of few repetitions, which are long, come first, so that all workers end together.
-        by_num = sorted(runs, key=lambda run: run.num(setting))
         with workers.ready() as pool:
-            left = [run for run in by_num if not run.store.has(PREPARED)]
+            left = [run for run in in_order if not run.store.has(PREPARED)]
             for number, piece in pool.each(partial(_prepared, setting), [run.experiment for run in left]):
                 left[number].store.keep(PREPARED, piece)
-            _repeat(by_num, setting, pool, bar)
+            missing = [run.missing() for run in in_order]
+            bar.begin("study", sum(1.0 - len(those) / run.num for run, those in zip(in_order, missing, strict=True)))
+            todo = [(k, some) for k, those in enumerate(missing) for some in in_rows(those, pool.num_workers)]
+            ready = [(run.experiment, run.store.read(PREPARED)) for run in in_order]
+            for number, pieces in pool.each(partial(_repeated, setting, ready), todo):
+                k, some = todo[number]
+                for index, piece in zip(some, pieces, strict=True):
+                    in_order[k].store.keep(repetition(index), piece)
+                bar.update(len(some) / in_order[k].num)
         tables = []
         for run in runs:
             bar.begin(f"study, {run.experiment.name}", 0)
@@ -95,18 +189,6 @@ def run_all(
 
 def _prepared(setting: Setting, experiment: Experiment) -> PieceOf:
     return experiment.prepare(setting)
-
-
-def _repeat(runs: Sequence[Run], setting: Setting, pool: Pool, bar: Progress) -> None:
-    nums, missing = [run.num(setting) for run in runs], [run.missing(setting) for run in runs]
-    bar.begin("study", sum(1.0 - len(those) / num for num, those in zip(nums, missing, strict=True)))
-    todo = [(k, some) for k, those in enumerate(missing) for some in in_rows(those, pool.num_workers)]
-    ready = [(run.experiment, run.store.read(PREPARED)) for run in runs]
-    for number, pieces in pool.each(partial(_repeated, setting, ready), todo):
-        k, some = todo[number]
-        for index, piece in zip(some, pieces, strict=True):
-            runs[k].store.keep(repetition(index), piece)
-        bar.update(len(some) / nums[k])
 
 
 def _repeated(

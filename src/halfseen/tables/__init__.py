@@ -3,8 +3,9 @@
 Read down: `features` (what Q looks at) → `grasp_attempts`, `grasp_models`, `grasp_table`, `grasp_choice` (how likely a
 grasp is to succeed, learned from attempts) → `encoding` (logs → features, and what cuts may depend on) → `rewards`
 (less noise in the targets) → `policy` (what was learned, and what policies would have done) → `task` (all of it behind
-one seam) → `explain` (why, and how sure it may be) → `present` (what is seen now, and what was logged of the trajectory
-so far → the state to decide in). Of several robots: `agent_logs`, what each made by itself.
+one seam) → `explain` (why) → `present` (what is seen now, and what was logged of the trajectory so far → the state to
+decide in), `first_look` (labels → how likely each object is dirty). Of several robots: `agent_logs`, what each made by
+itself.
 
 Beside them, a world whose laws were fitted to the same log, for planners that know no law: `evidence` →
 `law_grasping`, `law_seeing` and `recorder` → `laws`; and the learners that start from what these laws imply:
@@ -19,7 +20,6 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.tables.agent_logs import agent_view
     from halfseen.tables.assisted import AssistedPolicy, RulePolicy
-    from halfseen.tables.explain import LearnedExplainer
     from halfseen.tables.grasp_attempts import attempts
     from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
     from halfseen.tables.laws import fit_world
@@ -31,7 +31,6 @@ __all__ = [
     "AssistedPolicy",
     "BetaGrasp",
     "IndependentPolicies",
-    "LearnedExplainer",
     "LinearTablePolicy",
     "LinearTeamPolicy",
     "RulePolicy",
@@ -51,7 +50,6 @@ __getattr__ = lazy_names(
         "AssistedPolicy": "assisted",
         "BetaGrasp": "grasp_models",
         "IndependentPolicies": "policy",
-        "LearnedExplainer": "explain",
         "LinearTablePolicy": "policy",
         "LinearTeamPolicy": "policy",
         "RulePolicy": "assisted",

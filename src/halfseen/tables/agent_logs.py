@@ -26,7 +26,15 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.logs.columns import CUT, FINISHED, is_of_one_robot, refuse, require_columns, robots_that_may_drop_out
+from halfseen.logs.columns import (
+    CUT,
+    FINISHED,
+    as_floats,
+    is_of_one_robot,
+    refuse,
+    require_columns,
+    robots_that_may_drop_out,
+)
 from halfseen.shapes import Bool, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES, Verb
 from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_tables, robots_in
@@ -98,14 +106,14 @@ def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> 
     takes_s: Any = np.maximum(until_s - first["begin_s"], np.where(is_wait, _LEAST_S, 0.0))
     # Cut while it waited: its clock had stood.
     elapsed_s = takes_s.where(~is_wait | (is_last & is_whole), 0.0).groupby(first["trajectory"]).cumsum()
-    is_told = is_whole & ~is_spent
+    is_known = is_whole & ~is_spent
     at: Any = logs.stages.iloc[first["at"]].reset_index(drop=True)
     own = at[[name for name in ("trajectory", "action", "object", "probability") if name in at.columns]].assign(
         of_team=at["stage"],
         stage=0,
-        elapsed_s=elapsed_s.where(is_told),
-        reward=np.where(is_told, paid, np.nan),
-        action=at["action"].mask(is_wait & is_told, _FINISH).mask(is_wait & ~is_told, None),
+        elapsed_s=elapsed_s.where(is_known),
+        reward=np.where(is_known, paid, np.nan),
+        action=at["action"].mask(is_wait & is_known, _FINISH).mask(is_wait & ~is_known, None),
     )
     has_begun = elapsed_s.groupby(first["trajectory"]).transform("last") > 0.0
     own = own[has_begun & (is_last | ~is_wait)].reset_index(drop=True)
@@ -165,7 +173,7 @@ def _is_short(logs: Logs, first: pd.DataFrame, last: pd.DataFrame) -> pd.Series:
     goes_on = np.zeros(logs.num_trajectories, dtype=bool)
     for robot in range(robots_in(logs)):
         decides = end["robot"] == robot
-        does = end[f"{robot}_does"].mask(decides, end["action"])
+        does = end[f"{robot}_does"].astype(object).mask(decides, end["action"])
         goes_on |= ((end[f"{robot}_decisions_to_go"] > decides) & ~does.isin([PARKED, OUT, _FINISH])).to_numpy()
     was_cleared = (logs.is_finished & goes_on)[trajectory] & (last["at"] == end.index.to_numpy()[trajectory])
     has_waited = first.groupby("trajectory")["is_wait"].transform("any")
@@ -187,8 +195,8 @@ def _in_reach(log: TableLog, objects: pd.DataFrame, is_reached: Bool[np.ndarray,
     is_kept = was_reached.to_numpy(dtype=bool)
     is_lost = (objects["location"] == TABLE) & ~is_reached
     hidden_by = log.lists("hidden_by")
-    is_told = is_kept[hidden_by.row] & is_kept[begin[hidden_by.row] + hidden_by.place]
-    shown = _lists(hidden_by.values, hidden_by.row, is_told, len(objects))
+    is_known = is_kept[hidden_by.row] & is_kept[begin[hidden_by.row] + hidden_by.place]
+    shown = _lists(hidden_by.values, hidden_by.row, is_known, len(objects))
     mine: Any = objects.assign(location=objects["location"].mask(is_lost, LOST), hidden_by=shown)[is_kept]
     return mine.reset_index(drop=True).drop(columns=["reached_by", "near", ATTEMPT_BY], errors="ignore")
 
@@ -202,7 +210,8 @@ def _with_own_history(log: TableLog, robot: int) -> pd.DataFrame:
     is_latest = np.append(held.row[1:] != held.row[:-1], True)[: len(held.row)]
     is_own_lift = np.bincount(held.row, is_latest & ~is_mine, num_rows) == 0
     of_object = [objects["trajectory"], objects["object"]]
-    gained = objects["lifts"].groupby(of_object).diff().fillna(objects["lifts"])
+    lifts = as_floats("objects", objects, "lifts")
+    gained = lifts.groupby(of_object).diff().fillna(lifts)
     return objects.assign(
         attempt_occlusions=_lists(occluded.values, occluded.row, is_mine, num_rows),
         attempt_succeeded=_lists(held.values.astype(bool), held.row, is_mine, num_rows),

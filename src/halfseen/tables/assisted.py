@@ -54,7 +54,7 @@ class Mending:
     law: PersistentSeeing | None = None
 
     def __call__(self, state: TableState) -> TableState:
-        """The same state, its log-odds made anew."""
+        """The same state, its log-odds recomputed."""
         xp = library_of(state.log_odds)
         log_odds = xp.interp(state.log_odds, self.recorded, self.mended)
         if self.law is not None:
@@ -108,7 +108,7 @@ class LawPolicy:
     config
         The world with its fitted laws.
     mending
-        Makes log-odds anew where the recorder got them wrong; None where it did not.
+        Makes log-odds again where the recorder got them wrong; None where it did not.
     """
 
     config: WorldConfig

@@ -22,7 +22,7 @@ from halfseen.world.log_checks import TABLE, checked_tables, robots_in
 from halfseen.world.log_rows import begun_objects
 from halfseen.world.logs import states_of
 from halfseen.world.policy import GraspModel
-from halfseen.world.state import TableState
+from halfseen.world.state import Layout, TableState
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
 """All of them; the first two are known as a trajectory begins."""
@@ -220,3 +220,11 @@ def table_covariates(logs: Logs, columns: Sequence[str]) -> pd.DataFrame:
     known = known.merge(targets, on=[*keys, "object"], how="left").drop(columns=[*keys, "object"]).fillna(0.0)
     parts = [action_indicators(logs.stages[ACTION], _VERBS) if name == ACTION else known[[name]] for name in columns]
     return pd.concat([known[[]], *parts], axis=1)
+
+
+def layouts_of(states: TableState) -> Layout:
+    """Tables that trajectories began with, of states with axes (n, T)."""
+    workspace = states.workspace
+    if workspace is not None:
+        workspace = type(workspace)(workspace.is_in_reach[:, 0], workspace.is_near[:, 0])
+    return Layout(states.hides[:, 0], states.is_object[:, 0], states.grip[:, 0], workspace)

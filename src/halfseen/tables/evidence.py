@@ -30,11 +30,10 @@ from halfseen.tables.encoding import logged_actions
 from halfseen.tables.grasp_attempts import attempts
 from halfseen.tables.present import logged_dirty_share
 from halfseen.tables.rewards import outcomes_of
-from halfseen.world.actions import FINISH, ActionSpace, Verb
+from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider
 from halfseen.world.config import WorldConfig
 from halfseen.world.log_rows import begun_objects
 from halfseen.world.logs import states_of
-from halfseen.world.others import is_decider
 from halfseen.world.seeing import SAME_VIEW
 from halfseen.world.state import TableState
 
@@ -163,23 +162,25 @@ class Labels(NamedTuple):
         return bool(self.seen_after.any())
 
 
-def of_first(told: Any, num_trajectories: int) -> Any:
+def of_first(rows: Any, num_trajectories: int) -> Any:
     """Keep what the first trajectories tell, of `Watched` or `Labels`."""
-    kept = told.trajectory < num_trajectories
-    return type(told)(*(values[kept] for values in told))
+    kept = rows.trajectory < num_trajectories
+    return type(rows)(*(values[kept] for values in rows))
 
 
 class Evidence(NamedTuple):
     """What a log tells of the laws."""
 
     tried: Watched
-    told: Labels
+    labels: Labels
     dirty_share: float
     """P(DIRTY) of an object before any label, which the log-odds started from."""
 
     def first(self, num_trajectories: int) -> "Evidence":
         """Keep what the first trajectories tell; the share of dirty objects is the recorder's."""
-        return self._replace(tried=of_first(self.tried, num_trajectories), told=of_first(self.told, num_trajectories))
+        return self._replace(
+            tried=of_first(self.tried, num_trajectories), labels=of_first(self.labels, num_trajectories)
+        )
 
 
 def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:

@@ -34,7 +34,7 @@ What differs between targets decides between them. So the largest `soon` stands 
 all: the largest of the *others* tells as much of the table, but is least for the best target, and turned Q against it.
 
 **Of a team**, when one robot decides. One set of coefficients serves all verbs: what the team can do with a table is
-worth the same, whatever one robot does meanwhile, and so is an attempt that is under way, whoever makes it. The
+worth the same, whatever one robot does meanwhile, and so is an attempt that is under way, whichever robot makes it. The
 features describe what follows the action:
 
 =====================================  ================================================================================
@@ -50,11 +50,11 @@ of WASH, and of LIFT                   win·ease and soon of the target, where a
 of WAIT                                1; what the others are at; the largest win·ease and soon of what it could begin
                                        with now, and of what it reaches but others are in the way of
 of FINISH                              1 where another goes on, and how many are at work
-how long it will take                  the bound of `halfseen.world.others`
+how long it will take                  the bound of `halfseen.world.actions`
 =====================================  ================================================================================
 
 Where robots differ in how they grasp (`GraspByRobot`), what is about one object goes by the robot that is at it, or
-decides; what the team can clear is the same, whoever decides.
+decides; what the team can clear is the same, whichever robot decides.
 
 Where no other robot goes on, all that FINISH looks at is 0, and Q is measured from leaving the table (`rewards`).
 """

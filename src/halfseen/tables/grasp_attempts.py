@@ -1,6 +1,6 @@
 """From the log of a table, of any number of robots, to the attempts to grasp that it holds, the cut ones included.
 
-And what a fit to attempts accepts: tables in, checked float64 and bool out, bad values named; and folds of them.
+And what a fit to attempts accepts: tables in, checked float64 and bool out, bad values named.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -22,8 +22,7 @@ from halfseen.censoring import (
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.logs.columns import refuse, require_columns, shown
-from halfseen.logs.frames import FrameLike, as_frame
+from halfseen.logs.columns import FrameLike, as_floats, as_frame, refuse, require_columns, shown
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.grasp_table import History
 from halfseen.world.actions import TARGETED, Verb
@@ -97,8 +96,10 @@ def _checked_objects(logs: Logs) -> pd.DataFrame:
     if logs.objects is None:
         raise LogError("objects: the log has none; attempts are read from logs with an objects table")
     require_columns("objects", logs.objects, _HISTORY)
-    known = pd.DataFrame(logs.objects[[*_KEY, *_HISTORY]])
-    return known.assign(grip=logs.objects["grip"] if "grip" in logs.objects.columns else 0.0)
+    known = logs.objects if "grip" in logs.objects.columns else logs.objects.assign(grip=0.0)
+    known = pd.DataFrame(known[[*_KEY, *_HISTORY, "grip"]])
+    numbers = {column: as_floats("objects", known, column) for column in (*_HISTORY, "grip")}
+    return known.assign(**{column: of for column, of in numbers.items() if known[column].dtype == object})
 
 
 class _Ends(NamedTuple):
@@ -331,52 +332,3 @@ def _refuse_value(frame: pd.DataFrame, column: str, wrong: Bool[np.ndarray, " ro
     if wrong.any():
         row = int(np.argmax(wrong))
         raise ArgumentError(f"{NAME}, row {row}: {column} is {frame[column].iloc[row]}; {remedy}")
-
-
-FEWEST_OBJECTS = 2
-"""Objects that failed, and that succeeded, without which none can be held out."""
-
-
-def can_hold_out(attempts: pd.DataFrame) -> bool:
-    """Say whether either outcome was seen of enough objects to hold some out, as whoever chooses λ must.
-
-    `attempts` are as `halfseen.tables.grasp_attempts.attempts` gives them.
-    """
-    decided = attempts[attempts["is_finished"].astype(bool)]
-    succeeded = decided["succeeded"].astype(bool)
-    return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (succeeded, ~succeeded))
-
-
-def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Deal attempts into folds: for each, which to fit to and which to hold out; an object's attempts stay together.
-
-    Objects are dealt in the order of their success, so that both outcomes are in every fold: at least as many objects
-    have either outcome as there are folds, and in this order they are neighbours.
-
-    Parameters
-    ----------
-    decided
-        The attempts.
-    num_folds
-        Folds, if so many objects failed and so many succeeded; else as many as did.
-    random_state
-        Seed.
-
-    Raises
-    ------
-    ArgumentError
-        There are fewer than 2 folds, or one outcome was seen of one object alone.
-    """
-    if num_folds < 2:
-        raise ArgumentError(f"num_folds is {num_folds}; cross-validation needs at least 2")
-    num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
-    if min(num_objects) < FEWEST_OBJECTS:
-        word = "failures" if num_objects[0] < FEWEST_OBJECTS else "successes"
-        raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
-    num_folds = min(num_folds, *num_objects)
-    objects, place = np.unique(decided.group, return_inverse=True)
-    share = np.bincount(place, decided.succeeded) / np.bincount(place)
-    fold = np.empty(len(objects), dtype=np.int64)
-    shuffled = np.random.default_rng(random_state).permutation(len(objects))
-    fold[np.lexsort((shuffled, share))] = np.arange(len(objects)) % num_folds
-    return [(np.flatnonzero(fold[place] != k), np.flatnonzero(fold[place] == k)) for k in range(num_folds)]

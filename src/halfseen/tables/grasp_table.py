@@ -60,10 +60,10 @@ class GraspTable:
 
 @record
 class GraspByRobot:
-    """P(an attempt succeeds) by whoever makes it, and by each robot of a team (a `GraspModel`).
+    """P(an attempt succeeds) by whichever robot makes it, and by each robot of a team (a `GraspModel`).
 
-    What the team can do with a table is worth the same, whoever decides, and goes by one model of all attempts. What is
-    about one object goes by the robot that is at it.
+    What the team can do with a table is worth the same, whichever robot decides, and goes by one model of all attempts.
+    What is about one object goes by the robot that is at it.
 
     Parameters
     ----------
@@ -77,7 +77,7 @@ class GraspByRobot:
     own: GraspTable
 
     def probability(self, state: TableState) -> Float[Array, "*B N"]:
-        """P(an attempt succeeds) for each object, whoever makes it."""
+        """P(an attempt succeeds) for each object, whichever robot makes it."""
         return self.shared.probability(state)
 
     def of(self, robot: int) -> GraspTable:

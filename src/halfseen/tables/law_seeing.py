@@ -73,13 +73,13 @@ class Independent:
 
     Parameters
     ----------
-    told
+    labels
         The labels.
     dirty_share
         π.
     """
 
-    told: Labels
+    labels: Labels
     dirty_share: float
 
     prior: ClassVar[Prior] = INDEPENDENT_PRIOR
@@ -104,14 +104,14 @@ class Independent:
 
     def log_likelihood(self, theta: Theta) -> float:
         """Log-likelihood of all objects."""
-        return _of_objects(_accuracy(theta, self.told.occlusion)[0], self.told, self.dirty_share)[0]
+        return _of_objects(_accuracy(theta, self.labels.occlusion)[0], self.labels, self.dirty_share)[0]
 
     def loss(self, theta: Theta, prior: Prior) -> tuple[float, Theta]:
         """Negative log-posterior, and its gradient."""
-        told = self.told
-        right, slopes = _accuracy(theta, told.occlusion)
-        log_likelihood, is_dirty = _of_objects(right, told, self.dirty_share)
-        is_right = np.where(told.says_dirty, is_dirty[told.object], 1.0 - is_dirty[told.object])
+        labels = self.labels
+        right, slopes = _accuracy(theta, labels.occlusion)
+        log_likelihood, is_dirty = _of_objects(right, labels, self.dirty_share)
+        is_right = np.where(labels.says_dirty, is_dirty[labels.object], 1.0 - is_dirty[labels.object])
         slope = (slopes * (is_right / right - (1.0 - is_right) / (1.0 - right))).sum(axis=1)
         return prior.loss(theta, log_likelihood, slope)
 
@@ -134,18 +134,18 @@ def _accuracy(theta: Theta, occlusion: Rows) -> tuple[Rows, Float[np.ndarray, "3
     return 0.5 + reach * height, np.stack(slopes)
 
 
-def _of_objects(right: Rows, told: Labels, dirty_share: float) -> tuple[float, Float[np.ndarray, " objects"]]:
+def _of_objects(right: Rows, labels: Labels, dirty_share: float) -> tuple[float, Float[np.ndarray, " objects"]]:
     """Log-likelihood of all objects, and P(DIRTY) of each given its labels and what was shown of it."""
     from scipy.special import expit
 
-    num_objects = 1 + told.object.max(initial=-1)
+    num_objects = 1 + labels.object.max(initial=-1)
     log_right, log_wrong = np.log(right), np.log1p(-right)
     pairs = (log_right, log_wrong), (log_wrong, log_right)
     if_dirty, if_clean = (
-        np.bincount(told.object, np.where(told.says_dirty, yes, no), num_objects) for yes, no in pairs
+        np.bincount(labels.object, np.where(labels.says_dirty, yes, no), num_objects) for yes, no in pairs
     )
     was = np.zeros((2, num_objects), dtype=bool)
-    was[0, told.object[told.was_dirty]], was[1, told.object[told.was_clean]] = True, True
+    was[0, labels.object[labels.was_dirty]], was[1, labels.object[labels.was_clean]] = True, True
     dirty, clean = np.log(dirty_share) + if_dirty, np.log1p(-dirty_share) + if_clean
     each = np.select([*was], [dirty, clean], np.logaddexp(dirty, clean))
     # Numbers that no object has have neither labels nor truth, and add log 1.
@@ -173,7 +173,7 @@ class Persistent:
         Of what an object shows in full view, in which the curves are given.
     """
 
-    told: Labels
+    labels: Labels
     dirty_share: float
     num_parts: int = NUM_PARTS
 
@@ -182,7 +182,7 @@ class Persistent:
     @cached_property
     def facing(self) -> float:
         """Share of the surface that an object in full view shows."""
-        return facing_of(self.told)
+        return facing_of(self.labels)
 
     @cached_property
     def prior(self) -> Prior:
@@ -195,7 +195,7 @@ class Persistent:
 
     @cached_property
     def _intervals(self) -> Intervals:
-        return intervals_of(self.told, self.facing, self.num_parts)
+        return intervals_of(self.labels, self.facing, self.num_parts)
 
     def fitted(self, prior: Prior) -> Theta:
         """θ of the largest posterior density."""
@@ -225,16 +225,18 @@ class Persistent:
         return prior.loss(theta, *persistent_likelihood(theta, self._intervals, self.dirty_share))
 
 
-def facing_of(told: Labels) -> float:
+def facing_of(labels: Labels) -> float:
     """Share of the surface that an object in full view shows, as the recorder counted it; 1 where nothing tells.
 
     It shows where a look at an object on the table found nothing: what counts as seen is then that share of what was
     not hidden.
     """
-    is_plain = ~told.is_held & ~told.says_dirty & (told.seen_after > told.seen + SAME_VIEW) & (told.occlusion < 1.0)
+    is_plain = (
+        ~labels.is_held & ~labels.says_dirty & (labels.seen_after > labels.seen + SAME_VIEW) & (labels.occlusion < 1.0)
+    )
     if not is_plain.any():
         return 1.0
-    shares = told.seen_after[is_plain] / (1.0 - told.occlusion[is_plain])
+    shares = labels.seen_after[is_plain] / (1.0 - labels.occlusion[is_plain])
     # As exact as views are told apart: what was recorded has the rounding of its arithmetic.
     return float(np.clip(np.round(np.median(shares), 6), SAME_VIEW, 1.0))
 
@@ -251,20 +253,20 @@ def persistent_prior(facing: float, num_parts: int = NUM_PARTS) -> Prior:
     return Prior((np.log(hazard) - np.log1p(-hazard)).ravel(), 1.5)
 
 
-def intervals_of(told: Labels, facing: float, num_parts: int = NUM_PARTS) -> Intervals:
+def intervals_of(labels: Labels, facing: float, num_parts: int = NUM_PARTS) -> Intervals:
     """Take the labels of each object together.
 
     Parameters
     ----------
-    told
+    labels
         The labels.
     facing
         Share of the surface that an object in full view shows.
     num_parts
         Of it, in which the curves are given.
     """
-    _, from_end = np.unique(told.object[::-1], return_index=True)
-    last = Labels(*(values[::-1][from_end] for values in told))
+    _, from_end = np.unique(labels.object[::-1], return_index=True)
+    last = Labels(*(values[::-1][from_end] for values in labels))
     # Where a look found nothing, what it showed is what the recorder counts as seen.
     shown = np.where(last.says_dirty, np.where(last.is_held, 1.0, facing * (1.0 - last.occlusion)), last.seen_after)
     views = views_of(facing, num_parts)

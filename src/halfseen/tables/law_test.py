@@ -49,7 +49,7 @@ from halfseen.tables.look_ahead import Ahead, ahead_of
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.log_rows import begun_objects
-from halfseen.world.state import Layout, TableState, attempt_counts, occlusion
+from halfseen.world.state import TableState, attempt_counts, occlusion
 
 
 class WeightedLog(NamedTuple):
@@ -92,14 +92,6 @@ def weighed(trajectories: TrajectoryArrays, states: TableState) -> WeightedLog |
     return WeightedLog(states, trajectories.action, trajectories.reward, weight, trajectories.is_last)
 
 
-def layouts_of(states: TableState) -> Layout:
-    """Tables that trajectories began with, of states with axes (n, T)."""
-    workspace = states.workspace
-    if workspace is not None:
-        workspace = type(workspace)(workspace.is_in_reach[:, 0], workspace.is_near[:, 0])
-    return Layout(states.hides[:, 0], states.is_object[:, 0], states.grip[:, 0], workspace)
-
-
 CLEARLY_PAID = 4.0
 """Standard errors beyond which what LIFTs paid is not what the laws say."""
 
@@ -132,9 +124,9 @@ def with_lift_price(config: WorldConfig, log: WeightedLog) -> tuple[WorldConfig,
     beyond = np.bincount(at[0], weight * (paid - expected), len(log.weight))
     if abs(beyond.sum()) <= CLEARLY_PAID * np.sqrt((beyond**2).sum()):
         return config, None
-    told, was = weight @ paid / weight.sum(), weight @ expected / weight.sum()
-    price = float(config.reward_lift_per_s * told / was)
-    words = f"a LIFT paid {told:.2g} on average, where its times and its price a second make {was:.2g}: it is priced so"
+    mean_paid, was = weight @ paid / weight.sum(), weight @ expected / weight.sum()
+    price = float(config.reward_lift_per_s * mean_paid / was)
+    words = f"a LIFT paid {mean_paid:.2g} on average, where its times and its price make {was:.2g}: it is priced so"
     return replace(config, reward_lift_per_s=price), words
 
 
@@ -264,7 +256,7 @@ FEWEST_TRAJECTORIES = 80
 """Trajectories below which nothing is tested: misses are rare, and T² of sums with such tails rejects too often."""
 
 
-class Foretold(NamedTuple):
+class Predicted(NamedTuple):
     """What was other than foretold, in R places."""
 
     trajectory: Int[np.ndarray, " R"]
@@ -293,17 +285,14 @@ def tested_on_team(
         "dirt": _dirt(config, states, brought, weight),
         "labels": _labels(states, brought, weight),
     }
-    sums = {
-        name: _sums(found.trajectory, found.residual[:, None] * found.described, logs.num_trajectories)
-        for name, found in groups.items()
-    }
+    n = logs.num_trajectories
+    sums = {name: _sums(each.trajectory, each.residual[:, None] * each.described, n) for name, each in groups.items()}
     z = _standardised(sums)
-    if logs.num_trajectories < FEWEST_TRAJECTORIES:
-        return LawTest(0.0, 1.0, z)
-    return LawTest(*hotelling(np.concatenate([*sums.values()], axis=1)), z)
+    found = hotelling(np.hstack([*sums.values()])) if n >= FEWEST_TRAJECTORIES else (0.0, 1.0)
+    return LawTest(*found, z)
 
 
-def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[np.ndarray, "n T"]) -> Foretold:
+def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[np.ndarray, "n T"]) -> Predicted:
     """Of attempts whose end was seen; each counts by the weight of the stage in which it ended."""
     tried: Any = attempts(logs)
     tried = tried[tried["is_finished"].to_numpy(dtype=bool)]
@@ -319,9 +308,9 @@ def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[n
         is_its_own = (robot == k) | (not config.has_own_laws)
         expected = np.where(is_its_own, look.expected[0][HELD][target, number], expected)
     is_held = tried["succeeded"].to_numpy(dtype=bool)
-    columns = (tried["occlusion"].to_numpy(dtype=np.float64), tried["failures"].to_numpy(dtype=np.float64))
+    columns = tried[["occlusion", "failures"]].to_numpy(dtype=np.float64)
     of_end = weight[trajectory, _ended_in(states, weight, trajectory, stage, robot)]
-    return Foretold(trajectory, of_end * (is_held - expected), np.column_stack([np.ones(len(row)), *columns]))
+    return Predicted(trajectory, of_end * (is_held - expected), np.column_stack([np.ones(len(row)), columns]))
 
 
 def _ended_in(
@@ -333,15 +322,14 @@ def _ended_in(
 ) -> Int[np.ndarray, " R"]:
     """The stage in which what a robot began came to its end: the last one before that in which it is free again."""
     assert states.robots is not None
-    horizon = weight.shape[1]
-    number = np.arange(horizon)
+    number = np.arange(weight.shape[1])
     is_stage = np.any(states.is_on_table, axis=-1)[trajectory]
     is_free = ~states.robots.is_busy[trajectory, :, robot] & is_stage & (number > stage[:, None])
     first = np.where(is_free.any(axis=1), is_free.argmax(axis=1), is_stage.sum(axis=1))
-    return np.clip(first - 1, 0, horizon - 1)
+    return np.clip(first - 1, 0, number[-1])
 
 
-def _dirt(config: WorldConfig, states: TableState, brought: Brought, weight: Float[np.ndarray, "n T"]) -> Foretold:
+def _dirt(config: WorldConfig, states: TableState, brought: Brought, weight: Float[np.ndarray, "n T"]) -> Predicted:
     """Of objects that left the table alone."""
     at = np.nonzero(brought.goes_on & (brought.outcome[..., NUM_LEFT] == 1) & (weight > 0.0))
     target = brought.has_left[at].argmax(axis=-1)
@@ -349,14 +337,14 @@ def _dirt(config: WorldConfig, states: TableState, brought: Brought, weight: Flo
     paid = beside_prices(brought, config)[at]
     is_dirty = np.abs(paid - config.reward_wash_dirty) < np.abs(paid - config.reward_wash_clean)
     seen = states.seen[(*at, target)].astype(np.float64)
-    return Foretold(at[0], weight[at] * (is_dirty - p), np.column_stack([np.ones(len(p)), p, seen]))
+    return Predicted(at[0], weight[at] * (is_dirty - p), np.column_stack([np.ones(len(p)), p, seen]))
 
 
-def _labels(states: TableState, brought: Brought, weight: Float[np.ndarray, "n T"]) -> Foretold:
+def _labels(states: TableState, brought: Brought, weight: Float[np.ndarray, "n T"]) -> Predicted:
     """Of what stays on the table from one stage to the next."""
     p = np.where(states.is_on_table, expit(states.log_odds.astype(np.float64)), 0.0)
     stays: Bool[np.ndarray, "n T N"] = states.is_on_table & np.roll(states.is_on_table, -1, axis=1)
     moved = np.where(stays & brought.goes_on[..., None], np.roll(p, -1, axis=1) - p, 0.0)
     at = np.nonzero(brought.goes_on & (weight > 0.0))
     whole, likely = moved.sum(axis=-1)[at], (moved * (p > 0.5)).sum(axis=-1)[at]
-    return Foretold(at[0], weight[at], np.column_stack([whole, likely]))
+    return Predicted(at[0], weight[at], np.column_stack([whole, likely]))

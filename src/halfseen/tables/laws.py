@@ -49,7 +49,7 @@ ENOUGH_HELD = 20
 """WASHes that held, from which on one reward of all of them is that of dirty objects and of clean ones."""
 
 SAME = 1e-3
-"""By how much multiples of a price may be off, in units of it."""
+"""By how much multiples of a price may be off, in units of it; and below which a reward is taken for 0."""
 
 
 def paid_in(logs: Logs, horizon: int, left: Rows) -> WorldConfig:
@@ -172,9 +172,8 @@ def paid_in_team(logs: Logs, states: TableState) -> WorldConfig:
     brought = brought_by(logs, states)
     known = replace(known, **_certain(brought))
     is_last, home_s = _last_to_park(brought, states)
-    known = replace(
-        known, **_team_washed(brought, known), **_left(brought, known, is_last), **_times(home_s, num_robots)
-    )
+    washed = dirty_and_clean(beside_prices(brought, known)[brought.goes_on & (brought.outcome[..., NUM_LEFT] == 1)])
+    known = replace(known, **washed, **_left(brought, known, is_last), **_times(home_s, num_robots))
     limit_s = _limit_s(logs, known)
     return known if limit_s is None else replace(known, grasping=AssumedGrasping(limit_s=limit_s))
 
@@ -183,23 +182,16 @@ def _certain(brought: Brought) -> dict[str, float]:
     """Prices of a failed WASH, a second of a LIFT, and one of the clock."""
     names = {FAILED: "reward_wash_failed", LIFTED_S: "reward_lift_per_s", LASTED_S: "reward_per_s"}
     outcome = brought.outcome[brought.goes_on & (brought.outcome[..., NUM_LEFT] == 0)]
-    told = [column for column in names if np.any(outcome[:, column] != 0.0)]
-    if not told:
+    priced = [column for column in names if np.any(outcome[:, column] != 0.0)]
+    if not priced:
         return {}
     paid = brought.reward[brought.goes_on & (brought.outcome[..., NUM_LEFT] == 0)]
-    found = np.linalg.lstsq(outcome[:, told], paid, rcond=None)[0]
-    prices = {names[column]: float(price) for column, price in zip(told, found, strict=True)}
+    found = np.linalg.lstsq(outcome[:, priced], paid, rcond=None)[0]
+    prices = {names[column]: float(price) for column, price in zip(priced, found, strict=True)}
     if "reward_per_s" in prices:
-        prices["reward_per_s"] = (
-            min(0.0, prices["reward_per_s"]) if abs(prices["reward_per_s"]) > PRICE_ROUNDING else 0.0
-        )
+        per_s = prices["reward_per_s"]
+        prices["reward_per_s"] = min(0.0, per_s) if abs(per_s) > PRICE_ROUNDING else 0.0
     return prices
-
-
-def _team_washed(brought: Brought, known: WorldConfig) -> dict[str, float]:
-    """Rewards of what was dirty, and of what was clean."""
-    paid = beside_prices(brought, known)[brought.goes_on & (brought.outcome[..., NUM_LEFT] == 1)]
-    return dirty_and_clean(paid)
 
 
 def _last_to_park(
@@ -221,12 +213,8 @@ def _left(brought: Brought, known: WorldConfig, is_last: Bool[np.ndarray, "n T"]
         return {}
     # Nothing has left the table in such a stage, whose reward beside its seconds is the price of what is left.
     paid = brought.reward[is_last] - known.reward_per_s * brought.outcome[is_last, LASTED_S]
-    price = price_of_each(_rounded(paid), brought.outcome[is_last, DIRT_BEFORE])
+    price = price_of_each(np.where(np.abs(paid) < SAME, 0.0, paid), brought.outcome[is_last, DIRT_BEFORE])
     return {} if price is None else {"reward_dirty_left": price}
-
-
-def _rounded(paid: Rows) -> Rows:
-    return np.where(np.abs(paid) < 1e-3, 0.0, paid)
 
 
 def _times(home_s: dict[int, Float[np.ndarray, " k"]], num_robots: int) -> dict[str, object]:
@@ -313,18 +301,20 @@ def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | Non
     prior
         Laws about which these are fitted; None for weak priors.
     """
-    limit_s, told = float(known.grasping.limit_s), evidence.told
+    limit_s, labels = float(known.grasping.limit_s), evidence.labels
     grasping = choose_grasping(evidence.tried, limit_s, None if prior is None else prior.grasping)
-    seen = seeing_of(told, evidence.dirty_share, None if prior is None else known_seeing(prior))
+    seen = seeing_of(labels, evidence.dirty_share, None if prior is None else known_seeing(prior))
     config = replace(known, dirty_share=evidence.dirty_share, grasping=grasping, seeing=seen.law)
-    is_mended = len(told.trajectory) > 0 and (seen.recorder is None or seen.is_rejected)
-    family = "looks that show nothing new are no news" if told.is_persistent else "each look is news"
-    if not len(told.trajectory):
+    is_mended = len(labels.trajectory) > 0 and (seen.recorder is None or seen.is_rejected)
+    family = "looks that show nothing new are no news" if labels.is_persistent else "each look is news"
+    if not len(labels.trajectory):
         how = "no label tells how looks err"
     elif seen.recorder is None:
-        how = f"no one law of seeing made the log’s log-odds: it is fitted to the labels ({family}), log-odds made anew"
+        how = (
+            f"no one law of seeing made the log’s log-odds: it is fitted to the labels ({family}), log-odds recomputed"
+        )
     elif seen.is_rejected:
-        how = "the labels contradict the recorder’s law of seeing: it is fitted to them, log-odds made anew"
+        how = "the labels contradict the recorder’s law of seeing: it is fitted to them, log-odds recomputed"
     else:
         how = f"the law of seeing is read from the log’s own log-odds ({family}); its labels do not contradict it"
     return FittedLaws(config, is_mended, how)

@@ -31,7 +31,7 @@ from halfseen.logs import Logs, LogStream
 from halfseen.planners.belief import known_seeing
 from halfseen.shapes import Float
 from halfseen.tables.assisted import AssistedPolicy, AssistedTeamPolicy, RulePolicy
-from halfseen.tables.encoding import states_alone, team_states
+from halfseen.tables.encoding import layouts_of, states_alone, team_states
 from halfseen.tables.evidence import Evidence, brought_by, evidence_of
 from halfseen.tables.excess import counting_time, fitted_excess, fitted_team_excess
 from halfseen.tables.grasp_choice import grasp_model_of
@@ -40,7 +40,6 @@ from halfseen.tables.law_test import (
     LawTest,
     WeightedLog,
     hotelling_test,
-    layouts_of,
     residuals_of,
     tested_on_team,
     weighted_log,
@@ -214,7 +213,7 @@ def assisted_by(
         Chooses what the policy is where the log contradicts the laws; it is given the rule of thumb.
     """
     laws = fitted_laws(evidence, known, prior)
-    mending = mending_of(evidence.told, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
+    mending = mending_of(evidence.labels, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
     sentences = [laws.sentence, laws_in_words(laws, evidence.tried)]
     test = LawTest(0.0, 1.0, {})
     if isinstance(log, str):
@@ -311,18 +310,24 @@ class TeamLearner(TableLearner):
     def _assisted(self, logs: Logs) -> Assisted:
         states = team_states(logs, self.horizon)
         laws = team_laws(logs, states, self.world, self.prior_law)
-        config, told, log = laws.config, laws.sentence, weighted_log(logs, states, is_team=True)
+        config, sentence, log = laws.config, laws.sentence, weighted_log(logs, states, is_team=True)
         test = LawTest(0.0, 1.0, {})
         if not isinstance(log, str):
             test = tested_on_team(config, logs, states, brought_by(logs, states), log.weight)
         said = log if isinstance(log, str) else test.sentence
         if test.is_rejected:
             why = f"{said}, so the policy is what is learned without them"
-            return Assisted(self.linear_policy_, LINEAR, laws, test, (told, why))
+            return Assisted(self.linear_policy_, LINEAR, laws, test, (sentence, why))
         num_sharing = config.num_robots if config.num_robots > 1 else 0
         counted = counting_time(config, num_sharing * float(self.unpriced_per_robot_s))
         policy = AssistedTeamPolicy(counted, fitted_team_excess(counted, layouts_of(states), self.random_state))
-        return Assisted(policy, MODEL, laws, test, (told, said, *_counted_in_words(config, counted)))
+        sentences = [sentence, said]
+        if config.reward_per_s != counted.reward_per_s:
+            sentences.append(
+                f"the log pays nothing for time; a second is counted {-float(counted.reward_per_s):.3g}, so that "
+                "robots do not wait for what hardly pays (unpriced_per_robot_s=0 counts none)"
+            )
+        return Assisted(policy, MODEL, laws, test, tuple(sentences))
 
 
 def team_laws(
@@ -338,18 +343,8 @@ def team_laws(
     laws = fitted_laws(evidence, known, prior)
     if not laws.is_mended:
         return laws
-    recorder = seeing_of(evidence.told, evidence.dirty_share).recorder
+    recorder = seeing_of(evidence.labels, evidence.dirty_share).recorder
     if recorder is None:
         return laws._replace(sentence="no one law of seeing made the log’s log-odds: it is fitted to the labels")
     config = replace(laws.config, seeing=recorder)
     return FittedLaws(config, False, "the law of seeing is the one that made the log’s own log-odds")
-
-
-def _counted_in_words(paid: WorldConfig, counted: WorldConfig) -> tuple[str, ...]:
-    """Say so where seconds are counted that the log does not pay for."""
-    if paid.reward_per_s == counted.reward_per_s:
-        return ()
-    return (
-        f"the log pays nothing for time; a second is counted {-float(counted.reward_per_s):.3g}, so that robots do not "
-        "wait for what hardly pays (unpriced_per_robot_s=0 counts none)",
-    )

@@ -44,7 +44,7 @@ from halfseen.planners.one_step import (
     tries_then,
     values_by,
 )
-from halfseen.shapes import Float
+from halfseen.shapes import Bool, Float
 from halfseen.tables.features import NUM_TEAM_FEATURES, team_features
 from halfseen.world.actions import VERB_NAMES, WAIT, ActionSpace
 from halfseen.world.config import WorldConfig
@@ -87,6 +87,70 @@ def ahead_of(config: WorldConfig, table: Table, look: Outlook | None = None) -> 
     return Ahead(table, look, values, control_value(table, look), *_described(config, table, look, each[0], values))
 
 
+class _Objects(NamedTuple):
+    """What the look ahead makes of each object; 0 of what is not there."""
+
+    worth: Float[Array, " N *B"]
+    gain: Float[Array, " N *B"]
+    holds: Float[Array, " N *B"]
+    again: Float[Array, " N *B"]
+    doubt: Float[Array, " N *B"]
+    unseen: Float[Array, " N *B"]
+    reveal: Float[Array, " N *B"]
+    around: Float[Array, " N *B"]
+    own: Float[Array, " N *B"]
+    occluded: Float[Array, " N *B"]
+    bare: Float[Array, " N *B"]
+    bare_dirty: Float[Array, " N *B"]
+    second: Float[Array, " N *B"]
+    lift_net: Float[Array, " N *B"]
+    total: Float[Array, "*B"]
+    """Of all gains."""
+    wanted: Float[Array, "*B"]
+    """How many are worth a WASH."""
+    scarce: Float[Array, "*B"]
+
+
+def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Array, "2 M N *B"]) -> _Objects:
+    xp, there = library_of(gains), table.is_there
+    expected, p = look.expected[0], table.is_dirty
+    holds, again = expected[NOW], expected[MISSED_THEN_HELD] / xp.maximum(expected[MISSED], _TINY)
+
+    def if_there(each: Array) -> Array:
+        return xp.where(there, each, ZERO)
+
+    worth, gain = if_there(look.worth), if_there(xp.maximum(look.worth, ZERO))
+    total, wanted = gain.sum(axis=0), ((worth > ZERO) * ONE).sum(axis=0)
+    unseen, doubt = if_there(ONE - table.seen), if_there(4.0 * p * (ONE - p))
+    others = total - gain
+    reveal, around = (if_there(of_row[1:-1].sum(axis=1) - others) for of_row in gains)
+    own = if_there(gains[0, -1] - gain)
+    hidden = xp.where(there, xp.maximum(look.occluded[0] - look.occluded[1:-1], ZERO), ZERO)
+    bare, bare_dirty, second = (
+        if_there((hidden * each).sum(axis=1)) for each in (doubt * unseen, (p > 0.5) * unseen, reveal)
+    )
+    own_s = config.transport_s + expected[ATTEMPT_S]
+    return _Objects(
+        worth=worth,
+        gain=gain,
+        holds=holds,
+        again=again,
+        doubt=doubt,
+        unseen=unseen,
+        reveal=reveal,
+        around=around,
+        own=own,
+        occluded=if_there(look.occluded[0]),
+        bare=bare,
+        bare_dirty=bare_dirty,
+        second=second,
+        lift_net=if_there(holds * (own + around) + config.reward_lift_per_s * own_s),
+        total=total,
+        wanted=wanted,
+        scarce=xp.maximum(wanted - table.steps_to_go.astype(np.float32), ZERO),
+    )
+
+
 def _described(
     config: WorldConfig,
     table: Table,
@@ -96,92 +160,82 @@ def _described(
 ) -> tuple[Float[Array, " 14 *B"], Float[Array, "30 2 N *B"]]:
     """Features of the table, and those of its own for each target."""
     xp, there = library_of(values), table.is_there
-    expected, p = look.expected[0], table.is_dirty
-    holds, again = expected[NOW], expected[MISSED_THEN_HELD] / xp.maximum(expected[MISSED], _TINY)
+    each = _objects(config, table, look, gains)
+    above, control = (of_row.reshape(2, *there.shape) for of_row in values)
+    # What is not there has no features; one product for all is faster than one for each.
+    by_target = xp.stack(_of_target(table, each))[:, None]
+    by_target = xp.broadcast_to(by_target, (len(by_target), *above.shape))
+    of_verb = xp.stack(_of_verb(there, above, control, each.total))
+    own = xp.where(there, xp.concatenate([of_verb, by_target]), ZERO).astype(np.float32)
+    return xp.stack(_of_table(table, each)).astype(np.float32), own
 
-    def if_there(each: Array) -> Array:
-        return xp.where(there, each, ZERO)
 
-    worth, gain = if_there(look.worth), if_there(xp.maximum(look.worth, ZERO))
-    total, wanted = gain.sum(axis=0), ((worth > ZERO) * ONE).sum(axis=0)
-    steps = table.steps_to_go.astype(np.float32)
-    scarce, unseen = xp.maximum(wanted - steps, ZERO), if_there(ONE - table.seen)
-    doubt = if_there(4.0 * p * (ONE - p))
-    others = total - gain
-    reveal, around = (if_there(of_row[1:-1].sum(axis=1) - others) for of_row in gains)
-    own = if_there(gains[0, -1] - gain)
-    occluded = if_there(look.occluded[0])
-    hidden = xp.where(there, xp.maximum(look.occluded[0] - look.occluded[1:-1], ZERO), ZERO)
-    bare, bare_dirty, second = (
-        if_there((hidden * each).sum(axis=1)) for each in (doubt * unseen, (p > 0.5) * unseen, reveal)
-    )
-    own_s = config.transport_s + expected[ATTEMPT_S]
-    lift_net = if_there(holds * (own + around) + config.reward_lift_per_s * own_s)
-    in_order = xp.sort(gain, axis=0)[::-1]
-    number = np.arange(len(p)).reshape(-1, *(1,) * (p.ndim - 1))
-    within = xp.where(number < steps, in_order, ZERO).sum(axis=0)
-    count = (there * ONE).sum(axis=0)
-    most_lift = lift_net.max(axis=0)
-    of_table = [
-        total / 10.0,
-        wanted / 5.0,
-        scarce / 3.0,
-        (total - within) / 10.0,
-        count / 5.0,
-        reveal.max(axis=0),
-        own.max(axis=0),
-        own.sum(axis=0) / 3.0,
-        bare.sum(axis=0),
+def _of_table(table: Table, each: _Objects) -> list[Float[Array, "*B"]]:
+    xp = library_of(each.gain)
+    in_order = xp.sort(each.gain, axis=0)[::-1]
+    number = np.arange(len(in_order)).reshape(-1, *(1,) * (in_order.ndim - 1))
+    within = xp.where(number < table.steps_to_go.astype(np.float32), in_order, ZERO).sum(axis=0)
+    most_lift = each.lift_net.max(axis=0)
+    return [
+        each.total / 10.0,
+        each.wanted / 5.0,
+        each.scarce / 3.0,
+        (each.total - within) / 10.0,
+        (table.is_there * ONE).sum(axis=0) / 5.0,
+        each.reveal.max(axis=0),
+        each.own.max(axis=0),
+        each.own.sum(axis=0) / 3.0,
+        each.bare.sum(axis=0),
         most_lift,
         xp.maximum(most_lift, ZERO),
-        reveal.sum(axis=0) / 3.0,
-        (doubt * unseen).sum(axis=0) / 3.0,
-        (gain * (ONE - holds)).sum(axis=0) / 5.0,
+        each.reveal.sum(axis=0) / 3.0,
+        (each.doubt * each.unseen).sum(axis=0) / 3.0,
+        (each.gain * (ONE - each.holds)).sum(axis=0) / 5.0,
     ]
-    by_target = [
-        worth / 5.0,
-        gain / 5.0,
-        p,
-        holds,
-        again,
-        holds * again,
-        doubt,
-        unseen,
-        own,
-        reveal,
-        around,
-        bare,
-        bare_dirty,
-        second,
-        gain * (ONE - holds) / 5.0,
-        (gain <= ZERO) * holds,
-        holds * reveal,
-        holds * own,
+
+
+def _of_target(table: Table, each: _Objects) -> list[Float[Array, " N *B"]]:
+    return [
+        each.worth / 5.0,
+        each.gain / 5.0,
+        table.is_dirty,
+        each.holds,
+        each.again,
+        each.holds * each.again,
+        each.doubt,
+        each.unseen,
+        each.own,
+        each.reveal,
+        each.around,
+        each.bare,
+        each.bare_dirty,
+        each.second,
+        each.gain * (ONE - each.holds) / 5.0,
+        (each.gain <= ZERO) * each.holds,
+        each.holds * each.reveal,
+        each.holds * each.own,
         (table.seen <= ZERO) * ONE,
-        (p > 0.8) * ONE,
-        gain * scarce / 10.0,
-        reveal * scarce / 3.0,
-        own * scarce / 3.0,
-        occluded,
-        doubt * unseen * holds,
+        (table.is_dirty > 0.8) * ONE,
+        each.gain * each.scarce / 10.0,
+        each.reveal * each.scarce / 3.0,
+        each.own * each.scarce / 3.0,
+        each.occluded,
+        each.doubt * each.unseen * each.holds,
     ]
-    above, control = (each.reshape(2, *there.shape) for each in values)
+
+
+def _of_verb(
+    there: Bool[Array, " N *B"],
+    above: Float[Array, "2 N *B"],
+    control: Float[Array, "2 N *B"],
+    total: Float[Array, "*B"],
+) -> list[Float[Array, "2 N *B"]]:
+    """How far each action falls short of the best, and goes beyond what may be had without it."""
+    xp = library_of(above)
     best, second_best = _best_two(above)
-    short = if_there(above - best)
-    beyond = if_there(control - total)
-    rival = if_there(xp.where(short >= -1e-6, second_best - best, ZERO))
-    of_verb = [
-        short / 5.0,
-        beyond / 5.0,
-        xp.maximum(short + ONE, ZERO),
-        xp.maximum(beyond + ONE, ZERO),
-        rival / 5.0,
-    ]
-    # What is not there has no features; one product for all is faster than one for each.
-    both = xp.stack(by_target)[:, None]
-    both = xp.broadcast_to(both, (len(by_target), *above.shape))
-    own_features = xp.where(there, xp.concatenate([xp.stack(of_verb), both]), ZERO).astype(np.float32)
-    return xp.stack(of_table).astype(np.float32), own_features
+    short, beyond = (xp.where(there, each, ZERO) for each in (above - best, control - total))
+    rival = xp.where(there & (short >= -1e-6), second_best - best, ZERO)
+    return [short / 5.0, beyond / 5.0, xp.maximum(short + ONE, ZERO), xp.maximum(beyond + ONE, ZERO), rival / 5.0]
 
 
 def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[Array, "*B"]]:

@@ -12,14 +12,13 @@ import numpy as np
 
 from halfseen.arrays import STATIC, Array, at, library_of, mapped, record
 from halfseen.errors import ArgumentError
-from halfseen.learning.behaviour import leaning, seen_among
+from halfseen.learning.behaviour import excess_propensity, seen_among
 from halfseen.learning.q_space import KernelMap
 from halfseen.learning.rows import q_values
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.features import table_features, table_q, team_features
 from halfseen.world import random
-from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions, worthwhile_actions
-from halfseen.world.others import is_decider
+from halfseen.world.actions import WAIT, ActionSpace, Verb, is_decider, possible_actions, worthwhile_actions
 from halfseen.world.policy import (
     Decision,
     ExploringPolicy,
@@ -80,7 +79,7 @@ class _LinearPolicy:
         if self.margin is not None:
             margin = _by_steps(_lengths, self.margin, self._mapped(features), to_go, self._slices(state))
             if self.behaviour is not None:
-                lean = leaning(q_values(self.behaviour, features, blocks), allowed)
+                lean = excess_propensity(q_values(self.behaviour, features, blocks), allowed)
                 margin = (1.0 - lean).astype(margin.dtype) * margin
             q = q - margin
         return library_of(q).where(allowed, q, np.float32(-np.inf))

@@ -59,7 +59,7 @@ def prior_facts(logs: Logs) -> PriorFacts:
 
     stated = None
     if PRIOR_COLUMN in logs.trajectories.columns and not logs.trajectories[PRIOR_COLUMN].isna().to_numpy().any():
-        values = logs.trajectories[PRIOR_COLUMN].to_numpy(dtype=np.float64)
+        values = as_floats("trajectories", logs.trajectories, PRIOR_COLUMN)
         stated = float(values.min()), float(values.max())
     if logs.objects is None:
         if stated is not None:
@@ -253,13 +253,13 @@ def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSee
     """
     occluded = np.asarray(occlusion(present.state), dtype=np.float64)
     log_odds, seen = (np.asarray(leaf, dtype=np.float64) for leaf in (present.state.log_odds, present.state.seen))
-    told = np.array([*is_dirty, *[None] * (len(occluded) - len(is_dirty))], dtype=object)
-    counts = np.isin(np.arange(len(told)), present.new) | (not present.is_labelled)
-    is_told, says_dirty = np.array([dirty is not None for dirty in told]) & counts, told.astype(bool)
+    says = np.array([*is_dirty, *[None] * (len(occluded) - len(is_dirty))], dtype=object)
+    counts = np.isin(np.arange(len(says)), present.new) | (not present.is_labelled)
+    is_labelled_now, says_dirty = np.array([dirty is not None for dirty in says]) & counts, says.astype(bool)
     evidence = label_evidence(*seeing.positive(occluded, seen), says_dirty)
     state = replace(
         present.state,
-        log_odds=(log_odds + np.where(is_told, evidence, 0.0)).astype(np.float32),
-        seen=np.where(is_told, seeing.after(occluded, seen, says_dirty), seen).astype(np.float32),
+        log_odds=(log_odds + np.where(is_labelled_now, evidence, 0.0)).astype(np.float32),
+        seen=np.where(is_labelled_now, seeing.after(occluded, seen, says_dirty), seen).astype(np.float32),
     )
     return replace(present, state=state, is_labelled=True, new=())

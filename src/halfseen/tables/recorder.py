@@ -9,9 +9,9 @@ squares, exact but for rounding where the recorder was of that family. A robot t
 hides an object otherwise than its camera saw it, so `MOST` of the moves must be reproduced, not all. Where no law does,
 nothing is read.
 
-A recorder's law may be wrong, and then its log-odds mislead whoever goes by them. The labels themselves tell: were the
-recorder right, twice the log-likelihood ratio of the best law of the family to the recorder's would be χ², with as many
-degrees of freedom as the family has numbers [Wilks1938]_. Unless that is beyond `LEVEL`, the recorder's law is the
+A recorder's law may be wrong, and then its log-odds mislead anyone who goes by them. The labels themselves tell: were
+the recorder right, twice the log-likelihood ratio of the best law of the family to the recorder's would be χ², with as
+many degrees of freedom as the family has numbers [Wilks1938]_. Unless that is beyond `LEVEL`, the recorder's law is the
 centre of the prior of the fit by labels; else they are fitted without it, as where a log holds no log-odds of its own.
 """
 
@@ -61,13 +61,13 @@ class Recorder(NamedTuple):
 
 
 def read_back(
-    told: Labels, law_of: Callable[[Rows], KnownSeeing], centre: Rows, bounds: tuple[float, float]
+    labels: Labels, law_of: Callable[[Rows], KnownSeeing], centre: Rows, bounds: tuple[float, float]
 ) -> Recorder:
     """Find the law whose labels would have moved the log-odds as they moved.
 
     Parameters
     ----------
-    told
+    labels
         The labels.
     law_of
         The law of some numbers.
@@ -78,24 +78,24 @@ def read_back(
     """
     from scipy.optimize import least_squares
 
-    some = Labels(*(values[:: 1 + len(told.moved) // ENOUGH] for values in told))
+    some = Labels(*(values[:: 1 + len(labels.moved) // ENOUGH] for values in labels))
 
     def left(theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
         return np.concatenate([moved_by(law_of(theta), some) - some.moved, 1e-4 * (theta - centre)])
 
     def read(loss: str) -> Recorder:
         theta = least_squares(left, centre, bounds=bounds, loss=loss, f_scale=MOVE_ROUNDING).x
-        squares = np.sort((moved_by(law_of(theta), told) - told.moved) ** 2)
+        squares = np.sort((moved_by(law_of(theta), labels) - labels.moved) ** 2)
         return Recorder(theta, float(np.sqrt(np.mean(squares[: int(np.ceil(MOST * len(squares)))]))))
 
     exact = read("linear")
     return exact if exact.is_consistent else read("soft_l1")
 
 
-def moved_by(law: KnownSeeing, told: Labels) -> Rows:
+def moved_by(law: KnownSeeing, labels: Labels) -> Rows:
     """By how much the labels move the log-odds under a law."""
-    if_dirty, if_clean = law.positive(told.occlusion, told.seen, told.is_held)
-    return np.asarray(label_evidence(if_dirty, if_clean, told.says_dirty), dtype=np.float64)
+    if_dirty, if_clean = law.positive(labels.occlusion, labels.seen, labels.is_held)
+    return np.asarray(label_evidence(if_dirty, if_clean, labels.says_dirty), dtype=np.float64)
 
 
 def speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
@@ -115,26 +115,26 @@ class SeenBy(NamedTuple):
     """Whether the labels speak against it."""
 
 
-def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
+def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
     """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
 
     Parameters
     ----------
-    told
+    labels
         The labels; without any, the law's numbers are the prior's.
     dirty_share
         π, which is known.
     known
         A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
     """
-    families: list[Any] = [Independent(told, dirty_share)]
-    if told.is_persistent:
-        families = [Persistent(told, dirty_share, num_parts) for num_parts in PARTS]
+    families: list[Any] = [Independent(labels, dirty_share)]
+    if labels.is_persistent:
+        families = [Persistent(labels, dirty_share, num_parts) for num_parts in PARTS]
     plain = families[0]
     about = None if known is None else plain.theta_of(known)
     unaided = plain.prior if about is None else Prior(about, RECORDER_SPREAD)
-    each = ((family, read_back(told, family.law, family.prior.mode, family.bounds)) for family in families)
-    found = next((pair for pair in each if pair[1].is_consistent), None) if len(told.trajectory) else None
+    each = ((family, read_back(labels, family.law, family.prior.mode, family.bounds)) for family in families)
+    found = next((pair for pair in each if pair[1].is_consistent), None) if len(labels.trajectory) else None
     if found is None:
         return SeenBy(plain.law(plain.fitted(unaided)), None)
     family, recorder = found
@@ -148,27 +148,27 @@ def seeing_of(told: Labels, dirty_share: float, known: KnownSeeing | None = None
 NUM_KNOTS = 16
 
 
-def mending_of(told: Labels, law: KnownSeeing, dirty_share: float) -> Mending | None:
+def mending_of(labels: Labels, law: KnownSeeing, dirty_share: float) -> Mending | None:
     """Learn it from the labels of a log; None where it has none.
 
     Parameters
     ----------
-    told
+    labels
         The labels, those of each object in order.
     law
         What they are to mean.
     dirty_share
         P(DIRTY) before any label.
     """
-    if not len(told.trajectory):
+    if not len(labels.trajectory):
         return None
     prior = np.log(dirty_share) - np.log1p(-dirty_share)
-    order = np.argsort(told.object, kind="stable")
-    begins = np.append(True, np.diff(told.object[order]) != 0)
-    recorded, mended = (prior + _running(moves[order], begins) for moves in (told.moved, moved_by(law, told)))
+    order = np.argsort(labels.object, kind="stable")
+    begins = np.append(True, np.diff(labels.object[order]) != 0)
+    recorded, mended = (prior + _running(moves[order], begins) for moves in (labels.moved, moved_by(law, labels)))
     persistent = law if isinstance(law, PersistentSeeing) else None
     if persistent is not None:
-        is_found = told.says_dirty[order]
+        is_found = labels.says_dirty[order]
         recorded, mended = recorded[is_found], mended[is_found]
     # What was never seen is as before.
     recorded, mended = np.append(recorded, prior), np.append(mended, prior)

@@ -49,8 +49,7 @@ from halfseen.arrays import expit
 from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.features import WASH_DIRTY, WASH_EASE
-from halfseen.world.actions import ActionSpace, Verb
-from halfseen.world.others import is_decider
+from halfseen.world.actions import ActionSpace, Verb, is_decider
 from halfseen.world.state import TableState
 
 NUM_OUTCOMES = 6
@@ -238,7 +237,7 @@ class _Uses(NamedTuple):
     left: Bool[np.ndarray, "n T"]
 
 
-def _told(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Uses]:
+def _as_arrays(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Uses]:
     """What ended in the stages of a team, and what tells what."""
     assert stages.encoded.outcome is not None, "TeamTask.encode tells what ended"
     outcome = stages.encoded.outcome[..., :NUM_OUTCOMES]
@@ -257,7 +256,7 @@ def pays_of(parts: Iterable[RewardedStages]) -> Pays:
     """
     kept = [np.zeros((0, NUM_OUTCOMES + 1))] * len(_Uses._fields)
     for part in parts:
-        outcome, uses = _told(part)
+        outcome, uses = _as_arrays(part)
         kept = [_with_rows(rows, outcome, part, use) for rows, use in zip(kept, uses, strict=True)]
     where_certain, where_washed, where_left = kept
     certain = _least_squares(where_certain[:, _CERTAIN], where_certain[:, -1])
@@ -278,7 +277,7 @@ def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
     pays
         As `pays_of` gives them.
     """
-    outcome, uses = _told(stages)
+    outcome, uses = _as_arrays(stages)
     certain = outcome[..., _CERTAIN] @ np.array(pays.certain)
     reward = np.where(uses.washed, certain + outcome[..., _WASHED] @ np.array(pays.washed), stages.reward)
     return np.where(uses.left, certain + outcome[..., _LEFT] @ np.array(pays.left), reward)
@@ -294,6 +293,6 @@ def shaped(stages: RewardedStages, pays: Pays, reward: Float[np.ndarray, "n T"])
     reward
         What is measured.
     """
-    left = _told(stages)[0][..., 5]
+    left = _as_arrays(stages)[0][..., 5]
     after = np.where(stages.is_last, 0.0, np.pad(left[:, 1:], ((0, 0), (0, 1))))
     return np.where(stages.weight > 0, reward + pays.left[0] * (after - left), 0.0)

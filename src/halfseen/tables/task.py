@@ -163,7 +163,8 @@ class TableTask:
 
     def _in_single_precision(self, learned: LearnedQ) -> dict[str, Any]:
         single: Any = mapped(lambda leaf: np.asarray(leaf, dtype=np.float32), learned._replace(is_seen=None))
-        return {"grasp": self._model} | {k: v for k, v in single._asdict().items() if k != "is_seen"}
+        names = ("coefficients", "kernel_map", "margin", "behaviour")
+        return {"grasp": self._model} | {name: getattr(single, name) for name in names}
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ from halfseen.cell.workcell import Workcell
 from halfseen.policies.table_decider import TableDecider
 from halfseen.scene.rays import FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.shapes import Float
-from halfseen.tables.explain import Grounds, table_grounds
+from halfseen.tables.explain import TableExplanation, action_reason
 from halfseen.tables.present import Present
 from halfseen.view.shapes import convex_mesh, moved
 from halfseen.view.stage_view import Hand, Option, Part, StageView, Watched
@@ -228,15 +228,15 @@ def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
         Its options, best first, none where it values nothing; and the reason in one sentence.
     """
     state, name = moment.state, ActionSpace(moment.state.num_objects).names[moment.action]
-    grounds = table_grounds(Grounds.of(state), moment.action)
+    explanation = action_reason(TableExplanation.of(state), moment.action)
     if isinstance(policy, ExploringPolicy):
         base_key, _, _ = random.split(moment.key, 3)
         options, reason = explained(policy.base, moment._replace(key=base_key))
         usual = int(policy.base.decide(state, base_key).action)
-        return options, reason if usual == moment.action else f"{name}: by chance, to explore; {grounds}."
+        return options, reason if usual == moment.action else f"{name}: by chance, to explore; {explanation}."
     decision = TableDecider(policy).decide_with(Present(state, moment.stage), moment.key)
     options = options_of(decision.q_values, decision.intervals, decision.chance_best)
-    return options, decision.reason if decision.action == name else f"{name}: {grounds}."
+    return options, decision.reason if decision.action == name else f"{name}: {explanation}."
 
 
 def _hand(cell: Workcell, arm: int, planned: Plan) -> Hand:

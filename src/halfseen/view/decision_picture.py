@@ -68,13 +68,13 @@ def draw_decision(
 
 
 def _figure(decision: Decision, view: View | None, stage: int, horizon: int) -> Figure:
-    told = textwrap.wrap(decision.reason, NUM_LETTERS)
+    reason = textwrap.wrap(decision.reason, NUM_LETTERS)
     warned = [line for one in decision.warnings for line in textwrap.wrap(f"Warning: {one}", NUM_LETTERS)]
     shown = _shown(decision)
     rows, columns = (0, 1) if view is None else view.labels.shape
     seen_inches = WIDTH_INCHES * SHARE_OF_VIEW * rows / columns
     body = max(seen_inches, LEAST_BARS_INCHES, BAR_INCHES * len(shown))
-    words = LINE_INCHES * (len(told) + len(warned)) + 0.2
+    words = LINE_INCHES * (len(reason) + len(warned)) + 0.2
     height = HEAD_INCHES + body + FOOT_INCHES + words
     figure = Figure(figsize=(WIDTH_INCHES, height))
     top, bottom = 1.0 - HEAD_INCHES / height, (FOOT_INCHES + words) / height
@@ -88,7 +88,7 @@ def _figure(decision: Decision, view: View | None, stage: int, horizon: int) -> 
     names = min(0.03 + 0.0135 * longest, 0.35)
     if shown:
         _draw_bars(figure.add_axes((left + names, bottom, 0.89 - left - names, top - bottom)), decision, shown)
-    _write(figure, told, warned, words / height, LINE_INCHES / height)
+    _write(figure, reason, warned, words / height, LINE_INCHES / height)
     return figure
 
 
@@ -221,7 +221,7 @@ def _axis_label(decision: Decision, shown: Sequence[str], from_zero: bool) -> st
     return f"value [reward]{cut}{more}\n{lines}"
 
 
-def _write(figure: Figure, told: Sequence[str], warned: Sequence[str], top: float, line: float) -> None:
-    for k, words in enumerate([*told, *warned]):
-        colour = INK if k < len(told) else ALARM
+def _write(figure: Figure, reason: Sequence[str], warned: Sequence[str], top: float, line: float) -> None:
+    for k, words in enumerate([*reason, *warned]):
+        colour = INK if k < len(reason) else ALARM
         figure.text(0.02, top - 0.3 * line - k * line, words, va="top", size=LETTER_SIZE, color=colour)

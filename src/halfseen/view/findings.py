@@ -1,7 +1,6 @@
 """All that the report tells of a log, and of the policy that is judged by it, as numbers."""
 
 import platform
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from importlib.metadata import version
@@ -9,11 +8,11 @@ from typing import Any
 
 import halfseen
 from halfseen.censoring.positivity import PositivityReport
-from halfseen.errors import HalfseenWarning
+from halfseen.errors import noted
 from halfseen.evaluation import Evaluation, evaluate
 from halfseen.evaluation.specification import specification_of
 from halfseen.evaluation.targets import task_of
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
 from halfseen.policies.folder.record import plain
@@ -102,8 +101,7 @@ def find(
     Where it takes long, `workers` judge and learn again.
     """
     digest, judged = log_digest(logs), None
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", HalfseenWarning)
+    with noted() as of_library:
         if stored is not None:
             options: Any = {"against": against, "propensity": propensity, "random_state": seed, "workers": workers}
             is_own_log = stored.record["log"].get("sha256") in (digest, None)
@@ -112,7 +110,6 @@ def find(
         positivity = positivity_of(logs)
         log = log_findings(logs, positivity)
     notes = [] if judged is None else judged.evaluation.notes
-    own = dict.fromkeys(str(each.message) for each in caught if issubclass(each.category, HalfseenWarning))
     versions = {"halfseen": halfseen.__version__, "python": platform.python_version()}
     return Findings(
         log=log,
@@ -121,7 +118,7 @@ def find(
         timeline=timeline(logs),
         policy=judged,
         log_sha256=digest,
-        notes=[*notes, *own],
+        notes=[*notes, *dict.fromkeys(of_library)],
         seed=seed,
         versions=versions | {name: version(name) for name in LIBRARIES},
     )
@@ -152,7 +149,7 @@ def _judged(
         choices=decided,
         curves=[curve for curve in curves if curve.covariate in ranked[:MOST_COVARIATES]],
         band=band,
-        maps=policy_maps(policy, logs, ranked) if isinstance(policy, FlatPolicy) else [],
+        maps=policy_maps(policy, logs, ranked) if isinstance(policy, DiscretePolicy) else [],
         table_map=table_map(policy, task, logs) if stored.is_table else None,
         evaluation=evaluation,
         model={"propensity": options["propensity"], **spec.as_dict(), **named},

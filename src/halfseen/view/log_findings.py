@@ -10,8 +10,8 @@ from halfseen.arrays import RowMask
 from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.logs import Logs
-from halfseen.logs.breakdown import by_action, by_cause, by_robot, by_stage
-from halfseen.logs.suspicions import suspicions
+from halfseen.logs.data_quality import data_warnings
+from halfseen.logs.logs import by_action, by_cause, by_robot, by_stage
 from halfseen.shapes import Float, Int
 
 NUM_RISK_TIMES = 7
@@ -35,7 +35,7 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
         "covariates": logs.stage_covariates,
         "object_covariates": [] if objects is None else [*objects.columns.drop(["trajectory", "stage", "object"])],
         "trajectory_columns": logs.trajectory_columns,
-        "suspicions": [asdict(suspicion) for suspicion in suspicions(logs)],
+        "data_warnings": [asdict(warning) for warning in data_warnings(logs)],
         "finishes": _finishes(logs),
         "cuts": by_cause(logs),
         "choices": by_action(logs),

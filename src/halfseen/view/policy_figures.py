@@ -31,7 +31,7 @@ from halfseen.wording import labelled, with_interval
 
 BOUND_SPANS = 1.0
 """How far beyond the other intervals that of importance sampling is drawn, in their span."""
-VERDICT_COLOURS = {"better": OURS, "not better": ALARM, "cannot be said": SOFT}
+VERDICT_COLOURS = {"better": OURS, "not better": ALARM, "inconclusive": SOFT}
 
 MOST_CHOICES = 9
 NUM_COLUMNS = {1: 1, 2: 2, 3: 3, 4: 2, 5: 3, 6: 3, 7: 4, 8: 4, 9: 3}

@@ -8,7 +8,7 @@ import pandas as pd
 
 from halfseen.evaluation.targets import task_of
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.resampling import bootstrap
 from halfseen.learning.targets import CENSORING_CHOICES
 from halfseen.learning.task import Task
@@ -57,7 +57,7 @@ def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]
     ]
 
 
-def middle_of(policy: FlatPolicy, states: pd.DataFrame) -> dict[str, Any]:
+def middle_of(policy: DiscretePolicy, states: pd.DataFrame) -> dict[str, Any]:
     """Median of each covariate of numbers, and the commonest category of each of text, the first of those equal."""
     return {
         name: states[name].astype(str).mode()[0] if name in policy.categories else float(states[name].median())
@@ -119,7 +119,7 @@ def q_curves(
         What their bands are; None where there are none.
     """
     policy = stored.policy
-    if not isinstance(policy, FlatPolicy):
+    if not isinstance(policy, DiscretePolicy):
         return [], None
     frame: Any = logs.stages
     states = {stage: frame[frame["stage"] == stage] for stage in range(1, min(MOST_STAGES, logs.horizon) + 1)}

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import expit
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
@@ -71,7 +71,7 @@ class PolicyMap:
         return list(dict.fromkeys([*map(str, np.unique(self.taken)), *map(str, self.done)]))
 
 
-def policy_maps(policy: FlatPolicy, logs: Logs, telling: list[str]) -> list[PolicyMap]:
+def policy_maps(policy: DiscretePolicy, logs: Logs, telling: list[str]) -> list[PolicyMap]:
     """Draw up the maps of the first stages.
 
     Parameters
@@ -89,7 +89,7 @@ def policy_maps(policy: FlatPolicy, logs: Logs, telling: list[str]) -> list[Poli
     return [one for one in maps if one is not None and one.is_supported.mean() >= LEAST_SUPPORTED]
 
 
-def _map_of(policy: FlatPolicy, states: pd.DataFrame, stage: int, telling: list[str]) -> PolicyMap | None:
+def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: list[str]) -> PolicyMap | None:
     names = tuple([name for name in telling if states[name].nunique() > 1][:2])
     if len(states) < FEWEST_STATES or not names:
         return None

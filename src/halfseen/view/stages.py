@@ -24,6 +24,7 @@ from halfseen.perception.tracking import matched
 from halfseen.policies import Decision, StoredPolicy, decider_of
 from halfseen.policies.folder.stored import refuse_log_of_team, refuse_team
 from halfseen.shapes import Float
+from halfseen.tables.first_look import FirstLook, chances_of, first_look
 from halfseen.tables.present import Present
 from halfseen.view.shapes import convex_mesh, moved, revealed_by, shadow
 from halfseen.view.stage_view import Option, Shown, StageView, Watched
@@ -34,12 +35,18 @@ Transform = Float[np.ndarray, "4 4"]
 
 CLOUD = "cloud"
 """Column of a log's stages: the file of each stage's cloud."""
-_UNKNOWN = 0.5
 _DARKEST, _LIGHTEST = 70, 200
 _SPREAD_PERCENT = 2.0
 
 
-def watched_cloud(cloud: Cloud, view: View, now: Present | None, decision: Decision | None, horizon: int) -> Watched:
+def watched_cloud(
+    cloud: Cloud,
+    view: View,
+    now: Present | None,
+    decision: Decision | None,
+    horizon: int,
+    look: FirstLook | None = None,
+) -> Watched:
     """Show what a camera sees and what a policy decides there.
 
     Parameters
@@ -52,13 +59,15 @@ def watched_cloud(cloud: Cloud, view: View, now: Present | None, decision: Decis
         What was decided; None without a policy.
     horizon
         T of the policy [stages].
+    look
+        Without a policy: what this look tells of dirt; None for what the colours tell.
     """
     title = "what is seen" if now is None else f"stage {now.stage} of {horizon}"
     if now is None or decision is None:
-        stage = _seen_stage(cloud, view, title, [_UNKNOWN] * len(view.objects))
+        look = look or first_look(view, cloud)
+        stage = _seen_stage(cloud, view, title, look.chances, None, [look.words] if look.words else [])
     else:
-        chances = expit(np.asarray(now.state.log_odds, dtype=np.float64)).tolist()
-        stage = _seen_stage(cloud, view, title, chances, decision, [now.seen] if now.seen else [])
+        stage = _seen_stage(cloud, view, title, chances_of(now), decision, [now.seen] if now.seen else [])
     return Watched(cloud.name, (stage,))
 
 
@@ -114,7 +123,7 @@ def _logged_stage(
         raise ArgumentError(f"{title}: its cloud {file!r} is not in {clouds}; give the folder that holds it")
     cloud = read_cloud(clouds / file)
     view = perceive(cloud)
-    stage = _seen_stage(cloud, view, title, _chances(trajectory, row["stage"], view), decision, events)
+    stage = _seen_stage(cloud, view, title, _chances(trajectory, row["stage"], view, cloud), decision, events)
     action = _action(row)
     if decision is None or stage.action == action:
         said = stage.reason or (f"{action}: what the log says was done" if action else "")
@@ -136,9 +145,9 @@ def _done(row: dict[str, Any]) -> str:
     return f"tried: {_action(row)}, reward {row['reward']:+.2f}, at {row['elapsed_s']:.1f} s"
 
 
-def _chances(trajectory: Logs, stage: Any, view: View) -> list[float]:
-    """P(DIRTY) of each object of a view, as the log has it; one half where it says nothing."""
-    chances = [_UNKNOWN] * len(view.objects)
+def _chances(trajectory: Logs, stage: Any, view: View, cloud: Cloud) -> list[float]:
+    """P(DIRTY) of each object of a view, as the log has it; by the colours of this look where it says nothing."""
+    chances = first_look(view, cloud).chances
     if trajectory.objects is None or "log_odds" not in trajectory.objects.columns:
         return chances
     rows = pd.DataFrame(trajectory.objects[trajectory.objects["stage"] == stage])

@@ -19,7 +19,7 @@ from halfseen.wording import amount, as_sentence, counted, listed, percent, sign
 VERDICTS = {
     "better": "The learned policy is better than {}",
     "not better": "The learned policy is not better than {}",
-    "cannot be said": "Whether the learned policy is better than {} cannot be said",
+    "inconclusive": "It is inconclusive whether the learned policy is better than {}",
 }
 CENSORING_WORDS = {
     "kaplan-meier": "Kaplan–Meier",
@@ -39,13 +39,13 @@ FEWEST_WATCHED = 10
 
 def values_of(evaluation: Evaluation) -> dict[str, Estimate]:
     """What each baseline earns, by the name that the page gives it; the logging policy comes first."""
-    known = {_short(each.opponent): each.value for each in evaluation.comparisons if each.value is not None}
+    known = {_short(each.baseline): each.value for each in evaluation.comparisons if each.value is not None}
     return {"logging policy": evaluation.logging, **known}
 
 
 def shares_of(evaluation: Evaluation) -> dict[str, Estimate | None]:
     """What each baseline earns as a multiple of what the logging policy does; None where that is not known."""
-    shares = {_short(each.opponent): each.share for each in evaluation.comparisons if each.value is not None}
+    shares = {_short(each.baseline): each.share for each in evaluation.comparisons if each.value is not None}
     today = next((each.share for each in evaluation.comparisons if each.value == evaluation.logging), None)
     if today is None and evaluation.share is not None:
         # Of what is known to be above 0, it is itself.
@@ -56,7 +56,7 @@ def shares_of(evaluation: Evaluation) -> dict[str, Estimate | None]:
 def gains_of(evaluation: Evaluation) -> dict[str, tuple[Estimate, Verdict]]:
     """How much more the learned policy earns than each baseline, with the verdict on that."""
     gains: dict[str, tuple[Estimate, Verdict]] = {
-        f"learned − {_short(each.opponent)}": (each.difference, each.verdict)
+        f"learned − {_short(each.baseline)}": (each.difference, each.verdict)
         for each in evaluation.comparisons
         if each.difference is not None
     }
@@ -71,9 +71,9 @@ def answer(evaluation: Evaluation) -> tuple[str, str]:
     """The verdict and why; and what to do about it, if there is something."""
     baselines = "the logging policy"
     if evaluation.comparisons and evaluation.verdict == "better":
-        baselines = listed([each.opponent for each in evaluation.comparisons])
+        baselines = listed([each.baseline for each in evaluation.comparisons])
     elif evaluation.comparisons:
-        baselines = deciding(evaluation.comparisons).opponent
+        baselines = deciding(evaluation.comparisons).baseline
     why, _, remedy = evaluation.reason.partition("; ")
     # Who was just named need not be named again.
     said = f"{VERDICTS[evaluation.verdict].format(baselines)}: {why.replace(f' than {baselines}', '', 1)}."
@@ -139,7 +139,7 @@ def _seconds(rate: Rate) -> str:
 
 def log_answer(findings: Findings) -> tuple[str, str, str]:
     """Of a log alone: whether all is well with it, in one word and its class; and what it holds, in a sentence."""
-    log, is_sound, doubts = findings.log, findings.positivity.is_sound, len(findings.log["suspicions"])
+    log, is_sound, doubts = findings.log, findings.positivity.is_sound, len(findings.log["data_warnings"])
     if log["num_cut"]:
         weights = f"what was seen {'can stand' if is_sound else 'stands badly'} for what the cuts took away"
     else:
@@ -193,10 +193,10 @@ def cut_model(policy: PolicyFindings) -> str:
 def values_title(evaluation: Evaluation) -> str:
     """What the figure of values shows."""
     ours, unit, own = evaluation.doubly_robust, evaluation.reward_unit, significant(evaluation.logging.value)
-    if evaluation.verdict == "cannot be said":
+    if evaluation.verdict == "inconclusive":
         within = with_unit(with_interval(ours.value, ours.low, ours.high)[1], unit)
-        told = "with the learned policy, as far as these logs tell, and"
-        return f"A trajectory earns {within} {told} {own} with the logging policy"
+        words = "with the learned policy, as far as these logs tell, and"
+        return f"A trajectory earns {within} {words} {own} with the logging policy"
     agree = all(one.low <= ours.value <= one.high for one in (evaluation.importance_sampling, evaluation.fitted_q))
     others = "the two other estimates agree" if agree else "the other estimates do not all agree, so read it with care"
     known = with_unit(significant(ours.value), unit)

@@ -21,7 +21,7 @@ class Engine(NamedTuple):
     """What it is called in messages."""
     is_here: bool
     """Whether its workers are processes of this machine, with its folders."""
-    told: Mapping[str, Any] = MappingProxyType({})
+    options: Mapping[str, Any] = MappingProxyType({})
     """What else joblib tells the backend."""
 
 

@@ -67,7 +67,7 @@ def on_dask(num: int, address: str | None) -> Iterator[Engine]:
     here: dict[str, Any] = {"n_workers": num, "threads_per_worker": 1, "dashboard_address": None}
     try:
         with warnings.catch_warnings():
-            # Other versions are told by whoever gets a piece.
+            # Other versions are reported by the worker that gets it.
             warnings.simplefilter("ignore")
             client = Client(**here) if address is None else Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:

@@ -8,13 +8,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+import halfseen
 from halfseen.errors import HalfseenError, WorkerError
 from halfseen.progress import Telling, telling
 from halfseen.shapes import UInt8
 from halfseen.workers.threads import one_thread
 
-PACKAGES = ("halfseen", "mujoco", "numpy", "pandas", "scipy")
-"""What the numbers depend on."""
+PACKAGES = ("mujoco", "numpy", "pandas", "scipy")
+"""What the numbers depend on, beside halfseen."""
 
 
 class Home(NamedTuple):
@@ -39,7 +40,7 @@ def versions() -> dict[str, str]:
 @cache
 def _installed() -> dict[str, str]:
     # To find them takes as long as a small piece.
-    found = {}
+    found = {"halfseen": halfseen.__version__}
     for name in PACKAGES:
         try:
             found[name] = version(name)
@@ -81,9 +82,9 @@ def _check_versions(asker: Home) -> None:
     here = versions()
     other = [name for name, wanted in asker.versions.items() if here.get(name) != wanted]
     if other:
-        told = ", ".join(f"{name} {here.get(name, 'missing')} instead of {asker.versions[name]}" for name in other)
+        others = ", ".join(f"{name} {here.get(name, 'missing')} instead of {asker.versions[name]}" for name in other)
         raise WorkerError(
-            f"a worker has other versions than the machine that asks: {told}; install the same on all machines"
+            f"a worker has other versions than the machine that asks: {others}; install the same on all machines"
         )
 
 

@@ -128,7 +128,7 @@ def _round(engine: Engine, function: UInt8[np.ndarray, " bytes"], left: Mapping[
     from joblib import Parallel, delayed, parallel_config
 
     # With one job joblib would make the pieces in this process, which a piece then could end.
-    with parallel_config(engine.backend, n_jobs=max(engine.num_workers, 2), **engine.told):
+    with parallel_config(engine.backend, n_jobs=max(engine.num_workers, 2), **engine.options):
         parallel: Any = Parallel(return_as="generator_unordered", **_STREAMED)
     asker = home()
     outcomes = parallel(delayed(made)(asker, function, number, piece) for number, piece in list(left.items()))

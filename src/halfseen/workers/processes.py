@@ -11,7 +11,7 @@ from joblib.externals.loky import process_executor
 from halfseen.workers.engine import Engine
 
 LOOK_S = 0.5
-"""Between two looks whether whoever asked still lives [s]."""
+"""Between two looks whether anyone who asked still lives [s]."""
 MOST_GROWN_BYTES = 2 << 30
 """By how much a worker may grow before it is replaced by a new one."""
 
@@ -19,14 +19,14 @@ MOST_GROWN_BYTES = 2 << 30
 @contextmanager
 def processes(num: int) -> Iterator[Engine]:
     """Give so many processes work."""
-    told = {"initializer": _begin, "initargs": (os.getpid(),)}
-    yield Engine("loky", num, (process_executor.BrokenProcessPool,), "this machine", is_here=True, told=told)
+    options = {"initializer": _begin, "initargs": (os.getpid(),)}
+    yield Engine("loky", num, (process_executor.BrokenProcessPool,), "this machine", is_here=True, options=options)
 
 
 def _begin(asker: int) -> None:
     """Begin as a worker: it ends with the process that asks, however that ended, and keeps what it has loaded."""
     Thread(target=_end_with, args=(asker,), daemon=True).start()
-    # loky takes what a piece keeps for the next one for a leak, and would begin anew.
+    # loky takes what a piece keeps for the next one for a leak, and would begin again.
     process_executor._MAX_MEMORY_LEAK_SIZE = MOST_GROWN_BYTES
 
 

@@ -20,8 +20,8 @@ class TaskBackend(ParallelBackendBase):
 
     supports_retrieve_callback = True
 
-    def __init__(self, **told: Any) -> None:
-        super().__init__(**told)
+    def __init__(self, **options: Any) -> None:
+        super().__init__(**options)
         self._begun: set[Task] = set()
 
     @abstractmethod

@@ -2,9 +2,9 @@
 
 Read down: `random` (draws), `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping) →
 `config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `robots`
-(who works at the table) → `actions` (the verbs) → `events`, `transition` (one step) → `policy` (what decides),
-`explanation` (how sure that is), `others` (what a robot knows of the others) → `rollout` (many tables to their end) →
-`cuts` → `logs` with `log_rows`, `log_checks` (to and from logs) → `table_world`, `envs`, `pettingzoo_env`
+(who works at the table) → `actions` (the verbs), `others` (what other robots are at) → `attempts`, `transition` (one
+step) → `policy` (what decides), `explanation` (how sure that is) → `rollout` (many tables to their end) → `cuts` →
+`logs` with `log_rows`, `log_checks` (to and from logs) → `table_world`, `envs` with `observations`, `pettingzoo_env`
 (the faces).
 """
 
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from halfseen.world.policy import Decision, ExploringPolicy, Policy, UniformPolicy
     from halfseen.world.robots import Robot, Team, read_team
     from halfseen.world.scene import Scene
-    from halfseen.world.seeing import AssumedSeeing, Glimpse, KnownSeeing, PersistentSeeing, SeeingLaw, Told
+    from halfseen.world.seeing import AssumedSeeing, Glimpse, KnownSeeing, LookOutcome, PersistentSeeing, SeeingLaw
     from halfseen.world.state import Robots, TableState, Workspace
     from halfseen.world.table_world import TableWorld
 
@@ -49,6 +49,7 @@ __all__ = [
     "GraspingByRobot",
     "KnownGrasping",
     "KnownSeeing",
+    "LookOutcome",
     "PersistentSeeing",
     "Policy",
     "Robot",
@@ -58,7 +59,6 @@ __all__ = [
     "TableState",
     "TableWorld",
     "Team",
-    "Told",
     "UniformPolicy",
     "Verb",
     "Workspace",
@@ -78,7 +78,7 @@ _NAMES = {
     "policy": "Decision ExploringPolicy Policy UniformPolicy",
     "robots": "Robot Team read_team",
     "scene": "Scene",
-    "seeing": "AssumedSeeing Glimpse KnownSeeing PersistentSeeing SeeingLaw Told",
+    "seeing": "AssumedSeeing Glimpse KnownSeeing PersistentSeeing SeeingLaw LookOutcome",
     "state": "Robots TableState Workspace",
     "table_world": "TableWorld",
 }

@@ -1,7 +1,7 @@
 """WASH one, LIFT one, FINISH or WAIT: one integer for each action of a table with N objects, in this file alone.
 
 ``0`` is FINISH; then come the verbs that have a target, each with its N actions: ``1 + i`` is WASH i, ``1 + N + i`` is
-LIFT i. Where several robots work, WAIT comes last: it has no object, and lasts until the next event. Whoever adds a
+LIFT i. Where several robots work, WAIT comes last: it has no object, and lasts until the next event. Anyone who adds a
 verb adds it to `Verb`; no other file computes with these numbers.
 """
 
@@ -108,7 +108,7 @@ class ActionSpace:
     def join(self, finish: Float[Array, "*S"], of_verb: Mapping[Verb, Float[Array, "*S N"]]) -> Float[Array, "*S A"]:
         """Lay out values of FINISH, and by object of other verbs, in the order of the actions.
 
-        A verb that is left out is worth −∞: whoever does not know it never takes it.
+        A verb that is left out is worth −∞: a policy that does not know it never takes it.
         """
         xp = library_of(finish, *of_verb.values())
         if len(of_verb) < len(TARGETED):
@@ -134,8 +134,7 @@ def possible_actions(state: Any) -> Bool[Array, "*B A"]:
     always = xp.ones_like(is_free[..., :1])
     if robots is None:
         return xp.concatenate([always, *[is_free] * len(TARGETED)], axis=-1)
-    is_other = xp.arange(robots.num_robots) != state.decider[..., None]
-    is_at_work = robots.is_busy & is_other & (robots.verb != WAIT)
+    is_at_work = robots.is_busy & ~is_decider(state) & (robots.verb != WAIT)
     near = xp.take_along_axis(state.workspace.is_near, robots.target[..., None], axis=-2)
     is_taken = xp.any((is_at_work & (robots.verb > 0))[..., None] & near, axis=-2)
     is_free = is_free & of_robot(state.workspace.is_in_reach, state.decider) & ~is_taken
@@ -145,6 +144,12 @@ def possible_actions(state: Any) -> Bool[Array, "*B A"]:
 def of_robot(values: Array, robot: Int[Array, "*B"]) -> Array:
     """``values[..., robot, :]`` for each member of a batch."""
     return library_of(values).take_along_axis(values, robot[..., None, None], axis=-2)[..., 0, :]
+
+
+def is_decider(state: Any) -> Bool[Array, "*B K"]:
+    """Which of several robots decides."""
+    decider: Any = state.decider
+    return library_of(decider).arange(state.num_robots) == decider[..., None]
 
 
 def worthwhile_actions(state: Any) -> Bool[Array, "*B A"]:

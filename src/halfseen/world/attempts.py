@@ -32,7 +32,7 @@ def attempted(
     xp, law = library_of(verb), config.grasping
     is_attempt, is_there = verb != Verb.FINISH, at(state.is_on_table, target)
     tried = law.attempt(
-        Arrangement(state.hides, state.is_on_table, occluded, state.grip), hidden.grasp_trait, verb, target, key
+        Arrangement(state.hides, state.is_on_table, occluded, state.grip), hidden.grasp_latent, verb, target, key
     )
     is_real = is_attempt & is_there
     duration_s = xp.where(is_attempt, xp.where(is_there, tried.duration_s, law.limit_s), 0.0)
@@ -40,7 +40,7 @@ def attempted(
         is_held=is_real & tried.is_held,
         duration_s=duration_s.astype(np.float32),
         hides=chosen(is_real, tried.hides, state.hides),
-        trait=chosen(is_real, tried.trait, hidden.grasp_trait),
+        latent=chosen(is_real, tried.latent, hidden.grasp_latent),
     )
 
 
@@ -105,11 +105,11 @@ def look(
     """
     xp, is_seen = library_of(held), state.is_on_table
     occluded = xp.where(held, np.float32(0.0), occlusion_by(state.hides, is_seen & ~held))
-    told = config.seeing.look(
-        Glimpse(is_seen, occluded, held, state.seen), state.log_odds, hidden.is_dirty, hidden.seeing_trait, key
+    looked = config.seeing.look(
+        Glimpse(is_seen, occluded, held, state.seen), state.log_odds, hidden.is_dirty, hidden.seeing_latent, key
     )
-    log_odds = xp.asarray(xp.where(is_seen, told.log_odds, state.log_odds), dtype=np.float32)
+    log_odds = xp.asarray(xp.where(is_seen, looked.log_odds, state.log_odds), dtype=np.float32)
     seen = state.seen
-    if told.seen is not seen:
-        seen = xp.asarray(xp.where(is_seen, told.seen, seen), dtype=np.float32)
-    return replace(state, log_odds=log_odds, seen=seen), replace(hidden, seeing_trait=told.trait)
+    if looked.seen is not seen:
+        seen = xp.asarray(xp.where(is_seen, looked.seen, seen), dtype=np.float32)
+    return replace(state, log_odds=log_odds, seen=seen), replace(hidden, seeing_latent=looked.latent)

@@ -1,6 +1,6 @@
 """The numbers of the world: this project's own choice, stated in one place.
 
-The paper prints none of them. Whoever compares results must compare them under the same configuration; the study
+The paper prints none of them. Anyone who compares results must compare them under the same configuration; the study
 prints it.
 """
 

@@ -7,11 +7,35 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
+from halfseen.arrays import mapped
+from halfseen.errors import ArgumentError
+from halfseen.shapes import Int
+from halfseen.world import random
+from halfseen.world.actions import TARGETED, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES
-from halfseen.world.robots import Team
+from halfseen.world.observations import Observation, doing_of, object_lines, observed, space_of
+from halfseen.world.robots import Robot, Team
 from halfseen.world.scene import Scene
-from halfseen.world.table_in_play import Observation, TableInPlay, default_team
+from halfseen.world.state import TableState
+from halfseen.world.table_world import TableWorld
+from halfseen.world.transition import start, step
+
+_PLACES_M = ((-0.2, 0.0), (0.0, 0.0), (0.2, 0.0), (-0.1, 0.15), (0.1, 0.15), (0.3, 0.15))
+
+
+def default_scene() -> Scene:
+    """Six cups: three in front, and behind each gap one that two of them hide; the last stands almost free."""
+    hides = np.zeros((6, 6))
+    hides[3, 0], hides[3, 1] = 0.35, 0.25
+    hides[4, 1], hides[4, 2] = 0.3, 0.3
+    hides[5, 2] = 0.15
+    return Scene(hides, name="default", places_m=np.array(_PLACES_M))
+
+
+def default_team() -> Team:
+    """Two robots, left and right of the table; each reaches four of the six cups, and three of those both."""
+    return Team((Robot((-0.5, 0.05), 0.65, name="left"), Robot((0.5, 0.05), 0.65, name="right")))
 
 
 class CupsEnv(gymnasium.Env[Observation, np.int64]):
@@ -72,12 +96,54 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         cut_rate: float | int = 0.0,
         render_mode: str | None = None,
     ) -> None:
-        self._play(TableInPlay(scenes, None, num_objects, config, cut_rate, render_mode))
+        self._set_up(scenes, None, num_objects, config, cut_rate, render_mode)
 
-    def _play(self, table: TableInPlay) -> None:
-        self.table, self.render_mode = table, table.render_mode
-        self.action_space = spaces.Discrete(table.num_actions)
-        self.observation_space: spaces.Space[Observation] = table.observation_space()
+    def _set_up(
+        self,
+        scenes: Scene | Sequence[Scene] | None,
+        team: Team | None,
+        num_objects: int | None,
+        config: WorldConfig | None,
+        cut_rate: float | int,
+        render_mode: str | None,
+    ) -> None:
+        if not 0.0 <= cut_rate < np.inf:
+            raise ArgumentError(f"cut_rate is {cut_rate}; give cuts per second, finite and ≥ 0")
+        if render_mode not in (None, "ansi"):
+            raise ArgumentError(f"render_mode is {render_mode!r}; it is None or 'ansi'")
+        scenes, world = default_scene() if scenes is None else scenes, TableWorld.of(team, config)
+        self.scenes = [scenes] if isinstance(scenes, Scene) else list(scenes)
+        self.team, self.config, self.cut_rate, self.render_mode = team, world.played_config, cut_rate, render_mode
+        self.layouts = world.layouts(self.scenes, num_objects)
+        self.num_objects = int(self.layouts.is_object.shape[-1])
+        self.num_actions = 1 + len(TARGETED) * self.num_objects + (team is not None)
+        self.action_space = spaces.Discrete(self.num_actions)
+        self.observation_space: spaces.Space[Observation] = space_of(self.config, self.layouts)
+        self.elapsed_s, self.is_over, self.is_cut = 0.0, False, False
+        self._state: TableState | None = None
+
+    @property
+    def state(self) -> TableState:
+        """S_t.
+
+        Raises
+        ------
+        ArgumentError
+            No table is set.
+        """
+        if self._state is None:
+            raise ArgumentError("the trajectory has not begun; call reset")
+        return self._state
+
+    @property
+    def decider(self) -> int:
+        """Number of the robot that decides."""
+        return 0 if self.state.decider is None else int(self.state.decider)
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether nothing is to be decided."""
+        return self._state is None or self.is_over or self.is_cut
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -86,12 +152,25 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
 
         ``info["episode_seed"]`` is the integer s with which `halfseen.world.rollout.play` plays this very table, from
         ``halfseen.world.random.key_of(s)``.
+
+        Raises
+        ------
+        ArgumentError
+            The scene that `options` asks for is none.
         """
         super().reset(seed=seed)
-        episode_seed = self.table.reset(self.np_random, options)
-        return self.table.observation(), {**self._info(), "episode_seed": episode_seed}
+        rng = self.np_random
+        which = (options or {}).get("scene", int(rng.integers(len(self.scenes))))
+        if not 0 <= which < len(self.scenes):
+            raise ArgumentError(f"scene is {which}; there are scenes 0 to {len(self.scenes) - 1}")
+        episode_seed = int(rng.integers(2**31))
+        self._cut_s = float(rng.exponential() / self.cut_rate) if self.cut_rate else np.inf
+        start_key, self._world_key, _ = random.split(random.fold_in(random.key_of(episode_seed), 0), 3)
+        self._state, self._hidden = start(self.config, mapped(lambda leaf: leaf[which], self.layouts), start_key)
+        self._num_decisions, self.elapsed_s, self.is_over, self.is_cut = 0, 0.0, False, False
+        return self.observation(), {**self._info(), "episode_seed": episode_seed}
 
-    def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: np.integer | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Let the robot that decides begin an action, unless a cut comes before the next decision.
 
         Raises
@@ -99,16 +178,51 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         ArgumentError
             The trajectory is over or not begun, or there is no such action.
         """
-        table, reward = self.table, self.table.step(action)
-        info = {**self._info(), "cause": CAUSES["independent"]} if table.is_cut else self._info()
-        return table.observation(), reward, table.is_over, table.is_cut, info
+        state = self.state
+        if self.is_ended:
+            raise ArgumentError("the trajectory is over; call reset")
+        if not (np.issubdtype(np.asarray(action).dtype, np.integer) and 0 <= action < self.num_actions):
+            raise ArgumentError(f"action is {action}; it lies in 0 to {self.num_actions - 1}")
+        key = random.fold_in(self._world_key, self._num_decisions)
+        taken = np.asarray(action, dtype=np.int32)
+        after, hidden, outcome = step(self.config, state, self._hidden, taken, key, any_action=True)
+        reward, end_s = float(outcome.reward), self.elapsed_s + float(outcome.duration_s)
+        if end_s > self._cut_s:
+            self.is_cut, self.elapsed_s = True, self._cut_s
+            return self.observation(), 0.0, False, True, {**self._info(), "cause": CAUSES["independent"]}
+        self._state, self._hidden, self._num_decisions = after, hidden, self._num_decisions + 1
+        self.elapsed_s, self.is_over = end_s, bool(outcome.is_over)
+        return self.observation(), reward, self.is_over, False, self._info()
+
+    def observation(self, robot: int | None = None) -> Observation:
+        """S_t as arrays, as the robot that decides sees it, or another."""
+        # Anyone who is given them may write into them: the state is not theirs.
+        return mapped(np.copy, observed(self.config, self.state, robot))
+
+    def info(self, robot: int | None = None) -> dict[str, Any]:
+        """The clock, and what is possible, for the robot that decides or for another."""
+        return {"elapsed_s": self.elapsed_s, "action_mask": self.action_mask(robot)}
+
+    def action_mask(self, robot: int | None = None) -> Int[np.ndarray, " A"]:
+        """Which actions are possible: of a robot that does not decide, none."""
+        mask = possible_actions(self.state).astype(np.int8)
+        return mask if robot is None or (robot == self.decider and not self.is_ended) else np.zeros_like(mask)
 
     def render(self) -> str | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Write the table as text, a line a robot and one an object; None unless the mode is ``"ansi"``."""
-        return self.table.as_text()
+        if self.render_mode is None:
+            return None
+        seen = self.observation()
+        if self.team is None:
+            lines = [f"{int(self.state.steps_to_go)} steps to go, {self.elapsed_s:.1f} s"]
+        else:
+            lines = [f"robot {self.decider} decides, {self.elapsed_s:.1f} s"]
+            for r, robot in enumerate(self.team.robots):
+                lines.append(f"{robot.name}: {doing_of(seen, r)}, {seen['decisions_to_go'][r]} decisions to go")
+        return "\n".join([*lines, *object_lines(seen)])
 
     def _info(self) -> dict[str, Any]:
-        return self.table.info()
+        return self.info() if self.team is None else {**self.info(), "robot": self.decider}
 
 
 class TeamCupsEnv(CupsEnv):
@@ -173,7 +287,4 @@ class TeamCupsEnv(CupsEnv):
         render_mode: str | None = None,
     ) -> None:
         robots = default_team() if team is None else team
-        self._play(TableInPlay(scenes, robots, num_objects, config, cut_rate, render_mode))
-
-    def _info(self) -> dict[str, Any]:
-        return {**self.table.info(), "robot": self.table.decider}
+        self._set_up(scenes, robots, num_objects, config, cut_rate, render_mode)

@@ -1,7 +1,7 @@
 """Why an action: what each one is worth, how sure that is, and which is likely the best.
 
-Whoever can draw from what Q may be (a planner whose error is known, a learner by the bootstrap) explains a state by it;
-this is the part that they share.
+Anyone who can draw from what Q may be, as a planner whose error is known, explains a state by it. How sure a learned Q
+is, `halfseen.policies.certainty` says.
 """
 
 from collections.abc import Sequence
@@ -67,12 +67,12 @@ class Explanation:
 
     def as_dict(self) -> dict:
         """Plain numbers for JSON; None where an action is impossible."""
-        told: dict[str, Any] = asdict(self)
-        for name, values in told.items():
+        facts: dict[str, Any] = asdict(self)
+        for name, values in facts.items():
             if isinstance(values, np.ndarray):
-                told[name] = [float(number) if np.isfinite(number) else None for number in values]
+                facts[name] = [float(number) if np.isfinite(number) else None for number in values]
         best, stop = self.actions[self.best], self.probability_stop_is_right
-        return told | {"actions": list(self.actions), "best": best, "probability_stop_is_right": stop}
+        return facts | {"actions": list(self.actions), "best": best, "probability_stop_is_right": stop}
 
     def __str__(self) -> str:
         possible = np.flatnonzero(np.isfinite(self.values))

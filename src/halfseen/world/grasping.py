@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from halfseen.arrays import Array, at, chosen, library_of, mapped, record
+from halfseen.arrays import Array, at, chosen, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
@@ -42,15 +42,15 @@ class Attempt(NamedTuple):
     """Positive; without transport [s]."""
     hides: Float[Array, "*B N N"]
     """Who hides whom afterwards, as objects may have moved."""
-    trait: Any
-    """The hidden trait afterwards."""
+    latent: Any
+    """The latent variable afterwards."""
 
 
 @runtime_checkable
 class GraspLaw(Protocol):
     """How attempts go, on as many tables as a batch has.
 
-    What is peculiar to the objects and never seen (how well each can be gripped, say) is the law's hidden trait: a
+    What is peculiar to the objects and never seen (how well each can be gripped, say) is the law's latent variable: a
     record or array with an axis for the batch, or None. The law draws it when the table is set, is handed it at every
     attempt, and hands back what has become of it.
     """
@@ -60,8 +60,8 @@ class GraspLaw(Protocol):
         """Longest duration of an attempt, and the duration of one that closes on nothing [s]."""
         ...
 
-    def draw_trait(self, num_objects: int, key: Key) -> Any:
-        """Draw the hidden trait of a table that is being set.
+    def draw_latent(self, num_objects: int, key: Key) -> Any:
+        """Draw the latent variable of a table that is being set.
 
         Parameters
         ----------
@@ -73,7 +73,7 @@ class GraspLaw(Protocol):
         ...
 
     def attempt(
-        self, table: Arrangement, trait: Any, verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
+        self, table: Arrangement, latent: Any, verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
     ) -> Attempt:
         """Attempt a verb on an object that stands on the table.
 
@@ -81,8 +81,8 @@ class GraspLaw(Protocol):
         ----------
         table
             How the objects stand.
-        trait
-            The hidden trait.
+        latent
+            The latent variable.
         verb
             As in `halfseen.world.actions.Verb`. For FINISH the answer is ignored.
         target
@@ -97,9 +97,9 @@ class GraspLaw(Protocol):
 class KnownGrasping(GraspLaw, Protocol):
     """A `GraspLaw` whose probabilities are known, for planners.
 
-    Its hidden trait is one number u for each object, from N(0, offset_std²), that no attempt changes. The grip offset
-    of an object is `Arrangement.grip` + u: its mean shows, the rest does not. Attempts are independent given the offset
-    and the occlusion, are the same for every verb, and move nothing. The methods take arrays that broadcast.
+    Its latent variable is one number u for each object, from N(0, offset_std²), that no attempt changes. The grip
+    offset of an object is `Arrangement.grip` + u: its mean shows, the rest does not. Attempts are independent given the
+    offset and the occlusion, are the same for every verb, and move nothing. The methods take arrays that broadcast.
     """
 
     @property
@@ -138,23 +138,23 @@ class AssumedGrasping:
     log_time_per_occlusion: Number = 2.2
     limit_s: Number = 6.0
 
-    def draw_trait(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
+    def draw_latent(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
         """Draw u of each object."""
         return self.offset_std * random.normal(key, num_objects)
 
     def attempt(
         self,
         table: Arrangement,
-        trait: Float[Array, "*B N"],
+        latent: Float[Array, "*B N"],
         verb: Int[Array, "*B"],
         target: Int[Array, "*B"],
         key: Key,
     ) -> Attempt:
         """Draw the time to grasp; whatever is to be done with the object."""
-        offset = at(table.grip, target) + at(trait, target)
+        offset = at(table.grip, target) + at(latent, target)
         grasp_s = random.exponential(key) * self.scale_s(at(table.occlusion, target), offset)
         is_held = grasp_s <= self.limit_s
-        return Attempt(is_held, library_of(grasp_s).minimum(grasp_s, self.limit_s), table.hides, trait)
+        return Attempt(is_held, library_of(grasp_s).minimum(grasp_s, self.limit_s), table.hides, latent)
 
     def scale_s(self, occluded: Any, offset: Any) -> Any:
         """Mean time to grasp without a limit: exp(a + b·occ − offset) [s]."""
@@ -203,25 +203,25 @@ class FittedGrasping:
     log_std: Number
     limit_s: Number
 
-    def draw_trait(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
+    def draw_latent(self, num_objects: int, key: Key) -> Float[Array, "*B N"]:
         """Draw u of each object."""
         return self.offset_std * random.normal(key, num_objects)
 
     def attempt(
         self,
         table: Arrangement,
-        trait: Float[Array, "*B N"],
+        latent: Float[Array, "*B N"],
         verb: Int[Array, "*B"],
         target: Int[Array, "*B"],
         key: Key,
     ) -> Attempt:
         """Draw whether it holds, and then how long it took; whatever is to be done with the object."""
         held_key, time_key = random.split(key)
-        log_failure = self.log_failure(at(table.occlusion, target), at(table.grip, target) + at(trait, target))
+        log_failure = self.log_failure(at(table.occlusion, target), at(table.grip, target) + at(latent, target))
         is_held, xp = random.log_uniform(held_key) >= log_failure, library_of(log_failure)
         noise = self.log_std * random.normal(time_key)
         log_s = noise + xp.where(is_held, self.log_held_s, self.log_missed_s).astype(noise.dtype)
-        return Attempt(is_held, xp.minimum(xp.exp(log_s), self.limit_s), table.hides, trait)
+        return Attempt(is_held, xp.minimum(xp.exp(log_s), self.limit_s), table.hides, latent)
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
         """Log P(an attempt misses | occ, offset) = −log(1 + exp(a + b·occ + offset))."""
@@ -267,9 +267,9 @@ def _below(limit: Any) -> Any:
 class GraspingByRobot:
     """Attempts go as the law of the robot has it that makes them (a `GraspLaw`, and known where all of its laws are).
 
-    The hidden trait is a tuple, one of each law, all drawn from one key: an object that is hard to grip is so for all
-    robots. Planners take u / offset_std of an object to be one number, whoever tries it. So it is where laws draw u
-    alike, as `AssumedGrasping` and `FittedGrasping` do, and grids among themselves.
+    The latent variable is a tuple, one of each law, all drawn from one key: an object that is hard to grip is so for
+    all robots. Planners take u / offset_std of an object to be one number, whichever robot tries it. So it is where
+    laws draw u alike, as `AssumedGrasping` and `FittedGrasping` do, and grids among themselves.
 
     Parameters
     ----------
@@ -303,20 +303,20 @@ class GraspingByRobot:
         """Standard deviation of u under the law of the robot."""
         return self._of(lambda law: law.offset_std)
 
-    def draw_trait(self, num_objects: int, key: Key) -> tuple[Any, ...]:
-        """Draw the hidden trait of each law, all from the same key."""
-        return tuple(law.draw_trait(num_objects, key) for law in self.laws)
+    def draw_latent(self, num_objects: int, key: Key) -> tuple[Any, ...]:
+        """Draw the latent variable of each law, all from the same key."""
+        return tuple(law.draw_latent(num_objects, key) for law in self.laws)
 
     def attempt(
-        self, table: Arrangement, trait: tuple[Any, ...], verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
+        self, table: Arrangement, latent: tuple[Any, ...], verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
     ) -> Attempt:
-        """Attempt as the robot does; the traits of the other laws stay as they are."""
-        each = [law.attempt(table, own, verb, target, key) for law, own in zip(self.laws, trait, strict=True)]
-        traits = tuple(
-            chosen(library_of(self.robot).asarray(self.robot == k), tried.trait, own)
-            for k, (tried, own) in enumerate(zip(each, trait, strict=True))
+        """Attempt as the robot does; the latents of the other laws stay as they are."""
+        each = [law.attempt(table, own, verb, target, key) for law, own in zip(self.laws, latent, strict=True)]
+        latents = tuple(
+            chosen(library_of(self.robot).asarray(self.robot == k), tried.latent, own)
+            for k, (tried, own) in enumerate(zip(each, latent, strict=True))
         )
-        return self._chosen([tried._replace(trait=None) for tried in each])._replace(trait=traits)
+        return self._chosen([tried._replace(latent=None) for tried in each])._replace(latent=latents)
 
     def log_failure(self, occluded: Any, offset: Any) -> Any:
         """Log probability that an attempt of the robot fails."""
@@ -335,14 +335,8 @@ class GraspingByRobot:
             return each[int(self.robot)]
         found = each[0]
         for robot, other in enumerate(each[1:], start=1):
-            found = mapped(lambda new, old, robot=robot: _where(self.robot == robot, new, old), other, found)
+            found = chosen(self.robot == robot, other, found)
         return found
-
-
-def _where(is_new: Any, new: Any, old: Any) -> Any:
-    xp = library_of(is_new)
-    num_axes = max(xp.ndim(new), xp.ndim(old))
-    return xp.where(is_new.reshape(is_new.shape + (1,) * max(num_axes - is_new.ndim, 0)), new, old)
 
 
 def check_law(law: object, where: str) -> None:

@@ -18,6 +18,8 @@ TABLE, DISHWASHER, LOST = LOCATIONS = ("TABLE", "DISHWASHER", "LOST")
 """Where an object is; lost where it is no longer on the table and was not washed."""
 OPTIONAL_COLUMNS = ("grip", "seen")
 """Read as 0 where a log has none of them."""
+HISTORY_COLUMNS = ("successes", "failures")
+"""Past attempts at an object, which a log may have; laws of grasping are learned from them."""
 PLACE_COLUMNS = ("x_m", "y_m", "z_m")
 """Where an object was seen last: right, away from the camera, and height over the table, as perception has it [m]. A
 log may have all of them or none."""
@@ -167,7 +169,8 @@ def _check_whereabouts(log: TableLog) -> None:
 
 def _check_objects(log: TableLog) -> None:
     frame, rows = log.objects, np.arange(len(log.objects))
-    numbers = {name: as_floats("objects", frame, name).to_numpy() for name, *_ in _OF_NUMBERS if name in frame.columns}
+    known = [name for name in (*(name for name, *_ in _OF_NUMBERS), *HISTORY_COLUMNS) if name in frame.columns]
+    numbers = {name: as_floats("objects", frame, name).to_numpy() for name in known}
     for column, is_wrong, trouble in _OF_NUMBERS:
         if column in numbers:
             log.refuse_objects(column, is_wrong(numbers[column]), trouble)

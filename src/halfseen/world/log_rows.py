@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.columns import ROBOT, as_floats, refuse, shown, value_at
+from halfseen.logs.columns import ROBOT, as_floats, as_labels, refuse, shown, value_at
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES
 
@@ -143,7 +143,8 @@ def _holds_numbers(kind: pa.DataType) -> bool:
 
 
 def _doing(stages: pd.DataFrame, robot: int) -> Int[np.ndarray, "stages 2"]:
-    code, words = pd.factorize(stages[f"{robot}_does"], use_na_sentinel=False)
+    column = f"{robot}_does"
+    code, words = pd.factorize(as_labels("stages", stages, column, is_null_allowed=True), use_na_sentinel=False)
     known = np.array([_parsed(str(each)) for each in words], dtype=np.int64).reshape(-1, 2)
     remedy = f"it is {', '.join((*IDLE, *VERB_NAMES))}, the verbs of an object with its number"
     wrong = known[code, 0] == _UNKNOWN

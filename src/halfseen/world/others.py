@@ -16,7 +16,7 @@ import numpy as np
 
 from halfseen.arrays import Array, expit, library_of
 from halfseen.shapes import Bool, Float
-from halfseen.world.actions import WAIT, Verb, of_robot
+from halfseen.world.actions import WAIT, Verb, is_decider, of_robot
 from halfseen.world.state import TableState
 
 
@@ -34,12 +34,6 @@ class Others(NamedTuple):
     num_at_work: Float[Array, "*B"]
     since_s: Float[Array, "*B"]
     """For how long those that are at work have been at it, in all [s]."""
-
-
-def is_decider(state: TableState) -> Bool[Array, "*B K"]:
-    """Which of several robots decides."""
-    decider: Any = state.decider
-    return library_of(decider).arange(state.num_robots) == decider[..., None]
 
 
 def others_of(state: TableState) -> Others:

@@ -1,19 +1,20 @@
 """A team's table behind PettingZoo's interface of agents that act in turn (AEC): an agent a robot."""
 
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
-from gymnasium.utils import seeding
 from pettingzoo import AECEnv
 
 from halfseen.errors import ArgumentError
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE
+from halfseen.world.envs import TeamCupsEnv
+from halfseen.world.observations import Observation
 from halfseen.world.robots import Team
 from halfseen.world.scene import Scene
-from halfseen.world.table_in_play import Observation, TableInPlay, default_team
 
 
 class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
@@ -60,31 +61,25 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         render_mode: str | None = None,
     ) -> None:
         super().__init__()
-        robots = default_team() if team is None else team
-        self.table = TableInPlay(scenes, robots, num_objects, config, cut_rate, render_mode)
+        self.table = TeamCupsEnv(scenes, team, num_objects, config, cut_rate, render_mode)
         self.render_mode, self.agents = render_mode, []
         self.possible_agents = [f"robot_{r}" for r in range(self.table.config.num_robots)]
         mask = spaces.MultiBinary(self.table.num_actions)
-        self._observation_spaces = {
-            agent: spaces.Dict({"observation": self.table.observation_space(), "action_mask": mask})
-            for agent in self.possible_agents
-        }
-        self._action_spaces = {agent: spaces.Discrete(self.table.num_actions) for agent in self.possible_agents}
-        self._rng: np.random.Generator | None = None
+        seen = spaces.Dict({"observation": self.table.observation_space, "action_mask": mask})
+        # Of its own, so that each agent's spaces can be seeded and drawn from.
+        self._spaces = {agent: deepcopy((seen, self.table.action_space)) for agent in self.possible_agents}
 
     def observation_space(self, agent: str) -> spaces.Space[Any]:
         """Space of an agent's observations."""
-        return self._observation_spaces[agent]
+        return self._spaces[agent][0]
 
     def action_space(self, agent: str) -> spaces.Space[Any]:
         """Space of an agent's actions: FINISH, WASH and LIFT of each object, WAIT."""
-        return self._action_spaces[agent]
+        return self._spaces[agent][1]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> None:
         """Set a table; ``infos[agent]["episode_seed"]`` is the seed with which `world.rollout.play` plays it."""
-        if seed is not None or self._rng is None:
-            self._rng, _ = seeding.np_random(seed)
-        episode_seed = self.table.reset(self._rng, options)
+        episode_seed = self.table.reset(seed=seed, options=options)[1]["episode_seed"]
         self.agents = list(self.possible_agents)
         self.rewards = dict.fromkeys(self.agents, 0.0)
         self._cumulative_rewards = dict.fromkeys(self.agents, 0.0)
@@ -116,12 +111,13 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         if action is None:
             raise ArgumentError(f"action of {agent} is None, and it goes on; give one in its mask")
         self._cumulative_rewards[agent] = 0.0
-        self.rewards = dict.fromkeys(self.agents, self.table.step(action))
-        is_out = self.table.observation()["is_out"]
+        seen, reward, is_over, is_cut, _ = self.table.step(action)
+        self.rewards = dict.fromkeys(self.agents, reward)
+        is_out = seen["is_out"]
         for robot, each in self._all():
             self.infos[each] = self.table.info(robot)
-            self.truncations[each] = self.table.is_cut or bool(is_out[robot])
-            self.terminations[each] = self.table.is_over and not is_out[robot]
+            self.truncations[each] = is_cut or bool(is_out[robot])
+            self.terminations[each] = is_over and not is_out[robot]
             if self.truncations[each]:
                 self.infos[each]["cause"] = DROP_OUT_CAUSE if is_out[robot] else CAUSES["independent"]
         if not self.table.is_ended:
@@ -131,7 +127,7 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
 
     def render(self) -> str | None:
         """Write the table as text, a line a robot and one an object; None unless the mode is ``"ansi"``."""
-        return self.table.as_text()
+        return self.table.render()
 
     def close(self) -> None:
         """There is nothing to close."""

@@ -11,7 +11,7 @@ A team may come from a file, TOML or JSON::
     reach_m = 0.7
     speed = 1.0
     drop_out_rate = 0.001
-    law = "assumed"             # of grasping, by a name that whoever reads the file knows; the world's if left out
+    law = "assumed"             # of grasping, by a name that anyone who reads the file knows; the world's if left out
 """
 
 import warnings

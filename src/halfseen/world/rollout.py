@@ -1,7 +1,7 @@
 """Many tables played to their end."""
 
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterator, Sequence
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -66,9 +66,7 @@ class Stage(NamedTuple):
 
 def play(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Episodes:
     """Play tables and record every stage; episode k uses layout k modulo their number."""
-    episode = np.arange(num_episodes)
-    starts = range(0, max(num_episodes, 1), BATCH)
-    return _joined([_recorded(config, layouts, policy, key, episode[k : k + BATCH]) for k in starts])
+    return in_parts(_recorded, config, layouts, policy, key, np.arange(num_episodes))
 
 
 def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num_episodes: int) -> Totals:
@@ -78,28 +76,52 @@ def evaluate(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, num
 
 def evaluate_some(config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]) -> Totals:
     """Play some of the tables that `play` would, by number, and keep only the totals."""
-    starts = range(0, len(episode), BATCH)
-    return _joined([_totals(config, layouts, policy, key, episode[k : k + BATCH]) for k in starts])
-
-
-def _joined(parts: list[Tree]) -> Tree:
-    return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *parts)
+    return in_parts(_totals, config, layouts, policy, key, episode)
 
 
 def evaluate_each(
     config: WorldConfig, layouts: Layout, policies: Sequence[Policy], key: Key, num_episodes: int
 ) -> list[Totals]:
     """What `evaluate` says of each policy; they play side by side, which takes less time than one after the other."""
-    size, found = max(1, SIDE_BY_SIDE // num_episodes), []
+    return side_by_side(_totals, config, layouts, policies, key, np.arange(num_episodes))
+
+
+Measure: TypeAlias = Callable[[WorldConfig, Layout, Policy, Key, Int[Array, " B"]], Tree]
+"""Plays some tables, by number, and gives a record of them with the axis B first."""
+
+
+def in_parts(
+    measure: Measure[Tree], config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[Array, " B"]
+) -> Tree:
+    """Measure what a policy does on tables, by number, some at a time."""
+    starts = range(0, max(len(episode), 1), BATCH)
+    return _joined([measure(config, layouts, policy, key, episode[k : k + BATCH]) for k in starts])
+
+
+def side_by_side(
+    measure: Measure[Tree],
+    config: WorldConfig,
+    layouts: Layout,
+    policies: Sequence[Policy],
+    key: Key,
+    episode: Int[Array, " B"],
+) -> list[Tree]:
+    """Measure what each of several policies does on the same tables; they play side by side."""
+    num, found = len(episode), []
+    size = max(1, SIDE_BY_SIDE // max(num, 1))
     for first in range(0, len(policies), size):
         some = policies[first : first + size]
-        totals = _totals(config, layouts, SideBySide(some), key, np.tile(np.arange(num_episodes), len(some)))
-        parts = (slice(k * num_episodes, (k + 1) * num_episodes) for k in range(len(some)))
-        found += [mapped(lambda leaf, at=at: leaf[at], totals) for at in parts]
+        together = measure(config, layouts, _SideBySide(some), key, np.tile(episode, len(some)))
+        parts = (slice(k * num, (k + 1) * num) for k in range(len(some)))
+        found += [mapped(lambda leaf, at=at: leaf[at], together) for at in parts]
     return found
 
 
-class SideBySide:
+def _joined(parts: list[Tree]) -> Tree:
+    return mapped(lambda *leaves: library_of(*leaves).concatenate(leaves), *parts)
+
+
+class _SideBySide:
     """Each policy decides for its own part of a batch; all parts are of the same size."""
 
     def __init__(self, policies: Sequence[Policy]) -> None:

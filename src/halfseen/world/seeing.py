@@ -12,8 +12,8 @@ was not found at v is found by a look that shows v' > v with probability
 
     P(says DIRTY | dirty) = (sens(v') − sens(v)) / (1 − sens(v)),
 
-and likewise by fp for a clean object. So labels are consistent without any hidden trait: a look that shows no more than
-was seen before finds nothing. Once something was found, no look is news.
+and likewise by fp for a clean object. So labels are consistent without any latent variable: a look that shows no more
+than was seen before finds nothing. Once something was found, no look is news.
 """
 
 from itertools import pairwise
@@ -39,18 +39,18 @@ class Glimpse(NamedTuple):
     is_held: Bool[Array, "*B N"]
     """Whether it is held up before the camera, which then sees it from all sides."""
     seen: Float[Array, "*B N"]
-    """Share of its surface that has been in view before, as the law counts it; see `Told.seen`."""
+    """Share of its surface that has been in view before, as the law counts it; see `LookOutcome.seen`."""
 
 
-class Told(NamedTuple):
+class LookOutcome(NamedTuple):
     """What one look told; of what was not seen it may hold anything."""
 
     log_odds: Float[Array, "*B N"]
     """Log-odds of DIRTY given all looks so far."""
     seen: Float[Array, "*B N"]
     """Share of the surface in [0, 1] that looks have told of; 0 for a law to which every look is news."""
-    trait: Any
-    """The hidden trait afterwards."""
+    latent: Any
+    """The latent variable afterwards."""
 
 
 @runtime_checkable
@@ -58,18 +58,18 @@ class SeeingLaw(Protocol):
     """What looks tell, of as many tables as a batch has.
 
     It is the law that decides what is news: evidence that a former look already gave must not be added again. What it
-    needs for that and anyone may know is `Told.seen`. What makes errors persist and nobody sees (a stain that always
-    misleads) is the law's hidden trait: a record or array with an axis for the batch, or None. The law draws it when
-    the table is set, is handed it at every look, and hands back what has become of it.
+    needs for that and anyone may know is `LookOutcome.seen`. What makes errors persist and nobody sees (a stain that
+    always misleads) is the law's latent variable: a record or array with an axis for the batch, or None. The law draws
+    it when the table is set, is handed it at every look, and hands back what has become of it.
     """
 
-    def draw_trait(self, num_objects: int, key: Key) -> Any:
-        """Draw the hidden trait of a table that is being set, as `GraspLaw.draw_trait` does."""
+    def draw_latent(self, num_objects: int, key: Key) -> Any:
+        """Draw the latent variable of a table that is being set, as `GraspLaw.draw_latent` does."""
         ...
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: Any, key: Key
-    ) -> Told:
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], latent: Any, key: Key
+    ) -> LookOutcome:
         """Look once at every object on the table.
 
         Parameters
@@ -80,8 +80,8 @@ class SeeingLaw(Protocol):
             Log-odds of DIRTY before it, the prior included.
         is_dirty
             The truth.
-        trait
-            The hidden trait.
+        latent
+            The latent variable.
         key
             The only source of randomness.
         """
@@ -93,9 +93,9 @@ class KnownSeeing(SeeingLaw, Protocol):
     """A `SeeingLaw` whose probabilities are known, for planners.
 
     Each look labels each object that it sees: it says DIRTY, or it does not. Given the truth, a label depends on former
-    looks through `Told.seen` alone, and on nothing that concerns other objects. Where `seen` is 0 and stays so, labels
-    are independent (`is_independent`). Of NumPy's arrays the methods make NumPy's (float64), of JAX's JAX's; arguments
-    broadcast.
+    looks through `LookOutcome.seen` alone, and on nothing that concerns other objects. Where `seen` is 0 and stays so,
+    labels are independent (`is_independent`). Of NumPy's arrays the methods make NumPy's (float64), of JAX's JAX's;
+    arguments broadcast.
     """
 
     def positive(self, occluded: Any, seen: Any, is_held: Any = False) -> tuple[Any, Any]:
@@ -135,6 +135,17 @@ def label_evidence(if_dirty: Any, if_clean: Any, says_dirty: Any) -> Any:
     return xp.log(xp.where(is_news, if_dirty, np.float32(1.0))) - xp.log(xp.where(is_news, if_clean, np.float32(1.0)))
 
 
+def labelled(
+    law: KnownSeeing, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], key: Key
+) -> LookOutcome:
+    """Label each object once by the probabilities of a law, given the truth and what is known: no latent is needed."""
+    if_dirty, if_clean = law.positive(glimpse.occluded, glimpse.seen, glimpse.is_held)
+    positive = library_of(is_dirty).where(is_dirty, if_dirty, if_clean)
+    says_dirty = random.uniform(key, is_dirty.shape[-1]) < positive
+    seen = law.after(glimpse.occluded, glimpse.seen, says_dirty, glimpse.is_held)
+    return LookOutcome(log_odds + label_evidence(if_dirty, if_clean, says_dirty), seen, None)
+
+
 @record
 class AssumedSeeing:
     """A label is right with probability floor + gain·(1 − occ)^power, independently at every look.
@@ -155,20 +166,20 @@ class AssumedSeeing:
     gain: Number = 0.3
     power: Number = 1.5
 
-    def draw_trait(self, num_objects: int, key: Key) -> None:
-        """No trait: errors do not persist."""
+    def draw_latent(self, num_objects: int, key: Key) -> None:
+        """No latent variable: errors do not persist."""
         return
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: None, key: Key
-    ) -> Told:
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], latent: None, key: Key
+    ) -> LookOutcome:
         """Label each object once; every label is news."""
         accuracy = self.accuracy(glimpse.occluded)
         is_right = random.uniform(key, accuracy.shape[-1]) < accuracy
         xp = library_of(accuracy)
         evidence = xp.log(accuracy) - xp.log(1.0 - accuracy)
         sign = np.float32(2.0) * (is_dirty == is_right) - np.float32(1.0)
-        return Told(log_odds + sign * evidence, glimpse.seen, trait)
+        return LookOutcome(log_odds + sign * evidence, glimpse.seen, latent)
 
     def accuracy(self, occluded: Any) -> Any:
         """Probability that a label is right."""
@@ -230,20 +241,15 @@ class PersistentSeeing:
         if isinstance(self.facing, (int, float)) and not 0.0 < self.facing <= 1.0:
             raise ArgumentError(f"facing is {self.facing}; the share that an object shows lies in (0, 1]")
 
-    def draw_trait(self, num_objects: int, key: Key) -> None:
-        """No trait: what was seen so far is known."""
+    def draw_latent(self, num_objects: int, key: Key) -> None:
+        """No latent variable: what was seen so far is known."""
         return
 
     def look(
-        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], trait: None, key: Key
-    ) -> Told:
+        self, glimpse: Glimpse, log_odds: Float[Array, "*B N"], is_dirty: Bool[Array, "*B N"], latent: None, key: Key
+    ) -> LookOutcome:
         """Look for what is shown for the first time."""
-        view = glimpse.occluded, glimpse.seen
-        if_dirty, if_clean = self.positive(*view, glimpse.is_held)
-        positive = library_of(is_dirty).where(is_dirty, if_dirty, if_clean)
-        says_dirty = random.uniform(key, positive.shape[-1]) < positive
-        seen = self.after(*view, says_dirty, glimpse.is_held)
-        return Told(log_odds + label_evidence(if_dirty, if_clean, says_dirty), seen, trait)
+        return labelled(self, glimpse, log_odds, is_dirty, key)
 
     def in_view(self, occluded: Any, is_held: Any = False) -> Any:
         """Share of the surface that a look shows: of what nothing hides on the table `facing`, of what is held all."""

@@ -85,7 +85,7 @@ class TableState:
     log_odds: Float[Array, "*B N"]
     """Log-odds of DIRTY given all labels so far, the prior included."""
     seen: Float[Array, "*B N"]
-    """Share of each object's surface that has been in view so far, as the law of seeing counts it; see `Told.seen`."""
+    """Share of each object's surface in view so far, as the law of seeing counts it; see `LookOutcome.seen`."""
     lifts: Int[Array, "*B N"]
     """Number of LIFT attempts that succeeded."""
     attempt_object: Int[Array, "*B T"]
@@ -141,9 +141,9 @@ class HiddenState:
     """What no policy sees: the attribute of each object, what laws keep to themselves, and what robots are about."""
 
     is_dirty: Bool[Array, "*B N"]
-    grasp_trait: Any
+    grasp_latent: Any
     """Of `WorldConfig.grasping`; u of each object, axes (B, N), of the assumed one."""
-    seeing_trait: Any = None
+    seeing_latent: Any = None
     """Of `WorldConfig.seeing`; none of the assumed one."""
     pending: Pending | None = None
     """None where one robot works alone."""

@@ -12,21 +12,47 @@ table stays as it was seen. What ends at the very moment of a drop-out ends befo
 """
 
 from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Array, at, library_of
-from halfseen.shapes import Float, Int
+from halfseen.arrays import Array, at, chosen, library_of
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
-from halfseen.world.actions import ActionSpace, Verb, possible_actions
+from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions
 from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left
 from halfseen.world.config import WorldConfig
-from halfseen.world.events import Outcome, step_of_several
+from halfseen.world.grasping import Attempt
 from halfseen.world.random import Key
-from halfseen.world.state import HiddenState, Layout, TableState, initial_state, nothing_pending, occlusion
+from halfseen.world.state import (
+    HiddenState,
+    Layout,
+    Pending,
+    Robots,
+    TableState,
+    initial_state,
+    nothing_pending,
+    occlusion,
+)
 
 _DROP_OUT_KEY = 29
 """Folded into the key of the start for the times of drop-outs, so that no other draw changes."""
+
+
+class Outcome(NamedTuple):
+    """What one stage brought."""
+
+    reward: Float[Array, "*B"]
+    """Price of its seconds included and, where the trajectory ends, that of what is left dirty."""
+    duration_s: Float[Array, "*B"]
+    """Positive, but where several robots are free at once [s]."""
+    is_over: Bool[Array, "*B"]
+    """Whether the trajectory has come to its own end."""
+    paid_alone: Float[Array, "*B K"] | None = None
+    """What the stage would have paid each of several robots had it been alone: its own attempts that ended, the price
+    of its seconds until its own end, and there that of what is left dirty in its reach; None where one is."""
+    out_s: Float[Array, "*B K"] | None = None
+    """How far into it each robot dropped out, infinite where it did not; None where nobody can [s]."""
 
 
 def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, HiddenState]:
@@ -42,12 +68,12 @@ def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, Hi
 
 
 def draw_hidden(config: WorldConfig, num_objects: int, key: Key) -> HiddenState:
-    """Draw attributes from the prior, and the traits of the laws."""
+    """Draw attributes from the prior, and the latents of the laws."""
     dirty_key, grasp_key = random.split(key)
     return HiddenState(
         is_dirty=random.uniform(dirty_key, num_objects) < config.dirty_share,
-        grasp_trait=config.grasping.draw_trait(num_objects, grasp_key),
-        seeing_trait=config.seeing.draw_trait(num_objects, random.fold_in(key, 2)),
+        grasp_latent=config.grasping.draw_latent(num_objects, grasp_key),
+        seeing_latent=config.seeing.draw_latent(num_objects, random.fold_in(key, 2)),
     )
 
 
@@ -92,30 +118,259 @@ def step(
     TableState
         What is seen then, and who decides.
     HiddenState
-        What is hidden then: the laws may change their traits.
+        What is hidden then: the laws may change their latents.
     Outcome
         What it brought.
     """
     if state.robots is None:
-        return _step_of_one(config, state, hidden, action, key)
+        return _step_alone(config, state, hidden, action, key)
     is_possible = at(possible_actions(state), action) if any_action else None
-    return step_of_several(config, state, hidden, action, key, is_possible)
+    return _step_of_several(config, state, hidden, action, key, is_possible)
 
 
-def _step_of_one(
+def _step_alone(
     config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, "*B"], key: Key
 ) -> tuple[TableState, HiddenState, Outcome]:
+    """What one robot alone begins ends, and nothing comes between."""
     xp, actions = library_of(action), ActionSpace(state.num_objects)
     grasp_key, see_key = random.split(key)
-    verb, target = actions.verb(action), actions.target(action)
-    occluded = occlusion(state)
+    verb, target, occluded = actions.verb(action), actions.target(action), occlusion(state)
     tried = attempted(config, state, hidden, verb, target, grasp_key, occluded)
-    after = after_attempt(state, verb, target, tried, at(occluded, target))
-    hidden = replace(hidden, grasp_trait=tried.trait)
-    is_held = is_target(state, target) & (tried.is_held & (verb == Verb.LIFT))[..., None]
-    after, hidden = look(config, after, hidden, is_held, see_key)
+    tried = tried._replace(duration_s=config.transport_s + tried.duration_s)
+    hidden, was_hidden = replace(hidden, grasp_latent=tried.latent), at(occluded, target)
+    after, hidden, paid = _ended(config, state, hidden, verb, target, tried, was_hidden, see_key)
     ends = (verb == Verb.FINISH) | (after.steps_to_go == 0) | ~xp.any(after.is_on_table, axis=-1)
-    duration_s = config.transport_s + tried.duration_s
-    reward = action_reward(config, verb, tried.is_held, at(hidden.is_dirty, target), duration_s)
-    reward = reward + price_of_left(config, after, hidden, ends)
-    return after, hidden, Outcome(reward, duration_s, ends)
+    return after, hidden, Outcome(paid + price_of_left(config, after, hidden, ends), tried.duration_s, ends)
+
+
+def _ended(
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    verb: Int[Array, "*B"],
+    target: Int[Array, "*B"],
+    tried: Attempt,
+    was_hidden: Float[Array, "*B"],
+    key: Key,
+    robot: Int[Array, "*B"] | None = None,
+    in_the_air: Bool[Array, "*B N"] | bool = False,
+) -> tuple[TableState, HiddenState, Float[Array, "*B"]]:
+    """What is seen and hidden once an attempt is over and the camera has looked, and what it paid."""
+    state = after_attempt(state, verb, target, tried, was_hidden, robot)
+    is_lifted = is_target(state, target) & (tried.is_held & (verb == Verb.LIFT))[..., None]
+    state, hidden = look(config, state, hidden, is_lifted | in_the_air, key)
+    return state, hidden, action_reward(config, verb, tried.is_held, at(hidden.is_dirty, target), tried.duration_s)
+
+
+def _step_of_several(
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    action: Int[Array, "*B"],
+    key: Key,
+    is_possible: Bool[Array, "*B"] | None,
+) -> tuple[TableState, HiddenState, Outcome]:
+    """Let the robot that decides begin an action, and what is pending end until somebody is to decide."""
+    xp = library_of(action)
+    grasp_key, see_key = random.split(key)
+    state, hidden = _begun(config, state, hidden, action, grasp_key, is_possible)
+    total = _nothing(config, state)
+    for k in range(config.num_robots):
+        # What frees nobody ends a robot for good, parked or dropped out: up to K such events before anybody decides.
+        is_idle = ~xp.any(_robots(state).is_undecided, axis=-1) & ~_is_over(state)
+        if xp is np and not is_idle.any():
+            break
+        of_event = see_key if k == 0 else random.fold_in(see_key, k)
+        after, of_hidden, brought = _next_event(config, state, hidden, of_event)
+        state, hidden = chosen(is_idle, (after, of_hidden), (state, hidden))
+        total = chosen(is_idle, _added(total, brought), total)
+    decider, is_over = xp.argmax(_robots(state).is_undecided, axis=-1).astype(np.int32), _is_over(state)
+    reward = total.reward + price_of_left(config, state, hidden, is_over) + config.reward_per_s * total.duration_s
+    return replace(state, decider=decider), hidden, total._replace(reward=reward, is_over=is_over)
+
+
+def _robots(state: TableState) -> Robots:
+    assert state.robots is not None
+    return state.robots
+
+
+def _pending(hidden: HiddenState) -> Pending:
+    assert hidden.pending is not None
+    return hidden.pending
+
+
+def _is_over(state: TableState) -> Bool[Array, "*B"]:
+    """Whether all robots are done for good, or the table is clear."""
+    xp = library_of(state.is_on_table)
+    return xp.all(_robots(state).is_done, axis=-1) | ~xp.any(state.is_on_table, axis=-1)
+
+
+def _nothing(config: WorldConfig, state: TableState) -> Outcome:
+    each = library_of(state.is_on_table).zeros(_robots(state).is_busy.shape, dtype=np.float32)
+    out_s = None if config.drop_out_rate is None else each + np.float32(np.inf)
+    return Outcome(each[..., 0], each[..., 0], each[..., 0] > 0, each, out_s)
+
+
+def _added(total: Outcome, later: Outcome) -> Outcome:
+    """What two stretches of time brought, one after the other."""
+    alone: Any = total.paid_alone
+    out_s = total.out_s
+    if out_s is not None:
+        out_s = library_of(out_s).minimum(out_s, total.duration_s[..., None] + later.out_s)
+    reward, duration_s = total.reward + later.reward, total.duration_s + later.duration_s
+    return Outcome(reward, duration_s, total.is_over, alone + later.paid_alone, out_s)
+
+
+def _is_one(robots: Robots, robot: Int[Array, "*B"]) -> Bool[Array, "*B K"]:
+    """Which of the robots has that number."""
+    return library_of(robot).arange(robots.num_robots) == robot[..., None]
+
+
+def _begun(
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    action: Int[Array, "*B"],
+    key: Key,
+    is_possible: Bool[Array, "*B"] | None,
+) -> tuple[TableState, HiddenState]:
+    """Draw how the action of the robot that decides will go."""
+    xp, actions, robots, pending = library_of(action), ActionSpace(state.num_objects), _robots(state), _pending(hidden)
+    assert state.decider is not None
+    verb, target, robot = actions.verb(action), actions.target(action), state.decider
+    occluded, is_wait, there = occlusion(state), verb == WAIT, state
+    at_there = occluded
+    if is_possible is not None:
+        is_there, is_wait = is_possible[..., None] | ~is_target(state, target), is_wait & is_possible
+        there = replace(state, is_on_table=state.is_on_table & is_there)
+        at_there = occlusion(there)
+    tried = attempted(config.as_robot(robot), there, hidden, _to_the_table(verb), target, key, at_there)
+    duration_s = (config.transport_s + tried.duration_s) / xp.asarray(config.speed, dtype=np.float32)[robot]
+    is_mine = _is_one(robots, robot)
+
+    def mine(values: Any, others: Any) -> Any:
+        return chosen(is_mine, xp.expand_dims(values, robot.ndim), others)
+
+    never_s = xp.where(is_wait, np.float32(np.inf), duration_s)
+    robots = replace(
+        robots,
+        is_busy=robots.is_busy | is_mine,
+        verb=mine(verb, robots.verb).astype(np.int32),
+        target=mine(target, robots.target).astype(np.int32),
+        since_s=xp.where(is_mine, np.float32(0.0), robots.since_s),
+        decisions_to_go=(robots.decisions_to_go - is_mine).astype(np.int32),
+    )
+    pending = Pending(
+        left_s=mine(never_s, pending.left_s),
+        duration_s=mine(duration_s, pending.duration_s),
+        is_held=mine(tried.is_held, pending.is_held),
+        occlusion=mine(at(occluded, target), pending.occlusion),
+        hides=mine(tried.hides, pending.hides),
+        is_moved=mine(tried.hides != state.hides, pending.is_moved),
+    )
+    return replace(state, robots=robots), replace(hidden, grasp_latent=tried.latent, pending=pending)
+
+
+def _to_the_table(verb: Int[Array, "*B"]) -> Int[Array, "*B"]:
+    """To the table, who waits does nothing, as who finishes."""
+    return library_of(verb).where(verb == WAIT, Verb.FINISH, verb)
+
+
+def _next_event(
+    config: WorldConfig, state: TableState, hidden: HiddenState, key: Key
+) -> tuple[TableState, HiddenState, Outcome]:
+    """Let the first thing that ends end, or a robot drop out before: what is seen and hidden then, and what it paid."""
+    robots, until_out = _robots(state), hidden.until_out_s
+    xp, zero, never, out_s = library_of(robots.is_busy), np.float32(0.0), np.float32(np.inf), None
+    left_s = xp.where(robots.is_busy, _pending(hidden).left_s, never)
+    robot, first_s = xp.argmin(left_s, axis=-1), xp.min(left_s, axis=-1)
+    # Nothing is to end where a trajectory is over: what comes of that is thrown away, and is to be finite.
+    passed_s = xp.where(xp.isfinite(first_s), first_s, zero)
+    after, of_hidden, paid = _at_end(config, state, hidden, robot, passed_s, key)
+    if until_out is not None:
+        until_s = xp.where(robots.is_busy, until_out, never)
+        leaver, leaves_s = xp.argmin(until_s, axis=-1), xp.min(until_s, axis=-1)
+        is_first = leaves_s < first_s
+        passed_s, paid = xp.where(is_first, leaves_s, passed_s), xp.where(is_first, zero, paid)
+        at_drop_out = _at_drop_out(state, hidden, leaver, passed_s)
+        after, of_hidden = chosen(is_first, at_drop_out, (after, of_hidden))
+        of_hidden = replace(of_hidden, until_out_s=until_out - passed_s[..., None])
+        out_s = xp.where(is_first[..., None] & _is_one(robots, leaver), passed_s[..., None], never)
+    own = xp.where(_is_one(robots, robot), paid[..., None], zero)
+    alone = own + _own_price(config, robots.is_done, after, of_hidden, passed_s)
+    return after, of_hidden, Outcome(paid, passed_s, xp.asarray(False), alone, out_s)
+
+
+def _own_price(
+    config: WorldConfig,
+    was_done: Bool[Array, "*B K"],
+    state: TableState,
+    hidden: HiddenState,
+    passed_s: Float[Array, "*B"],
+) -> Float[Array, "*B K"]:
+    """Price of the seconds of each robot that goes on, and of what is left in its reach where it came to its end."""
+    xp, robots = library_of(was_done), _robots(state)
+    is_at_end = robots.is_done & ~was_done
+    if robots.is_out is not None:
+        is_at_end = is_at_end & ~robots.is_out
+    assert state.workspace is not None
+    is_left = (state.is_on_table & hidden.is_dirty)[..., None, :] & state.workspace.is_in_reach
+    left = xp.sum(is_left, axis=-1).astype(np.float32)
+    of_left = xp.where(is_at_end, config.reward_dirty_left * left, np.float32(0.0))
+    return of_left + xp.where(was_done, np.float32(0.0), config.reward_per_s * passed_s[..., None])
+
+
+def _at_end(
+    config: WorldConfig,
+    state: TableState,
+    hidden: HiddenState,
+    robot: Int[Array, "*B"],
+    passed_s: Float[Array, "*B"],
+    key: Key,
+) -> tuple[TableState, HiddenState, Float[Array, "*B"]]:
+    """What is seen and hidden once a robot has ended what it was at, and what that pays."""
+    robots, pending, xp = _robots(state), _pending(hidden), library_of(robot)
+    verb, target, is_held = (at(values, robot) for values in (robots.verb, robots.target, pending.is_held))
+    duration_s, was_hidden = at(pending.duration_s, robot), at(pending.occlusion, robot)
+    of_robot = robot[..., None, None, None]
+    is_moved, moved = (
+        xp.take_along_axis(each, of_robot, axis=-3)[..., 0, :, :] for each in (pending.is_moved, pending.hides)
+    )
+    tried = Attempt(is_held, duration_s, xp.where(is_moved, moved, state.hides), None)
+    robots, pending = _freed(robots, pending, robot, passed_s)
+    is_parked = xp.where(_is_one(robots, robot), (verb == Verb.FINISH)[..., None], robots.is_parked)
+    held = _in_the_air(config, robots, pending, state)
+    state, hidden, paid = _ended(
+        config, state, hidden, _to_the_table(verb), target, tried, was_hidden, key, robot, held
+    )
+    return replace(state, robots=replace(robots, is_parked=is_parked)), replace(hidden, pending=pending), paid
+
+
+def _at_drop_out(
+    state: TableState, hidden: HiddenState, robot: Int[Array, "*B"], passed_s: Float[Array, "*B"]
+) -> tuple[TableState, HiddenState]:
+    """What is seen and hidden once a robot has dropped out: the table is as it was."""
+    robots, pending = _freed(_robots(state), _pending(hidden), robot, passed_s)
+    assert robots.is_out is not None
+    robots = replace(robots, is_out=robots.is_out | _is_one(robots, robot))
+    return replace(state, robots=robots), replace(hidden, pending=pending)
+
+
+def _freed(
+    robots: Robots, pending: Pending, robot: Int[Array, "*B"], passed_s: Float[Array, "*B"]
+) -> tuple[Robots, Pending]:
+    """A robot after so many seconds is at nothing any more, and neither is who waited."""
+    xp, never = library_of(robot), np.float32(np.inf)
+    is_free = _is_one(robots, robot) | (robots.is_busy & (robots.verb == WAIT))
+    left_s = xp.where(robots.is_busy, pending.left_s, never)
+    freed = replace(robots, is_busy=robots.is_busy & ~is_free, since_s=robots.since_s + passed_s[..., None])
+    return freed, replace(pending, left_s=xp.where(freed.is_busy, left_s - passed_s[..., None], never))
+
+
+def _in_the_air(config: WorldConfig, robots: Robots, pending: Pending, state: TableState) -> Bool[Array, "*B N"]:
+    """What robots that are busy hold: an object is held for as long as its transport takes."""
+    xp = library_of(robots.is_busy)
+    transport_s = config.transport_s / xp.asarray(config.speed, dtype=np.float32)
+    is_holding = robots.is_busy & pending.is_held & (pending.left_s <= transport_s)
+    is_target = robots.target[..., None] == xp.arange(state.num_objects)
+    return xp.any(is_holding[..., None] & is_target, axis=-2)

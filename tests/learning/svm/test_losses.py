@@ -87,17 +87,6 @@ def test_slope_is_that_of_the_envelope_by_its_definition(name, y, v, step):
 
 
 @pytest.mark.parametrize("name", NAMES)
-@given(y=NUMBERS, s=NUMBERS, t=NUMBERS)
-def test_fenchel_and_young(name, y, s, t):
-    loss, y, s = loss_of(name), target(name, y), np.array([s])
-    assert loss.value(y, s) + loss.conjugate(y, np.array([t])) >= t * s - 1e-7
-    step = 0.0 if loss.is_smooth else 1.0
-    slope = loss.slope(y, s, step)
-    s = s - step * slope
-    assert loss.value(y, s) + loss.conjugate(y, slope) == pytest.approx(slope * s, abs=1e-7)
-
-
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize("t", [-25.0, -1.2, -0.6, -0.2, 0.0, 0.2, 0.6, 1.2, 25.0])
 @pytest.mark.parametrize("y", [-1.0, 1.0])
 def test_conjugate_is_the_supremum(name, t, y):

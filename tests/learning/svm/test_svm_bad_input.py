@@ -45,7 +45,6 @@ class NobodyIsWatched:
 LINEAR = {"loss": "squared", "kernel": "linear", "reg": 0}
 REGRESSOR = [
     ({"loss": "hinge"}, Y, r"loss is 'hinge'; CensoredSVR has squared, absolute, pinball"),
-    ({"kernel": "gauss"}, Y, r"kernel 'gauss' is unknown; give one of linear, rbf"),
     ({"censoring": "km"}, Y, r"censoring is 'km'; it is 'kaplan-meier', 'cox', 'kernel'"),
     *(({"gamma": g}, Y, rf"gamma is {g}; a kernel's width .*'scale' or 'cv'") for g in (0, -1.0, np.nan, True, None)),
     ({"gamma": "banana"}, Y, r"gamma is 'banana'.*'scale' or 'cv'"),
@@ -53,21 +52,13 @@ REGRESSOR = [
     ({"reg": 0}, Y, r"reg is 0, and with an intercept .*fit_intercept=False"),
     ({"reg": 0, "fit_intercept": False, "gamma": 1e-12}, Y, r"reg is 0 and the kernel matrix .* singular.*reg > 0"),
     ({"loss": "pinball", "quantile": 0}, Y, r"quantile is 0; it lies in \(0, 1\)"),
-    ({"epsilon": -1}, Y, r"epsilon is -1"),
-    ({"loss": "huber", "delta": 0}, Y, r"delta is 0"),
     *(({"tau": tau}, Y, rf"tau is {tau}; it is a time > 0 s") for tau in (0, -2.0, np.nan, np.inf)),
     *(({"tol": tol}, Y, rf"tol is {tol}; it is a share") for tol in (0.0, np.nan)),
     ({"truncate_at": 0.5}, Y, r"truncate_at is 0.5; weights are at least 1"),
-    ({"degree": 0, "kernel": "polynomial"}, Y, r"degree is 0"),
-    ({"num_landmarks": 0}, Y, r"num_landmarks is 0; give at least 1"),
     ({"kernel": lambda x, z: np.ones((2, 2))}, Y, r"the kernel gives shape \(2, 2\)"),
     *(({"reg": "cv", "cv": cv}, Y, rf"cv is {cv}; cross-validation needs at least 2 folds") for cv in (0, 1)),
     ({"censoring": NobodyIsWatched()}, Y, r"trajectory \d+: finished at .* \(Ĝ = 0\).*shorten.*truncate"),
-    (
-        {},
-        (TIME, np.zeros(80, dtype=bool)),
-        r"all 80 trajectories were cut before their target was seen; record until some",
-    ),
+    ({}, (TIME, np.zeros(80, dtype=bool)), r"all 80 .* were cut before their target was seen; record until some"),
 ]
 CLASSIFIER = [
     ({}, Y, "y holds times and tau is None; give the tau"),
@@ -75,7 +66,7 @@ CLASSIFIER = [
     ({}, np.ones(80), "only one class"),
     ({"tau": 1e9}, Y, "only one class, .*True.*, was seen among 80 rows"),
     ({"tau": 1e-9}, Y, "only one class, .*False.*, was seen"),
-    ({"tau": 100.0}, (TIME, np.zeros(80, dtype=bool)), "all 80 trajectories were cut before their target was seen"),
+    ({"tau": 100.0}, (TIME, np.zeros(80, dtype=bool)), "all 80 .* were cut before their target was seen"),
     ({"loss": "squared"}, LABELS, "loss is 'squared'; CensoredSVC has hinge, squared-hinge, logistic"),
     ({"cv": 1}, LABELS, "cv is 1"),
 ]

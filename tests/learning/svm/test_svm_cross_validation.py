@@ -10,7 +10,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
 from halfseen.learning.svm import cross_validation
 from halfseen.learning.svm.cross_validation import fit_sigmoid
-from halfseen.learning.svm.kernels import RbfKernel
+from halfseen.learning.svm.kernels import VectorKernel
 from halfseen.learning.svm.losses import named_loss
 from halfseen.learning.svm.newton import Gram
 from halfseen.learning.svm.solver import Problem, solve
@@ -29,7 +29,7 @@ def log():
 
 def naive_losses(rows, y, weights, loss, regs, splits):
     """A fit for every fold and λ, each from nothing."""
-    kernel, seen = RbfKernel(GAMMA), weights > 0
+    kernel, seen = VectorKernel("rbf", GAMMA), weights > 0
     losses = np.zeros(len(regs))
     for fitted, held in splits:
         fitted, held = fitted[seen[fitted]], held[seen[held]]

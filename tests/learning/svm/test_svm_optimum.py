@@ -14,7 +14,7 @@ from sklearn.svm import SVC, SVR
 
 from halfseen.errors import HalfseenWarning
 from halfseen.learning import CensoredSVC, CensoredSVR
-from halfseen.learning.svm import newton, solver
+from halfseen.learning.svm import interior, newton, solver
 from halfseen.learning.svm.losses import PiecewiseLoss, named_loss
 from halfseen.learning.svm.newton import Features, Gram, Point
 from halfseen.learning.svm.solver import Problem, certify, solve
@@ -277,7 +277,7 @@ def test_interior_points_agree_with_the_rounds(loss, reg, monkeypatch):
 
 def test_what_interior_points_leave_is_mended_by_rounds(monkeypatch):
     given = problem("epsilon-insensitive", 1e-4)
-    monkeypatch.setattr(newton, "MOST_INTERIOR_STEPS", 3)
+    monkeypatch.setattr(interior, "MOST_INTERIOR_STEPS", 3)
     found = solve(given)
     best, _ = optimum(given.space.matrix, given.y, given.mass, "epsilon-insensitive", 1e-4, True)
     assert found.objective == pytest.approx(best, rel=3e-8)
@@ -297,13 +297,3 @@ def test_where_few_rows_lie_on_a_kink_interior_points_are_not_asked(loss, reg, m
 def test_a_side_that_costs_nothing_is_left_to_the_rounds():
     found = solve(replace(problem("absolute", 1e-4), loss=PiecewiseLoss(up=1.0, down=0.0)))
     assert found.objective == pytest.approx(0.0, abs=1e-12)
-
-
-@pytest.mark.parametrize("ridge", [0.1, 1e-9])
-def test_single_precision_serves_where_it_can_and_double_elsewhere(ridge, monkeypatch):
-    monkeypatch.setattr(newton, "SINGLE_FROM", 1)
-    gram, right = rbf_kernel(np.random.default_rng(0).normal(size=(80, 3)), gamma=0.3), np.ones(80)
-    if ridge == 0.1:
-        monkeypatch.setattr(newton, "factored", refuse)
-    solved = newton._solver(gram, np.full(80, ridge))(right)
-    np.testing.assert_allclose((gram + ridge * np.eye(80)) @ solved, right, atol=1e-6)

@@ -1,7 +1,7 @@
 import pytest
 
 from bags import WITHOUT_CLOUD, mapping_for, tables_of, write_bag, write_mcap
-from halfseen.logs.formats import read_bag
+from halfseen.logs.formats import read_bag, read_event_table
 
 
 @pytest.fixture
@@ -36,3 +36,15 @@ def read_mcap(tmp_path, mapping):
         return read_bag(write_mcap(tmp_path / name, messages, encode, **options), file)
 
     return read
+
+
+@pytest.fixture
+def read_table(tmp_path):
+    """Read text by a mapping."""
+
+    def write_and_read(text, mapping, encoding="utf-8", name="events.csv"):
+        (tmp_path / name).write_bytes(text if isinstance(text, bytes) else text.encode(encoding))
+        (tmp_path / "cell.toml").write_text(mapping, encoding="utf-8")
+        return read_event_table(tmp_path / name, tmp_path / "cell.toml")
+
+    return write_and_read

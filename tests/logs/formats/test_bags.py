@@ -160,11 +160,11 @@ def test_the_header_may_be_the_clock(read):
     told = {"action": "/action header.frame_id", "reward": "/reward pose.position.x", "ending": "/end header.frame_id"}
     messages = [
         pose(5.0, "/reward", 2.0, stamp_s=101.5),  # recorded first, yet stamped after the action
-        pose(6.0, "/action", 0.0, stamp_s=100.0),
-        pose(7.0, "/end", 0.0, stamp_s=102.0),
+        pose(5.1, "/action", 0.0, stamp_s=100.0),
+        pose(7.0, "/end", 0.0, stamp_s=103.5),
     ]
     logs = read(messages, 'clock = "header"\n' + tables_of(told) + 'finished = ["camera"]')
-    assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([[1.5]], [2.0])
+    assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([[1.5]], [3.5])
 
 
 A, R, E = text(1.0, "/action", "A"), number(2.0, "/reward", 1.0), text(9.0, "/end", "finished")

@@ -51,14 +51,14 @@ def test_each_ending_is_told_by_a_feature(tmp_path, columns, rules, endings):
 def test_what_nobody_says_of_endings_is_told(tmp_path, rules, ending, told):
     found = episodes()
     write_lerobot(tmp_path, found)
-    with pytest.warns(HalfseenWarning, match=rf"neither next\.done nor next\.success says .*{told}"):
+    with pytest.warns(HalfseenWarning, match=rf"none of next\.done, .* says how .*{told}"):
         logs = read_lerobot(tmp_path, rules)
     assert_is(logs, expected(found, [ending] * 3, times_of(found, 0.1), STATE, has_last=False), 1e-12)
 
 
 def test_pictures_and_what_came_of_a_step_are_passed_over_and_told_and_tasks_are_words(tmp_path):
     found = episodes()
-    extra = {"next.done": last_of(found, [True] * 3), "task_index": [1, 1, 1, 0, 1, 1, 1, 1]}
+    extra = {"next.terminated": last_of(found, [True] * 3), "task_index": [1, 1, 1, 0, 1, 1, 1, 1]}
     extra |= {"observation.image": [b"png"] * 8, "effort": list(range(8)), "observation.lit": [True, False] * 4}
     pictures = {"observation.image": {"dtype": "image"}, "observation.video": {"dtype": "video"}}
     write_lerobot(tmp_path, found, extra=extra, features=pictures, tasks=["grasp", "place"])
@@ -131,6 +131,19 @@ def test_what_is_wrong_is_told_in_one_line(tmp_path, make, case):
     read = make(tmp_path, **other)
     with refused(told):
         read(*rules)
+
+
+@pytest.mark.parametrize("values", [[b"0"], [[0]], [{"a": 0}], [0.0], [True], [None]], ids=str)
+@pytest.mark.parametrize("file", ["data", "meta/tasks.parquet", "meta/episodes"])
+def test_numbers_of_tasks_and_episodes_are_whole_numbers(tmp_path, file, values):
+    write_lerobot(tmp_path, episodes(), extra={"task_index": [0] * 8}, tasks=["a"])
+    column = "episode_index" if file == "meta/episodes" else "task_index"
+    for each in [tmp_path / file] if file.endswith("parquet") else (tmp_path / file).rglob("*.parquet"):
+        table = pq.read_table(each)
+        other = pa.array(values * table.num_rows, pa.int64() if values == [None] else None)
+        pq.write_table(table.set_column(table.column_names.index(column), column, other), each)
+    with refused(rf"{file}: {column} holds \S.*, or null, and no whole numbers; copy the dataset again"):
+        read_quietly(tmp_path)
 
 
 def test_a_dataset_that_was_copied_in_part_is_told(tmp_path):

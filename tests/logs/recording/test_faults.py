@@ -9,7 +9,6 @@ import zlib
 from contextlib import contextmanager, nullcontext
 from warnings import catch_warnings, simplefilter
 
-import numpy as np
 import pytest
 from recordings import finished, logs_or_none, record_trajectory
 
@@ -51,7 +50,7 @@ class FailingDisk:
 
 def failing(monkeypatch, seed, share=0.3):
     disk = FailingDisk(seed, share)
-    monkeypatch.setattr("halfseen.logs.writer.os", disk)
+    monkeypatch.setattr("halfseen.logs.journal.os", disk)
     return disk
 
 
@@ -228,7 +227,7 @@ def test_a_trajectory_that_lines_are_missing_of_counts_as_cut_where_it_was_last_
         logs = read_logs(tmp_path)
     assert len(caught) == 1
     second = logs.trajectories[logs.trajectories["trajectory"] == 2].iloc[0]
-    assert (second["ending"], second["cause"], second["end_s"]) == ("cut", "crash", np.nextafter(1.0, 0.0))
+    assert (second["ending"], second["cause"], second["end_s"]) == ("cut", "crash", 0.99)
     assert (logs.stages["trajectory"] == 2).sum() == 1
 
 
@@ -271,7 +270,7 @@ def zeroed_pages(content, rng, page):
 
 
 @pytest.mark.parametrize(
-    ("num_faults", "seed", "fewest_read"), [(12, 1, 4), pytest.param(500, 2, 200, marks=pytest.mark.slow)]
+    ("num_faults", "seed", "fewest_read"), [(12, 1, 4), pytest.param(200, 2, 80, marks=pytest.mark.slow)]
 )
 def test_zeroed_pages_cost_only_the_trajectories_at_them(whole, tmp_path, num_faults, seed, fewest_read):
     rng, content = random.Random(seed), b"".join(whole)

@@ -13,7 +13,8 @@ from recordings import THREE, begin, of_robot, record_trajectory, step
 from halfseen.censoring import stage_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
-from halfseen.logs.journal import JOURNAL, PART_BYTES, journal_parts, part_after
+from halfseen.logs.journal import JOURNAL, PART_BYTES, journal_parts
+from halfseen.logs.recorder import ended_log
 from refusals import refused
 from valid_logs import assert_same, small_tables, valid_tables
 
@@ -28,16 +29,15 @@ def record_tables(folder, stages, trajectories, objects):
     """Record what tables say, on their clocks."""
     own = ("trajectory", "stage", "elapsed_s", "reward")
     stages = stages.astype({"object": object if stages["object"].dtype == object else "Int64"})
+    by_stage = [] if objects is None else objects.groupby(["trajectory", "stage"])
+    seen_then = {at: rows.drop(columns=["trajectory", "stage"]).to_dict("records") for at, rows in by_stage}
     with LogRecorder(folder) as recorder:
         for end in trajectories.to_dict("records"):
             trajectory = recorder.begin_trajectory(
                 end["trajectory"], **{name: end[name] for name in end.keys() - set(OF_THE_END)}
             )
             for row in stages[stages["trajectory"] == end["trajectory"]].sort_values("stage").to_dict("records"):
-                there = None
-                if objects is not None:
-                    is_there = (objects["trajectory"] == end["trajectory"]) & (objects["stage"] == row["stage"])
-                    there = objects[is_there].drop(columns=["trajectory", "stage"]).to_dict("records")
+                there = seen_then.get((end["trajectory"], row["stage"]))
                 choice = {name: row[name] for name in CHOICE if name in row and not pd.isna(row[name])}
                 seen = {name: value for name, value in row.items() if name not in (*own, *CHOICE)}
                 trajectory.begin_stage(seen, there, **choice)
@@ -88,7 +88,7 @@ def cut(cause, elapsed_s=None):
         # A cut falls into the stage before,
         ([begin, 2.0, done, 0.5, cut("e-stop")], [np.nan], 2.5, "e-stop"),
         # and takes its completion back.
-        ([completed(1.0), completed(2.0), cut("battery", 2.5)], [1.0, np.nan], np.nextafter(2.0, 0.0), "battery"),
+        ([completed(1.0), completed(2.0), cut("battery", 2.5)], [1.0, np.nan], 1.99, "battery"),
     ],
 )
 def test_stages_last_until_the_next_begins_or_the_trajectory_ends(
@@ -272,21 +272,12 @@ def recorded(folder, part_bytes, num_trajectories=NUM_TRAJECTORIES):
 @pytest.mark.parametrize(("part_bytes", "num_parts"), [(1, NUM_TRAJECTORIES + 1), (1500, 4), (10**6, 1)])
 def test_the_log_of_several_files_is_that_of_one(tmp_path, part_bytes, num_parts):
     parts = journal_parts(recorded(tmp_path / "parts", part_bytes))
-    assert len(parts) == num_parts
+    assert [part.name for part in parts] == ["journal.jsonl", *(f"journal-{k}.jsonl" for k in range(2, num_parts + 1))]
+    for name in ("journal-0.jsonl", "journal-1a.jsonl", "ajournal.jsonl"):  # of others
+        (tmp_path / "parts" / name).touch()
     assert_same(read_logs(tmp_path / "parts"), read_logs(recorded(tmp_path / "one", 10**9)))
     # A trajectory stays in the part in which it began.
     assert sum(part.read_text().count('"event":"stage"') % 2 for part in parts) == 0
-
-
-def test_parts_come_in_the_order_of_their_numbers(tmp_path):
-    names = ["journal.jsonl", "journal-2.jsonl", "journal-9.jsonl", "journal-10.jsonl"]
-    for name in (*names, "journal-0.jsonl", "journal-1a.jsonl", "ajournal.jsonl"):
-        (tmp_path / name).touch()
-    (tmp_path / "journal-3.jsonl").mkdir()
-    parts = journal_parts(tmp_path)
-    assert [part.name for part in parts] == names
-    assert [part_after(part).name for part in parts[:2]] == ["journal-2.jsonl", "journal-3.jsonl"]
-    assert journal_parts(tmp_path / "none") == []
 
 
 def test_a_torn_or_missing_part_is_told_and_parts_moved_away_are_not_missed(tmp_path):
@@ -357,8 +348,25 @@ def test_a_cut_between_stages_takes_back_all_that_was_completed_just_then(record
     trajectory.complete_stage(0.0, elapsed_s=2.0)
     trajectory.cut("operator", elapsed_s=2.5)
     logs = read_logs(tmp_path / "logs")
-    assert logs.end_s.tolist() == [np.nextafter(2.0, 0.0)]
+    assert logs.end_s.tolist() == [1.99]
     assert logs.stages["reward"].tolist()[:1] == [5.0]
     assert logs.stages["elapsed_s"].isna().tolist() == [False, True]
     assert logs.objects["stage"].max() == 2
     assert "0_out_s" not in logs.trajectories
+
+
+def test_why_a_rule_decided_is_read_back_and_is_no_covariate(tmp_path):
+    with LogRecorder(tmp_path / "logs", keeps_events=True) as recorder:
+        for why in (None, "out-of-range", None):
+            trajectory = recorder.begin_trajectory()
+            trajectory.begin_stage({"x": 1.0}, action="A", stepped_back=why)
+            trajectory.complete_stage(1.0, elapsed_s=1.0)
+            with pytest.raises(LogError, match="stepped_back is 3; say why the rule decided, or leave it out"):
+                trajectory.begin_stage({"x": 1.0}, action="A", stepped_back=3)
+            trajectory.finish(elapsed_s=1.5)
+            last = ended_log(trajectory.events)
+            assert last.trajectories["end_s"].tolist() == [1.5]
+    logs = read_logs(tmp_path / "logs")
+    assert logs.stages["stepped_back"].fillna("").tolist() == ["", "out-of-range", ""]
+    assert logs.stage_covariates == ["x"]
+    assert_same(ended_log(trajectory.events), Logs(logs.stages[2:].drop(columns="stepped_back"), logs.trajectories[2:]))

@@ -2,6 +2,7 @@
 
 import math
 import re
+from itertools import product
 
 import numpy as np
 import pandas as pd
@@ -11,8 +12,9 @@ from hypothesis import strategies as st
 from recordings import of_robot
 
 from halfseen.errors import LogError
-from halfseen.logs import LogRecorder, Logs, read_logs
+from halfseen.logs import LogRecorder, read_logs
 from refusals import refused
+from small_logs import log_of
 
 WILD_TEXT = st.text(st.characters(exclude_categories=()), max_size=3) | st.sampled_from(
     ["", "\0", "a\0", "\ud800", "0_reward", "1_out_s", "0_out_cause", " Path", "x", "y", "NaN", "null"]
@@ -100,7 +102,7 @@ def check_calls(folder, calls):
                 check_row(found, each)
 
 
-@pytest.mark.parametrize("most", [60, pytest.param(1500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("most", [60, pytest.param(500, marks=pytest.mark.slow)])
 def test_whatever_is_taken_is_read_back(tmp_path_factory, monkeypatch, most):
     monkeypatch.setattr("halfseen.logs.recorded.ROWS_A_CHUNK", 2)
 
@@ -130,19 +132,12 @@ DECISION = st.tuples(st.integers(0, 2), st.sampled_from([None, 0, 1, 2]), st.sam
 
 def logs_of(decisions, ending):
     """As `Logs` takes them; the last stage of a trajectory that is cut is not completed."""
-    num, clock = len(decisions), np.cumsum([length for *_, length in decisions]).tolist()
-    elapsed_s = [*clock[:-1], None] if ending == "cut" else clock
-    stages = {
-        "trajectory": [1] * num,
-        "stage": np.arange(1, num + 1),
-        "x": [1.0] * num,
-        "robot": [r for r, *_ in decisions],
-    }
-    stages |= {"elapsed_s": elapsed_s, "reward": [None if each is None else 0.0 for each in elapsed_s]}
-    stages |= {"action": ["A"] * num, "object": [target for _, target, _ in decisions]}
-    rows = [(1, stage + 1, k) for stage in range(num) for k in range(3)]
-    objects = dict(zip(("trajectory", "stage", "object"), zip(*rows, strict=True), strict=True))
-    return Logs(stages, {"trajectory": [1], "end_s": [clock[-1] + 1.0], "ending": [ending]}, objects)
+    robots, targets, lengths = zip(*decisions, strict=True)
+    stage, clock = range(1, len(decisions) + 1), np.cumsum(lengths)
+    objects = pd.DataFrame(product([1], stage, range(3)), columns=["trajectory", "stage", "object"])
+    done = {"elapsed_s": [*clock[:-1], clock[-1] if ending == "finished" else np.nan], "reward": 0.0}
+    done |= {"object": pd.array(targets, dtype="Int64"), "robot": robots}
+    return log_of({"end_s": clock[-1] + 1.0, "ending": ending}, objects, stage=stage, x=1.0, **done)
 
 
 @settings(max_examples=15)

@@ -8,6 +8,14 @@ from halfseen.world import ExploringPolicy, Scene, TableWorld
 
 HIDES = np.array([[0.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.0, 0.0], [0.0, 0.4, 0.0, 0.0], [0.0, 0.0, 0.7, 0.0]])
 SCENES = [Scene(HIDES), Scene(HIDES[:3, :3], grip=np.array([0.3, -0.2, 0.0]))]
+PRICES = {
+    "transport_s": 2.5,
+    "reward_wash_dirty": 4.0,
+    "reward_wash_clean": -7.0,
+    "reward_wash_failed": -0.5,
+    "reward_lift_per_s": -0.2,
+    "reward_dirty_left": -3.0,
+}
 
 
 def logs_of(episodes, config=FITTED, seed=0, cut_share=0.4, cut_kind="independent"):

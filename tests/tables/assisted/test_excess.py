@@ -11,11 +11,11 @@ from halfseen.arrays import mapped
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import left_price, one_step_q, table_of
 from halfseen.planners.rollout import sampled_values
-from halfseen.tables.assisted import AssistedPolicy, Excess
+from halfseen.tables import AssistedPolicy
+from halfseen.tables.assisted import Excess
 from halfseen.tables.excess import after_each, features_of, fitted_excess, rows_of
 from halfseen.tables.look_ahead import NUM_EXCESS_FEATURES, NUM_OWN, NUM_TABLE, ahead_of
-from halfseen.world import Scene, WorldConfig, random
-from halfseen.world.policy import UniformPolicy
+from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from small_tables import SCENES, logs_of
+from small_tables import PRICES, SCENES, logs_of
 
 from fitted_laws import FITTED
 from halfseen.arrays import expit
@@ -12,13 +12,11 @@ from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.tables import TableLearner
+from halfseen.tables import AssistedPolicy, LinearTablePolicy, RulePolicy, TableLearner
 from halfseen.tables import learner as learning
-from halfseen.tables.assisted import AssistedPolicy, RulePolicy
 from halfseen.tables.encoding import states_alone
 from halfseen.tables.evidence import evidence_of
 from halfseen.tables.laws import dirty_and_clean, fitted_laws, paid_in, price_of_each
-from halfseen.tables.policy import LinearTablePolicy
 from halfseen.tables.recorder import mending_of
 from halfseen.world import AssumedGrasping, AssumedSeeing, WorldConfig
 from halfseen.world.random import key_of
@@ -26,14 +24,6 @@ from halfseen.world.rollout import evaluate
 from halfseen.world.state import pad_scenes
 
 HORIZON = FITTED.horizon
-PRICES = {
-    "transport_s": 2.5,
-    "reward_wash_dirty": 4.0,
-    "reward_wash_clean": -7.0,
-    "reward_wash_failed": -0.5,
-    "reward_lift_per_s": -0.2,
-    "reward_dirty_left": -3.0,
-}
 
 
 def left_in(logs):
@@ -143,7 +133,7 @@ def test_log_odds_are_made_anew_as_the_labels_say_them():
     """A recorder that doubles every step: half of what it says is right, and it is made right where it is."""
     logs, prior = logs_of(200), np.log(0.6 / 0.4)
     evidence, states = evidence_of(logs, FITTED), states_alone(logs, HORIZON)
-    doubled = evidence.told._replace(moved=2.0 * evidence.told.moved)
+    doubled = evidence.labels._replace(moved=2.0 * evidence.labels.moved)
     mending = mending_of(doubled, FITTED.seeing, 0.6)
     shown = states.is_on_table
     recorded = replace(
@@ -152,7 +142,7 @@ def test_log_odds_are_made_anew_as_the_labels_say_them():
     np.testing.assert_allclose(mending(recorded).log_odds[shown], states.log_odds[shown], atol=0.25)
     error = np.abs(mending(recorded).log_odds - states.log_odds)[shown]
     assert error.mean() < 0.02
-    none = type(evidence.told)(*(values[:0] for values in evidence.told))
+    none = type(evidence.labels)(*(values[:0] for values in evidence.labels))
     assert mending_of(none, FITTED.seeing, 0.6) is None
 
 

@@ -4,38 +4,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from small_tables import HIDES, PRICES
 
 from fitted_laws import FITTED
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
-from halfseen.planners import GreedyPolicy
+from halfseen.planners import MyopicPolicy, named_policy
 from halfseen.planners.futures import future_rewards
-from halfseen.planners.myopic import MyopicPolicy
-from halfseen.planners.rules import ReservingPolicy
+from halfseen.tables import TeamLearner
 from halfseen.tables import excess as synthetic
 from halfseen.tables import learner as learning
 from halfseen.tables.assisted import AssistedTeamPolicy, TeamExcess
-from halfseen.tables.encoding import team_states
+from halfseen.tables.encoding import layouts_of, team_states
 from halfseen.tables.evidence import brought_by, is_plain_look, shown_by_washing
-from halfseen.tables.law_test import layouts_of
 from halfseen.tables.laws import paid_in_team
-from halfseen.tables.learner import TeamLearner, team_laws
+from halfseen.tables.learner import team_laws
 from halfseen.tables.look_ahead import NUM_TEAM_EXCESS_FEATURES, team_described
-from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, random
+from halfseen.world import Robot, Scene, TableWorld, random
 from halfseen.world.actions import possible_actions
-from halfseen.world.rollout import evaluate, play
+from halfseen.world.rollout import evaluate
 
-HIDES = np.array([[0.0, 0.0, 0.0, 0.0], [0.6, 0.0, 0.0, 0.0], [0.0, 0.4, 0.0, 0.0], [0.0, 0.0, 0.7, 0.0]])
 PLACES_M = np.array([[-0.3, 0.0], [-0.1, 0.1], [0.1, 0.0], [0.3, 0.1]])
 SCENES = [Scene(HIDES, places_m=PLACES_M)]
-PRICES = {
-    "transport_s": 2.5,
-    "reward_wash_dirty": 4.0,
-    "reward_wash_clean": -7.0,
-    "reward_wash_failed": -0.5,
-    "reward_lift_per_s": -0.2,
-    "reward_dirty_left": -3.0,
-}
 HORIZON = 4
 CONFIG = replace(FITTED, horizon=HORIZON)
 
@@ -45,9 +35,9 @@ def world_of(config=CONFIG, speed=1.0, reward_per_s=-0.05):
     return TableWorld(config, robots, reward_per_s=reward_per_s)
 
 
-def logs_of(world, episodes, seed=0):
-    rule = GreedyPolicy(world.played_config, uses_history=True, counts_penalty=True)
-    return world.simulate(SCENES, ExploringPolicy(ReservingPolicy(world.played_config, rule)), episodes, seed=seed)
+def logs_of(world, episodes, cut_share=0.0):
+    logger = named_policy("history-penalty", world.played_config, 0.5)
+    return world.simulate(SCENES, logger, episodes, seed=0, cut_share=cut_share)
 
 
 @pytest.fixture(scope="module")
@@ -57,9 +47,7 @@ def world():
 
 @pytest.fixture(scope="module")
 def logs(world):
-    rule = GreedyPolicy(world.played_config, uses_history=True, counts_penalty=True)
-    logger = ExploringPolicy(ReservingPolicy(world.played_config, rule))
-    return world.simulate(SCENES, logger, 120, seed=0, cut_share=0.4)
+    return logs_of(world, 120, cut_share=0.4)
 
 
 @pytest.fixture(scope="module")
@@ -88,16 +76,13 @@ def test_looks_count_where_nobody_is_at_an_object(logs):
 
 
 def test_washing_shows_what_was_dirty(world):
-    episodes = play(
-        world.played_config, world.team.layouts(SCENES), MyopicPolicy(world.played_config), random.key_of(2), 60
-    )
     logs = logs_of(world, 60)
     brought = brought_by(logs, team_states(logs, 2 * HORIZON))
     dirty, clean = shown_by_washing(brought, world.played_config)
     assert dirty.sum() > 20
     assert clean.sum() > 0
     assert not (dirty & clean).any()
-    assert episodes.hidden.is_dirty.shape[-1] == dirty.shape[-1]
+    assert dirty.shape[-1] == len(HIDES)
 
 
 def test_the_laws_of_a_right_recorder_are_read_and_not_rejected(logs, world):

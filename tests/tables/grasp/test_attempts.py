@@ -6,9 +6,8 @@ import pytest
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.tables.grasp_attempts import attempts
-from halfseen.world import Scene, UniformPolicy, WorldConfig, random
-from halfseen.world.actions import ActionSpace
+from halfseen.tables import attempts
+from halfseen.world import ActionSpace, Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.logs import to_logs
 from halfseen.world.rollout import play
@@ -18,7 +17,6 @@ from played_teams import SureGrasping, logged, played, team_of
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 3
-NAMES = ["cup", "mug", "jar"]
 
 
 @pytest.fixture(scope="module")
@@ -49,24 +47,16 @@ def expected_rows(cuts):
         if stage + 1 == CONFIG.horizon:
             continue
         target = (int(cuts.episodes.action[trajectory, stage]) - 1) % NUM_OBJECTS
-        is_finished = bool(cuts.is_completed[trajectory, stage])
         begun_s = float(np.sum(np.asarray(cuts.episodes.duration_s, dtype=float)[trajectory, :stage]))
-        duration_s = float(cuts.episodes.duration_s[trajectory, stage])
-        at = trajectory, stage, target
-        rows.append(
-            {
-                "trajectory": trajectory,
-                "stage": stage + 1,
-                "occlusion": occluded[at],
-                "successes": successes[at],
-                "failures": failures[at],
-                # States after the trajectory's own end are copies of its last one.
-                "succeeded": bool(last_state[trajectory, stage]) if is_finished else None,
-                "time_s": duration_s if is_finished else cuts.end_s[trajectory] - begun_s,
-                "is_finished": is_finished,
-            }
-        )
-    return pd.DataFrame(rows)
+        time_s, succeeded = cuts.end_s[trajectory] - begun_s, None
+        is_finished = bool(cuts.is_completed[trajectory, stage])
+        if is_finished:
+            # States after the trajectory's own end are copies of its last one.
+            time_s, succeeded = float(cuts.episodes.duration_s[trajectory, stage]), bool(last_state[trajectory, stage])
+        seen_at = (share[trajectory, stage, target] for share in (occluded, successes, failures))
+        rows.append((trajectory, stage + 1, *seen_at, succeeded, time_s, is_finished))
+    names = ["trajectory", "stage", "occlusion", "successes", "failures", "succeeded", "time_s", "is_finished"]
+    return pd.DataFrame(rows, columns=names)
 
 
 def test_attempts_are_those_of_the_episodes(table, cuts):
@@ -99,50 +89,23 @@ def test_every_kind_of_end_is_there_and_objects_are_numbered_within_their_trajec
 
 
 def by_hand():
-    """One trajectory: the mug is grasped and put back, the cup is missed, the jar's attempt is cut."""
-    stages = pd.DataFrame(
-        {
-            "trajectory": "a",
-            "stage": [1, 2, 3],
-            "elapsed_s": [2.0, 9.0, None],
-            "action": ["LIFT", "WASH", "WASH"],
-            "object": ["mug", "cup", "jar"],
-            "reward": [-0.2, -1.0, None],
-        }
-    )
+    """Trajectory a: the mug is grasped and put back, the cup is missed, the jar's attempt is cut; b washes a jar."""
+    stages = [
+        ("a", 1, 2.0, "LIFT", "mug", -0.2),
+        ("a", 2, 9.0, "WASH", "cup", -1.0),
+        ("a", 3, None, "WASH", "jar", None),
+        ("b", 1, 3.0, "WASH", "jar", 5.0),
+    ]
     counts = {"cup": [(0, 0), (0, 0), (0, 1)], "jar": [(0, 0)] * 3, "mug": [(0, 0), (1, 0), (1, 0)]}
-    objects = pd.DataFrame(
-        [
-            {
-                "trajectory": "a",
-                "stage": k + 1,
-                "object": name,
-                "occlusion": 0.1,
-                "successes": of[k][0],
-                "failures": of[k][1],
-            }
-            for name, of in counts.items()
-            for k in range(3)
-        ]
+    objects = [("a", k + 1, name, 0.1, *of[k]) for name, of in counts.items() for k in range(3)]
+    place = ["trajectory", "stage"]
+    return (
+        pd.DataFrame(stages, columns=[*place, "elapsed_s", "action", "object", "reward"]),
+        pd.DataFrame({"trajectory": ["a", "b"], "end_s": [10.5, 3.0], "ending": ["cut", "finished"]}),
+        pd.DataFrame(
+            [*objects, ("b", 1, "jar", 0.0, 0, 0)], columns=[*place, "object", "occlusion", "successes", "failures"]
+        ),
     )
-    trajectories = pd.DataFrame({"trajectory": ["a", "b"], "end_s": [10.5, 3.0], "ending": ["cut", "finished"]})
-    ended = {
-        "trajectory": ["b"],
-        "stage": [1],
-        "elapsed_s": [3.0],
-        "action": ["WASH"],
-        "object": ["jar"],
-        "reward": [5.0],
-    }
-    alone = {
-        "trajectory": ["b"],
-        "stage": [1],
-        "object": ["jar"],
-        "occlusion": [0.0],
-        "successes": [0],
-        "failures": [0],
-    }
-    return pd.concat([stages, pd.DataFrame(ended)]), trajectories, pd.concat([objects, pd.DataFrame(alone)])
 
 
 def test_a_log_by_hand():

@@ -21,9 +21,10 @@ from halfseen.tables.features import NUM_LIFT, NUM_WASH, table_columns, team_fea
 from halfseen.tables.grasp_choice import FEWEST_ATTEMPTS, NUM_FOLDS, choose_by, choose_grasp, fit_grip_effect
 from halfseen.tables.grasp_choice import GRIP_SPREAD as SPREAD
 from halfseen.tables.grasp_table import GraspByRobot, GraspTable, GripEffect, tabulate
-from halfseen.world import FittedGrasping, Robot, Scene, TableWorld, UniformPolicy, Verb, WorldConfig, random
+from halfseen.world import Scene, TableWorld, UniformPolicy, Verb, random
 from halfseen.world.transition import start, step
-from picked import leaves_of, picked
+from own_laws import LOGISTIC, SCENE, WORLD, robots
+from picked import assert_same, picked
 
 HORIZON = 10
 
@@ -206,26 +207,12 @@ def test_a_grip_that_is_no_number_is_refused():
         fit_grip_effect(Even(), tried)
 
 
-HIDES = np.triu(np.full((4, 4), 0.25), 1)
-SCENE = Scene(HIDES, places_m=np.array([[-0.3, 0.0], [-0.1, 0.0], [0.1, 0.0], [0.3, 0.0]]))
-WORLD = WorldConfig(horizon=5)
-LOGISTIC = FittedGrasping(
-    log_odds=0.4,
-    log_odds_per_occlusion=-2.0,
-    offset_std=1.5,
-    log_held_s=float(np.log(2.0)),
-    log_missed_s=float(np.log(4.0)),
-    log_std=1e-3,
-    limit_s=9.0,
-)
-
 SURE, CLUMSY = replace(LOGISTIC, log_odds=3.0), replace(LOGISTIC, log_odds=-2.0)
 KEY = random.key_of(2)
 
 
 def world_of(*laws):
-    robots = [Robot((x, 0.05), 2.0, grasping=law) for x, law in zip((-0.5, 0.5), laws, strict=True)]
-    return TableWorld(WORLD, robots=robots, clearance_m=0.05)
+    return TableWorld(WORLD, robots=robots(*laws, reach_m=2.0), clearance_m=0.05)
 
 
 def begun(world):
@@ -274,7 +261,7 @@ def test_what_is_about_an_object_goes_by_who_is_at_it():
     both = [one[1] + other[2] for one, other in zip(of_0, of_1, strict=True)]
     for action, known in ((1 + 2, both), (0, [each[1] for each in of_0])):
         np.testing.assert_allclose(found[action, of_wash], known, rtol=1e-5)
-    # What the team can clear is the same, whoever decides.
+    # What the team can clear is the same, whichever robot decides.
     team = slice(NUM_WASH + NUM_LIFT, NUM_WASH + NUM_LIFT + 18)
     np.testing.assert_array_equal(found[:, team], plain[:, team])
     assert np.abs(found[:, of_wash] - plain[:, of_wash]).max() > 0.1
@@ -289,8 +276,7 @@ def test_it_comes_back_from_a_folder_and_what_does_not_fit_is_refused():
     check_shapes(arrays, grasp_shapes(arrays, 2), np.float32)
     again = grasp_of(arrays)
     assert isinstance(again, GraspByRobot)
-    for one, other in zip(leaves_of(again), leaves_of(model), strict=True):
-        np.testing.assert_array_equal(one, other)
+    assert_same(again, model)
     without = {name: each for name, each in arrays.items() if name != "own.grasp.per_grip"}
     twos = {**arrays, "own.grasp.chances": arrays["own.grasp.chances"] * 0.0 + 2.0}
     for given, num_robots, told in (

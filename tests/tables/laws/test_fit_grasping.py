@@ -1,5 +1,6 @@
 """Fits of both laws of grasping: against integrals one by one, the laws that made the attempts, and one another."""
 
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -53,8 +54,14 @@ def exponential_likelihood(law, u, occlusion, grip, watched_s, is_held, is_misse
     return (rate if is_held else 1.0) * np.exp(-rate * (LIMIT_S if is_missed else watched_s))
 
 
+@cache
+def lasting(log_s, log_std):
+    """Durations of attempts; to make one takes longer than to ask it."""
+    return lognorm(log_std, scale=np.exp(log_s))
+
+
 def logistic_likelihood(law, u, occlusion, grip, watched_s, is_held, is_missed):
-    held, missed = (lognorm(law.log_std, scale=np.exp(log_s)) for log_s in (law.log_held_s, law.log_missed_s))
+    held, missed = lasting(law.log_held_s, law.log_std), lasting(law.log_missed_s, law.log_std)
     holds = expit(law.log_odds + law.log_odds_per_occlusion * occlusion + grip + u)
     if is_held or is_missed:
         duration, chance = (held, holds) if is_held else (missed, 1.0 - holds)

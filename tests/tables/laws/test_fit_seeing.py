@@ -20,8 +20,8 @@ from halfseen.tables.law_seeing import (
     views_of,
 )
 from halfseen.tables.recorder import seeing_of
-from halfseen.world import PersistentSeeing, WorldConfig
-from halfseen.world.seeing import AssumedSeeing, label_evidence
+from halfseen.world import AssumedSeeing, PersistentSeeing, WorldConfig
+from halfseen.world.seeing import label_evidence
 
 SHARE, FACING = 0.6, 0.3
 RNG = np.random.default_rng(3)
@@ -81,7 +81,7 @@ def fit_persistent(told, share):
 
 
 class Family(NamedTuple):
-    told: Labels
+    labels: Labels
     law: Any
     loss: Any
     prior: Any
@@ -112,7 +112,7 @@ BOTH = pytest.mark.parametrize("family", [INDEPENDENT, PERSISTENT], ids=["indepe
 @pytest.mark.parametrize("k", range(3))
 @BOTH
 def test_posterior_is_what_a_loop_over_looks_gives(family, k):
-    theta, told, prior = family.thetas[k], family.told, family.prior
+    theta, told, prior = family.thetas[k], family.labels, family.prior
     total, law = norm.logpdf(theta, *prior).sum() - norm.logpdf(prior.mode, *prior).sum(), family.law(theta)
     for target in np.unique(told.object):
         likelihood = np.array([SHARE, 1.0 - SHARE])
@@ -168,7 +168,7 @@ def test_the_persistent_law_that_was_drawn_from_is_found():
 @pytest.mark.parametrize(("cut_share", "cut_kind"), CUTS)
 def test_the_laws_that_made_the_labels_are_found_although_labels_choose_what_is_washed(cut_share, cut_kind):
     def found(fit, reads, config):
-        told = [evidence(2000, cut_share, cut_kind, config=config, seed=seed).told for seed in range(4)]
+        told = [evidence(2000, cut_share, cut_kind, config=config, seed=seed).labels for seed in range(4)]
         return np.mean([reads(fit(each, SHARE)) for each in told], axis=0)
 
     shares = np.array([0.0, 0.2, 0.5, 0.8])
@@ -181,7 +181,7 @@ def test_the_laws_that_made_the_labels_are_found_although_labels_choose_what_is_
 
 @pytest.mark.slow
 def test_what_is_washed_is_chosen_by_its_labels_which_the_fit_takes_in():
-    told, right = evidence(2000).told, WorldConfig().seeing.accuracy(0.0)
+    told, right = evidence(2000).labels, WorldConfig().seeing.accuracy(0.0)
     in_view = told.occlusion == 0.0
     # Of washed objects labels say DIRTY more often than of others, be they dirty or clean.
     assert np.mean(told.says_dirty[in_view & told.was_dirty]) > right + 0.02

@@ -69,14 +69,14 @@ def test_the_first_trajectories_tell_what_a_log_of_them_tells():
     _, logs = recorded(40, 0.5)
     some = evidence_of(logs, WorldConfig()).first(15)
     alone = evidence_of(logs.select(logs.trajectory_ids[:15]), WorldConfig())
-    for one, other in zip((*some.tried, *some.told), (*alone.tried, *alone.told), strict=True):
+    for one, other in zip((*some.tried, *some.labels), (*alone.tried, *alone.labels), strict=True):
         np.testing.assert_array_equal(one, other)
 
 
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(cut_share):
     cuts, logs = recorded(60, cut_share)
-    told, config = evidence_of(logs, WorldConfig()).told, WorldConfig()
+    told, config = evidence_of(logs, WorldConfig()).labels, WorldConfig()
     states = cuts.episodes.states
     is_on_table, log_odds = np.asarray(states.is_on_table), np.asarray(states.log_odds, dtype=float)
     moved = np.diff(log_odds, axis=1, prepend=np.log(1.5))
@@ -95,7 +95,7 @@ def test_labels_move_the_log_odds_as_the_law_says_at_the_occlusion_of_the_look(c
 
 def test_washing_shows_what_an_object_was():
     cuts, logs = recorded(200, 0.3)
-    told = evidence_of(logs, WorldConfig()).told
+    told = evidence_of(logs, WorldConfig()).labels
     is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[told.trajectory, told.object % 5]
     assert told.was_dirty.any()
     assert told.was_clean.any()
@@ -117,7 +117,7 @@ def num_washed(cuts):
 @pytest.mark.parametrize("cut_share", [0.0, 0.6])
 def test_labels_of_a_recorder_who_counts_views_say_what_the_law_says_of_them(cut_share):
     cuts, logs = recorded(60, cut_share, config=FITTED)
-    told, law = evidence_of(logs, FITTED).told, FITTED.seeing
+    told, law = evidence_of(logs, FITTED).labels, FITTED.seeing
     assert told.is_persistent
     # A look that shows nothing new is no label.
     num_looks = int((np.asarray(cuts.episodes.states.is_on_table) & cuts.is_begun[:, :, None]).sum())
@@ -139,7 +139,7 @@ def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_fro
     seeing = replace(FITTED.seeing, sensitivity=(0.0, 0.55, 0.6, 0.95), false_alarms=(0.0, 0.06, 0.1, 0.2))
     flat = replace(FITTED, seeing=seeing)
     _, logs = recorded(60, config=flat)
-    told = evidence_of(logs, flat).told
+    told = evidence_of(logs, flat).labels
     is_flat = told.seen_after <= seeing.views[0]
     assert is_flat.any()
     assert not told.says_dirty[is_flat].any()
@@ -159,4 +159,4 @@ def test_a_log_speaks_for_the_laws_that_made_it(config, families, cut_share):
     for begin in range(0, 200, 50):
         told = evidence_of(logs.select(logs.trajectory_ids[begin : begin + 50]), config)
         assert isinstance(choose_grasping(told.tried, config.grasping.limit_s), families[0])
-        assert isinstance(seeing_of(told.told, told.dirty_share).law, families[1])
+        assert isinstance(seeing_of(told.labels, told.dirty_share).law, families[1])

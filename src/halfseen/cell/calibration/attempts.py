@@ -26,6 +26,8 @@ from halfseen.tables.grasp_attempts import attempts
 FACTS = tuple(each.name for each in fields(Facts))
 """What is seen of an object that may make it hard to grip."""
 GLANCES = ("glance_occlusions", "glance_held", "glance_dirty")
+HORIZON = 12
+"""Attempts on one table of a calibration, at most."""
 LARGEST_M = 100.0
 """Of what stands on a table [m]."""
 _AT = ["trajectory", "stage", "object"]
@@ -69,7 +71,11 @@ def _check_facts(objects: pd.DataFrame) -> None:
     for name in (name for name in FACTS if name.endswith("_m")):
         lengths_m = as_floats("objects", objects, name).to_numpy()
         wrong = ~(np.abs(lengths_m) <= LARGEST_M)
-        refuse(objects, wrong, lambda row, told=lengths_m, name=name: f"{name} is {told[row]:g}, no length on a table")
+        refuse(
+            objects,
+            wrong,
+            lambda row, lengths=lengths_m, name=name: f"{name} is {lengths[row]:g}, no length on a table",
+        )
 
 
 def _last(durations_s: list[float] | Float[np.ndarray, " past"]) -> float:
@@ -77,7 +83,7 @@ def _last(durations_s: list[float] | Float[np.ndarray, " past"]) -> float:
 
 
 def glances(logs: Logs) -> pd.DataFrame:
-    """List every object of a log with all its labels, and the truth that was told of it.
+    """List every object of a log with all its labels, and the true state that was recorded of it.
 
     Parameters
     ----------
@@ -93,7 +99,7 @@ def glances(logs: Logs) -> pd.DataFrame:
     Raises
     ------
     LogError
-        The log is not of a cell, or nobody told the truth.
+        The log is not of a cell, or has no true states.
     """
     if logs.objects is None:
         raise LogError("the log has no objects; give one that a cell recorded")

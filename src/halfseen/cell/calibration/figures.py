@@ -14,6 +14,7 @@ from matplotlib.ticker import PercentFormatter
 
 from halfseen.arrays import Rows
 from halfseen.cell.calibration.attempts import (
+    HORIZON,
     OCCLUSION_EDGES,
     Share,
     glances,
@@ -22,7 +23,6 @@ from halfseen.cell.calibration.attempts import (
     trials,
     wilson,
 )
-from halfseen.cell.calibration.calibrate import HORIZON
 from halfseen.cell.calibration.grasping import held_given_past
 from halfseen.cell.calibration.law import Law
 from halfseen.figures import (
@@ -144,7 +144,7 @@ class Count(NamedTuple):
 
     view: float
     """Mean share of their surface."""
-    told: int
+    num_labelled: int
     """Those whose label said DIRTY."""
     seen: int
     """All of them."""
@@ -164,16 +164,18 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
         Its views are the ends of the groups.
     """
     columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
-    told = [
+    labels = [
         [(float(occlusion), bool(held), bool(dirty)) for occlusion, held, dirty in zip(*each, strict=True)]
         for each in zip(*columns, strict=True)
     ]
-    firsts = [(float(seeing.facing) * (1.0 - label[0][0]), label[0][2]) for label in told if label and not label[0][1]]
+    firsts = [
+        (float(seeing.facing) * (1.0 - label[0][0]), label[0][2]) for label in labels if label and not label[0][1]
+    ]
     knots = [-np.inf, *(float(view) for view in seeing.views)]
     groups = [
         [each for each in firsts if low + SAME_VIEW < each[0] <= high + SAME_VIEW] for low, high in pairwise(knots)
     ]
-    groups.append([(1.0, _by_being_held(labels)) for labels in told if any(held for _, held, _ in labels)])
+    groups.append([(1.0, _by_being_held(labels)) for labels in labels if any(held for _, held, _ in labels)])
     return [
         Count(float(np.mean([view for view, _ in group])), sum(dirty for _, dirty in group), len(group))
         for group in groups
@@ -182,7 +184,7 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
 
 
 def _by_being_held(labels: Iterable[tuple[float, bool, bool]]) -> bool:
-    """Whether an object had told when it was first seen in the hand."""
+    """Whether the label of an object said DIRTY when it was first seen in the hand."""
     for _, is_held, says_dirty in labels:
         if says_dirty or is_held:
             return says_dirty
@@ -222,12 +224,12 @@ def _draw_curve(axes: Axes, seeing: PersistentSeeing, rows: pd.DataFrame, is_dir
     axes.plot(views, curve, color=colour, label=words)
     counts = counted(rows, seeing)
     across = np.array([count.view for count in counts]) + side * _LABELS_APART
-    shares = [count.told / count.seen for count in counts]
+    shares = [count.num_labelled / count.seen for count in counts]
     ends = [(share, *wilson(share, float(count.seen))) for share, count in zip(shares, counts, strict=True)]
     draw_bars(axes, across, np.array(ends).reshape(-1, 3), color=colour, marker=marker, linestyle="none")
     for place, (*_, high), count in zip(across, ends, counts, strict=True):
         offset: Any = {"textcoords": "offset points", "xytext": (-4.0 * side, 3.0)}
-        text = f"{count.told:,}/{count.seen:,}"
+        text = f"{count.num_labelled:,}/{count.seen:,}"
         axes.annotate(text, (place, high), ha="right", color=colour, fontsize=8.0, **offset)
 
 

@@ -203,9 +203,9 @@ def held_given_past(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Flo
     is_decided = trials["succeeded"].notna().to_numpy()
     is_held = trials["succeeded"].isin([True]).to_numpy()
     sign = np.where(is_held, 1.0, -1.0)[:, None]
-    told = pd.DataFrame(np.where(is_decided[:, None], log_expit(sign * logits), 0.0))
+    logs_of_held = pd.DataFrame(np.where(is_decided[:, None], log_expit(sign * logits), 0.0))
     order = np.argsort(trials["stage"].to_numpy(), kind="stable")
-    in_turn = told.iloc[order]
+    in_turn = logs_of_held.iloc[order]
     objects = trials["object"].to_numpy()[order]
     before = (in_turn.groupby(objects).cumsum() - in_turn).sort_index().to_numpy()
     return np.sum(softmax(before + np.log(_MANY_WEIGHTS), axis=1) * expit(logits), axis=1)

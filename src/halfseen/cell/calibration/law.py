@@ -80,7 +80,7 @@ VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SH
 _NUM_STEPS, _SMALLEST_CHANGE = 2000, 1e-10
 
 Interval = tuple[float, float]
-"""An object told after the first share had been seen, and by the second; infinite where it never did."""
+"""The label turned DIRTY after the first share had been seen, and by the second; infinite where it never did."""
 
 
 def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
@@ -109,7 +109,7 @@ def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
 
 
 def intervals(rows: pd.DataFrame) -> list[Interval]:
-    """What each object tells of the share at which it told.
+    """The interval of each object that holds the share at which its label turned DIRTY.
 
     Parameters
     ----------
@@ -133,16 +133,16 @@ def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
     return seen, np.inf
 
 
-def found_by(told: list[Interval]) -> Float[np.ndarray, " knots"]:
+def found_by(intervals: list[Interval]) -> Float[np.ndarray, " knots"]:
     """P(V ≤ v) at each of `VIEWS`, by maximum likelihood.
 
     Parameters
     ----------
-    told
+    intervals
         One interval an object.
     """
     knots = np.array([0.0, *VIEWS])
-    low, high = np.array(told, dtype=np.float64).reshape(-1, 2).T
+    low, high = np.array(intervals, dtype=np.float64).reshape(-1, 2).T
     # How much of each piece an interval holds; the last column is "never".
     begins, ends = np.maximum(knots[:-1], low[:, None]), np.minimum(knots[1:], high[:, None])
     inside = np.clip(ends - begins, 0.0, None) / np.diff(knots)
@@ -165,7 +165,7 @@ _CURVES = ("sensitivity", "false_alarms")
 
 @dataclass(frozen=True, eq=False)
 class Law:
-    """What attempts and looks of a cell told of grasping and seeing.
+    """The laws of grasping and seeing, from attempts and looks of a cell.
 
     Parameters
     ----------
@@ -196,11 +196,11 @@ class Law:
     @property
     def grasping(self) -> FittedGrasping:
         """The law of grasping of a world."""
-        told = self.coefficients
+        estimates = self.coefficients
         return FittedGrasping(
-            log_odds=told["log_odds"],
-            log_odds_per_occlusion=told["occlusion"],
-            offset_std=exp(told["log_offset_std"]),
+            log_odds=estimates["log_odds"],
+            log_odds_per_occlusion=estimates["occlusion"],
+            offset_std=exp(estimates["log_offset_std"]),
             log_held_s=self.time.log_held_s,
             log_missed_s=self.time.log_missed_s,
             log_std=self.time.log_std,
@@ -271,8 +271,10 @@ def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
 
 
 def _grips(grasp: GraspFit, facts: pd.DataFrame) -> Rows:
-    told = dict(zip(NAMES, grasp.estimate.tolist(), strict=True))
-    offsets = [told[name] * (facts[name].to_numpy(dtype=np.float64) - CENTRES[name]) / SCALES[name] for name in FACTS]
+    estimates = dict(zip(NAMES, grasp.estimate.tolist(), strict=True))
+    offsets = [
+        estimates[name] * (facts[name].to_numpy(dtype=np.float64) - CENTRES[name]) / SCALES[name] for name in FACTS
+    ]
     return np.sum(offsets, axis=0)
 
 

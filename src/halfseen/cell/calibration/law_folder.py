@@ -44,7 +44,7 @@ def shipped_law() -> Path:
 ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
 LAW = Kind("law", "halfseen cell calibrate")
 VERSION = 1
-_ANEW = f"make it anew by `{LAW.maker}`"
+_AGAIN = f"make it again by `{LAW.maker}`"
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +66,7 @@ class StoredLaw:
 def write_law(
     law: Law,
     folder: Path,
-    told: Mapping[str, Any],
+    more: Mapping[str, Any],
     *,
     logs: Logs | None = None,
     contrast: Logs | None = None,
@@ -80,7 +80,7 @@ def write_law(
         What was estimated.
     folder
         Where to.
-    told
+    more
         What else is to be kept: conditions, versions, how it was made.
     logs
         What it was estimated from; None if that is neither to be kept nor drawn.
@@ -95,7 +95,7 @@ def write_law(
         The folder exists or cannot be written.
     """
     counts = {"num_decided": law.grasp.num_decided, "num_cut": law.grasp.num_cut}
-    record = {"version": VERSION, "parameters": list(NAMES), **counts, **plain(dict(told))}
+    record = {"version": VERSION, "parameters": list(NAMES), **counts, **plain(dict(more))}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
     numbers = safetensors.numpy.save(_arrays(law))
     beside: dict[str, Callable[[Path], None]] = {}
@@ -126,7 +126,7 @@ def read_law(folder: str | Path) -> StoredLaw:
     try:
         law = _law(safetensors.numpy.load(numbers), record)
     except (KeyError, ValueError, TypeError, SafetensorError) as error:
-        raise PolicyError(f"{Path(folder) / LAW.arrays}: no numbers of a law ({error}); {_ANEW}") from error
+        raise PolicyError(f"{Path(folder) / LAW.arrays}: no numbers of a law ({error}); {_AGAIN}") from error
     return StoredLaw(law, record)
 
 
@@ -134,18 +134,18 @@ def _record(text: bytes, file: Path) -> Mapping[str, Any]:
     try:
         record = json_of(text)
     except ValueError as error:
-        raise PolicyError(f"{file}: it cannot be read ({error}); {_ANEW}") from error
+        raise PolicyError(f"{file}: it cannot be read ({error}); {_AGAIN}") from error
     if not isinstance(record, dict) or record.get("version") != VERSION:
         version = record.get("version") if isinstance(record, dict) else record
-        raise PolicyError(f"{file}: version {version!r} is not {VERSION}, which is read here; {_ANEW}")
+        raise PolicyError(f"{file}: version {version!r} is not {VERSION}, which is read here; {_AGAIN}")
     if record.get("parameters") != list(NAMES):
         raise PolicyError(
             f"{file}: the law tells grasps by {record.get('parameters')}, and objects here are known by {list(NAMES)}: "
-            f"it is of other objects; {_ANEW}"
+            f"it is of other objects; {_AGAIN}"
         )
     for name in ("num_decided", "num_cut"):
         if not isinstance(record.get(name), int):
-            raise PolicyError(f"{file}: {name} is {record.get(name)!r}, no count of attempts; {_ANEW}")
+            raise PolicyError(f"{file}: {name} is {record.get(name)!r}, no count of attempts; {_AGAIN}")
     return record
 
 

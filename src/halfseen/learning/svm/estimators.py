@@ -11,6 +11,7 @@ from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import column_or_1d
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.censoring.tied_times import clock_tolerance_s
 from halfseen.errors import ArgumentError
 from halfseen.learning.svm.cross_validation import Sigmoid, fit_sigmoid, hold_out
 from halfseen.learning.svm.losses import CLASSIFICATION, REGRESSION
@@ -59,7 +60,7 @@ class CensoredSVR(RegressorMixin, CensoredSVM):
         None: the exact kernel, n × n numbers; a number: a low-rank kernel by that many landmarks, for large n.
     censoring
         ``"kaplan-meier"``, ``"cox"`` or ``"kernel"`` (both on X), ``"none"`` (rows that were seen count alike, which is
-        biased), or a `CensoringModel`, which is fitted anew.
+        biased), or a `CensoringModel`, which is fitted again.
     truncate_at
         Largest 1/Ĝ allowed, if any.
     target
@@ -320,7 +321,9 @@ class CensoredSVC(ClassifierMixin, CensoredSVM):
 
     def _is_early(self, ends: Ends) -> RowMask:
         """T ≤ τ; a trajectory that was cut at τ had not come to its end by then."""
-        return (ends.time < self.tau) | ((ends.time == self.tau) & ends.is_finished)
+        after_s = ends.time - (np.inf if self.tau is None else self.tau)
+        tolerance_s = clock_tolerance_s(ends.time)
+        return (after_s < -tolerance_s) | ((after_s <= tolerance_s) & ends.is_finished)
 
     def _targets(self, y: Any, ends: Ends | None) -> Rows:
         """Name the classes, and give ±1, the second class as +1."""

@@ -22,8 +22,9 @@ from typing import no_type_check
 import numpy as np
 
 from halfseen.arrays import Rows
+from halfseen.learning.svm.interior import interior_points
 from halfseen.learning.svm.losses import Loss, PiecewiseLoss
-from halfseen.learning.svm.newton import Coefficients, Features, Gram, Point, Space, interior_points, minimise
+from halfseen.learning.svm.newton import Coefficients, Features, Gram, Point, Space, minimise
 from halfseen.shapes import Int
 from halfseen.workers.threads import one_thread
 

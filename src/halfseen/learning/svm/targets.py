@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from halfseen.arrays import RowMask, Rows
 from halfseen.censoring import CensoringModel, censoring_weights, named_model, uses_covariates
 from halfseen.censoring.inputs import checked_ends, checked_floats
+from halfseen.censoring.tied_times import clock_tolerance_s
 from halfseen.errors import ArgumentError, PositivityError
 
 
@@ -126,7 +127,7 @@ def row_weights(
     counts
         How many rows each one stands for. Ĝ is fitted to the rows above 0, each once.
     censoring
-        Name of a model, a model to fit anew, or ``"none"``: rows that were seen count alike.
+        Name of a model, a model to fit again, or ``"none"``: rows that were seen count alike.
     tau
         τ [s], if times are restricted.
     truncate_at
@@ -143,7 +144,7 @@ def row_weights(
         return counts, None
     time, is_seen = ends
     if tau is not None:
-        time, is_seen = np.minimum(time, tau), is_seen | (time >= tau)
+        time, is_seen = np.minimum(time, tau), is_seen | (time >= tau - clock_tolerance_s(time))
     counted = counts > 0
     if not is_seen[counted].any():
         raise PositivityError(

@@ -1,18 +1,20 @@
-"""Logs in other forms: CSV folders, databases, bags, MCAP files, and datasets of Minari, LeRobot, RLDS and D4RL.
+"""Logs in other forms: CSV, any table, databases, bags, MCAP, and datasets of Minari, LeRobot, RLDS and D4RL.
 
-Read down: `column_types` (what a column is, its cells as text, and what a form cannot hold) → `csv_folder` → `older`
-(logs of version 1) → `sql_rows` → `steps` (steps of others, column by column, as stages) → `minari_steps`,
-`minari_dataset` → `step_tables` → `lerobot_folder` → `step_arrays` → `bag_mapping`, `mcap_files`, `bag_messages`,
-`bags`. The libraries of Minari, HDF5, MCAP, ROS and SQL are `extras`; they load when they are used.
+Read down: `csv_folder` (what a column is, its cells as text, and what a form cannot hold) → `older` (logs of version 1)
+ → `sql_rows` → `steps` (steps of others, column by column, as stages) → `minari` → `step_tables` →
+`lerobot_folder` → `step_arrays` → `mcap_files`, `bag_messages`, `bags` → `event_mapping`, `table_cells`,
+`event_tables` (any table, by a mapping as bags have), `event_template`. Libraries that only some users need load when
+they are used.
 """
 
-from halfseen.logs.formats.bag_mapping import MAPPING_TEMPLATE, BagMapping, read_mapping
+from halfseen.logs.formats.bag_messages import MAPPING_TEMPLATE, BagMapping, read_mapping
 from halfseen.logs.formats.bags import read_bag
-from halfseen.logs.formats.column_types import Loss, losses
-from halfseen.logs.formats.csv_folder import read_csv, write_csv
+from halfseen.logs.formats.csv_folder import Loss, losses, read_csv, write_csv
+from halfseen.logs.formats.event_mapping import EventMapping, read_event_mapping
+from halfseen.logs.formats.event_tables import read_event_table
+from halfseen.logs.formats.event_template import mapping_of
 from halfseen.logs.formats.lerobot_folder import read_lerobot
-from halfseen.logs.formats.minari_dataset import read_minari, write_minari
-from halfseen.logs.formats.minari_steps import seen_by_halfseen_alone
+from halfseen.logs.formats.minari import read_minari, seen_by_halfseen_alone, write_minari
 from halfseen.logs.formats.older import is_older, read_older
 from halfseen.logs.formats.sql_rows import Queries, read_queries, read_sql
 from halfseen.logs.formats.step_arrays import read_step_arrays
@@ -22,13 +24,17 @@ from halfseen.logs.formats.steps import StepRules
 __all__ = [
     "MAPPING_TEMPLATE",
     "BagMapping",
+    "EventMapping",
     "Loss",
     "Queries",
     "StepRules",
     "is_older",
     "losses",
+    "mapping_of",
     "read_bag",
     "read_csv",
+    "read_event_mapping",
+    "read_event_table",
     "read_lerobot",
     "read_mapping",
     "read_minari",

@@ -1,6 +1,6 @@
 """Logs from ROS 2 bags (SQLite or MCAP storage) and ROS 1 bags, by a mapping file.
 
-Read down: `bag_mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
+Read down: `bag_messages` (which topic carries what; values in the order of time) → here.
 Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
 ``sensor_msgs/PointCloud2`` for clouds.
 
@@ -8,6 +8,8 @@ How messages become stages:
 
 - A trajectory begins with the message that ``[trajectory]`` maps, or, without that, with the first mapped message of
   the bag. Its clock is 0 then.
+- Where the clock falls back by more than a second, and no message was merely late, a simulation was reset: a trajectory
+  ends there, and without ``[trajectory]`` another begins.
 - An action message begins the attempt of a stage. The covariates and the cloud are those that had come last: what the
   policy saw. A reward message completes the stage.
 - An ending message finishes the trajectory or names the cause of its cut. A trajectory without one was cut by ``crash``
@@ -28,9 +30,17 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.bag_mapping import BagMapping, read_mapping
-from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, read_clouds, read_events
+from halfseen.logs.formats.bag_messages import (
+    BagMapping,
+    Event,
+    check_topics,
+    points_of,
+    read_clouds,
+    read_events,
+    read_mapping,
+)
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 
 CRASH = "crash"
 _COVARIATE = "covariates."
@@ -79,44 +89,92 @@ def read_bag(
         raise ArgumentError(f"{mapping.file}, cloud: it is missing, so that no cloud is seen or kept; name its topic")
     files = [Path(bags)] if isinstance(bags, str | Path) else [Path(bag) for bag in bags]
     check_topics(files, mapping)
-    trajectories: list[dict[str, Any]] = []
-    stages: list[dict[str, Any]] = []
+    found: list[tuple[Trajectory, str]] = []
     objects: list[pd.DataFrame] = []
     num_begun = 0
     for bag in files:
-        found = []
-        for name, events in _split(read_events(bag, mapping), mapping):
+        of_bag = []
+        for name, events in split(bag, read_events(bag, mapping), mapping):
             num_begun += 1
-            trajectory = _Trajectory(num_begun if name is None else name, mapping)
+            trajectory = Trajectory(num_begun if name is None else name, mapping)
             trajectory.follow(events)
-            if _is_seen(bag, trajectory):
-                found.append(trajectory)
+            if is_seen(bag, trajectory):
+                of_bag.append(trajectory)
         if see is not None or keep is not None:
-            objects += _objects(bag, found, mapping, see, keep)
-        for each in found:
-            row = {"trajectory": each.name, "end_s": each.end_s, "ending": each.ending, "cause": each.cause}
-            trajectories.append({**row, "bag": bag.name})
-            stages += [{"trajectory": each.name, "stage": t, **stage} for t, stage in enumerate(each.stages, start=1)]
-    place = ", ".join(map(str, files))
-    if not trajectories:
+            objects += _objects(bag, of_bag, mapping, see, keep)
+        found += [(trajectory, bag.name) for trajectory in of_bag]
+    return logs_of(
+        ", ".join(map(str, files)), mapping, [each for each, _ in found], objects, bag=[bag for _, bag in found]
+    )
+
+
+def logs_of(
+    place: str,
+    mapping: BagMapping,
+    found: "Sequence[Trajectory]",
+    objects: Sequence[pd.DataFrame] = (),
+    missing: Missing = None,
+    **known: Sequence[Any],
+) -> Logs:
+    """Put trajectories that were followed into one log.
+
+    Parameters
+    ----------
+    place
+        Where they were found, for messages.
+    mapping
+        Which topic carries what.
+    found
+        The trajectories.
+    objects
+        Of their stages.
+    missing
+        What stands for covariates that are null, as `Logs` takes it.
+    **known
+        What else is known of each trajectory, by column.
+
+    Raises
+    ------
+    LogError
+        There is none, or they break an invariant.
+    """
+    if not found:
         raise LogError(f"{place}: no trajectory with a stage was found; look at [trajectory] in {mapping.file}")
+    ends = {key: [getattr(each, key) for each in found] for key in ("end_s", "ending", "cause")}
+    trajectories = {"trajectory": [each.name for each in found], **ends, **known}
+    stages = [
+        {"trajectory": each.name, "stage": t, **row} for each in found for t, row in enumerate(each.stages, start=1)
+    ]
     with within(place):
-        seen = pd.concat(objects, ignore_index=True) if objects else None
-        return Logs(stages=pd.DataFrame(stages), trajectories=pd.DataFrame(trajectories), objects=seen)
+        seen = pd.concat(list(objects), ignore_index=True) if objects else None
+        return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories), seen, missing=missing)
 
 
-def _split(events: list[Event], mapping: BagMapping) -> Iterator[tuple[Any, list[Event]]]:
-    """Split a bag at the messages that begin a trajectory: name (None without one) and messages of each trajectory."""
-    if mapping.trajectory is None:
-        if events:
-            yield None, events
+def split(bag: Path, runs: list[list[Event]], mapping: BagMapping) -> Iterator[tuple[Any, list[Event]]]:
+    """Split the runs of a recording's clock where a trajectory begins: name (None without one) and messages of each."""
+    if mapping.trajectory is None:  # what only lets something be seen, between two resets, is no trajectory
+        yield from ((None, events) for events in list(filter(_deeds, runs)) or runs[:1])
         return
-    begins = [i for i, event in enumerate(events) if event.source.key == "trajectory"]
-    for begin, end in pairwise([*begins, len(events)]):
-        yield events[begin].value, events[begin:end]
+    begins = [[i for i, event in enumerate(events) if event.source.key == "trajectory"] for events in runs]
+    for events, at in list(zip(runs, begins, strict=True))[1:]:
+        for event in _deeds(events[: min(at, default=len(events))]):
+            raise LogError(
+                f"{bag}: {event.source.key} {shown(event.value)} comes after the clock was reset and before a message "
+                f"of {mapping.trajectory.topic}; record the beginning after the reset, or say clock = 'log' in "
+                f"{mapping.file}"
+            )
+    for events, at in zip(runs, begins, strict=True):
+        for begin, end in pairwise([*at, len(events)]):
+            yield events[begin].value, events[begin:end]
 
 
-def _is_seen(bag: Path, trajectory: "_Trajectory") -> bool:
+def _deeds(events: list[Event]) -> list[Event]:
+    """Messages of what was done, and how it ended."""
+    return [event for event in events if event.source.key in ("action", "reward", "ending")]
+
+
+def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
+    """Whether a trajectory has a stage of which all was seen; if not, a warning says why it is left out."""
     topics = trajectory.missing
     if not topics and trajectory.end_s != 0:
         return True
@@ -127,11 +185,11 @@ def _is_seen(bag: Path, trajectory: "_Trajectory") -> bool:
 
 
 def _objects(
-    bag: Path, trajectories: "list[_Trajectory]", mapping: BagMapping, see: See | None, keep: Keep | None
+    bag: Path, trajectories: "list[Trajectory]", mapping: BagMapping, see: See | None, keep: Keep | None
 ) -> Iterator[pd.DataFrame]:
     """Hand the cloud of each stage to `see` and `keep`; only those that belong to a stage are read."""
     assert mapping.cloud is not None
-    stages_of: dict[int, list[tuple[_Trajectory, int]]] = {}
+    stages_of: dict[int, list[tuple[Trajectory, int]]] = {}
     for trajectory in trajectories:
         for t, number in enumerate(trajectory.clouds):
             if number is not None:
@@ -149,8 +207,8 @@ def _objects(
 
 
 @dataclass
-class _Trajectory:
-    """A trajectory that a bag tells of.
+class Trajectory:
+    """A trajectory that a bag or a table of events tells of.
 
     Parameters
     ----------
@@ -161,11 +219,13 @@ class _Trajectory:
     end_s
         When it ended, or its last message came [s].
     ending, cause
-        As in `trajectories` of `Logs`.
+        As in `trajectories` of `Logs`; at first the cause of one that has no ending.
     stages
         One entry a stage: the columns that were recorded.
     clouds
         Number of the cloud of each stage, None where none had come.
+    place
+        Where the last event stands, for messages.
     """
 
     name: Any
@@ -175,6 +235,7 @@ class _Trajectory:
     cause: str | None = CRASH
     stages: list[dict[str, Any]] = field(default_factory=list)
     clouds: list[int | None] = field(default_factory=list)
+    place: str = ""
 
     @property
     def missing(self) -> list[str]:
@@ -195,6 +256,7 @@ class _Trajectory:
         seen: dict[str, Any] = {}
         for event in events:
             key, clock_s = event.source.key, (event.stamp_ns - events[0].stamp_ns) / 1e9
+            self.place = event.place
             if self.ending is not None:
                 self._check_after(key, clock_s)
                 continue
@@ -230,8 +292,8 @@ class _Trajectory:
         self._add({**stage, "elapsed_s": self.end_s, "reward": float(event.value)})
         if self.missing:
             raise LogError(
-                f"trajectory {shown(self.name)}, stage 1: no message of {', '.join(self.missing)} came before its "
-                "action; begin the trajectory after the first, or leave the covariate out of the mapping"
+                f"{self.place}trajectory {shown(self.name)}, stage 1: no message of {', '.join(self.missing)} came "
+                "before its action; begin the trajectory after the first, or leave the covariate out of the mapping"
             )
 
     def _end(self, stage: dict[str, Any], event: Event) -> None:
@@ -252,9 +314,9 @@ class _Trajectory:
     def _check_after(self, key: str, clock_s: float) -> None:
         if key in ("action", "reward", "ending"):
             raise LogError(
-                f"trajectory {shown(self.name)}: {key} comes at {clock_s:g} s, after its ending at {self.end_s:g} s; "
-                "map [trajectory], the message that begins a trajectory, if the bag holds several"
+                f"{self.place}trajectory {shown(self.name)}: {key} comes at {clock_s:g} s, after its ending at "
+                f"{self.end_s:g} s; map [trajectory], the message that begins a trajectory, if there are several"
             )
 
     def _refuse(self, trouble: str) -> NoReturn:
-        raise LogError(f"trajectory {shown(self.name)}, stage {len(self.stages) + 1}: {trouble}")
+        raise LogError(f"{self.place}trajectory {shown(self.name)}, stage {len(self.stages) + 1}: {trouble}")

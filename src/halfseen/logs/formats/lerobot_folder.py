@@ -11,6 +11,9 @@
 
 A frame is a step. What was seen are the features ``observation…`` and the task; images and videos are passed over, and
 so is what came of a step (``next…``) or was commanded in it.
+
+LeRobot's ``next.done`` is true where an episode terminated or was truncated. An episode reached its own end where its
+last frame is ``next.terminated`` or ``next.success``, or ``next.done`` and not ``next.truncated``.
 """
 
 from itertools import pairwise
@@ -21,7 +24,8 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import FINISHED, shown
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
+from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.step_tables import as_array, parquet_file, read_tables, whole_table
 from halfseen.logs.formats.steps import (
     Columns,
@@ -29,7 +33,6 @@ from halfseen.logs.formats.steps import (
     StepRules,
     Steps,
     begins_of,
-    even_ends,
     flags_of,
     logs_of_episodes,
     numbers_of,
@@ -39,12 +42,13 @@ from halfseen.logs.formats.steps import (
 )
 from halfseen.logs.logs import Logs
 from halfseen.reading import json_of, read_text, reason_of
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Bool, Float, Int
 
 INFO = Path("meta") / "info.json"
 VERSION = "v3"
 SEEN = "observation"
-DONE = ("next.done", "next.success")
+DONE, TERMINATED, SUCCESS, TRUNCATED = "next.done", "next.terminated", "next.success", "next.truncated"
+FLAGS = (DONE, TERMINATED, SUCCESS, TRUNCATED)
 EPISODE, TASK_INDEX, TIMESTAMP = "episode_index", "task_index", "timestamp"
 _PICTURES = ("image", "video")
 _BOOKKEEPING = (EPISODE, TASK_INDEX, TIMESTAMP, "frame_index", "index")
@@ -59,8 +63,9 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
         Holds ``meta`` and ``data``.
     rules
         Which features hold the action (default: ``action``), the reward (``next.reward``), whether the episode
-        reached its own end (``next.done`` or ``next.success``), and the time of each frame (the frames, counted, by
-        ``fps``); and what becomes of an episode that did not, or of which nothing says so.
+        reached its own end (by the flags above), and the time of each frame (the frames, counted, by ``fps``); and
+        what becomes of an episode that was truncated, or of which nothing says how it ended. One that has
+        ``next.truncated`` and ends without any flag broke off: it was cut (cause ``unknown``).
 
     Returns
     -------
@@ -79,8 +84,6 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
     action, reward = rules.action or "action", rules.reward or "next.reward"
     columns = _columns(folder, info["features"], {"action": action, "reward": reward, **rules.named})
     episode = columns[EPISODE]
-    if episode.dtype.kind not in "iu" or episode.ndim != 1:
-        raise LogError(f"{data}: {EPISODE} holds {episode.dtype}, no whole numbers; copy the dataset again")
     begins = begins_of(data, "frames", episode, "copy the dataset again")
     _check_counts(folder, info, episode, begins)
     seen = {name: values for name, values in columns.items() if name.startswith(SEEN)}
@@ -121,14 +124,26 @@ def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> d
         there = [str(name) for name in parquet_file(files[0]).schema_arrow.names if name not in pictures]
     require(str(folder), there, {**named, "number of each episode": EPISODE})
     seen = [name for name in there if name.startswith(SEEN)]
-    known = dict.fromkeys([*seen, *named.values(), EPISODE, TIMESTAMP, TASK_INDEX, *DONE])
+    known = dict.fromkeys([*seen, *named.values(), EPISODE, TIMESTAMP, TASK_INDEX, *FLAGS])
     wanted = [name for name in known if name in there]
     left_out = [name for name in features if name not in (*wanted, *_BOOKKEEPING)]
     if left_out:
-        told = ", ".join(f"{name} (pictures)" if name in pictures else name for name in left_out)
-        warn(str(folder), f"left out are {told}: no columns of a stage hold them, or nobody saw them before the action")
+        names = ", ".join(f"{name} (pictures)" if name in pictures else name for name in left_out)
+        warn(
+            str(folder), f"left out are {names}: no columns of a stage hold them, or nobody saw them before the action"
+        )
     table = read_tables(files, wanted)
+    for name in (name for name in (EPISODE, TASK_INDEX) if name in wanted):
+        _whole(folder / "data", table, name)
     return {name: as_array(str(folder / "data"), table, name) for name in wanted}
+
+
+def _whole(place: Path, table: pa.Table, name: str) -> list[int]:
+    """Values of a column of whole numbers; anything else is refused."""
+    kind = table.schema.field(name).type
+    if not pa.types.is_integer(kind) or table[name].null_count:
+        raise LogError(f"{place}: {name} holds {kind}, or null, and no whole numbers; copy the dataset again")
+    return table[name].to_pylist()
 
 
 def _files(folder: Path, below: str) -> list[Path]:
@@ -141,7 +156,7 @@ def _files(folder: Path, below: str) -> list[Path]:
 def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begins: np.ndarray) -> None:
     """Refuse data of which some frames are missing, by what is noted of each episode."""
     noted = read_tables(_files(folder, "meta/episodes"), (EPISODE, "length"))
-    lengths = dict(zip(*(noted[name].to_pylist() for name in (EPISODE, "length")), strict=True))
+    lengths = dict(zip(*(_whole(folder / "meta/episodes", noted, name) for name in (EPISODE, "length")), strict=True))
     found = dict(zip(episode[begins[:-1]].tolist(), np.diff(begins).tolist(), strict=True))
     for name in sorted({*lengths, *found}, key=str):
         if lengths.get(name) != found.get(name):
@@ -158,25 +173,57 @@ def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begin
 
 def _endings(place: str, columns: Columns, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> list[Ending]:
     """Ending and cause of each episode."""
-    told = [name for name in ((rules.done,) if rules.done else DONE) if name in columns]
-    if not told:
-        became = "finished" if rules.truncated == FINISHED else "was cut (truncated)"
-        warn(
-            place,
-            f"neither {' nor '.join(DONE)} says how an episode ended, so that each {became}; name another feature as "
-            "done, or say by truncated what they are",
-        )
+    names = FLAGS if rules.done is None else (*FLAGS, rules.done)
+    flags = {name: flags_of(place, name, columns[name]) for name in names if name in columns}
+    is_truncated = flags.get(TRUNCATED, np.zeros(int(begins[-1]), dtype=bool))
+    is_own_end = _own_ends(place, flags, is_truncated, rules, begins[1:] - 1)
+    if is_own_end is None:
         return [rules.of_truncated] * (len(begins) - 1)
-    is_done = np.any([flags_of(place, name, columns[name]) for name in told], axis=0)
+    ends_it = np.any([is_truncated, *(flags[name] for name in flags if name != SUCCESS or name == rules.done)], axis=0)
+    for begin, end in pairwise(begins.tolist()):
+        refuse_early(place, int(columns[EPISODE][begin]), ends_it[begin:end])
+    broke_off = (CUT, UNKNOWN_CAUSE) if TRUNCATED in flags else rules.of_truncated
+    return [
+        (FINISHED, None) if is_own_end[last] else rules.of_truncated if is_truncated[last] else broke_off
+        for last in begins[1:] - 1
+    ]
+
+
+def _own_ends(
+    place: str,
+    flags: dict[str, Bool[np.ndarray, " N"]],
+    is_truncated: Bool[np.ndarray, " N"],
+    rules: StepRules,
+    last: Int[np.ndarray, " E"],
+) -> Bool[np.ndarray, " N"] | None:
+    """Frames in which an episode reached its own end; None where nothing says so."""
     if rules.done is not None:
-        for begin, end in pairwise(begins.tolist()):
-            refuse_early(place, int(columns[EPISODE][begin]), is_done[begin:end])
-    return [(FINISHED, None) if is_over else rules.of_truncated for is_over in is_done[begins[1:] - 1]]
+        return flags[rules.done] & ~is_truncated if rules.done == DONE else flags[rules.done]
+    own = [flags[name] for name in (TERMINATED, SUCCESS) if name in flags]
+    if DONE in flags and TERMINATED not in flags:
+        own.append(flags[DONE] & ~is_truncated)
+        if TRUNCATED not in flags and len(last) > 1 and flags[DONE][last].all():
+            warn(
+                place,
+                f"every episode ends with {DONE}, which LeRobot sets where one was truncated, too, and there is no "
+                f"{TRUNCATED}: each counts as finished; name a feature of those that terminated as done",
+            )
+    if own:
+        return np.any(own, axis=0)
+    if TRUNCATED in flags:
+        return np.zeros(len(is_truncated), dtype=bool)
+    became = "finished" if rules.truncated == FINISHED else "was cut (truncated)"
+    warn(
+        place,
+        f"none of {', '.join(FLAGS)} says how an episode ended, so that each {became}; name another feature as done, "
+        "or say by truncated what they are",
+    )
+    return None
 
 
 def _ends(
     place: str, columns: Columns, fps: float, rules: StepRules, begins: Int[np.ndarray, " E1"]
-) -> list[Float[np.ndarray, " T"]]:
+) -> list[Float[np.ndarray, " _"]]:
     """Time from the beginning of its episode to the end of each frame [s], by episode."""
     step_s = rules.step_s or 1.0 / fps
     bounds = list(pairwise(begins.tolist()))
@@ -185,7 +232,7 @@ def _ends(
             _check_stamps(place, columns, fps, begins)
         return [even_ends(end - begin, step_s) for begin, end in bounds]
     times_s = numbers_of(place, rules.clock, columns[rules.clock])
-    return [np.append(times_s[begin + 1 : end], times_s[end - 1] + step_s) - times_s[begin] for begin, end in bounds]
+    return [ends_by_observations(np.append(times_s[begin:end], times_s[end - 1] + step_s)) for begin, end in bounds]
 
 
 def _check_stamps(place: str, columns: Columns, fps: float, begins: Int[np.ndarray, " E1"]) -> None:
@@ -210,8 +257,8 @@ def _tasks(file: Path, numbers: np.ndarray) -> np.ndarray:
     ]
     if TASK_INDEX not in table.column_names or len(words) != 1:
         raise LogError(f"{file}: it has no {TASK_INDEX} and text for each task; copy the dataset again")
-    told = dict(zip(table[TASK_INDEX].to_pylist(), table[words[0]].to_pylist(), strict=True))
-    wrong = [number for number in np.unique(numbers).tolist() if number not in told]
+    words_of = dict(zip(_whole(file, table, TASK_INDEX), table[words[0]].to_pylist(), strict=True))
+    wrong = [number for number in np.unique(numbers).tolist() if number not in words_of]
     if wrong:
         raise LogError(f"{file}: there is no task {shown(wrong[0])}, which a frame has; copy the dataset again")
-    return np.array([told[number] for number in numbers.tolist()], dtype=object)
+    return np.array([words_of[number] for number in numbers.tolist()], dtype=object)

@@ -11,7 +11,7 @@ from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from halfseen.logs.formats.extras import extra
+from halfseen.installation import extra
 from halfseen.reading import TABLE, check_unpacked, json_of, opened
 
 ENCODINGS = ("cdr", "json", "protobuf")

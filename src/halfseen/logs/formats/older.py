@@ -97,7 +97,7 @@ def _cells(file: Place, to: Path) -> None:
 
 
 def _journal(file: Place, to: Path) -> None:
-    """Chain the lines anew; those that did not check do not check again."""
+    """Chain the lines again; those that did not check do not check again."""
     above: int | None = 0
     checksum: int | None = 0
     with file.open("rb") as source, to.open("wb") as target:

@@ -16,10 +16,11 @@ from urllib.parse import quote
 import pyarrow as pa
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError, within
+from halfseen.installation import extra
 from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, shown
-from halfseen.logs.formats.column_types import from_list_texts
-from halfseen.logs.formats.extras import extra
+from halfseen.logs.formats.csv_folder import from_list_texts
 from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
 from halfseen.reading import TABLE, UNPACKED, check_file, read_text, reason_of, toml_of
 
 ROWS_AT_ONCE = 10_000
@@ -54,9 +55,7 @@ class Queries:
 
     def __post_init__(self) -> None:
         for name, query in self.by_table.items():
-            bare = _COMMENTS_AND_TEXT.sub(" ", query).strip().rstrip(";")
-            if ";" in bare or not _SELECTS.match(bare):
-                raise ArgumentError(f"{name} {shown(query)}: it is not one SELECT; nothing else is asked of a database")
+            _refuse_other_than_select(name, query)
 
     @property
     def by_table(self) -> dict[str, str]:
@@ -92,16 +91,18 @@ def read_queries(file: str | Path) -> Queries:
         return Queries(**found)
 
 
-def read_sql(url: str, queries: Queries) -> Logs:
+def read_sql(url: str, queries: Queries, *, missing: Missing = None) -> Logs:
     """Read a log from a database.
 
     Parameters
     ----------
     url
-        As SQLAlchemy takes it: ``sqlite:///cell.db``, ``postgresql+psycopg://user:password@host/cell``. The password
-        is never shown.
+        As SQLAlchemy takes it: ``sqlite:///cell.db``, ``duckdb:///cell.duckdb``,
+        ``postgresql+psycopg://user:password@host/cell``. The password is never shown.
     queries
         Which rows are the stages, the trajectories and the objects.
+    missing
+        What stands for covariates of the stages that are null, as `Logs` takes it.
 
     Raises
     ------
@@ -114,7 +115,21 @@ def read_sql(url: str, queries: Queries) -> Logs:
     with _connected(url, place) as connection:
         tables = {name: _rows(connection, f"{place}, {name}", query) for name, query in queries.by_table.items()}
     with within(place):
-        return Logs(**tables)
+        return Logs(**tables, missing=missing)
+
+
+def read_rows(url: str, query: str) -> pa.Table:
+    """Read the rows that one SELECT gives; the errors are those of `read_sql`."""
+    place = shown_url(url)
+    _refuse_other_than_select("query", query)
+    with _connected(url, place) as connection:
+        return _rows(connection, place, query)
+
+
+def _refuse_other_than_select(name: str, query: str) -> None:
+    bare = _COMMENTS_AND_TEXT.sub(" ", query).strip().rstrip(";")
+    if ";" in bare or not _SELECTS.match(bare):
+        raise ArgumentError(f"{name} {shown(query)}: it is not one SELECT; nothing else is asked of a database")
 
 
 def shown_url(url: str) -> str:
@@ -162,18 +177,27 @@ def _connected(url: str, place: str) -> Iterator[Any]:
 
 
 def _engine(sqlalchemy: Any, url: Any) -> Any:
-    if url.get_backend_name() != "sqlite" or url.get_driver_name() != "pysqlite":
+    kind = url.get_backend_name()
+    if kind == "duckdb":
+        _check_file_of(url)
+        return sqlalchemy.create_engine(url, connect_args={"read_only": True})
+    if kind != "sqlite" or url.get_driver_name() != "pysqlite":
         return sqlalchemy.create_engine(url)
     import sqlite3
 
-    file = Path(url.database or "")
-    if not url.database or str(file).startswith((":memory:", "file:")):
-        raise ArgumentError(f"{shown_url(str(url))}: it names no file; give sqlite:///FILE")
-    check_file(file, TABLE)
-    address = f"file:{quote(str(file.absolute()))}?mode=ro"
+    address = f"file:{quote(str(_check_file_of(url).absolute()))}?mode=ro"
     return sqlalchemy.create_engine(
         url.set(database=None, query={}), creator=lambda: sqlite3.connect(address, uri=True)
     )
+
+
+def _check_file_of(url: Any) -> Path:
+    """Give the file of a database that is one, where it can be read: to connect to none would make it."""
+    file = Path(url.database or "")
+    if not url.database or str(file).startswith((":memory:", "file:")):
+        raise ArgumentError(f"{shown_url(str(url))}: it names no file; give {url.get_backend_name()}:///FILE")
+    check_file(file, TABLE)
+    return file
 
 
 def _read_only(engine: Any) -> dict[str, Any]:
@@ -228,6 +252,6 @@ def _value(value: Any) -> Any:
 
 def _reason(error: Exception, url: Any = None) -> str:
     """What a driver says, in one line and without the password."""
-    told = reason_of(getattr(error, "orig", None) or error)
+    reason = reason_of(getattr(error, "orig", None) or error)
     secret = None if url is None else url.password
-    return told.replace(str(secret), "***") if secret else told
+    return reason.replace(str(secret), "***") if secret else reason

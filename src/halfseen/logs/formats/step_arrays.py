@@ -15,13 +15,13 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
+from halfseen.installation import extra
 from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.formats.extras import extra, refused
+from halfseen.logs.formats.clocks import ends_by_steps, even_ends
 from halfseen.logs.formats.steps import (
     Columns,
     StepRules,
     Steps,
-    even_ends,
     flags_of,
     logs_of_episodes,
     numbers_of,
@@ -30,8 +30,8 @@ from halfseen.logs.formats.steps import (
     warn,
 )
 from halfseen.logs.logs import Logs
-from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked
-from halfseen.shapes import Bool
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
+from halfseen.shapes import Bool, Float
 
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"
@@ -49,8 +49,8 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
         The file.
     rules
         Which arrays hold the action (default: ``actions``), the reward (``rewards``), whether the episode reached its
-        own end (``terminals``) and the end of each step since its episode began (by default every step counts as 1 s,
-        with a warning); and whether a timeout is a cut or the horizon.
+        own end (``terminals``) and the clock at the end of each step (by default every step counts as 1 s, with a
+        warning); and whether a timeout is a cut or the horizon.
 
     Returns
     -------
@@ -73,17 +73,26 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     is_timeout = _timeouts(place, columns, len(is_terminal))
     steps = Steps(place, columns, _below(columns, SEEN), named["action"], named["reward"])
     following = _following(place, columns, steps.observed)
-    step_s = rules.step_in(place)
-    times_s = None if rules.clock is None else numbers_of(place, rules.clock, columns[rules.clock])
-    episodes = []
     ends = np.flatnonzero(is_terminal | is_timeout) + 1
-    for name, (begin, end) in enumerate(pairwise(sorted({0, *ends.tolist(), len(is_terminal)}))):
-        ends_s = even_ends(end - begin, step_s) if times_s is None else times_s[begin:end]
+    bounds = list(pairwise(sorted({0, *ends.tolist(), len(is_terminal)})))
+    episodes = []
+    for name, ((begin, end), ends_s) in enumerate(zip(bounds, _ends(place, columns, rules, bounds), strict=True)):
         ending = rules.of_truncated if is_timeout[end - 1] else (CUT, END_OF_DATA)
         ending = (FINISHED, None) if is_terminal[end - 1] else ending
         after = None if following is None else {column: values[end - 1] for column, values in following.items()}
         episodes.append(steps.episode(name, slice(begin, end), ends_s, ending, after))
     return logs_of_episodes(place, episodes)
+
+
+def _ends(
+    place: str, columns: Columns, rules: StepRules, bounds: list[tuple[int, int]]
+) -> list[Float[np.ndarray, " _"]]:
+    """Time from the beginning of its episode to the end of each step [s], by episode."""
+    step_s = rules.step_in(place)
+    if rules.clock is None:
+        return [even_ends(end - begin, step_s) for begin, end in bounds]
+    times_s = numbers_of(place, rules.clock, columns[rules.clock])
+    return ends_by_steps(place, rules.clock, range(len(bounds)), [times_s[begin:end] for begin, end in bounds])
 
 
 def _timeouts(place: str, columns: Columns, num_steps: int) -> Bool[np.ndarray, " N"]:

@@ -22,15 +22,14 @@ import pyarrow.parquet as pq
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.column_types import from_list_texts
-from halfseen.logs.formats.extras import refused
+from halfseen.logs.folder import check_unpacked_table
+from halfseen.logs.formats.clocks import ends_by_observations, even_ends
+from halfseen.logs.formats.csv_folder import from_list_texts
 from halfseen.logs.formats.steps import (
     Ending,
     StepRules,
     Steps,
     begins_of,
-    ends_of,
-    even_ends,
     flags_of,
     logs_of_episodes,
     numbers_of,
@@ -39,8 +38,7 @@ from halfseen.logs.formats.steps import (
     warn,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.parquet import check_unpacked_table
-from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened
+from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"
@@ -104,7 +102,7 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
         ends_s = even_ends(stop - begin, step_s)
         if times_s is not None:  # that the last step ended is known where a row follows it
             stamps = times_s[begin:end]
-            ends_s = ends_of(stamps if has_last else np.append(stamps, stamps[-1:]), stop - begin)
+            ends_s = ends_by_observations(stamps if has_last else np.append(stamps, stamps[-1:]))
         after = {column: values[end - 1] for column, values in steps.observed.items()} if has_last else None
         episodes.append(steps.episode(name, slice(begin, stop), ends_s, ending, after))
     return logs_of_episodes(place, episodes)

@@ -198,16 +198,6 @@ def logs_of_episodes(place: str, episodes: Sequence[Episode]) -> Logs:
         return Logs(stages=pd.DataFrame(columns), trajectories=pd.DataFrame(ends))
 
 
-def even_ends(num_steps: int, step_s: float) -> Float[np.ndarray, " T"]:
-    """Ends of steps that last the same time each."""
-    return step_s * np.arange(1.0, num_steps + 1)
-
-
-def ends_of(times_s: Float[np.ndarray, " O"], num_steps: int) -> Float[np.ndarray, " T"]:
-    """Ends of steps by the times of their observations, one more than there are steps, or by those ends themselves."""
-    return times_s if len(times_s) == num_steps else times_s[1:] - times_s[0]
-
-
 def begins_of(place: str, rows: str, labels: Shaped[np.ndarray, " N"], remedy: str) -> Int[np.ndarray, " E1"]:
     """Rows in which the label of the episode changes, and the number of rows.
 

@@ -9,13 +9,15 @@ import numpy as np
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours, Vector, check_num_points
+from halfseen.perception.clouds import Cloud, Colours, check_num_points
+from halfseen.perception.frames import FRAME_COMMENT, VIEWPOINT, Viewpoint, camera_of, quaternion_of, viewpoint_of
 from halfseen.reading import CLOUD, check_unpacked, opened
 from halfseen.shapes import Float, Shaped
 from halfseen.writing import write_file
 
 # Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
 INTRINSICS_COMMENT = "# intrinsics"
+COMMENTS = (INTRINSICS_COMMENT, f"# {FRAME_COMMENT}")
 
 
 # A header has a dozen lines; what goes on and on is none.
@@ -65,7 +67,8 @@ def read_pcd(path: Path) -> Cloud:
         )
     colours = None if packed is None else _unpacked(columns[packed], points, _packed_kind(header, packed, path))
     shape = (height, width) if height > 1 else None
-    return Cloud(points, shape, _pcd_intrinsics(header, path), path.name, _pcd_eye(header, path), colours)
+    camera = camera_of(points, shape, _pcd_viewpoint(header, path), str(path), header.get(f"# {FRAME_COMMENT}"))
+    return Cloud(points, shape, _pcd_intrinsics(header, path), path.name, camera.eye_m, colours, camera.axes)
 
 
 def _whole(header: dict[str, str], key: str, path: Path) -> int:
@@ -163,14 +166,15 @@ def _text_columns(path: Path, header: dict[str, str], num_header_lines: int, nam
 
 
 def _pcd_header(path: Path) -> tuple[dict[str, str], int]:
-    """Header entries of a PCD file, the comment with the intrinsics too, and how many lines they take."""
+    """Header entries of a PCD file, our comments too, and how many lines they take."""
     header: dict[str, str] = {}
     with opened(path, CLOUD) as file:
         for number in range(1, MOST_HEADER_LINES):
             line = file.readline(MOST_LINE_BYTES)
             text = line.decode("ascii", errors="replace").strip()
-            if text.startswith(INTRINSICS_COMMENT):
-                header[INTRINSICS_COMMENT] = text.removeprefix(INTRINSICS_COMMENT)
+            comment = next((each for each in COMMENTS if text.startswith(each)), None)
+            if comment is not None:
+                header[comment] = text.removeprefix(comment).strip()
             elif not text.startswith("#"):
                 key, _, value = text.partition(" ")
                 header[key] = value.strip()
@@ -223,14 +227,9 @@ def _pcd_intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
 
 
-def _pcd_eye(header: dict[str, str], path: Path) -> Vector:
-    # Only the position of VIEWPOINT is used: recorders disagree about whether its rotation was applied to the points.
+def _pcd_viewpoint(header: dict[str, str], path: Path) -> Viewpoint:
     values = (header.get("VIEWPOINT") or "0 0 0").split()
-    if len(values) < 3:
-        raise CloudError(
-            f"{path}: VIEWPOINT is {' '.join(values)!r}; give x, y and z [m] and a rotation, or leave it out"
-        )
-    return np.array(_numbers(values[:3], "VIEWPOINT", path))
+    return viewpoint_of(_numbers(values, "VIEWPOINT", path), str(path))
 
 
 def _numbers(values: list[str], what: str, path: Path) -> list[float]:
@@ -263,7 +262,7 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
         columns, names = [*columns, _packed(cloud.colours)], [*names, "rgb"]
     parsed = PointCloud.from_points(columns, names, [np.float32] * len(names))
     num_rows, num_columns = cloud.shape or (1, len(cloud.points_m))
-    viewpoint = (*cloud.eye_m.tolist(), 1.0, 0.0, 0.0, 0.0)
+    viewpoint = (*cloud.eye_m.tolist(), *quaternion_of(cloud.camera_axes))
     parsed.metadata = parsed.metadata.derive(width=num_columns, height=num_rows, viewpoint=viewpoint)
     # Into memory first: pypcd4 rewinds the file, over our comments, when points do not compress and stay binary.
     body = io.BytesIO()
@@ -272,9 +271,11 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
 
 
 def _comments(cloud: Cloud) -> str:
-    title = "# .PCD v0.7 - Point Cloud Data file format\n"
-    if cloud.intrinsics is None:
-        return title
-    K = cloud.intrinsics
-    numbers = " ".join(repr(float(value)) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
-    return f"{title}{INTRINSICS_COMMENT} {numbers}\n"
+    comments = ["# .PCD v0.7 - Point Cloud Data file format"]
+    if cloud.intrinsics is not None:
+        K = cloud.intrinsics
+        numbers = " ".join(repr(float(value)) for value in (K[0, 0], K[1, 1], K[0, 2], K[1, 2]))
+        comments.append(f"{INTRINSICS_COMMENT} {numbers}")
+    if cloud.eye_m.any() or not np.array_equal(cloud.camera_axes, np.eye(3)):
+        comments.append(f"# {FRAME_COMMENT} {VIEWPOINT}")
+    return "\n".join([*comments, ""])

@@ -1,22 +1,29 @@
-"""PLY files: points, and their colours if they have some."""
+"""PLY files: points, their colours if they have some, and the camera's pose and pixel grid where PCL wrote them."""
 
 import io
+import warnings
 from pathlib import Path
 
 import numpy as np
 
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours, check_num_points
+from halfseen.perception.clouds import Cloud, Colours, Rotation, check_num_points
+from halfseen.perception.frames import FRAME_COMMENT, OWN, Viewpoint, camera_of
 from halfseen.reading import CLOUD, read_bytes
 from halfseen.shapes import Shaped
 
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6
 COLOURS = ("red", "green", "blue")
+# Of an element ``camera``: its place, and the rows of the matrix that turns its axes into the frame of the place.
+EYE = ("view_px", "view_py", "view_pz")
+AXES = tuple(f"{row}_axis{column}" for row in "xyz" for column in "xyz")
+VIEWPORT = ("viewporty", "viewportx")
+SAME_AXES = 1e-3
 
 
 def read_ply(path: Path) -> Cloud:
-    """Read the vertices, and their red, green and blue if they have all three.
+    """Read the vertices, their red, green and blue if they have all three, and an element ``camera`` if there is one.
 
     Parameters
     ----------
@@ -26,20 +33,50 @@ def read_ply(path: Path) -> Cloud:
     Raises
     ------
     CloudError
-        There are no vertices with coordinates, or their colours are of another kind than uchar.
+        There are no vertices with coordinates, their colours are of another kind than uchar, or the camera is none.
     """
     from plyfile import PlyData
 
     # From memory: plyfile maps files that it opens itself, and keeps them open.
     content = read_bytes(path, CLOUD)
     _check_counts(content, path)
-    ply = PlyData.read(io.BytesIO(content))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # of lists of nothing, in text
+        ply = PlyData.read(io.BytesIO(content))
     if "vertex" not in ply or not {"x", "y", "z"} <= set(ply["vertex"].data.dtype.names):
         raise CloudError(f"{path}: has no element 'vertex' with x, y and z; export it as a point cloud in metres")
     vertex = ply["vertex"].data
     with np.errstate(invalid="ignore"):  # signalling NaN
         points = np.stack([vertex[axis].astype(np.float64) for axis in "xyz"], axis=1)
-    return Cloud(points, name=path.name, colours=_colours(vertex, path))
+    shape, viewpoint = _camera(ply["camera"].data, len(points), path) if "camera" in ply else (None, OWN)
+    comments = [comment.split() for comment in ply.comments]
+    frame = next((words[1] for words in comments if len(words) > 1 and words[0] == FRAME_COMMENT), None)
+    camera = camera_of(points, shape, viewpoint, str(path), frame)
+    colours = _colours(vertex, path)
+    return Cloud(points, shape, None, path.name, camera.eye_m, colours, camera.axes)
+
+
+def _camera(
+    element: Shaped[np.ndarray, " cameras"], num_points: int, path: Path
+) -> tuple[tuple[int, int] | None, Viewpoint]:
+    """Rows and columns of the pixel grid, if all of it is there, and the pose."""
+    names = element.dtype.names or ()
+    if len(element) != 1 or not {*EYE, *AXES} <= set(names):
+        return None, OWN
+    eye, axes = (np.array([element[0][name] for name in each], dtype=np.float64) for each in (EYE, AXES))
+    if not np.isfinite([*eye, *axes]).all() or not _is_rotation(axes.reshape(3, 3)):
+        raise CloudError(
+            f"{path}: its camera stands at {eye.tolist()} with axes {axes.tolist()}; give a place [m] and the rows of "
+            "a rotation, or leave it out"
+        )
+    left, _, right = np.linalg.svd(axes.reshape(3, 3))
+    grid = [int(element[0][name]) for name in VIEWPORT if name in names]
+    is_grid = len(grid) == 2 and grid[0] > 1 and grid[0] * grid[1] == num_points
+    return ((grid[0], grid[1]) if is_grid else None), Viewpoint(eye, left @ right)
+
+
+def _is_rotation(axes: Rotation) -> bool:
+    return bool(np.allclose(axes @ axes.T, np.eye(3), atol=SAME_AXES) and np.linalg.det(axes) > 0)
 
 
 def _check_counts(content: bytes, path: Path) -> None:

@@ -26,12 +26,16 @@ def read_cloud(path: str | os.PathLike[str]) -> Cloud:
     Returns
     -------
     Cloud
-        Organised if the file is.
+        Organised if the file is. Points stay in the frame of the file. Where it says a viewpoint, which is the pose of
+        the camera, points may be in its frame or in the camera's: the pixel grid tells which, and of points without
+        one, from where a camera could see them all. A comment ``points_frame camera`` or ``points_frame viewpoint``
+        in the header settles it.
 
     Raises
     ------
     CloudError
-        The file is missing, of another kind, cut short or broken, or holds not one point.
+        It is in doubt which frame the points are in; or the file is missing, of another kind, cut short or broken, or
+        holds not one point.
     """
     path = Path(path)
     reader = _READERS.get(path.suffix.lower())

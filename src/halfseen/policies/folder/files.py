@@ -91,7 +91,7 @@ def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:
     changed = [name for name, data in files if _line(name, data) not in digests]
     raise PolicyError(
         f"{folder / (changed or [kind.digests])[0]}: it is not as it was written (its SHA-256 does not agree with "
-        f"{kind.digests}); copy the whole folder again, or make it anew by `{kind.maker}`"
+        f"{kind.digests}); copy the whole folder again, or make it again by `{kind.maker}`"
     )
 
 
@@ -117,7 +117,7 @@ def _read(file: Path, kind: Kind) -> bytes:
     except FileNotFoundError as error:
         raise PolicyError(
             f"{file}: it is missing, so {file.parent} is no whole {kind.name}; copy the whole folder again, or make it "
-            f"anew by `{kind.maker}`"
+            f"again by `{kind.maker}`"
         ) from error
     except OSError as error:
         raise PolicyError(f"{file}: it cannot be read ({error.strerror}); copy the whole folder again") from error

@@ -4,7 +4,7 @@ The kind of named actions is here, those of tables in `table_kinds` and `law_kin
 """
 
 from collections.abc import Callable, Container, Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import numpy as np
@@ -12,8 +12,9 @@ from msgspec import Meta, Struct
 
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.covariates import Covariates
-from halfseen.learning.flat_policy import FlatPolicy
+from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_space import KernelMap
+from halfseen.logs.missing import Filling
 from halfseen.policies.folder.record import Horizon, converted
 
 Arrays = Mapping[str, np.ndarray]
@@ -83,14 +84,16 @@ def _table_kinds() -> dict[str, PolicyKind]:
     return TABLE_KINDS | LAW_KINDS
 
 
-class FlatSchema(Struct):
-    """Covariates and their categories, names of the actions, and those that each stage allows."""
+class DiscreteSchema(Struct):
+    """Covariates, their categories and what stands for missing ones; actions, and those that each stage allows."""
 
     horizon: Horizon
     covariates: list[str]
     actions: list[int | str]
     possible: list[Annotated[list[int | str], Meta(min_length=1)]]
     categories: dict[str, list[str]] = {}
+    behaviour_weight: Annotated[float, Meta(ge=0.0, le=LARGEST)] = 0.0
+    missing: Filling | None = None
 
     def __post_init__(self) -> None:
         if not {*self.categories} <= {*self.covariates}:
@@ -104,15 +107,17 @@ class FlatSchema(Struct):
             )
 
 
-def _flat_schema(policy: FlatPolicy) -> dict[str, Any]:
+def _flat_schema(policy: DiscretePolicy) -> dict[str, Any]:
     names = [_action_name(name) for name in policy.actions]
+    missing = {} if policy.filling is None else {"missing": asdict(policy.filling)}
     return {
         "horizon": policy.horizon,
         "covariates": list(policy.covariates),
         "categories": {name: list(known) for name, known in policy.categories.items()},
         "actions": names,
         "possible": [[names[k] for k in np.flatnonzero(row)] for row in policy.is_possible],
-    }
+        **missing,
+    } | ({"behaviour_weight": policy.behaviour_weight} if policy.behaviour_weight > 0 else {})
 
 
 def _action_name(name: Any) -> int | str:
@@ -122,12 +127,12 @@ def _action_name(name: Any) -> int | str:
     return value
 
 
-def _flat_policy(record: Mapping[str, Any], arrays: Arrays) -> FlatPolicy:
-    schema = converted(record["schema"], FlatSchema)
+def _discrete_policy(record: Mapping[str, Any], arrays: Arrays) -> DiscretePolicy:
+    schema = converted(record["schema"], DiscreteSchema)
     categories = {name: tuple(each) for name, each in schema.categories.items()}
     looks_at = Covariates(tuple(schema.covariates), categories)
     check_shapes(arrays, linear_shapes(arrays, schema.horizon, len(schema.actions), looks_at.num_features), np.float64)
-    return FlatPolicy(
+    return DiscretePolicy(
         actions=tuple(schema.actions),
         covariates=looks_at.columns,
         is_possible=np.array([[name in names for name in schema.actions] for names in schema.possible]),
@@ -135,7 +140,9 @@ def _flat_policy(record: Mapping[str, Any], arrays: Arrays) -> FlatPolicy:
         kernel_map=kernel_map_of(arrays),
         margin=arrays.get(MARGIN),
         behaviour=arrays.get(BEHAVIOUR),
+        behaviour_weight=schema.behaviour_weight,
         categories=looks_at.categories,
+        filling=schema.missing,
     )
 
 
@@ -206,7 +213,7 @@ def sizes_of(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
     array = arrays.get(name)
     if array is None or array.ndim != ndim:
         what = "missing" if array is None else f"of shape {list(array.shape)}"
-        raise PolicyError(f"array {name!r} is {what}; it has {ndim} axes: learn the policy anew")
+        raise PolicyError(f"array {name!r} is {what}; it has {ndim} axes: learn the policy again")
     return array.shape
 
 
@@ -221,12 +228,12 @@ def check_shapes(arrays: Arrays, wanted: Mapping[str, tuple[int, ...]], dtype: t
     for name in sorted({*wanted, *arrays}):
         if name not in arrays or name not in wanted:
             trouble = "none that a policy has" if name in arrays else "missing"
-            raise PolicyError(f"array {name!r} is {trouble}; learn the policy anew")
+            raise PolicyError(f"array {name!r} is {trouble}; learn the policy again")
         array = arrays[name]
         if array.shape != wanted[name] or array.dtype != dtype:
             raise PolicyError(
                 f"array {name!r} is {array.dtype} of shape {list(array.shape)}, where the schema asks for "
-                f"{np.dtype(dtype)} of shape {list(wanted[name])}; learn the policy anew"
+                f"{np.dtype(dtype)} of shape {list(wanted[name])}; learn the policy again"
             )
         _check_numbers(name, array)
 
@@ -241,7 +248,7 @@ def _check_numbers(name: str, array: np.ndarray) -> None:
         wrong, rule = ~(np.abs(array) <= LARGEST), f"it is finite, and {LARGEST:g} at most"
     if wrong.any():
         at = tuple(np.argwhere(wrong)[0].tolist())
-        raise PolicyError(f"array {name!r} holds {array[at]} at {list(at)}; {rule}: learn the policy anew")
+        raise PolicyError(f"array {name!r} holds {array[at]} at {list(at)}; {rule}: learn the policy again")
 
 
-FLAT = PolicyKind(FlatPolicy, _flat_schema, linear_arrays, _flat_policy, is_flat=True)
+FLAT = PolicyKind(DiscretePolicy, _flat_schema, linear_arrays, _discrete_policy, is_flat=True)

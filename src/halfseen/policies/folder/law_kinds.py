@@ -140,7 +140,7 @@ def _world_of(laws: WorldLaws) -> WorldConfig:
             given[name] = families[given[name].__struct_config__.tag](**asdict(given[name]))
         return WorldConfig(**given)
     except (HalfseenError, TypeError, ValueError) as error:
-        raise PolicyError(f"laws: {error}; learn the policy anew") from error
+        raise PolicyError(f"laws: {error}; learn the policy again") from error
 
 
 def _laws_schema(policy: LawPolicy) -> dict[str, Any]:
@@ -192,7 +192,7 @@ def _mending_of(arrays: Any, config: WorldConfig) -> Mending | None:
         return None
     recorded, mended = (arrays[f"mending.{name}"] for name in _MENDING)
     if (np.diff(recorded) <= 0.0).any() or (np.diff(mended) < 0.0).any():
-        raise PolicyError("mending.recorded and mending.mended rise; learn the policy anew")
+        raise PolicyError("mending.recorded and mending.mended rise; learn the policy again")
     prior = np.log(config.dirty_share) - np.log1p(-config.dirty_share)
     law = config.seeing if isinstance(config.seeing, PersistentSeeing) else None
     return Mending(recorded, mended, float(prior), law)
@@ -223,7 +223,7 @@ def _team_laws_policy(record: Mapping[str, Any], arrays: Arrays) -> AssistedTeam
     if (schema.num_robots, schema.horizon) != (config.num_robots, config.num_stages):
         raise PolicyError(
             f"num_robots is {schema.num_robots}, and horizon {schema.horizon}; the laws are of "
-            f"{config.num_robots} robots and {config.num_stages} decisions of all together: learn the policy anew"
+            f"{config.num_robots} robots and {config.num_stages} decisions of all together: learn the policy again"
         )
     check_shapes(arrays, {} if bounds is None else {"excess.coefficients": (NUM_TEAM_EXCESS_FEATURES,)}, np.float32)
     if bounds is None:

@@ -1,6 +1,7 @@
 """What policy.json says of the log that a policy was learned from, gathered in one pass over its parts."""
 
 import hashlib
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import zip_longest
@@ -11,7 +12,7 @@ import pandas as pd
 import pyarrow as pa
 
 from halfseen.logs import Logs, LogsSummary
-from halfseen.logs.summary import SummaryTally
+from halfseen.logs.logs import SummaryTally
 from halfseen.policies.folder.kinds import PolicyKind
 from halfseen.policies.folder.stored import TABLE_RANGES
 from halfseen.shapes import Float, Int
@@ -38,6 +39,8 @@ class LogFacts:
         Mean number of stages from each to the end of a trajectory.
     reward_spread
         Standard deviation of the rewards of completed stages.
+    actions_taken
+        By stage, how often each action was taken; empty for tables, whose actions are of objects.
     """
 
     summary: LogsSummary
@@ -46,6 +49,7 @@ class LogFacts:
     seen: list[dict[str, Any]]
     stages_left: list[float]
     reward_spread: float
+    actions_taken: list[dict[str, int]]
 
 
 def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage: bool) -> LogFacts:
@@ -63,6 +67,7 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         Whether each stage has a Q of its own.
     """
     digest, summary, priors = LogDigest(), SummaryTally(), []
+    taken: list[Counter[str]] = []
     seen, counts, spread = [], np.zeros((2, 0), dtype=np.int64), _Spread(0, 0.0, 0.0)
     for part in parts:
         digest.add(part)
@@ -72,9 +77,11 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         here = _seen_named(part, policy, is_by_stage) if kind.is_flat else _seen_tables(part)
         seen = [one or other if not (one and other) else _joined(one, other) for one, other in zip_longest(seen, here)]
         counts = _added(counts, stage_counts(part))
+        taken = [one + other for one, other in zip_longest(taken, actions_taken(part), fillvalue=Counter())]
         spread = spread.plus(_spread_of(part))
     prior = _priors_joined(priors) if priors else {}
-    return LogFacts(summary.summary(), digest.hexdigest(), prior, seen, stages_left(counts), spread.deviation)
+    left, known = stages_left(counts), [dict(sorted(each.items())) for each in taken] if kind.is_flat else []
+    return LogFacts(summary.summary(), digest.hexdigest(), prior, seen, left, spread.deviation, known)
 
 
 def log_digest(logs: Logs) -> str:
@@ -208,6 +215,14 @@ def stage_counts(logs: Logs) -> Int[np.ndarray, "2 T"]:
     return np.stack([np.bincount(each, minlength=logs.horizon + 1)[1:] for each in (stage, stage[is_done])])
 
 
+def actions_taken(logs: Logs) -> list[Counter[str]]:
+    """Count by stage how often each action was taken, by its name; those of parts of a log add up."""
+    taken: Any = logs.stages[["stage", "action"]].dropna()
+    names = taken["action"].map(str).groupby(taken["stage"])
+    by_stage = {stage: Counter(of.tolist()) for stage, of in names}
+    return [by_stage.get(stage, Counter()) for stage in range(1, logs.horizon + 1)]
+
+
 def _added(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     horizon = max(one.shape[1], other.shape[1])
     padded = (np.pad(each, ((0, 0), (0, horizon - each.shape[1]))) for each in (one, other))
@@ -270,7 +285,7 @@ def _spread_of(part: Logs) -> _Spread:
 def promised_states(logs: Logs, covariates: Sequence[str]) -> list[dict[str, Any]]:
     """Describe the covariates of each stage of a log: of numbers a distribution function, of names their shares.
 
-    Whoever serves a policy can be told by them when its cell differs from the log.
+    Anyone who serves a policy can be told by them when its cell differs from the log.
 
     Parameters
     ----------
@@ -290,13 +305,14 @@ def promised_states(logs: Logs, covariates: Sequence[str]) -> list[dict[str, Any
         {
             "stage": int(number),
             "num_states": len(rows),
-            "covariates": {name: _described(rows[name]) for name in covariates},
+            "covariates": {name: distribution_of(rows[name]) for name in covariates},
         }
         for number, rows in groups
     ]
 
 
-def _described(values: Any) -> dict[str, list[Any]]:
+def distribution_of(values: Any) -> dict[str, list[Any]]:
+    """Describe a column: of numbers a distribution function, of names their shares."""
     if pd.api.types.is_numeric_dtype(values.dtype):
         numbers = np.sort(values.to_numpy(dtype=np.float64))
         knots = np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, NUM_KNOTS), method="lower"))

@@ -85,11 +85,39 @@ class PromisedValue(Struct):
             raise ValueError(f"it holds {astuple(self)}, and numbers are finite")
 
 
+class PromisedPart(Struct):
+    """Reward or log duration of an action: linear in the covariates, the offset first, its covariance, residuals."""
+
+    action: str
+    what: Literal["reward", "duration"]
+    num_states: Horizon
+    coefficients: list[float]
+    deviation: Annotated[float, Meta(ge=0.0)]
+    covariance: list[list[float]]
+    residuals: Distribution
+
+    def __post_init__(self) -> None:
+        if np.shape(self.covariance) != (len(self.coefficients),) * 2:
+            raise ValueError("its covariance is not that of its coefficients")
+
+
 class Promise(Struct):
-    """What states a policy was learned for, and what it was said to be worth there."""
+    """What states a policy was learned for, what it was said to be worth there, and how its cell behaved.
+
+    Folders of before lack what has a default here.
+    """
 
     stages: list[PromisedStage]
     value: PromisedValue | None = None
+    brings: tuple[float, float] | None = None
+    parts: list[PromisedPart] = []
+    first_states: list[list[float]] = []
+
+    def __post_init__(self) -> None:
+        if len({len(each) for each in self.first_states}) > 1:
+            raise ValueError("its first_states have different numbers of covariates")
+        if self.brings is not None and not self.brings[0] <= self.brings[1]:
+            raise ValueError(f"brings is {list(self.brings)}; the least comes first")
 
 
 class Record(Struct):
@@ -109,6 +137,7 @@ class Record(Struct):
     promise: Promise | None = None
     reward_spread: Annotated[float, Meta(ge=0.0)] = 0.0
     stages_left: list[Annotated[float, Meta(ge=1.0)]] = []
+    actions_taken: list[Counts] = []
 
 
 def plain(value: Any) -> Any:
@@ -140,13 +169,13 @@ def from_json(data: bytes) -> dict[str, Any]:
     try:
         record = json_of(data)
     except ValueError as error:
-        raise PolicyError(f"it is no JSON ({error}); learn the policy anew") from error
+        raise PolicyError(f"it is no JSON ({error}); learn the policy again") from error
     if not isinstance(record, dict) or record.get("format") != FORMAT:
         raise PolicyError("it describes no policy; give a folder that `halfseen learn` wrote")
     if record.get("version") != VERSION:
         raise PolicyError(
             f"version {record.get('version')!r} is not the {VERSION} that halfseen {halfseen.__version__} reads; use "
-            "the halfseen that wrote it, or learn the policy anew"
+            "the halfseen that wrote it, or learn the policy again"
         )
     converted(record, Record, {"kind": get_args(Kind)})
     return record
@@ -172,12 +201,12 @@ def converted(values: Any, kind: type[Of], names: Mapping[str, Collection[str]] 
     try:
         return msgspec.convert(values, kind)
     except msgspec.ValidationError as error:
-        raise PolicyError(f"{_refusal(values, str(error), names)}; learn the policy anew") from error
+        raise PolicyError(f"{_refusal(values, str(error), names)}; learn the policy again") from error
 
 
-def _refusal(values: Any, told: str, names: Mapping[str, Collection[str]]) -> str:
+def _refusal(values: Any, error: str, names: Mapping[str, Collection[str]]) -> str:
     """The field and its value before what msgspec says of it; a check of ours names the value itself."""
-    what, _, place = told.partition(" - at ")
+    what, _, place = error.partition(" - at ")
     keys = [key or int(number) for key, number in re.findall(r"\.([^.\[\]`]+)|\[(\d+)\]", place.partition("[...]")[0])]
     keys += re.findall("missing required field `(.+)`", what)
     for key in keys:

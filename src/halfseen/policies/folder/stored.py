@@ -17,6 +17,7 @@ from halfseen.policies.ranges import Range
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
+    from halfseen.logs.missing import Missing
 else:
     Logs = Any  # Who reads a policy loads no log.
 
@@ -68,10 +69,10 @@ class StoredPolicy:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What is doubtful at every decision: that nothing speaks for the policy, and what looks wrong in its log."""
-        told = [f"its log: {one}" for one in self.record.get("warnings", ())]
+        lines = [f"its log: {one}" for one in self.record.get("warnings", ())]
         if self.verdict is not None and self.verdict["verdict"] != "better":
-            told.insert(0, f"no evidence that this policy beats the rule that made the logs: {self.verdict['reason']}")
-        return tuple(told)
+            lines.insert(0, f"no evidence that this policy beats the rule that made the logs: {self.verdict['reason']}")
+        return tuple(lines)
 
     @property
     def q_error(self) -> QError | None:
@@ -86,6 +87,11 @@ class StoredPolicy:
     def least_rewards(self) -> dict[str, float]:
         """Of each verb of a table, the least that it paid in the log [reward]; empty in a folder that does not say."""
         return {verb: float(paid) for verb, paid in self.record["schema"].get("least_rewards", {}).items()}
+
+    def missing(self, rules: Mapping[str, str] | None = None) -> "Missing":
+        """What stands for null in a log: the same as where it was learned; of other covariates, what rules say."""
+        filling = getattr(self.policy, "filling", None)
+        return rules if filling is None else {**(rules or {}), **filling.fills}
 
     def ranges(self, stage: int) -> dict[str, Range] | None:
         """What the log showed of each covariate, where Q of this stage was taught; None if nowhere."""
@@ -120,7 +126,7 @@ def read_policy(folder: str | Path) -> StoredPolicy:
     try:
         arrays = safetensors.numpy.load(numbers)
     except (safetensors.SafetensorError, KeyError, TypeError, ValueError, AttributeError) as error:
-        raise PolicyError(f"{folder / ARRAYS}: it is no safetensors file ({error}); learn the policy anew") from error
+        raise PolicyError(f"{folder / ARRAYS}: it is no safetensors file ({error}); learn the policy again") from error
     with within(folder):
         return StoredPolicy(policy_of(record, laid_out(arrays, record["column_major"])), record)
 
@@ -134,7 +140,7 @@ def policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
         if set(entry["ranges"]) != set(names):
             raise PolicyError(
                 f"seen does not give the range of {', '.join(names) or 'nothing'} in the log, but of "
-                f"{', '.join(entry['ranges']) or 'nothing'}; learn the policy anew"
+                f"{', '.join(entry['ranges']) or 'nothing'}; learn the policy again"
             )
     return policy
 

@@ -90,7 +90,7 @@ def check_features(schema: Mapping[str, Any], features: Mapping[str, Any], verbs
     if schema.get("features") != features or schema.get("actions") != verbs:
         raise PolicyError(
             f"the policy looks at features {schema.get('features')}, and this halfseen knows {features}; use the "
-            f"halfseen that wrote it ({versions.get('halfseen')}), or learn the policy anew"
+            f"halfseen that wrote it ({versions.get('halfseen')}), or learn the policy again"
         )
 
 
@@ -236,7 +236,7 @@ def _team_policy(record: Mapping[str, Any], arrays: Arrays) -> LinearTeamPolicy:
     prefixes = tuple(f"{ALONE}.{robot}." for robot in range(len(known.alone)))
     unknown = [name for name in arrays if name.startswith(f"{ALONE}.") and not name.startswith(prefixes)]
     if unknown:
-        raise PolicyError(f"array {unknown[0]!r} belongs to no robot of the record; learn the policy anew")
+        raise PolicyError(f"array {unknown[0]!r} belongs to no robot of the record; learn the policy again")
     each = []
     for of_robot, prefix in zip(known.alone, prefixes, strict=True):
         its = {name.removeprefix(prefix): array for name, array in arrays.items() if name.startswith(prefix)}
@@ -244,7 +244,7 @@ def _team_policy(record: Mapping[str, Any], arrays: Arrays) -> LinearTeamPolicy:
     own = {name: array for name, array in arrays.items() if not name.startswith(f"{ALONE}.")}
     caution = own.pop(CAUTION, np.float32(0.0))
     if caution.shape != () or not 0.0 <= caution <= LARGEST:
-        raise PolicyError(f"caution is {caution.tolist()}; it is one number, 0 or above: learn the policy anew")
+        raise PolicyError(f"caution is {caution.tolist()}; it is one number, 0 or above: learn the policy again")
     base = IndependentPolicies(tuple(each)) if each else None
     return _TEAM.policy_of(schema, versions, own, num_robots=known.num_robots, base=base, caution=caution)
 

@@ -16,11 +16,12 @@ from halfseen.estimator import check_fitted
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
+from halfseen.logs.data_quality import data_warnings
 from halfseen.logs.stream import parts_of
-from halfseen.logs.suspicions import suspicions
 from halfseen.policies.folder.files import check_target, write_files
 from halfseen.policies.folder.kinds import kind_name_of, kind_named, laid_out
 from halfseen.policies.folder.log_facts import log_facts, promised_states
+from halfseen.policies.folder.promised_parts import promised_parts
 from halfseen.policies.folder.record import FORMAT, VERSION, as_json, from_json
 from halfseen.policies.folder.specification import described
 from halfseen.policies.folder.stored import policy_of
@@ -105,6 +106,7 @@ def record_of(
         "seen": facts.seen,
         "stages_left": facts.stages_left,
         "reward_spread": facts.reward_spread,
+        "actions_taken": facts.actions_taken,
         "learner": described(learner.model_),
         "chosen": list(learner.chosen_),
         "seed": int(learner.random_state),
@@ -120,6 +122,7 @@ def record_of(
         "promise": {
             "value": None if verdict is None else verdict.get("value"),
             "stages": promised_states(sample, schema.get("covariates", ())),
+            **promised_parts(sample, learner.policy_),
         },
     }
 
@@ -128,7 +131,7 @@ def _warnings(logs: Logs, positivity: PositivityReport) -> list[str]:
     """What `halfseen inspect` would say against the log and what was learned from it, a line each."""
     weights = [] if positivity.is_sound else [str(positivity).splitlines()[0]]
     # Learning asks for no probabilities, so that there are none is no reason to doubt a decision.
-    return [*weights, *(each.sentence for each in suspicions(logs) if each.kind != "no-probability")]
+    return [*weights, *(each.sentence for each in data_warnings(logs) if each.kind != "no-probability")]
 
 
 def _diagnostics(learner: CensoredQLearner, horizon: int, positivity: PositivityReport) -> dict[str, Any]:

@@ -79,13 +79,13 @@ class Attempts(AttemptsRepetition):
         weights, scores = _scores(pieces)
         sources = pieces.prepared
         return {
-            "attempts": pd.DataFrame([counts_of(*each) for each in sources.items()]),
+            "attempts": pd.DataFrame([_counts(*each) for each in sources.items()]),
             "attempts_scores": _means(weights, scores, pieces),
             "attempts_tests": _tests(weights, scores, setting.alpha),
             "attempts_calibration": calibration_of(frame_of(sources[known.COMPLETED]), pieces.repetitions),
             "attempts_held": pd.DataFrame([row for each in sources.items() for row in held_by_occlusion(*each)]),
-            "attempts_law": pd.DataFrame([row for each in sources.items() for row in law_rows(*each)]),
-            "attempts_slope": slope_rows(sources),
+            "attempts_law": pd.concat([_law(*each) for each in sources.items()], ignore_index=True),
+            "attempts_slope": _slopes(sources),
         }
 
     def section(self, setting: Setting, tables: Tables) -> Section:
@@ -213,12 +213,10 @@ def _alike(said: Rows) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " edges
     return np.searchsorted(edges[1:-1], said, side="right").astype(np.int64), edges
 
 
-def counts_of(planner: str, source: Source) -> Row:
-    """Say what was tried."""
+def _counts(planner: str, source: Source) -> Row:
     tried, fit = frame_of(source), fit_of(source)
-    held = int(tried["succeeded"].sum())
-    counts = {"tables": tried["trajectory"].nunique(), "decided": fit.num_decided, "cut": fit.num_cut, "held": held}
-    return {"planner": planner} | counts
+    counts = {"planner": planner, "tables": tried["trajectory"].nunique()}
+    return counts | {"decided": fit.num_decided, "cut": fit.num_cut, "held": int(tried["succeeded"].sum())}
 
 
 def held_by_occlusion(planner: str, source: Source) -> list[Row]:
@@ -240,26 +238,24 @@ def held_by_occlusion(planner: str, source: Source) -> list[Row]:
     return lines
 
 
-def law_rows(planner: str, source: Source) -> list[Row]:
+def _law(planner: str, source: Source) -> pd.DataFrame:
     """Estimates of the regression, with 95 % intervals by the normal law, robust to tables."""
     fit = fit_of(source)
-    return [
-        {"planner": planner, "parameter": name, "estimate": value, "se": error}
-        | {"low": value - _Z * error, "high": value + _Z * error}
-        | {"p_value": float(2.0 * stats.norm.sf(abs(value) / error))}
-        for name, value, error in zip(NAMES, fit.estimate.tolist(), fit.standard_error.tolist(), strict=True)
-    ]
+    value, error = fit.estimate, fit.standard_error
+    law = {"planner": planner, "parameter": NAMES, "estimate": value, "se": error}
+    ends = {"low": value - _Z * error, "high": value + _Z * error}
+    return pd.DataFrame(law | ends | {"p_value": 2.0 * stats.norm.sf(np.abs(value) / error)})
 
 
-def slope_rows(sources: Mapping[str, Source]) -> pd.DataFrame:
+def _slopes(sources: Mapping[str, Source]) -> pd.DataFrame:
     """P(held) by occlusion at the first attempt at a usual object: by each regression, and under the assumed laws."""
-    lines = []
-    for name, source in sources.items():
-        for lies in (False, True):
-            lines += [{"law": name, "is_lying": lies} | row for row in _curve(fit_of(source), lies)]
-    for occlusion, share in zip(SHOWN.tolist(), assumed_share(SHOWN).tolist(), strict=True):
-        lines.append({"law": ASSUMED, "is_lying": False, "occlusion": occlusion, "share_held": share})
-    return pd.DataFrame(lines)
+    curves = [
+        pd.DataFrame({"law": name, "is_lying": lies, "occlusion": SHOWN} | _curve(fit_of(source), lies))
+        for name, source in sources.items()
+        for lies in (False, True)
+    ]
+    assumed = {"law": ASSUMED, "is_lying": False, "occlusion": SHOWN, "share_held": assumed_share(SHOWN)}
+    return pd.concat([*curves, pd.DataFrame(assumed)], ignore_index=True)
 
 
 def assumed_share(occlusion: Float[np.ndarray, " shown"]) -> Float[np.ndarray, " shown"]:
@@ -269,7 +265,7 @@ def assumed_share(occlusion: Float[np.ndarray, " shown"]) -> Float[np.ndarray, "
     return (1.0 - np.exp(np.asarray(log_failure, dtype=np.float64))) @ (_WEIGHTS / _WEIGHTS.sum())
 
 
-def _curve(fit: GraspFit, lies: bool) -> list[dict[str, float]]:
+def _curve(fit: GraspFit, lies: bool) -> dict[str, Float[np.ndarray, " shown"]]:
     """By the delta method on the logit scale."""
     covariates = np.zeros((len(SHOWN), len(NAMES) - 1))
     covariates[:, 0], covariates[:, 1], covariates[:, NAMES.index("is_lying")] = 1.0, SHOWN, float(lies)
@@ -279,8 +275,6 @@ def _curve(fit: GraspFit, lies: bool) -> list[dict[str, float]]:
 
     steps = _STEP * np.eye(len(NAMES))
     gradient = [(log_odds(fit.estimate + step) - log_odds(fit.estimate - step)) / (2.0 * _STEP) for step in steps]
-    error = np.sqrt(np.einsum("ps,pq,qs->s", gradient, fit.covariance, gradient))
+    reach = _Z * np.sqrt(np.einsum("ps,pq,qs->s", gradient, fit.covariance, gradient))
     middle = log_odds(fit.estimate)
-    ends = (expit(middle + side * _Z * error) for side in (0.0, -1.0, 1.0))
-    named = zip(SHOWN.tolist(), *(end.tolist() for end in ends), strict=True)
-    return [dict(zip(("occlusion", "share_held", "low", "high"), row, strict=True)) for row in named]
+    return {"share_held": expit(middle), "low": expit(middle - reach), "high": expit(middle + reach)}

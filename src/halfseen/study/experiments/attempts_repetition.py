@@ -1,11 +1,19 @@
 """One repetition: models learn from the attempts at some tables, and are scored on those at tables apart.
 
 Decided attempts that were held out count 1/Ĝ, as those that are learned from do; Ĝ is fitted to either apart.
+
+*The SVM on sets of attempts.* An attempt is a set of elements: itself, and those before it at the same object, each
+with the occlusion and the facts that were seen then. Between elements
+k₀(a, b) = 1{same kind} (1 + a·b + exp(−‖a − b‖² / d)), where kinds are: now, held in the past, missed in the past. The
+kernel of two sets is the sum over all pairs of their elements, so that
+
+    f = b + f_now(x) + Σ_{j held} f_held(x_j) + Σ_{j missed} f_missed(x_j):
+
+each past attempt moves the odds by what was seen when it was made, as in Bayes' rule.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,16 +21,17 @@ import pandas as pd
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.cell.calibration import law_folder
-from halfseen.cell.calibration.attempts import FACTS, trials
-from halfseen.cell.calibration.calibrate import HORIZON
+from halfseen.cell.calibration.attempts import FACTS, HORIZON, trials
 from halfseen.cell.calibration.grasping import GraspFit, fit_grasping, held_given_past
+from halfseen.learning.svm.estimators import CensoredSVC
+from halfseen.learning.svm.set_kernel import SetKernel
 from halfseen.logs import read_logs
-from halfseen.shapes import Int
+from halfseen.shapes import Float, Int
 from halfseen.study.experiment import PieceOf, Row
-from halfseen.study.experiments.attempts_set_svm import said_by_set_svm
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
-from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
+from halfseen.tables.grasp_attempts import checked_attempts
+from halfseen.tables.grasp_folds import can_hold_out, splits_of
+from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp, linear_and_gaussian, smoothest
 from halfseen.workers.threads import one_thread
 
 RATE, BETA, SVM, SVM_FACTS, SVM_SET, LAW = "rate", "beta", "svm", "svm-facts", "svm-set", "law"
@@ -59,6 +68,10 @@ COLUMNS = (
     "is_finished",
     *FACTS,
 )
+SEEN = ("occlusion", *FACTS)
+KINDS = NOW, HELD, MISSED = range(3)
+NUM_LANDMARKS, NUM_SVM_FOLDS = 50, 5
+"""As `SVMGrasp` has them."""
 Source = Mapping[str, Any]
 """Attempts of one planner of grasps, and the regression."""
 
@@ -76,7 +89,7 @@ class Split(NamedTuple):
 class AttemptsRepetition:
     """Models that are learned from the attempts at `num_tables` tables, and scored on tables apart.
 
-    All tables are dealt into `num_folds`; each fold is held out in turn, and after that all are dealt anew. A
+    All tables are dealt into `num_folds`; each fold is held out in turn, and after that all are dealt again. A
     repetition is one fold.
     """
 
@@ -164,33 +177,80 @@ def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows
     model
         One of `MODEL_NAMES`.
     learned
-        Attempts, as `halfseen.cell.calibration.trials.trials` gives them; decided ones weigh 1/Ĝ.
+        Attempts, as `halfseen.cell.calibration.attempts.trials` gives them; decided ones weigh 1/Ĝ.
     held_out
         Attempts at other tables, those before each at the same object among them.
     """
-    is_rate = model in SVMS and not can_hold_out(learned)
-    return _PREDICTED[RATE if is_rate else model](learned, held_out)
+    if model == RATE or (model in SVMS and not can_hold_out(learned)):
+        decided = checked_attempts(learned)
+        # The rule of succession over all attempts, each weighted.
+        share = (1.0 + decided.weight @ decided.succeeded) / (2.0 + decided.weight.sum())
+        return np.full(len(held_out), share)
+    if model == SVM_SET:
+        return said_by_set_svm(learned, held_out)
+    if model == LAW:
+        return held_given_past(fit_grasping(learned).estimate, held_out)
+    estimator = {BETA: BetaGrasp(), SVM: SVMGrasp(), SVM_FACTS: SVMGrasp(covariates=FACTS)}[model]
+    return estimator.fit(learned).predict_proba(held_out)[:, 1]
 
 
-def _rate(learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
-    """The rule of succession over all attempts, each weighted."""
+def said_by_set_svm(learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
+    """Fit to attempts, and give the probability of others; λ is chosen and probabilities are bounded as in `SVMGrasp`.
+
+    Parameters
+    ----------
+    learned, held_out
+        As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object.
+    """
     decided = checked_attempts(learned)
-    share = (1.0 + decided.weight @ decided.succeeded) / (2.0 + decided.weight.sum())
-    return np.full(len(held_out), share)
+    values = learned.iloc[decided.row][list(SEEN)].to_numpy(dtype=np.float64)
+    share = decided.weight / decided.weight.sum()
+    centre = share @ values
+    spread = np.sqrt(share @ np.square(values - centre))
+    scale = np.where(spread > 0.0, spread, 1.0)
+    sets, asked = (sets_of(each, centre, scale) for each in (learned, held_out))
+    svc = CensoredSVC(
+        "logistic",
+        kernel=SetKernel(base=of_one_kind, pooling="sum"),
+        num_landmarks=min(NUM_LANDMARKS, len(values)),
+        cv=splits_of(decided, NUM_SVM_FOLDS, 0),
+    )
+    rows = [sets[row] for row in decided.row]
+    svc.fit(rows, decided.succeeded, sample_weight=decided.weight)
+    if smoothest(svc) > svc.reg_:
+        svc.set_params(gamma=svc.gamma_, reg=smoothest(svc))
+        svc.fit(rows, decided.succeeded, sample_weight=decided.weight)
+    surest = 1.0 / (2.0 + decided.diagnostics.effective_sample_size)
+    return np.clip(svc.predict_proba(asked)[:, 1], surest, 1.0 - surest)
 
 
-def _estimator(make: Callable[[], BetaGrasp | SVMGrasp], learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
-    return make().fit(learned).predict_proba(held_out)[:, 1]
+def sets_of(trials: pd.DataFrame, centre: Float[np.ndarray, " d"], scale: Float[np.ndarray, " d"]) -> list[np.ndarray]:
+    """Give the set of each attempt: rows of an indicator of the kind, and what was seen, scaled.
+
+    Parameters
+    ----------
+    trials
+        Attempts, all past ones among them.
+    centre, scale
+        Of what is seen.
+    """
+    seen = (trials[list(SEEN)].to_numpy(dtype=np.float64) - centre) / scale
+    kind = np.where(trials["succeeded"].isin([True]).to_numpy(), HELD, MISSED)
+    objects, stages = trials["object"].to_numpy(), trials["stage"].to_numpy()
+    sets: list[np.ndarray] = [np.empty(0)] * len(trials)
+    past: dict[int, list[int]] = {}
+    for row in np.argsort(stages, kind="stable").tolist():
+        before = past.setdefault(int(objects[row]), [])
+        kinds = np.eye(len(KINDS))[[NOW, *kind[before]]]
+        sets[row] = np.column_stack([kinds, seen[[row, *before]]])
+        before.append(row)
+    return sets
 
 
-_PREDICTED: dict[str, Callable[[pd.DataFrame, pd.DataFrame], Rows]] = {
-    RATE: _rate,
-    BETA: partial(_estimator, BetaGrasp),
-    SVM: partial(_estimator, SVMGrasp),
-    SVM_FACTS: partial(_estimator, partial(SVMGrasp, covariates=FACTS)),
-    SVM_SET: said_by_set_svm,
-    LAW: lambda learned, held_out: held_given_past(fit_grasping(learned).estimate, held_out),
-}
+def of_one_kind(X: Float[np.ndarray, "n e"], Z: Float[np.ndarray, "m e"]) -> Float[np.ndarray, "n m"]:
+    """k₀ of elements."""
+    num = len(KINDS)
+    return (X[:, :num] @ Z[:, :num].T) * (1.0 + linear_and_gaussian(X[:, num:], Z[:, num:]))
 
 
 def source_of(tried: pd.DataFrame) -> Source:

@@ -15,11 +15,11 @@ from halfseen.cell.calibration.grasping import SCALES
 from halfseen.figures import BLUE, FAINT, INK, ORANGE, PINK, RED, SKY, SOFT
 from halfseen.study import figures
 from halfseen.study.compare import estimated_in, records, row_of, three, where
-from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables
+from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables, words
 from halfseen.study.experiments import attempts_repetition as names
 from halfseen.study.experiments.attempts_repetition import COMPLETED, LAW, MEASURES, MODEL_NAMES, PAIRS, VISIBLE_ONLY
 from halfseen.study.setting import Setting
-from halfseen.wording import amount, as_sentence, capitalised, counted, estimated, interval, listed, p_value, percent
+from halfseen.wording import amount, as_sentence, capitalised, estimated, interval, listed, p_value, percent
 
 ASSUMED = "assumed"
 BETTER, WORSE, UNDECIDED = "better", "worse", "no significant difference"
@@ -55,54 +55,26 @@ def section_of(design: names.AttemptsRepetition, setting: Setting, tables: Table
     """Say what attempts tell; where there are none, say that."""
     heading = "Physical attempts: a Beta mean or an SVM, and what occlusion does"
     if not tables:
-        nothing = (
-            "There are no attempts of a cell to test an SVM, or the fall of success with occlusion, on; `--law` names "
-            "a law that was estimated from some."
-        )
-        return Section(heading, (nothing,), (), (), num_leading=0)
+        return Section(heading, (words("attempts", "nothing"),), (), (), num_leading=0)
+    scores = tables["attempts_scores"]
     sentences = (claim(tables), fall(tables), assumption(tables), others(tables), calibrated(tables))
     drawing = Drawing(
         "figure8",
         "Figure 8",
         f"On physical attempts, the SVM predicts {by_size(tables['attempts_tests'], *PAIRS[0])}",
-        _caption(design, tables),
+        words("attempts", "caption", design=design, svms=scores[scores["model"].isin(names.SVMS)]),
         partial(_draw, tables),
     )
     listings = (
         *_tests(setting, tables["attempts_tests"]),
-        _numbers(tables["attempts_scores"]),
+        _numbers(scores),
         _law(tables["attempts_law"]),
     )
     return Section(heading, sentences, (drawing,), listings, num_leading=3)
 
 
-def _caption(design: names.AttemptsRepetition, tables: Tables) -> str:
-    scores = tables["attempts_scores"]
-    repetitions, num = int(scores["repetitions"].iloc[0]), int(scores["stood_in"].sum())
-    fits = int(scores.loc[scores["model"].isin(names.SVMS), "repetitions"].sum())
-    stood_in = (
-        " Where fewer than two objects missed no SVM can be fitted, and one rate for all stands in for it: "
-        f"{num} of {fits} fits."
-    )
-    return (
-        "Models of the probability that an attempt of the physical cell holds, learned from the attempts at some "
-        f"tables and scored on those at others: one {design.num_folds}th of the tables is held out in each of "
-        f"{repetitions} repetitions, and no table is both. Cut attempts weigh nothing, decided ones 1/Ĝ, in learning "
-        "and in scoring. Bars: 95 % intervals by Student’s t, with errors clustered by table and by repetition, which "
-        "share what was learned from. The logistic law has a random offset of each object and goes by what is seen "
-        "(occlusion, pose, width, room) and by what came of past attempts at it; so does the SVM with a "
-        "set kernel. Lower left: learned from the largest "
-        f"log; bars clustered by table.{stood_in if num else ''} Lower right: markers, counted; lines and bands, the "
-        "regression at the first attempt at an object of usual width and room; dashed, the assumed laws."
-    )
-
-
 def _tests(setting: Setting, tests: pd.DataFrame) -> list[Listing]:
-    caption = (
-        "The SVM against the Beta mean on physical attempts: two-sided tests. Difference: SVM − Beta mean, below 0 is "
-        "better, with its 95 % interval (not adjusted). Holm’s procedure adjusted the p-values of each pair of models "
-        f"together, over sizes and scores; α = {setting.alpha:g}."
-    )
+    caption = words("attempts", "tests", setting=setting)
     cells: dict[str, Callable[[Row], str]] = {
         "learned from": lambda row: f"{row['num_tables']} tables",
         "difference": lambda row: estimated_in(row, ("effect", "low", "high"), SCORE_DECIMALS),
@@ -127,15 +99,12 @@ def _numbers(scores: pd.DataFrame) -> Listing:
         return lambda row: estimated_in(row, three(measure), SCORE_DECIMALS)
 
     cells = {"model": lambda row: MODEL_NAMES[row["model"]], "tables": lambda row: str(row["num_tables"])}
-    cells |= {words: cell(measure) for measure, words in MEASURES.items()}
+    cells |= {name: cell(measure) for measure, name in MEASURES.items()}
     return Listing.of("The numbers of Figure 8", "", records(scores), cells)
 
 
 def _law(law: pd.DataFrame) -> Listing:
-    caption = (
-        "Logistic regression of what holds, with a random offset of each object; errors are robust to attempts of one "
-        "table being alike."
-    )
+    caption = words("attempts", "law")
     cells = {
         "log-odds": lambda row: PARAMETER_NAMES[row["parameter"]],
         "estimate": lambda row: estimated_in(row, ("estimate", "low", "high")),
@@ -157,8 +126,8 @@ def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
         least, most = rows[0]["num_tables"], rows[-1]["num_tables"]
         which = "any" if first == UNDECIDED else "every"
         return f"{ADVERBS[first]} than {NOUNS[rival]} at {which} size, from {least} to {most} tables"
-    told = [f"{ADVERBS[first]} than {NOUNS[rival]} from {listed(met[first])}"]
-    return f"{listed([*told, *(f'{ADVERBS[verdict]} from {listed(met[verdict])}' for verdict in rest)])} tables"
+    clauses = [f"{ADVERBS[first]} than {NOUNS[rival]} from {listed(met[first])}"]
+    return f"{listed([*clauses, *(f'{ADVERBS[verdict]} from {listed(met[verdict])}' for verdict in rest)])} tables"
 
 
 def numbers_of(row: Row) -> str:
@@ -171,55 +140,41 @@ def numbers_of(row: Row) -> str:
 
 def claim(tables: Tables) -> str:
     """The answer to the paper's claim, by size of what was learned from."""
-    (model, rival), counts = PAIRS[0], row_of(tables["attempts"], planner=COMPLETED)
-    last = records(tables["attempts_tests"], model=model, rival=rival, measure=SCORE)[-1]
-    return (
-        f"On physical attempts ({counts['decided']:,} decided at {counted(counts['tables'], 'table')}, "
-        f"{percent(counts['held'] / counts['decided'])} of them held), the SVM predicts what will hold "
-        f"{by_size(tables['attempts_tests'], model, rival)} (log-loss at tables kept apart, SVM − Beta mean, from "
-        f"{last['num_tables']}: {numbers_of(last)})."
-    )
+    tests, counts = tables["attempts_tests"], row_of(tables["attempts"], planner=COMPLETED)
+    last = records(tests, model=PAIRS[0][0], rival=PAIRS[0][1], measure=SCORE)[-1]
+    facts_of = {"by_size": by_size(tests, *PAIRS[0]), "numbers": numbers_of(last)}
+    return words("attempts", "claim", counts=counts, last=last, **facts_of)
 
 
 def others(tables: Tables) -> str:
     """Say how the models that see more do."""
     tests = tables["attempts_tests"]
-    told = []
+    clauses = []
     for model, rival in PAIRS[1:]:
         last = records(tests, model=model, rival=rival, measure=SCORE)[-1]
         size = last["num_tables"]
-        told.append(f"{NOUNS[model]} predicts {by_size(tests, model, rival)} (from {size}: {numbers_of(last)})")
-    return as_sentence("; ".join(told))
+        clauses.append(f"{NOUNS[model]} predicts {by_size(tests, model, rival)} (from {size}: {numbers_of(last)})")
+    return as_sentence("; ".join(clauses))
 
 
 def fall(tables: Tables) -> str:
     """Say whether success falls with occlusion, for each planner of grasps, and what else moves it."""
     law = tables["attempts_law"]
-    told = [_fall_of(law, name) for name in PLANNED if (law["planner"] == name).any()]
-    if len(told) == len(PLANNED):
-        told.append(_contrast(law))
-    return as_sentence("; ".join(told))
-
-
-def _fall_of(law: pd.DataFrame, planner: str) -> str:
-    of = {row["parameter"]: row for row in records(law, planner=planner)}
-    slope = of["occlusion"]
-    verb = "falls" if slope["high"] < 0 else "rises" if slope["low"] > 0 else "does not change significantly"
     steps = f"each {100 * SCALES['width_m']:g} cm of width", f"each {100 * SCALES['room_m']:g} cm of room beside it"
-    effects = [
-        f"{_estimate(of[name])} for {words}"
-        for name, words in zip(("is_lying", "width_m", "room_m"), ("what lies", *steps), strict=True)
-    ]
-    return (
-        f"{PLANNED[planner]}, success {verb} with occlusion: the log-odds of holding change by "
-        f"{_estimate(slope)} from nothing hidden to all hidden, by {listed(effects)} (95 % intervals)"
-    )
-
-
-def _contrast(law: pd.DataFrame) -> str:
-    ours, other = (row_of(law, planner=name, parameter="occlusion") for name in (COMPLETED, VISIBLE_ONLY))
-    change, reach = other["estimate"] - ours["estimate"], 1.96 * np.hypot(other["se"], ours["se"])
-    return f"the second slope less the first is {estimated(change, change - reach, change + reach, 1)}"
+    others = {"is_lying": "what lies", "width_m": steps[0], "room_m": steps[1]}
+    clauses, slopes = [], []
+    for name, planned in PLANNED.items():
+        of = {row["parameter"]: row for row in records(law, planner=name)}
+        if of:
+            effects = [f"{_estimate(of[each])} for {what}" for each, what in others.items()]
+            slopes.append(of["occlusion"])
+            facts = {"planned": planned, "slope": slopes[-1], "effects": effects, "estimate": _estimate}
+            clauses.append(words("attempts", "fall", **facts))
+    if len(slopes) == len(PLANNED):
+        ours, other = slopes
+        change, reach = other["estimate"] - ours["estimate"], 1.96 * np.hypot(other["se"], ours["se"])
+        clauses.append(f"the second slope less the first is {estimated(change, change - reach, change + reach, 1)}")
+    return as_sentence("; ".join(clauses))
 
 
 def _estimate(row: Row) -> str:
@@ -228,15 +183,12 @@ def _estimate(row: Row) -> str:
 
 def assumption(tables: Tables) -> str:
     """Say what the assumed laws have beside what attempts tell."""
-    slope = tables["attempts_slope"]
-    standing, lying = (where(slope, law=COMPLETED, is_lying=lies) for lies in (False, True))
-    none, half = (f"{percent(_at(where(slope, law=ASSUMED), place)['share_held'])}" for place in (0.0, 0.5))
-    return (
-        f"A first attempt at a standing object of usual width and room holds in {_share(_at(standing, 0.0))} with "
-        f"nothing hidden and in {_share(_at(standing, 0.5))} with half hidden; at one that lies, in "
-        f"{_share(_at(lying, 0.0))} and {_share(_at(lying, 0.5))}; the assumed laws have {none} and {half}: their "
-        "slope comes from no attempt."
+    slope, places = tables["attempts_slope"], (0.0, 0.5)
+    standing, lying = (
+        [_share(_at(where(slope, law=COMPLETED, is_lying=lies), place)) for place in places] for lies in (False, True)
     )
+    assumed = [percent(_at(where(slope, law=ASSUMED), place)["share_held"]) for place in places]
+    return words("attempts", "assumption", standing=standing, lying=lying, assumed=assumed)
 
 
 def _at(rows: pd.DataFrame, occlusion: float) -> Row:
@@ -256,18 +208,9 @@ def calibrated(tables: Tables) -> str:
         return "No bin of occlusion holds a tenth of the attempts, so nothing is said of calibration there."
     widest = max((row["high"] - row["low"]) / 2.0 for row in full)
     off = max((row["difference"] for row in full), key=abs)
-    away = [_bin(row) for row in full if row["low"] > 0 or row["high"] < 0]
-    wanted = "as was wanted" if widest <= WIDTH_WANTED else f"and not to the ±{WIDTH_WANTED:g} that was wanted"
-    where_to = f"at {listed(away)}" if away else "nowhere"
-    return (
-        f"Of the bins of occlusion, {len(full)} hold a tenth of the attempts or more each; there the share that held "
-        f"less what the law predicted at unseen tables is {amount(abs(off), 3)} at most, known to ±{amount(widest, 3)} "
-        f"or better, {wanted}; it is significantly away from 0 {where_to}."
-    )
-
-
-def _bin(row: Row) -> str:
-    return f"{row['bin_from']:g} to {row['bin_to']:g}"
+    away = [f"{row['bin_from']:g} to {row['bin_to']:g}" for row in full if row["low"] > 0 or row["high"] < 0]
+    facts = {"num": len(full), "off": abs(off), "widest": widest, "wanted": WIDTH_WANTED, "away": away}
+    return words("attempts", "calibrated", **facts)
 
 
 def _draw(tables: Tables, title: str) -> Figure:
@@ -276,12 +219,12 @@ def _draw(tables: Tables, title: str) -> Figure:
     grid = place | {"hspace": 0.38, "wspace": 0.17}
     figure, top, panels = figures.panels(title, size, (2, 2), 0.11, (False, False), **grid)
     scores, series = tables["attempts_scores"], {name: look for name, look in LOOKS.items() if name != "beta"}
-    for axes, (measure, words), unit in zip(panels[0], MEASURES.items(), (" [nats]", ""), strict=True):
+    for axes, (measure, name), unit in zip(panels[0], MEASURES.items(), (" [nats]", ""), strict=True):
         pages.draw_zero(axes, MODEL_COLOURS["beta"])
         figures.draw_series(axes, scores, ("model", "num_tables"), series, three(f"{measure}_over_beta"), DODGE)
         pages.mark_sizes(axes, sorted(set(scores["num_tables"])))
         across = "tables that the model was learned from (log scale)"
-        figures.name_panel(axes, f"{words} at unseen tables, above the Beta mean’s{unit}", across)
+        figures.name_panel(axes, f"{name} at unseen tables, above the Beta mean’s{unit}", across)
     _draw_calibration(panels[1, 0], tables["attempts_calibration"], ("beta", "svm", LAW))
     _draw_success(panels[1, 1], tables)
     shown = (*panels[0], panels[1, 0])
@@ -298,8 +241,8 @@ def _draw_calibration(axes: Axes, calibration: pd.DataFrame, models: Sequence[st
         rows = where(calibration, model=model, by="occlusion")
         across = np.searchsorted(places, rows["bin_from"]) + STEP * (k - (len(models) - 1) / 2)
         pages.draw_bars(axes, across, rows[["difference", "low", "high"]], linestyle="none", **LOOKS[model])
-    told = where(calibration, model=models[0], by="occlusion")
-    ends = zip(told["bin_from"], told["bin_to"], told["share_of_attempts"], strict=True)
+    bins = where(calibration, model=models[0], by="occlusion")
+    ends = zip(bins["bin_from"], bins["bin_to"], bins["share_of_attempts"], strict=True)
     axes.set_xticks(range(len(places)), [f"{low:g}–{high:g}\n{percent(share)}" for low, high, share in ends])
     pages.draw_grid(axes)
     across = "hidden share of the object, and how many of the attempts"
@@ -322,5 +265,5 @@ def _draw_success(axes: Axes, tables: Tables) -> None:
     pages.draw_grid(axes)
     axes.legend(loc="lower left", frameon=False, fontsize=8.5)
     axes.set_xlim(-0.02, 0.84)
-    words = "share of attempts that held: counted, and by the law (lines)"
+    words = "share of attempts that held: and by the law (lines)"
     figures.name_panel(axes, words, "hidden share of the object")

@@ -15,7 +15,7 @@ from halfseen.errors import ArgumentError
 from halfseen.figures import BLUE, ORANGE, PINK, RED, SKY
 from halfseen.study import figures
 from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, stacked, where
-from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Listing, PieceOf, Pieces, Section, Tables
+from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Listing, PieceOf, Pieces, Section, Tables, words
 from halfseen.study.pipeline import Source
 from halfseen.study.setting import Setting
 from halfseen.study.treatments import TREATMENTS
@@ -28,7 +28,6 @@ from halfseen.wording import (
     capitalised,
     interval,
     listed,
-    share_in_words,
 )
 from halfseen.world.cuts import CutKind
 
@@ -122,8 +121,9 @@ class Censoring:
         """Say what the default gains."""
         figure4 = tables["figure4"]
         claims = claims_of(self, figure4)
-        title, draw = _title(self, claims), partial(_draw, self, figure4)
-        drawing = Drawing("figure4", "Figure 4", title, _caption(self, figure4), draw)
+        others = figure4[figure4["treatment"] != DEFAULT]
+        caption = words(self.name, "caption", design=self, others=others)
+        drawing = Drawing("figure4", "Figure 4", _title(self, claims), caption, partial(_draw, self, figure4))
         return Section("What becomes of cut trajectories", (_sentence(self, claims),), (drawing,), (_numbers(figure4),))
 
 
@@ -161,24 +161,6 @@ def _sentence(design: Censoring, claims: Claims) -> str:
     learned = learned_from(design.compared_num_trajectories, design.cut_share)
     start = f"By linear eq. 3 without laws, a policy {learned} earns more by imputing what was cut"
     return f"{start} – {'; and '.join(parts)} (paired differences with 95 % intervals, not adjusted)."
-
-
-def _caption(design: Censoring, figure4: pd.DataFrame) -> str:
-    others = figure4[figure4["treatment"] != DEFAULT]
-    above, below = int((others["behind_low"] > 0).sum()), int((others["behind_high"] < 0).sum())
-    return (
-        "Five treatments of right-censored trajectories, by linear eq. 3 without laws (it is eq. 3 that treats cuts; "
-        "laws are fitted under censoring whatever it does), learned from the same logs, of which "
-        f"{share_in_words(design.cut_share)} of the trajectories are cut in expectation, and played on the same "
-        f"episodes; {int(figure4['repetitions'].iloc[0])} repetitions. Above: mean reward, shaded: 95 % intervals "
-        "(Student’s t). Below: paired difference, default − other; an interval that covers 0 shows no significant "
-        f"difference. Of the {len(others)} intervals, {above} above 0 and {below} below; without any effect, about "
-        f"{amount(0.05 * len(others), 1)} would miss 0. They are not adjusted for their number. The default "
-        "imputes what a cut stage would have brought by a regression on the completed ones, given how long they took, "
-        "and goes by lower confidence bounds of Q. The weights assume that cuts are independent of the task; under "
-        "cuts that depend on it, 1/Ĝ is misspecified. A cut that "
-        "counts as a failure is a failed attempt that ended its trajectory, with the price of the dirty objects left."
-    )
 
 
 def _draw(design: Censoring, figure4: pd.DataFrame, title: str) -> Figure:

@@ -15,20 +15,21 @@ from matplotlib.figure import Figure
 
 from halfseen import figures as pages
 from halfseen.figures import BLUE, INK, ORANGE, RED, SKY
-from halfseen.logs.frames import FrameLike, as_frame
+from halfseen.logs.columns import FrameLike, as_frame
 from halfseen.planners.heuristics import TrueGrasp
 from halfseen.shapes import Float
 from halfseen.study import compare, figures
 from halfseen.study.compare import EFFECT, estimated_in, four, is_reward, mean_columns, records, row_of, three, where
-from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables, words
 from halfseen.study.pipeline import CUT_KIND, HELD_OUT, Source
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp_attempts import attempts, can_hold_out
+from halfseen.tables.grasp_attempts import attempts
 from halfseen.tables.grasp_choice import fit_grip_effect
+from halfseen.tables.grasp_folds import can_hold_out
 from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp_table import GraspEstimator, tabulate
-from halfseen.wording import SUPPORTED, Claim, amount, capitalised, listed, share_in_words
+from halfseen.wording import SUPPORTED, Claim, amount, capitalised, listed
 from halfseen.workers.threads import one_thread
 from halfseen.world.actions import ActionSpace
 from halfseen.world.cuts import cut
@@ -168,7 +169,9 @@ class Grasp:
             f"{score.sentence[:-1]}; what linear eq. 3 learns with it earns more than with the Beta: {reward.verdict} "
             f"({reward.numbers})."
         )
-        drawing = Drawing("figure5", "Figure 5", _title(tests), _caption(self, grasp), partial(_draw, self, tables))
+        svm, logging_rule = where(grasp, model=CLAIMED), STRONGEST_RULE.label
+        caption = words(self.name, "caption", design=self, svm=svm, fewest=FEWEST_SHOWN, logging_rule=logging_rule)
+        drawing = Drawing("figure5", "Figure 5", _title(tests), caption, partial(_draw, self, tables))
         heading = "The probability of a grasp: the mean of a Beta, or an SVM?"
         return Section(heading, (sentence,), (drawing,), (_tests(setting, tests), _numbers(grasp)))
 
@@ -251,26 +254,6 @@ def _title(tests: pd.DataFrame) -> str:
     )
 
 
-def _caption(design: Grasp, grasp: pd.DataFrame) -> str:
-    num, fits = int(grasp["stood_in"].sum()), int(where(grasp, model=CLAIMED)["repetitions"].sum())
-    stood_in = (
-        " Where fewer than two objects missed no SVM can be fitted, and the Beta mean stands in for it: "
-        f"{num} of {fits} fits."
-    )
-    return (
-        "Models of the probability of a grasp, learned from the attempts of logs of which "
-        f"{share_in_words(design.cut_share)} of the trajectories are cut in expectation; "
-        f"{int(grasp['repetitions'].iloc[0])} repetitions. The Beta mean and the SVM weight decided attempts by 1/Ĝ, "
-        "as a cut is likelier in a long attempt, and long ones fail; for comparison, the Beta mean with cut attempts "
-        "dropped. The true model knows how occlusion slows a grasp, and integrates out the grip of each object given "
-        "all its attempts. Bars and bands: 95 % intervals (Student’s t) of paired differences from the true model. "
-        f"Upper right: calibration, where at least {FEWEST_SHOWN} attempts were predicted so. Below: the model within "
-        "the features of linear eq. 3 (laws that are fitted to the log would have a grasp of their own), where the "
-        "rule of succession stands for the usual features, and within the heuristic that "
-        f"knows the rest of the world ({STRONGEST_RULE.label}).{stood_in if num else ''}"
-    )
-
-
 def _draw(design: Grasp, tables: Tables, title: str) -> Figure:
     """Scores and calibration above, rewards below."""
     grasp, place = tables["grasp"], {"left": 0.07, "right": 0.985, "bottom": 0.07, "hspace": 0.36, "wspace": 0.18}
@@ -281,12 +264,12 @@ def _draw(design: Grasp, tables: Tables, title: str) -> Figure:
         REWARDS[0]: (panels[1, 0], all_models, f"reward of the policy by linear eq. 3, {of}"),
         REWARDS[1]: (panels[1, 1], all_models, f"reward of the heuristic, {of}"),
     }
-    for measure, (axes, models, words) in shown.items():
+    for measure, (axes, models, title_of) in shown.items():
         pages.draw_zero(axes, MODEL_COLOURS[ORACLE])
         series, columns = {model: LOOKS[model] for model in models}, three(f"{measure}_over_oracle")
         figures.draw_series(axes, grasp, ("model", "num_trajectories"), series, columns, dodge=1.10)
         pages.mark_sizes(axes, design.num_trajectories)
-        figures.name_panel(axes, words, "trajectories that it was learned from (log scale)")
+        figures.name_panel(axes, title_of, "trajectories that it was learned from (log scale)")
     above = float(row_of(grasp, model=SUCCESSION)[f"{SCORE}_over_oracle"])
     note = f"the rule of succession, which ignores occlusion, lies {amount(above)} above"
     at: Any = {"xycoords": "axes fraction", "ha": "right", "va": "top", "fontsize": 8.0}
@@ -317,11 +300,7 @@ def _decimals(measure: str) -> int:
 
 
 def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
-    caption = (
-        "“The SVM is better than the Beta mean”: one-sided Wilcoxon signed-rank tests over the repetitions. "
-        "Difference: SVM − Beta, with its 95 % interval (not adjusted); of the scores, below 0 is better. Holm’s "
-        f"procedure adjusted the p-values of this table together; α = {setting.alpha:g}."
-    )
+    caption = words(Grasp.name, "tests", setting=setting)
     cells: dict[str, Callable[[Row], str]] = {
         "logged trajectories": lambda row: str(row["num_trajectories"]),
         "SVM": lambda row: amount(row[CLAIMED], _decimals(row["measure"])),

@@ -21,12 +21,11 @@ from halfseen.figures import PLANNER, WIDTH_INCHES, EndLabel, draw_bars, draw_ze
 from halfseen.shapes import Float
 from halfseen.study import figures
 from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, row_of, three
-from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables, words
 from halfseen.study.figures import INTERVAL
 from halfseen.study.pipeline import CUT_KIND, Played, Source, episodes_in_turn
-from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
+from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner, seconds
 from halfseen.study.setting import Setting
-from halfseen.study.timing import measured_times, seconds
 from halfseen.wording import MISSING, Claim, amount, counted, listed, significant
 from halfseen.world.policy import Policy
 
@@ -87,8 +86,8 @@ class Planning:
 
     def measure(self, setting: Setting) -> PieceOf:
         """Decision times [ms], and the time that learning takes, the median of a few on this machine [s]."""
-        times = measured_times(setting, self.contenders.values(), NUM_TIMED_STATES, self.laws)
         source = Source.of(setting)
+        times = source.decision_times_ms(self.contenders.values(), NUM_TIMED_STATES, self.laws)
         learn = partial(self._learned, source, source.cut_rate(self.cut_share, CUT_KIND))
         learn()
         return {"decision_ms": times, "learning_s": float(np.median([seconds(learn) for _ in range(NUM_FITS)]))}
@@ -137,12 +136,12 @@ class Planning:
         """Say whether a planner earns more, and whether looking further ahead does."""
         figure2, figure3 = tables["figure2"], tables["figure3"]
         best, longer = most_simulations(self, figure2), longest_horizon(self, figure3)
-        draw = partial(_draw_simulations, figure2), partial(_draw_horizons, self, figure2, figure3)
-        told = f"{longer.title}; {_steps(figure3)}"
-        captions = _captions(self, figure2)
+        steps, drawn = f"{longer.title}; {_steps(figure3)}", partial(_draw_horizons, self, figure2, figure3)
+        simulations = words(self.name, "simulations", repetitions=figure2["repetitions"].iloc[0])
+        horizons = words(self.name, "horizons", design=self)
         drawings = (
-            Drawing("figure2", "Figure 2", best.title, captions[0], draw[0]),
-            Drawing("figure3", "Figure 3", told, captions[1], draw[1]),
+            Drawing("figure2", "Figure 2", best.title, simulations, partial(_draw_simulations, figure2)),
+            Drawing("figure3", "Figure 3", steps, horizons, drawn),
         )
         return Section("What is planning worth?", (best.sentence, longer.sentence), drawings, (_numbers(self, tables),))
 
@@ -229,21 +228,6 @@ def _steps(figure3: pd.DataFrame) -> str:
     return listed(parts) or "no single step makes a significant difference"
 
 
-def _captions(design: Planning, figure2: pd.DataFrame) -> tuple[str, str]:
-    num = int(figure2["repetitions"].iloc[0])
-    return (
-        "Reward of planners that know the true model, by their simulations a decision. Lines: the learned policy and "
-        f"the heuristics. Below: difference from the learned policy on the same episodes. {num} repetitions; a planner "
-        "of many simulations plays some of the episodes, and its reward above is the learned policy’s plus that "
-        "difference. All rewards are by the control variate of Figure 1. Bars: 95 % intervals (Student’s t) over "
-        "repetitions, not adjusted. How long decisions take on "
-        "this machine stands in the numbers below, and nothing here depends on it.",
-        f"Reward by planning horizon, {design.horizon_simulations} simulations a decision beyond one step. What lies "
-        "beyond the horizon is valued by a rule: each object is left, or tried once, whichever is worth more. Right: "
-        "the paired difference from the next shorter horizon. Bars: 95 % intervals (Student’s t), not adjusted.",
-    )
-
-
 def _draw_simulations(figure2: pd.DataFrame, title: str) -> Figure:
     """Reward of planners by simulations above, the difference from the learned policy below."""
     figure = Figure(figsize=(WIDTH_INCHES, 7.2))
@@ -296,9 +280,6 @@ def _numbers(design: Planning, tables: Tables) -> Listing:
         "policy − learned": lambda row: MISSING if row["policy"] == LEARNED.name else estimated_in(row, OVER),
         "episodes": lambda row: str(row["repetitions"] * row["episodes"]),
     }
-    learning_s = significant(tables["learning"]["learning_s"].iloc[0], 2)
-    caption = (
-        f"Decision times are medians on one core of this machine; learning from {design.num_trajectories} trajectories "
-        f"took {learning_s} s on it, once."
-    )
+    learning_s = tables["learning"]["learning_s"].iloc[0]
+    caption = words(design.name, "numbers", design=design, learning_s=learning_s)
     return Listing.of("The numbers of Figures 2 and 3", caption, records(tables["figure2"]), cells)

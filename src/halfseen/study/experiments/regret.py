@@ -21,7 +21,7 @@ from halfseen.figures import WIDTH_INCHES, draw_bars, write_title
 from halfseen.planners.exact import TableOptimum, solve_table
 from halfseen.study import figures
 from halfseen.study.compare import estimated_in, learned_from, mean_columns, records, row_of, stacked
-from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Tables
+from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Section, Tables, words
 from halfseen.study.pipeline import CUT_KIND, EVALUATION, Source, random_key
 from halfseen.study.policies import HEURISTICS, LEARNED, OPTIMUM, Contender, Kind, by_name, horizon_planner
 from halfseen.study.setting import Setting
@@ -122,18 +122,13 @@ class Regret:
         table = tables["regret"]
         claim = claim_of(self, table)
         lost = amount(100 * _end(self, table)["regret_share"], 1)
-        told = f"that is {lost} % of what the optimum gains over FINISH at once"
+        share_lost = f"that is {lost} % of what the optimum gains over FINISH at once"
         sentence = (
             f"On {self.num_tables} small tables, of three cups and {self.horizon} steps each: {_lower(claim.sentence)}"
         )
-        caption = (
-            "How much less than the optimum, which is known exactly on these tables, each policy earns. Bars: 95 % "
-            "intervals (Student’s t) over repetitions. The heuristics’ regrets are exact, the planners’ an estimate "
-            "from some of the states."
-        )
-        title = f"On small tables, {_lower(claim.title)}"
-        drawing = Drawing("regret", "Figure 7", title, caption, partial(_draw, self, table))
-        sentences = (f"{sentence[:-1]}; {told}.",)
+        title, draw = f"On small tables, {_lower(claim.title)}", partial(_draw, self, table)
+        drawing = Drawing("regret", "Figure 7", title, words(self.name, "caption"), draw)
+        sentences = (f"{sentence[:-1]}; {share_lost}.",)
         return Section("How far from the optimum?", sentences, (drawing,), (_numbers(self, table),))
 
 

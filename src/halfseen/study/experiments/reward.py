@@ -1,23 +1,42 @@
 """What the learned policy earns, by size of the log and proportion of cut trajectories: Figure 1, Tables 1 and 2."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from functools import partial
+from itertools import groupby
+from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
-from halfseen.shapes import Float
-from halfseen.study.compare import adjusted, better, four, mean_columns, signed_rank_test, stacked
-from halfseen.study.experiment import Pieces, Row, Section, Tables
-from halfseen.study.experiments.reward_repetition import KEYS, RewardRepetition, strongest
-from halfseen.study.experiments.reward_words import MEASURES, section_of
-from halfseen.study.policies import BEST, LEARNED
+from halfseen.study import compare
+from halfseen.study.compare import EFFECT, estimated_in, learned_from, records, row_of, where
+from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables, words
+from halfseen.study.experiments.reward_figures import GAIN, Figure1, opening_of
+from halfseen.study.experiments.reward_repetition import MEASURES, RewardRepetition
+from halfseen.study.figures import INTERVAL
+from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, LEARNED, LINEAR, STRONGEST_RULE
 from halfseen.study.setting import Setting
-from halfseen.tables.learner import MODEL
+from halfseen.wording import (
+    INCONCLUSIVE,
+    MISSING,
+    NOT_SUPPORTED,
+    SUPPORTED,
+    Claim,
+    amount,
+    capitalised,
+    counted,
+    listed,
+    share,
+    share_in_words,
+    significant,
+    with_interval,
+)
 
-WORTH = ["effective_sample_size", "largest_weight", "by_laws"]
-Rewards = Float[np.ndarray, " R"]
+CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
+ROLES = {BEST[0]: "the strongest heuristic", BEST[1]: "the strongest planner, which knows the true model"}
+MARK = " *"
+"""Marks a difference that the test finds."""
 
 
 @dataclass(frozen=True)
@@ -26,126 +45,228 @@ class Reward(RewardRepetition):
 
     name: ClassVar[str] = "reward"
 
-    def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
-        """Make all tables.
-
-        Returns
-        -------
-        dict of pandas.DataFrame
-            ``figure1``: policy, num_trajectories, cut_share, repetitions, mean_reward, se, low, high; role, which marks
-            the heuristic and the planner that were the strongest on other episodes; and gain, gain_se, gain_low,
-            gain_high, the paired difference from that heuristic. All rewards are by the control variate. A planner
-            plays only some of the episodes: its mean is what the policy of Table 1 earned on all, less the paired
-            difference on those. Of what is made of logs there is a row for each log; and, but for the learned policy,
-            one for each size with the mean over all proportions of cut trajectories, where cut_share is null. What a
-            planner with fitted laws earns is what the learned policy did, less what that earned over it. Repetitions
-            are those in which a policy played.
-            ``table1``: baseline, measure, censored_q, other, p_value, p_holm, effect, supported, effect_low,
-            effect_high, num_episodes: one-sided paired tests that the learned policy is better (more reward, less
-            time), on the episodes that both played; the effect is censored_q − other.
-            ``peer``: num_trajectories, cut_share (null: the mean over all), p_value, p_holm, effect, supported,
-            effect_low, effect_high: two-sided tests of what the learned policy earns over the planner with laws fitted
-            to the same log; supported where they differ.
-            ``weights``: num_trajectories, cut_share, effective_sample_size, largest_weight: means over repetitions; and
-            by_laws, the share of logs that did not contradict the laws fitted to them, so that the policy is built on
-            these.
-        """
-        weights = pd.DataFrame([row for piece in pieces.repetitions for row in piece["learned"]])
-        weights = weights.assign(by_laws=(weights["basis"] == MODEL).astype(float))
-        tests = [
-            {name: row[name] for name in KEYS} | signed_rank_test(row["over"], "two-sided").columns
-            for row in _against_peer(_where_played(pieces, self.peer.name))
-        ]
-        return {
-            "figure1": _figure1(self, pieces, strongest(self, pieces.prepared["selection"])),
-            "table1": _table1(self, setting, pieces),
-            "weights": weights.groupby(KEYS, sort=False)[WORTH].mean().reset_index(),
-            "peer": adjusted(pd.DataFrame(tests), setting.alpha).astype({"cut_share": "Float64"}),
-        }
-
     def section(self, setting: Setting, tables: Tables) -> Section:
         """Say whether learning earns more, and how few logged trajectories suffice."""
-        return section_of(self, setting, tables)
+        figure1, table1, peer = tables["figure1"], tables["table1"], tables["peer"]
+        rule, planner = (claim(self, setting, figure1, table1, role) for role in BEST)
+        # One sentence for both, which names the learned policy once.
+        both = f"{rule.sentence[:-1]}; it {planner.asserted} {planner.rival}: {planner.verdict} ({planner.numbers})."
+        found = _sufficient(self, figure1)
+        size, on_planner = self.table_num_trajectories, f"it {planner.found} the strongest planner"
+        caption = words(self.name, "caption", design=self, setting=setting, logging_rule=STRONGEST_RULE.label)
+        times = {row["baseline"]: float(row["other"]) for row in records(table1, measure="decision_ms")}
+        times[LEARNED.name] = float(row_of(table1, measure="decision_ms")[LEARNED.name])
+        title = f"{_beats(found)}; learned from {size} trajectories, {on_planner}"
+        drawing = Drawing("figure1", "Figure 1", title, caption, Figure1(self, figure1, times).draw)
+        sentences = (
+            both,
+            _how_few_trajectories(self, found),
+            _against_peer(self, peer),
+            _what_of_laws(self, figure1),
+            _verdicts(self, table1),
+        )
+        listings = (
+            *_numbers(self, setting, figure1, peer),
+            _tests(self, setting, table1),
+            _weights(self, tables["weights"]),
+        )
+        opening = opening_of(self, setting, figure1, rule)
+        return Section(
+            "Reward against the size of the log", sentences, (drawing,), listings, num_leading=3, opening=opening
+        )
 
 
-def _figure1(design: Reward, pieces: Pieces, chosen: dict[str, str]) -> pd.DataFrame:
-    rule = chosen[BEST[0]]
-    of_rule = _both(pieces, rule, "reward")[1]
-    rows = _rows_of(LEARNED.name, stacked(pieces.repetitions, "learned", "reward"), of_rule)
-    roles = {name: role for role, name in chosen.items()}
-    for name in design.level_names:
-        played = _where_played(pieces, name)
-        own, other = _both(played, name, "reward")
-        # The strongest heuristic plays all episodes, and the policy of Table 1 beside it.
-        headline, beside = _both(played, rule, "reward")
-        rows.append({"policy": name, "role": roles.get(name)} | _reckoned(headline - (own - other), beside))
-    planned = _where_played(pieces, design.peer.name)
-    rows += _rows_of(design.peer.name, _against_peer(planned), _both(planned, rule, "reward")[1])
-    for name in design.beside_names:
-        logs = stacked([piece["beside"] for piece in pieces.repetitions], name, "reward")
-        of_size = {size: [row["reward"] for row in logs if row[KEYS[0]] == size] for size in design.num_trajectories}
-        logs += [{KEYS[0]: size, KEYS[1]: None, "reward": np.mean(of, axis=0)} for size, of in of_size.items()]
-        rows += _rows_of(name, logs, of_rule)
-    first = ["policy", *KEYS, "repetitions", "mean_reward", "se", "low", "high", "role"]
-    table = pd.DataFrame(rows)
-    table = table.loc[:, [*first, *table.columns.drop(first)]]
-    return table.astype({"num_trajectories": "Int64", "cut_share": "Float64"})
+def claim(design: Reward, setting: Setting, figure1: pd.DataFrame, table1: pd.DataFrame, role: str) -> Claim:
+    """That the learned policy of Table 1 earns more than the baseline of a role, on the same episodes."""
+    name = str(row_of(figure1, role=role)["policy"])
+    row = row_of(table1, baseline=name, measure="reward")
+    earned = f"{amount(float(row[LEARNED.name]))} against {amount(float(row['other']))} a trajectory"
+    return Claim(
+        f"The policy {learned_from(design.table_num_trajectories, design.table_cut_share)}",
+        "earns more than",
+        "earns less than",
+        f"{ROLES[role]} ({design.contenders[name].label})",
+        compare.gain_in(row),
+        float(row["p_holm"]),
+        setting.alpha,
+        f"{earned} on the same {counted(int(row['num_episodes']), 'episode')}",
+    )
 
 
-def _rows_of(name: str, logs: Iterable[Row], rule: Rewards) -> list[Row]:
-    """What is learned or fitted from logs, in Figure 1: a row for each, beside the strongest heuristic."""
-    return [{"policy": name} | {key: row[key] for key in KEYS} | _reckoned(row["reward"], rule) for row in logs]
+def _sufficient(design: Reward, figure1: pd.DataFrame) -> dict[float, int | None]:
+    """Proportion of cuts → the smallest log from which on the learned policy earns more than the strongest heuristic.
 
-
-def _reckoned(rewards: Rewards, rule: Rewards) -> Row:
-    return {"repetitions": len(rewards)} | mean_columns(rewards) | mean_columns(rewards - rule, four("gain"))
-
-
-def _where_played(pieces: Pieces, name: str) -> Pieces:
-    """Keep the repetitions in which a baseline played."""
-    return pieces._replace(repetitions=[piece for piece in pieces.repetitions if name in piece["baselines"]])
-
-
-def _against_peer(pieces: Pieces) -> list[Row]:
-    """By repetition: what learning earns over planning with laws fitted to the same log, and what that planning earns.
-
-    A row for each log, and for each size the mean over all proportions of cut trajectories.
+    At this size and at every larger one the 95 % interval of the paired difference lies above 0; None if even the
+    largest log does not do.
     """
-    met, learned = ([piece[name] for piece in pieces.repetitions] for name in ("peer", "learned"))
-    over = np.array([[row["over_peer"] for row in rows] for rows in met])
-    reward = np.array([[row["reward"] for row in rows] for rows in learned]) - over
-    sizes = np.array([row["num_trajectories"] for row in met[0]])
-    logs: list[tuple[Any, ...]] = [(row["num_trajectories"], row["cut_share"], [k]) for k, row in enumerate(met[0])]
-    logs += [(size, None, sizes == size) for size in dict.fromkeys(sizes.tolist())]
-    names = (*KEYS, "over", "reward")
+    found: dict[float, int | None] = dict.fromkeys(design.cut_shares)
+    for cut_share in found:
+        rows = where(figure1, policy=LEARNED.name, cut_share=cut_share).sort_values("num_trajectories")
+        too_few = np.flatnonzero(~(rows["gain_low"] > 0))
+        enough = rows["num_trajectories"].iloc[too_few[-1] + 1 if len(too_few) else 0 :]
+        found[cut_share] = None if enough.empty else int(enough.iloc[0])
+    return found
+
+
+def _how_few_trajectories(design: Reward, found: Mapping[float, int | None]) -> str:
+    parts = []
+    for size, shares in groupby(found, key=lambda cut_share: found[cut_share]):
+        enough = f"even {max(design.num_trajectories)} logged trajectories do not suffice"
+        if size is not None:
+            smallest = ", the smallest log that was tried," if size == min(design.num_trajectories) else ""
+            enough = f"{size} logged trajectories{smallest} suffice"
+        parts.append(f"{enough} where {listed([share_in_words(each) for each in shares], 'or')} of them are cut")
+    return f"To earn more than the strongest heuristic, {listed(parts)} (paired differences, 95 % intervals above 0)."
+
+
+def _beats(found: Mapping[float, int | None]) -> str:
+    sizes = [size for size in found.values() if size is not None]
+    if not sizes:
+        return "The learned policy does not clearly beat the strongest heuristic"
+    between = dict.fromkeys(str(size) for size in (min(sizes), max(sizes)))
+    start = f"The learned policy beats the strongest heuristic from {' to '.join(between)} logged trajectories on"
+    failed = [share_in_words(cut_share) for cut_share, size in found.items() if size is None]
+    if failed:
+        return f"{start}, but not clearly where {listed(failed, 'or')} were cut"
+    return f"{start}, {'whatever proportion was cut' if len(set(sizes)) == 1 else 'by the proportion cut'}"
+
+
+def _against_peer(design: Reward, peer: pd.DataFrame) -> str:
+    """Say who earns more from how many trajectories, over all proportions of cut trajectories and at single ones."""
+    means, single = records(peer, cut_share=None), records(peer[peer["cut_share"].notna()])
+    ends = " and ".join(f"{estimated_in(row, EFFECT)} from {row['num_trajectories']}" for row in (means[0], means[-1]))
+    verdicts = {"by_means": _by_verdict(means, _sizes), "by_proportions": _by_verdict(single, _places)}
+    return words(design.name, "peer_sentence", design=design, ends=ends, num_tests=len(peer), **verdicts)
+
+
+def _by_verdict(rows: list[Row], written: Callable[[list[Row]], str]) -> str:
+    found = [row for row in rows if row["supported"]]
+    more, less = ([row for row in found if (row["effect"] > 0) is is_more] for is_more in (True, False))
+    verbs = {"earns more": more, "earns less": less}
+    parts = [f"{verb} from {written(there)}" for verb, there in verbs.items() if there]
+    rest = "elsewhere shows no significant difference" if parts else "shows no significant difference anywhere"
+    return listed([*parts, rest] if len(found) < len(rows) else parts)
+
+
+def _sizes(rows: list[Row]) -> str:
+    return f"{listed([str(row['num_trajectories']) for row in rows])} trajectories"
+
+
+def _places(rows: list[Row]) -> str:
+    """Sizes with the proportions of cut trajectories, those of the same proportions together."""
+    sizes: dict[str, list[str]] = {}
+    for size, of in groupby(rows, key=lambda row: row["num_trajectories"]):
+        sizes.setdefault(listed([share(row["cut_share"]) for row in of], "or"), []).append(str(size))
+    return listed([f"{listed(those)} trajectories (cut: {cut})" for cut, those in sizes.items()])
+
+
+def _what_of_laws(design: Reward, figure1: pd.DataFrame) -> str:
+    """Say what is earned above the strongest heuristic by whom, with and without laws fitted to the same logs."""
+    sizes = dict.fromkeys((min(design.num_trajectories), max(design.num_trajectories)))
+
+    def gains(name: str) -> str:
+        rows = (row_of(figure1, policy=name, num_trajectories=size, cut_share=design.table_cut_share) for size in sizes)
+        return " and ".join(estimated_in(row, GAIN) for row in rows)
+
+    others = {FITTED_ONE_STEP.name: "Q₁ with laws fitted to the same log", LINEAR.name: "linear eq. 3 without laws"}
+    others[FITTED_RULE.name] = "the strongest heuristic with fitted laws"
+    said = [f"{words} {gains(name)}" for name, words in others.items() if name in design.contenders]
+    return words(
+        design.name, "laws_sentence", design=design, gains=gains, learned=LEARNED.name, sizes=sizes, others=said
+    )
+
+
+def _verdicts(design: Reward, table1: pd.DataFrame) -> str:
+    """Say how many hypotheses of Table 1 the data speak for, and name those that they do not."""
+    parts = []
+    for measure, claimed in CLAIM_WORDS.items():
+        found: dict[str, list[str]] = {SUPPORTED: [], NOT_SUPPORTED: [], INCONCLUSIVE: []}
+        for row in records(table1, measure=measure):
+            found[compare.verdict_of(row)].append(design.contenders[row["baseline"]].label)
+        said = [f"{SUPPORTED} against {len(found.pop(SUPPORTED))} of {len(design.baseline_names)}"]
+        said += [f"{verdict} against {len(names)} ({'; '.join(names)})" for verdict, names in found.items() if names]
+        parts.append(f"that {claimed} is {listed(said)}")
+    return f"Of the hypotheses of Table 1, {'; '.join(parts)}."
+
+
+def _by_size(
+    design: Reward,
+    label: str,
+    caption: str,
+    tables: Mapping[str, pd.DataFrame],
+    cell: Callable[[Row], str],
+    more: tuple[str, ...] = (),
+    is_folded: bool = True,
+) -> Listing:
+    """Tables of sizes by proportions of cut trajectories, by the heading over each."""
+    header = ("logged trajectories", *(f"cut: {share(cut_share)}" for cut_share in design.cut_shares), *more)
+    sizes = design.num_trajectories
+    groups = {
+        heading: [(str(size), *map(cell, records(table, num_trajectories=size))) for size in sizes]
+        for heading, table in tables.items()
+    }
+    return Listing(label, caption, header, groups, is_folded)
+
+
+def _numbers(design: Reward, setting: Setting, figure1: pd.DataFrame, peer: pd.DataFrame) -> list[Listing]:
+    """By size and proportion: what was learned, what is made of logs above the strongest heuristic, and the peer."""
+    of_logs = figure1[figure1["cut_share"].notna()]
+    made = (LEARNED.name, design.peer.name, *design.beside_names)
+    above = {design.contenders[name].label: where(of_logs, policy=name) for name in made}
+    of_peer = words(design.name, "peer", design=design, setting=setting, mark=MARK.strip(), num_tests=len(peer))
+    own, gain = partial(estimated_in, names=INTERVAL), partial(estimated_in, names=GAIN)
+
+    def marked(row: Row) -> str:
+        return f"{estimated_in(row, EFFECT)}{MARK if row['supported'] else ''}"
+
     return [
-        dict(zip(names, (*place, over[:, which].mean(axis=1), reward[:, which].mean(axis=1)), strict=True))
-        for *place, which in logs
+        _by_size(
+            design, "The numbers of the learned policy in Figure 1", "", {"": where(figure1, policy=LEARNED.name)}, own
+        ),
+        _by_size(
+            design,
+            "What is made of logs, above the strongest heuristic",
+            words(design.name, "above"),
+            above,
+            gain,
+        ),
+        _by_size(
+            design, "Learned, or planned with fitted laws", of_peer, {"": peer}, marked, more=("mean over these",)
+        ),
     ]
 
 
-def _table1(design: Reward, setting: Setting, pieces: Pieces) -> pd.DataFrame:
-    rows, counts = [], []
-    for name in design.baseline_names:
-        played = _where_played(pieces, name)
-        for measure in MEASURES:
-            own, other = _both(played, name, measure)
-            row: Row = {"baseline": name, "measure": measure, LEARNED.name: float(own.mean())}
-            row["other"] = float(other.mean())
-            if measure == "decision_ms":
-                row |= {"p_value": np.nan, "effect": float((own - other)[0])}
-            else:
-                row |= better(own, other, measure).columns
-            rows.append(row)
-            counts.append(sum(piece["baselines"][name]["num_episodes"] for piece in played.repetitions))
-    return adjusted(pd.DataFrame(rows), setting.alpha).assign(num_episodes=counts)
+def _tests(design: Reward, setting: Setting, table1: pd.DataFrame) -> Listing:
+    num_tests = table1["p_holm"].notna().sum()
+    caption = words(design.name, "tests", design=design, setting=setting, num_tests=num_tests)
+    headings = {
+        measure: f"{capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
+        for measure, name in MEASURES.items()
+    }
+
+    def written(row: Row, column: str) -> str:
+        return amount(row[column]) if compare.is_reward(row["measure"]) else significant(row[column])
+
+    def difference(row: Row) -> str:
+        mean, ends = with_interval(*(row[name] for name in EFFECT))
+        return mean if ends == MISSING else f"{mean} ({ends})"
+
+    cells: dict[str, Callable[[Row], str]] = {
+        "against": lambda row: design.contenders[row["baseline"]].label,
+        "learned": lambda row: written(row, LEARNED.name),
+        "baseline": lambda row: written(row, "other"),
+        "difference": difference,
+        **compare.TEST_CELLS,
+    }
+    rows = [row for measure in MEASURES for row in records(table1, measure=measure)]
+    return Listing.of("Table 1", caption, rows, cells, lambda row: headings[row["measure"]], is_folded=False)
 
 
-def _both(pieces: Pieces, name: str, measure: str) -> tuple[Rewards, Rewards]:
-    """The learned policy of Table 1 and a baseline, on the episodes that both played; measured times but once."""
-    if measure == "decision_ms":
-        own, other = (np.array([pieces.measured[measure][one]]) for one in (LEARNED.name, name))
-        return own, other
-    rows = [piece["baselines"][name] for piece in pieces.repetitions]
-    own, other = (np.array([row[one][measure] for row in rows]) for one in (LEARNED.name, "other"))
-    return own, other
+def _weights(design: Reward, weights: pd.DataFrame) -> Listing:
+    contradicted = 1.0 - weights["by_laws"].astype(float)
+    caption = words(design.name, "weights", design=design, contradicted=contradicted)
+
+    def cell(row: Row) -> str:
+        return f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})"
+
+    return _by_size(design, "Table 2", caption, {"": weights}, cell, is_folded=False)

@@ -3,7 +3,7 @@
 import textwrap
 from collections.abc import Mapping, Sequence
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from halfseen.figures import BAND_OPACITY, WIDTH_INCHES, EndLabel, draw_curve, draw_zero, write_title
 from halfseen.study import figures
 from halfseen.study.compare import row_of, three, where
-from halfseen.study.experiment import Drawing
+from halfseen.study.experiment import Drawing, words
 from halfseen.study.experiments.reward_repetition import RewardRepetition
 from halfseen.study.figures import INTERVAL
 from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP, Contender
@@ -26,14 +26,12 @@ DODGE = 1.02
 """Factor between neighbouring curves, which stand side by side rather than on one another."""
 PLAIN = ("greedy", "history")
 """Rules of thumb that do not count what a wrong WASH costs."""
-Times = Mapping[str, float]
-"""Decision time of each policy [ms]."""
 
 
 class Figure1:
     """Rewards above; below what those that come near one another earn above the strongest heuristic."""
 
-    def __init__(self, design: RewardRepetition, table: pd.DataFrame, times_ms: Times) -> None:
+    def __init__(self, design: RewardRepetition, table: pd.DataFrame, times_ms: Mapping[str, float]) -> None:
         self.design, self.table = design, table
         self.best = [design.contenders[str(row_of(table, role=role)["policy"])] for role in BEST]
         self.ms = {name: f"  ({significant(value, 2)} ms)" for name, value in times_ms.items()}
@@ -89,76 +87,55 @@ class Figure1:
         return EndLabel(end, f"{who.label}  {amount(end)}{self.ms[who.name]}", who.colour, is_bold)
 
 
-class _Bar(NamedTuple):
-    name: str
-    who: Contender
-    mean: float
-    low: float
-    high: float
-
-
 def opening_of(design: RewardRepetition, setting: Setting, figure1: pd.DataFrame, rule: Claim) -> Drawing:
     """Draw what each way of clearing a table brings, and say whether learning is the better one.
 
     Points are counted above leaving a table as it is: what FINISH at once costs for the dirty objects left, in
     expectation. `rule` is the claim that the learned policy earns more than the strongest heuristic.
     """
-    world = setting.world
+    world, size, cut_share = setting.world, design.table_num_trajectories, design.table_cut_share
     num_objects = float(np.mean([scene.num_objects for scene in setting.scenes]))
-    bars = _bars(design, figure1, float(world.reward_dirty_left) * float(world.dirty_share) * num_objects)
-    few = f"{design.table_num_trajectories} old runs, {share_in_words(design.table_cut_share)} of them"
-    theirs, ours = (f"{amount(bar.mean, 1)}" for bar in bars[1:3])
+    nothing = float(world.reward_dirty_left) * float(world.dirty_share) * num_objects
+    bars = {
+        "a plain rule of thumb": max(
+            (row_of(figure1, policy=name) for name in PLAIN), key=lambda row: float(row["mean_reward"])
+        ),
+        "the best rule of thumb": row_of(figure1, role=BEST[0]),
+        "learned from the runs": row_of(figure1, policy=LEARNED.name, num_trajectories=size, cut_share=cut_share),
+        "plans ahead, with laws from the runs": row_of(
+            figure1, policy=design.peer.name, num_trajectories=size, cut_share=None
+        ),
+        "plans ahead, and knows the true laws": row_of(figure1, role=BEST[1]),
+    }
+    table = pd.DataFrame(bars.values(), index=pd.Index(bars))
+    points = table[INTERVAL].astype(float) - nothing
+    colours = [design.contenders[name].colour for name in table["policy"]]
+    theirs, ours = (amount(mean, 1) for mean in points["mean_reward"].iloc[1:3])
     how = {SUPPORTED: "better than", INCONCLUSIVE: "about as well as"}.get(rule.verdict, "worse than")
     sentence = (
-        f"In simulation, a robot that learned from {few} cut short, clears a table {how} the best rule of thumb: "
-        f"{ours} points a table, against {theirs}."
+        f"In simulation, a robot that learned from {size} old runs, {share_in_words(cut_share)} of them cut short, "
+        f"clears a table {how} the best rule of thumb: {ours} points a table, against {theirs}."
     )
-    washed, spared = -world.reward_dirty_left + world.reward_wash_dirty, world.reward_wash_clean
-    caption = (
-        f"Points won on a table, above leaving it as it is: {amount(float(washed), 0)} for a dirty cup that is washed, "
-        f"{amount(float(spared), 0)} for a clean one, and {amount(float(world.reward_lift_per_s), 1)} for each second "
-        "that it takes to lift a cup and look behind it. The robot sees only part of each cup, and cannot know which "
-        "are dirty; even the planner that knows how often looks and grasps fail wins only so much. Rules of thumb know "
-        "that, too. A planner with laws from the runs: the mean over all proportions cut, as in Figure 1. Thin lines: "
-        "95 % intervals."
+    return Drawing(
+        "opening", "", sentence, words("reward", "opening", world=world), partial(_draw_bars, points, colours)
     )
-    return Drawing("opening", "", sentence, caption, partial(_draw_bars, bars))
 
 
-def _bars(design: RewardRepetition, figure1: pd.DataFrame, nothing: float) -> list[_Bar]:
-    size, share = design.table_num_trajectories, design.table_cut_share
-    rule, planner = (row_of(figure1, role=role) for role in BEST)
-    plain = max((row_of(figure1, policy=name) for name in PLAIN), key=lambda row: float(row["mean_reward"]))
-    own = row_of(figure1, policy=LEARNED.name, num_trajectories=size, cut_share=share)
-    peer = row_of(figure1, policy=design.peer.name, num_trajectories=size, cut_share=None)
-    rows = {
-        "a plain rule of thumb": plain,
-        "the best rule of thumb": rule,
-        "learned from the runs": own,
-        "plans ahead, with laws from the runs": peer,
-        "plans ahead, and knows the true laws": planner,
-    }
-    return [
-        _Bar(name, design.contenders[str(row["policy"])], *(float(row[column]) - nothing for column in INTERVAL))
-        for name, row in rows.items()
-    ]
-
-
-def _draw_bars(bars: list[_Bar], title: str) -> Figure:
+def _draw_bars(points: pd.DataFrame, colours: Sequence[str], title: str) -> Figure:
     lines = textwrap.wrap(title, 62)
-    figure = Figure(figsize=(7.2, 0.75 + 0.55 * len(bars) + 0.26 * len(lines)), layout="constrained")
+    figure = Figure(figsize=(7.2, 0.75 + 0.55 * len(points) + 0.26 * len(lines)), layout="constrained")
     axes = figure.add_subplot()
     beside: Any = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 13}
-    for place, bar in enumerate(bars):
-        axes.barh(place, bar.mean, height=0.62, color=bar.who.colour)
+    for place, (mean, low, high) in enumerate(points.to_numpy().tolist()):
+        axes.barh(place, mean, height=0.62, color=colours[place])
         for colour, width in (("white", 3.4), ("black", 1.2)):
-            axes.plot([bar.low, bar.high], [place, place], color=colour, linewidth=width, solid_capstyle="butt")
-        axes.annotate(amount(bar.mean, 1), (max(bar.high, bar.mean), place), fontweight="bold", **beside)
-    axes.set_yticks(range(len(bars)), [bar.name for bar in bars], fontsize=12)
+            axes.plot([low, high], [place, place], color=colour, linewidth=width, solid_capstyle="butt")
+        axes.annotate(amount(mean, 1), (max(high, mean), place), fontweight="bold", **beside)
+    axes.set_yticks(range(len(points)), list(points.index), fontsize=12)
     axes.invert_yaxis()
-    axes.set_xlim(0.0, 1.22 * max(max(bar.high, bar.mean) for bar in bars))
-    words = "points won on a table, above leaving it as it is; thin lines: 95 % intervals"
-    axes.set_xlabel(words, fontsize=11, x=0.9, ha="right")
+    axes.set_xlim(0.0, 1.22 * float(points[["mean_reward", "high"]].max(axis=None)))
+    across = "points won on a table, above leaving it as it is; thin lines: 95 % intervals"
+    axes.set_xlabel(across, fontsize=11, x=0.9, ha="right")
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     if title:

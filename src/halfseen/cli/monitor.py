@@ -1,0 +1,105 @@
+"""``halfseen monitor``: whether a policy in service earns what was promised, and what has changed."""
+
+import json
+import shlex
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from halfseen.cli import options
+from halfseen.cli.messages import say
+
+if TYPE_CHECKING:
+    from halfseen.monitoring.answer import Monitored
+
+ALARM = 3
+"""Exit status."""
+
+
+@click.command(epilog="Example: halfseen monitor policy --logs next-logs --follow --page service.html")
+@click.argument("policy", type=options.PATH)
+@options.path("--logs", required=True, text="Folder of logs of its service, such as serve --record writes.")
+@options.flag("--follow", text="Go on as the log grows, until there is an alarm.")
+@click.option(
+    "--every",
+    type=click.FloatRange(0.1, 86400.0),
+    default=10.0,
+    show_default=True,
+    help="Of --follow: seconds between two looks at the log.",
+)
+@options.path("--page", text="Write a page with the course of things.")
+@options.overwrite("a page that is")
+@options.as_json
+@options.seed("ties between equal values")
+def monitor(
+    policy: Path,
+    logs: Path,
+    follow: bool,
+    every: float,
+    page: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    seed: int,
+) -> None:
+    """Watch the policy in the folder POLICY by the logs of its service; exit status 3 on alarm.
+
+    It says whether what was promised is earned, though trajectories were cut; which covariates have moved, by stage and
+    together; which part of the cell broke: what an action brings or how long it takes in the same states, or cuts; and
+    since when. It may be asked after every trajectory: in a whole lifetime without change, the chance of a false alarm
+    is meant to be at most 5 %.
+    """
+    from halfseen.errors import NothingRecordedError
+    from halfseen.logs import read_logs
+    from halfseen.monitoring.monitor import monitored
+    from halfseen.policies.folder import read_policy
+
+    if page is not None:
+        from halfseen.installation import extra
+        from halfseen.view.page import check_page_target
+
+        for module in ("jinja2", "matplotlib"):
+            extra(module, "study")
+        check_page_target(page, overwrite)
+    stored, said = read_policy(policy), ""
+    while True:
+        try:
+            read = read_logs(logs, missing=stored.missing())
+        except NothingRecordedError:
+            if not follow:
+                raise
+            time.sleep(every)
+            continue
+        found = monitored(stored, read, seed)
+        command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed)])
+        if page is not None:
+            _write(page, found, read.reward_unit, command)
+        report: dict[str, Any] = {"policy": str(policy), "logs": str(logs), "seed": seed, **found.as_dict()}
+        text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))
+        if text != said:
+            say(text)
+        said = text
+        if found.findings:
+            sys.exit(ALARM)
+        if not follow:
+            return
+        time.sleep(every)
+
+
+def lines(found: "Monitored") -> list[str]:
+    """Say what was found: one sentence, what has changed, where to look first, and what is not watched."""
+    others = [
+        f"- {each.words}, since about trajectory {each.since} ({each.since_low} to {each.since_high})"
+        for each in found.findings[1:]
+    ]
+    first = ["Where to look first:", *(f"- {each}" for each in found.causes)] if found.causes else []
+    return [found.sentence, *others, *first, *(f"note: {each}" for each in found.notes)]
+
+
+def _write(page: Path, found: "Monitored", unit: str | None, command: str) -> None:
+    from halfseen.view.monitor_page import monitor_page
+    from halfseen.view.page import write_page
+
+    write_page(monitor_page(found, unit, command), page, overwrite=True)

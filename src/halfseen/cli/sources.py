@@ -1,0 +1,260 @@
+"""Sources of ``halfseen convert``: of which kind one is, which options that kind takes, and how it is read."""
+
+import shlex
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from halfseen.progress import Progress
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from halfseen.logs import Logs
+
+MINARI, SQL = "minari:", "sql:"
+OPTIONS_OF = {
+    ("mapping",): ("bag", "sql", "events"),
+    ("clouds", "see"): ("bag",),
+    ("stages", "trajectories", "objects"): ("sql",),
+    ("action", "reward", "done"): ("lerobot", "steps", "hdf5"),
+    ("clock", "step_s", "truncated"): ("minari", "lerobot", "steps", "hdf5"),
+}
+"""Which kinds of sources take an option."""
+
+
+class Reading(NamedTuple):
+    """How to read a source: options of some kinds of sources alone."""
+
+    mapping: Path | None
+    clouds: Path | None
+    see: bool
+    stages: str | None
+    trajectories: str | None
+    objects: str | None
+    action: str | None
+    reward: str | None
+    done: str | None
+    clock: str | None
+    step_s: float | None
+    truncated: str | None
+
+
+def kind_of(source: str, is_mapped: bool = False) -> str:
+    """What a source is, by what stands there; in an object store there is one form alone.
+
+    Parameters
+    ----------
+    source
+        As it was typed.
+    is_mapped
+        Whether a mapping says what it holds, so that a table is one of events and not of steps.
+    """
+    from halfseen.errors import LogError
+    from halfseen.logs.folder import is_remote, place_of
+    from halfseen.logs.formats import is_older
+    from halfseen.logs.formats.table_cells import is_event_table
+
+    path = Path(source)
+    if source.startswith(SQL):
+        return "sql"
+    if source.startswith(MINARI) or (path / "data" / "metadata.json").is_file():
+        return "minari"
+    if is_remote(source):
+        return "older" if is_older(place_of(source)) else "parquet"
+    if not path.exists():
+        raise LogError(
+            f"{source}: there is no such file or folder; a Minari dataset is called {MINARI}NAME-v0, and a database "
+            f"{SQL}URL"
+        )
+    if (path / "meta" / "info.json").exists():
+        return "lerobot"
+    if is_older(path):
+        return "older"
+    if (path / "stages.csv").exists() or (path / "trajectories.csv").exists():
+        return "csv"
+    if not path.is_dir() and path.suffix in (".h5", ".hdf5"):
+        return "hdf5"
+    if is_event_table(path, is_mapped) if path.is_file() else is_mapped and tables_of_events(path):
+        return "events"
+    if _step_files(path):
+        return "steps"
+    return "bag" if _bags(path) else "parquet"
+
+
+def _step_files(path: Path) -> list[Path]:
+    """The files of a step table: itself, or those that lie in a folder that is no log."""
+    from halfseen.logs.formats.step_tables import TABLE_FILES
+
+    if not path.is_dir():
+        return [path] if path.suffix in TABLE_FILES else []
+    files = sorted(file for file in path.iterdir() if file.suffix in TABLE_FILES)
+    return [] if any(file.stem in ("stages", "trajectories", "objects") for file in files) else files
+
+
+def tables_of_events(path: Path) -> list[Path]:
+    """A table, or those of a folder that is neither a log nor holds bags."""
+    if path.is_file():
+        return [path]
+    if _bags(path) or (path / "logs.json").exists():
+        return []
+    return sorted(file for file in path.iterdir() if file.suffix in (".csv", ".tsv", ".parquet"))
+
+
+def _bags(path: Path) -> list[Path]:
+    """The bags of a path: itself, or those that lie in it side by side."""
+    if _is_bag(path):
+        return [path]
+    return sorted(entry for entry in path.iterdir() if _is_bag(entry)) if path.is_dir() else []
+
+
+def _is_bag(path: Path) -> bool:
+    if path.is_dir():
+        return (path / "metadata.yaml").exists() or any(file.suffix == ".db3" for file in path.iterdir())
+    return path.suffix in (".mcap", ".db3", ".bag")
+
+
+def check_options(kind: str, reading: Reading) -> None:
+    """Refuse options that a source of this kind does not take.
+
+    Raises
+    ------
+    ArgumentError
+        One is given.
+    """
+    from halfseen.errors import ArgumentError
+
+    for names, owners in OPTIONS_OF.items():
+        for name in names:
+            given = getattr(reading, name)
+            if given is not None and given is not False and kind not in owners:
+                kinds = " or ".join(filter(None, [", ".join(owners[:-1]), owners[-1]]))
+                raise ArgumentError(
+                    f"--{name.replace('_', '-')} is for a source of kind {kinds}; this is {kind}: leave it out"
+                )
+
+
+def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "Logs":
+    """Read the logs of a source of some kind.
+
+    Parameters
+    ----------
+    kind, source, how
+        What it is, where, and what options say of it.
+    missing
+        "keep" to let covariates be null where a source of this kind may have such; else they are refused.
+
+    Raises
+    ------
+    HalfseenError
+        It cannot be read, or not in this way.
+    """
+    from halfseen.logs import formats, read_logs
+    from halfseen.logs.folder import place_of
+
+    timed: Any = {"clock": how.clock, "step_s": how.step_s, "truncated": how.truncated or "cut"}
+    rules = formats.StepRules(how.action, how.reward, how.done, **timed)
+    readers: dict[str, Callable[[], Logs]] = {
+        "parquet": lambda: read_logs(source, missing=missing),
+        "csv": lambda: formats.read_csv(source, missing=missing),
+        "older": lambda: formats.read_older(place_of(source)),
+        "bag": lambda: _read_bags(_bags(Path(source)), how),
+        "sql": lambda: _read_sql(source.removeprefix(SQL), how, missing),
+        "minari": lambda: formats.read_minari(source.removeprefix(MINARI), **timed),
+        "lerobot": lambda: formats.read_lerobot(source, rules),
+        "hdf5": lambda: formats.read_step_arrays(source, rules),
+        "steps": lambda: formats.read_steps(_step_files(Path(source)), rules),
+        "events": lambda: _read_events(source, how, missing),
+    }
+    return readers[kind]()
+
+
+def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
+    """Read a database by its queries, which options say, or a file."""
+    from halfseen.errors import ArgumentError
+    from halfseen.logs.formats import Queries, read_event_mapping, read_event_table, read_queries, read_sql
+    from halfseen.logs.formats.event_mapping import is_event_mapping
+    from halfseen.logs.formats.sql_rows import read_rows, shown_url
+
+    if how.mapping is not None:
+        if (how.stages, how.trajectories, how.objects) != (None, None, None):
+            raise ArgumentError(
+                f"--mapping {how.mapping}: --stages, --trajectories and --objects say the same; give one of them"
+            )
+        if is_event_mapping(how.mapping):
+            query = read_event_mapping(how.mapping).table.query
+            if query is None:
+                raise ArgumentError(f"{how.mapping}, table.query: it is missing; say which SELECT gives the rows")
+            return read_event_table(read_rows(url, query), how.mapping, place=shown_url(url), missing=missing)
+        return read_sql(url, read_queries(how.mapping), missing=missing)
+    if how.stages is None or how.trajectories is None:
+        raise ArgumentError(
+            "a database needs --stages and --trajectories, a SELECT each, or a --mapping FILE that has both"
+        )
+    return read_sql(url, Queries(how.stages, how.trajectories, how.objects), missing=missing)
+
+
+def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
+    """Read a table of any columns by a mapping."""
+    from halfseen.errors import ArgumentError
+    from halfseen.logs.formats import read_event_table
+    from halfseen.logs.formats.table_cells import refuse_workbook
+
+    refuse_workbook(Path(source))
+    if how.mapping is None:
+        raise ArgumentError(
+            f"{source}: it is no table of steps (no column is_last), and a table of other columns needs --mapping; "
+            f"make one to start from: halfseen convert {shlex.quote(source)} --mapping-template --out cell.toml"
+        )
+    tables = tables_of_events(Path(source)) if Path(source).is_dir() else source
+    return read_event_table(tables, how.mapping, missing=missing)
+
+
+def _read_bags(bags: list[Path], how: Reading) -> "Logs":
+    """Read bags; each cloud of a stage is seen as objects, if that is asked for, and written to a folder, if any."""
+    from halfseen.errors import ArgumentError
+    from halfseen.logs.formats import read_bag
+
+    if how.mapping is None:
+        raise ArgumentError(
+            "a bag needs --mapping FILE, which says what its topics carry; --mapping-template prints one to start from"
+        )
+    with Progress(None, "convert", "clouds") as bar:
+
+        def counted(work: Callable[..., Any]) -> Callable[..., Any]:
+            def count(*cloud: Any) -> Any:
+                bar.update()
+                return work(*cloud)
+
+            return count
+
+        keep = None if how.clouds is None else counted(partial(_kept, how.clouds))
+        return read_bag(bags, how.mapping, see=counted(_see) if how.see else None, keep=keep)
+
+
+def _kept(folder: Path, points_m: "np.ndarray", shape: tuple[int, int], name: str) -> str:
+    """Write a cloud; its file is called like it."""
+    from halfseen.perception import Cloud, write_pcd
+
+    write_pcd(Cloud(points_m, shape if shape[0] > 1 else None, name=name), folder / f"{name}.pcd")
+    return f"{name}.pcd"
+
+
+def _see(points_m: "np.ndarray", shape: tuple[int, int], name: str) -> dict[str, list[Any]]:
+    """Objects that a cloud shows, as columns; renumbered in each cloud, the largest first."""
+    import numpy as np
+
+    from halfseen.perception import Cloud, perceive
+
+    view = perceive(Cloud(points_m, shape if shape[0] > 1 else None, name=name))
+    centroids = np.array([seen.centroid_m for seen in view.objects]).reshape(-1, 3)
+    return {
+        "object": [seen.id for seen in view.objects],
+        "occlusion": [seen.occlusion for seen in view.objects],
+        **{f"{axis}_m": centroids[:, k].tolist() for k, axis in enumerate("xyz")},
+        "height_m": [seen.height_m for seen in view.objects],
+        "is_upright": [seen.is_upright for seen in view.objects],
+        "num_points": [seen.num_points for seen in view.objects],
+        "hidden_by": view.hides.tolist(),
+    }

@@ -1,0 +1,208 @@
+"""A learned Q of named actions as a policy: numbers, and nothing of the learner.
+
+The way from what a log does to what looks best in it: how many times its margin a policy lowers Q by.
+
+With pessimism a policy goes by Q̂ − (1 − ℓ)·M, ℓ how much the log leans to an action and M the margin of its Q̂. The
+more M is multiplied by, the surer a deviation from the log has to be; those that are left are where the lower bound of
+their advantage is largest, as in safe policy improvement [LarocheTrichelairTachet2019]_.
+"""
+
+import copy
+from collections.abc import Hashable
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+
+from halfseen.errors import ArgumentError
+from halfseen.lazy import Frame
+from halfseen.learning.behaviour import excess_propensity, log_chances
+from halfseen.learning.covariates import Categories, Covariates
+from halfseen.learning.q_space import KernelMap
+from halfseen.logs.missing import Filling
+from halfseen.shapes import Bool, Float
+
+if TYPE_CHECKING:
+    from halfseen.learning.q_learner import CensoredQLearner
+
+
+@runtime_checkable
+class NamedActionPolicy(Protocol):
+    """Tells the probability of each named action from plain covariates; `DiscretePolicy` is one."""
+
+    actions: tuple[Hashable, ...]
+
+    @property
+    def horizon(self) -> int:
+        """Number T of stages."""
+        ...
+
+    def probabilities(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
+        """π(a | S) in a stage (from 1), for each row of covariates."""
+        ...
+
+
+class Valued(NamedTuple):
+    """What a policy knows of each action, for each row of covariates."""
+
+    q: Float[np.ndarray, "m A"]
+    """Q̂; of impossible actions, too."""
+    margins: Float[np.ndarray, "m A"]
+    """‖Mᵀ (1, features)‖; 0 without pessimism."""
+    scores: Float[np.ndarray, "m A"]
+    """What it goes by."""
+
+
+@dataclass(frozen=True, eq=False)
+class DiscretePolicy:
+    """argmax over the possible actions of Q̂_t(S, a), with pessimism less a margin (`scores`).
+
+    Parameters
+    ----------
+    actions
+        Names, in the order of the columns of Q.
+    covariates
+        Columns that Q looks at.
+    is_possible
+        Which actions each stage allows.
+    coefficients
+        Of Q_1 … Q_T by stage, action and feature, the offset first (with axes in front for a batch of policies).
+    kernel_map
+        Features of the RKHS; None where Q is linear in the covariates.
+    margin
+        M of each stage and action: the lower confidence bound is Q̂ − ‖Mᵀ (1, features)‖; None without pessimism.
+    behaviour
+        Coefficients of the behaviour policy on the covariates, the offset first (`behaviour`); None if not known.
+    behaviour_weight
+        τ: what a nat of log b counts for beside Q (`preference`) [reward].
+    categories
+        Of the covariates that hold text, those that the log showed.
+    filling
+        What stands for covariates that are missing; None where null is refused.
+    """
+
+    actions: tuple[Hashable, ...]
+    covariates: tuple[str, ...]
+    is_possible: Bool[np.ndarray, "T A"]
+    coefficients: Float[np.ndarray, "*B T A F"]
+    kernel_map: KernelMap | None = None
+    margin: Float[np.ndarray, "*B T A F F"] | None = None
+    behaviour: Float[np.ndarray, "A G"] | None = None
+    behaviour_weight: float = 0.0
+    categories: Categories = field(default_factory=dict)
+    filling: Filling | None = None
+
+    @property
+    def looks_at(self) -> Covariates:
+        """How the covariates become numbers."""
+        return Covariates(self.covariates, self.categories)
+
+    @property
+    def horizon(self) -> int:
+        """Number T of stages."""
+        return len(self.is_possible)
+
+    @property
+    def actions_by_stage(self) -> dict[int, list[Hashable]]:
+        """Names of the actions that each stage allows, from 1."""
+        rows = enumerate(self.is_possible, start=1)
+        return {stage: [name for name, is_it in zip(self.actions, row, strict=True) if is_it] for stage, row in rows}
+
+    def q_values(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Q̂ of every action in a stage (from 1), for each row of covariates; of impossible ones, too.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such stage.
+        LogError
+            A covariate is missing, no finite number, null or of a category that the log never showed.
+        """
+        return self._valued(frame, stage).q
+
+    def lower_bounds(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
+        """Lower confidence bound of every Q̂; Q̂ itself without pessimism."""
+        valued = self._valued(frame, stage)
+        return valued.q - valued.margins
+
+    def scores(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
+        """What the policy goes by: Q̂ less its margin, which counts less, the more the log takes the action anyway.
+
+        With many actions τ·log b is added.
+        """
+        return self._valued(frame, stage).scores
+
+    def valued(self, encoded: Float[np.ndarray, "m G"], stage: int) -> Valued:
+        """All that is known of the actions in a stage (from 1), for each row of covariates as `looks_at` encodes them.
+
+        Raises
+        ------
+        ArgumentError
+            There is no such stage.
+        """
+        self._check_stage(stage)
+        features = encoded if self.kernel_map is None else np.asarray(self.kernel_map(encoded))
+        each = self.coefficients[stage - 1]
+        q = each[:, 0] + features @ each[:, 1:].T
+        margins = self._margins(features, stage)
+        if self.behaviour is None:
+            return Valued(q, margins, q - margins)
+        utility = self.behaviour[:, 0] + encoded @ self.behaviour[:, 1:].T
+        possible = self.is_possible[stage - 1]
+        scores = q - (1.0 - excess_propensity(utility, possible)) * margins
+        if self.behaviour_weight > 0:
+            scores = scores + self.behaviour_weight * log_chances(utility, possible)
+        return Valued(q, margins, scores)
+
+    def decide(self, frame: Frame, stage: int) -> np.ndarray:
+        """Name the possible action with the largest score, for each row of covariates; shape (m,)."""
+        names = np.empty(len(self.actions), dtype=object)
+        names[:] = self.actions
+        return names[self._best(frame, stage)]
+
+    def probabilities(self, frame: Frame, stage: int) -> Float[np.ndarray, "m A"]:
+        """π(a | S): 1 for the action that it takes."""
+        best = self._best(frame, stage)
+        return (best[:, None] == np.arange(len(self.actions))).astype(np.float64)
+
+    def _best(self, frame: Frame, stage: int) -> np.ndarray:
+        scores = self.scores(frame, stage)
+        return np.argmax(np.where(self.is_possible[stage - 1], scores, -np.inf), axis=1)
+
+    def _valued(self, frame: Frame, stage: int) -> Valued:
+        self._check_stage(stage)
+        full = frame if self.filling is None else self.filling.of_states(frame, self.covariates)
+        return self.valued(self.looks_at.encode(full), stage)
+
+    def _margins(self, features: Float[np.ndarray, "m F1"], stage: int) -> Float[np.ndarray, "m A"]:
+        if self.margin is None:
+            return np.zeros((len(features), len(self.actions)))
+        root = self.margin[stage - 1]
+        return np.stack([np.linalg.norm(each[0] + features @ each[1:], axis=1) for each in root], axis=1)
+
+    def _check_stage(self, stage: int) -> None:
+        if not 1 <= stage <= self.horizon:
+            raise ArgumentError(f"stage is {stage}; it lies in 1 to the horizon, {self.horizon}")
+
+
+def has_margin(policy: Any) -> bool:
+    """Whether a policy can be more cautious than it is."""
+    return getattr(policy, "margin", None) is not None
+
+
+def more_cautious(policy: Any, times: float) -> Any:
+    """The same policy with so many times its margin; as it is where it has none."""
+    if not has_margin(policy) or times == 1.0:
+        return policy
+    changed = {"margin": times * policy.margin}
+    if getattr(policy, "behaviour_weight", 0.0) > 0:
+        changed["behaviour_weight"] = times * policy.behaviour_weight
+    return replace(policy, **changed)
+
+
+def more_cautious_learner(learner: "CensoredQLearner", times: float) -> "CensoredQLearner":
+    """A learner whose policy is more cautious; the one given stays as it is."""
+    cautious = copy.copy(learner)
+    cautious.policy_ = more_cautious(learner.policy_, times)
+    cautious.model_ = replace(learner.model_, pessimism=times * learner.model_.pessimism)
+    return cautious

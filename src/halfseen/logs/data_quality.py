@@ -1,0 +1,341 @@
+"""What looks wrong in logs that break no rule: legal, and probably not meant.
+
+Each check is a small function from `Logs` to sentences; most logs give none. A finding is a question to anyone who
+recorded the logs, never a reason to refuse them.
+
+Units that look mixed show by a gap: two groups of trajectories, far apart, with nothing in between.
+"""
+
+import re
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from pandas.util import hash_pandas_object
+
+from halfseen.arrays import Rows
+from halfseen.logs.columns import OBJECT_COLUMNS, shown
+from halfseen.logs.grouping import can_be_counted, coded, far_apart, grouped_covariates, is_one_kind, rows_with
+from halfseen.logs.logs import Logs, begun_s, durations_s
+from halfseen.logs.plausibility import cuts_called_finished, leaks, outcomes_among_covariates, untrue_probabilities
+from halfseen.logs.spelling import alike, spelled_out
+
+FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
+FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
+SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
+LONG_S = (900.0, 1e6)
+"""Beyond a quarter of an hour, below what takes days [s]."""
+AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d+,\d+)"
+"""A number with a decimal comma, or with separators of thousands."""
+NAMES_OF_ENDS = {
+    *("finished", "finish", "done", "success", "succeeded", "complete", "completed"),
+    *("goal", "goal-reached", "cleared", "terminated", "terminal", "ok"),
+}
+"""Of what a task does by itself."""
+
+
+@dataclass(frozen=True)
+class DataWarning:
+    """Something that looks wrong.
+
+    Parameters
+    ----------
+    kind
+        Which check found it, for programs.
+    sentence
+        What was found, and what to look at, for people.
+    """
+
+    kind: str
+    sentence: str
+
+
+def data_warnings(logs: Logs) -> tuple[DataWarning, ...]:
+    """Look for what is legal in logs and probably not meant; empty where nothing was found."""
+    return tuple(DataWarning(kind, sentence) for kind, check in _CHECKS.items() for sentence in check(logs))
+
+
+def _all_cut(logs: Logs) -> Iterator[str]:
+    if not logs.is_finished.any():
+        number = logs.num_trajectories
+        which = "the only trajectory was" if number == 1 else f"all {number} trajectories were"
+        yield f"{which} cut: nobody saw one come to its own end, which no weight makes up for"
+
+
+def _ends_among_causes(logs: Logs) -> Iterator[str]:
+    """What the task itself does is its end, whatever it is called."""
+    for cause, num_trajectories in logs.trajectories["cause"].dropna().value_counts().sort_index().items():
+        if str(cause).casefold().strip() in NAMES_OF_ENDS:
+            yield (
+                f"{num_trajectories} {'trajectory is' if num_trajectories == 1 else 'trajectories are'} cut by "
+                f"{str(cause)!r}: if that is how the task ends, the ending is 'finished', without a cause"
+            )
+
+
+def _horizons(logs: Logs) -> Iterator[str]:
+    """A time limit of the task is its own end, not a cut: cuts at one time leave nothing to weigh what is later by."""
+    for cause, ends in logs.trajectories[~logs.is_finished].groupby("cause")["end_s"]:
+        middle_s = float(ends.median())
+        num_same = int(((ends - middle_s).abs() <= SAME_END * middle_s).sum())
+        if num_same >= max(FEWEST_CUTS, 0.9 * len(ends)):
+            yield (
+                f"{num_same} of {len(ends)} cuts by {cause} fall at {middle_s:.4g} s: if that limit belongs to the "
+                "task, it is a horizon, and those trajectories finished"
+            )
+
+
+def _one_stage(logs: Logs) -> Iterator[str]:
+    last = logs.stages.groupby("trajectory")["stage"].max().reindex(logs.trajectory_ids).to_numpy()[~logs.is_finished]
+    if len(last) >= 2 * FEWEST_CUTS and logs.horizon > 1 and (last == last[0]).all():
+        yield f"all {len(last)} cuts fall in stage {last[0]}: does something of the task itself end trajectories there?"
+
+
+def _mixed_clocks(logs: Logs) -> Iterator[str]:
+    """Stages of some trajectories last some thousand times as long as those of others."""
+    # The mean of a trajectory, not its shortest stages: some actions take hardly any time.
+    clocks = logs.stages.groupby("trajectory")["elapsed_s"]
+    for words in _apart(logs, "stages last", clocks.max() / clocks.count(), " s"):
+        yield f"{words}: are some clocks in milliseconds?"
+
+
+def _long_clocks(logs: Logs) -> Iterator[str]:
+    lasted_s = durations_s(logs)
+    middle_s = 0.0 if np.isnan(lasted_s).all() else float(np.nanmedian(lasted_s))
+    if LONG_S[0] < middle_s < LONG_S[1]:
+        hours = middle_s / 3600.0
+        yield f"half of the stages last {middle_s:,.0f} s or more, which is {hours:.1f} h: are clocks in ms?"
+
+
+def _running_clocks(logs: Logs) -> Iterator[str]:
+    """One clock for all trajectories: whichever ends later also has its first stage after the others' ends."""
+    stages: Any = logs.stages
+    clocks = stages.groupby("trajectory")["elapsed_s"].agg(["min", "max", "count"])
+    clocks = clocks[clocks["count"] > 1].sort_values("max")
+    first_s, before_s = clocks["min"].to_numpy()[1:], clocks["max"].to_numpy()[:-1]
+    if len(clocks) >= FEWEST_CUTS and (first_s > before_s).all():
+        one, other = map(shown, clocks.index[:2])
+        yield (
+            f"elapsed_s runs on over trajectories: the first stage of {other} ends at {first_s[0]:.4g} s, after the "
+            f"last of {one} at {before_s[0]:.4g} s; count seconds since each trajectory began"
+        )
+
+
+def _mixed_covariates(logs: Logs) -> Iterator[str]:
+    """Covariates are some thousand times as large in some trajectories as in others."""
+    for name, values, trajectory in _covariates(logs):
+        if _is_number(values):
+            for words in _apart(logs, f"{name} is around", values.astype(float).abs().groupby(trajectory).median()):
+                yield f"{words}: are its units mixed?"
+
+
+def _apart(logs: Logs, what: str, values: Any, unit: str = "") -> Iterator[str]:
+    """Describe the two groups of trajectories that a gap parts; no word where there is no such gap."""
+    sizes = values.reindex(logs.trajectory_ids).to_numpy(dtype=np.float64)
+    is_large = far_apart(sizes)
+    if is_large is None:
+        return
+    is_small = ~is_large & np.isfinite(sizes) & (sizes > 0)
+    small, large = (f"{np.median(sizes[rows]):.3g}{unit}" for rows in (is_small, is_large))
+    first = int(np.argmax(is_small if is_small.sum() <= is_large.sum() else is_large))
+    yield (
+        f"{what} {small} in {is_small.sum()} trajectories and {large} in {is_large.sum()} (trajectory "
+        f"{shown(logs.trajectory_ids[first])} is of the fewer), with none in between"
+    )
+
+
+def _identifiers(logs: Logs) -> Iterator[str]:
+    """A policy that goes by the number of a part, or by the clock, meets only values that its log never held."""
+    if logs.num_trajectories < FEWEST_TRAJECTORIES:
+        return
+    stages: Any = logs.stages
+    is_first, began_s = stages["stage"].to_numpy() == 1, begun_s(logs)
+    row = np.cumsum(is_first) - 1
+    for name in logs.stage_covariates:
+        if not _is_number(stages[name]) or stages[name].isna().any():
+            continue
+        values = stages[name].to_numpy(dtype=np.float64)
+        first = values[is_first]
+        is_counted = (first % 1 == 0).all() and np.ptp(first) < 3.0 * len(first)
+        if is_counted and len(np.unique(first)) >= NEARLY_ALL * len(first):
+            yield f"covariate {name} numbers the trajectories, which tells nothing of the next one: leave it out"
+        elif _is_clock(values - first[row], began_s):
+            yield f"covariate {name} runs with the clock, which later trajectories have of their own: leave it out"
+
+
+def _is_clock(since_first: Rows, began_s: Rows) -> bool:
+    later = began_s > 0.0
+    since, seconds = since_first[later], began_s[later]
+    if later.sum() < FEWEST_TRAJECTORIES or not np.ptp(since) > 0.0 or not np.ptp(seconds) > 0.0:
+        return False
+    return bool(np.corrcoef(since, seconds)[0, 1] > NEARLY_ALL)
+
+
+def _numbers_as_text(logs: Logs) -> Iterator[str]:
+    for name, values, _ in _covariates(logs):
+        text = _texts(values)
+        is_number = text.map(lambda each: re.fullmatch(AS_NUMBER, each) is not None).astype(bool)
+        if is_number.mean() > 0.5:
+            yield (
+                f"{name} is text that reads as numbers, such as {shown(text[is_number].iloc[0])}, and each is taken "
+                "for a category: write them with a decimal point and without separators"
+            )
+
+
+def _one_action(logs: Logs) -> Iterator[str]:
+    actions = logs.stages["action"].dropna()
+    if len(actions) >= FEWEST_ROWS and actions.nunique() == 1:
+        yield f"only one action, {actions.iloc[0]}, was ever taken: there is nothing to choose, and nothing to learn"
+
+
+def _no_alternative(logs: Logs) -> Iterator[str]:
+    """States in which one action alone was ever tried, though others were elsewhere."""
+    stages = rows_with(logs.stages, "action")
+    action, names = coded(stages["action"])
+    if len(names) < 2 or logs.has_objects:
+        return
+    for each in grouped_covariates(logs, stages):
+        size = num_groups, num_actions = each.num_groups, len(names)
+        taken = np.bincount(each.group * num_actions + action, minlength=num_groups * num_actions).reshape(size)
+        alone = (np.count_nonzero(taken, axis=1) == 1) & (taken.max(axis=1) >= FEWEST_IN_STATE)
+        for group in np.flatnonzero(alone):
+            yield (
+                f"where {each.name} is {each.words[group]}, all {taken[group].max()} stages took "
+                f"{names[taken[group].argmax()]}: nothing is known of any other action there; try others now and then"
+            )
+
+
+def _spelling(logs: Logs) -> Iterator[str]:
+    names = [("causes", logs.trajectories["cause"]), ("actions", logs.stages["action"])]
+    names += [(f"values of {name}", _texts(values)) for name, values, _ in _covariates(logs)]
+    for what, values in names:
+        found = values.dropna().unique()
+        for same in alike(found) if len(found) <= MOST_SPELLINGS else ():
+            yield f"{what} {_listed(spelled_out(same))} differ only in their spelling: count them as one"
+
+
+def _rare_actions(logs: Logs) -> Iterator[str]:
+    counts = logs.stages.loc[logs.stages["elapsed_s"].notna(), "action"].value_counts()
+    number = {name: int(counts.get(name, 0)) for name in sorted(logs.stages["action"].dropna().unique(), key=str)}
+    never = [str(name) for name in number if number[name] == 0]
+    if never:
+        yield f"{_were('action', never)} begun and never completed: nothing can be learned from that"
+    total = int(counts.sum())
+    rare = [f"{name} ({number[name]})" for name in number if 0 < number[name] < RARE_SHARE * total]
+    if rare and total >= FEWEST_STAGES:
+        yield f"{_were('action', rare)} taken in less than 1 % of {total} stages: too few to learn from"
+
+
+def _no_probability(logs: Logs) -> Iterator[str]:
+    """Only where there was something to choose from."""
+    actions = logs.stages["action"].dropna()
+    if "probability" not in logs.stages.columns and len(actions) >= FEWEST_ROWS and actions.nunique() > 1:
+        yield (
+            "no action has a probability: learning needs none, but evaluating asks for it, or estimates it if told to "
+            "(--propensity estimated)"
+        )
+
+
+def _no_exploration(logs: Logs) -> Iterator[str]:
+    if "probability" not in logs.stages.columns or logs.stages["action"].nunique() < 2:
+        return
+    probability = logs.stages.loc[logs.stages["elapsed_s"].notna(), "probability"]
+    if len(probability) >= FEWEST_ROWS and (probability == 1).all():
+        yield "all probabilities are 1: the policy never explored, so nothing can be learned of other actions"
+
+
+def _equal_rewards(logs: Logs) -> Iterator[str]:
+    rewards = logs.stages["reward"].dropna()
+    if len(rewards) >= FEWEST_ROWS and rewards.nunique() == 1:
+        yield f"all {len(rewards)} rewards are {rewards.iloc[0]:g}: no action is better than another"
+
+
+def _constant_covariates(logs: Logs) -> Iterator[str]:
+    for name, values, _ in _covariates(logs):
+        if len(values) < FEWEST_ROWS or not can_be_counted(values) or not is_one_kind(values):
+            continue
+        # A count of what never happened is no dead sensor.
+        if not (pd.api.types.is_integer_dtype(values.dtype) and values.iloc[0] == 0):
+            yield (
+                f"{name} is {shown(values.iloc[0])} in all {len(values)} rows: a dead sensor, or a column to leave out"
+            )
+
+
+def _duplicates(logs: Logs) -> Iterator[str]:
+    """Trajectories that agree to the last digit in two measured durations are copies; whole steps may well agree."""
+    stages: Any = logs.stages
+    content = stages[["stage", "elapsed_s", "action", "reward"]].astype({"action": str})
+    prints: Any = hash_pandas_object(content, index=False)  # pyright: ignore[reportCallIssue]
+    first_row = np.flatnonzero(stages["stage"].to_numpy() == 1)
+    prints = pd.Series(np.add.reduceat(prints.to_numpy(), first_row), index=logs.trajectory_ids)
+    prints = prints[prints.duplicated(keep=False)]
+    if len(prints):
+        rows = stages["trajectory"].isin(prints.index).to_numpy()
+        part = (pd.Series(durations_s(logs)[rows]) % 1.0).round(6) % 1.0
+        num_measured = part.where(part > 0).groupby(stages["trajectory"].to_numpy()[rows]).nunique()
+        prints = prints[(num_measured >= 2).reindex(prints.index).to_numpy()]
+    repeated = prints[prints.duplicated(keep=False)]
+    if len(repeated):
+        first = [shown(name) for name in repeated.index[repeated == repeated.iloc[0]][:2]]
+        num_copies = int(prints.duplicated().sum())
+        yield (
+            f"{num_copies} {'trajectory is a copy' if num_copies == 1 else 'trajectories are copies'} of another (such "
+            f"as {' and '.join(first)}): the same clock, actions and rewards to the last digit; drop what was logged "
+            "twice"
+        )
+
+
+def _covariates(logs: Logs) -> Iterator[tuple[str, Any, Any]]:
+    """Each covariate of stages and objects: what to call it, its column, and the trajectory of each row."""
+    for name in logs.stage_covariates:
+        yield f"covariate {name}", logs.stages[name], logs.stages["trajectory"]
+    if logs.objects is not None:
+        for name in logs.objects.columns.difference(OBJECT_COLUMNS, sort=False):
+            yield f"object covariate {name}", logs.objects[name], logs.objects["trajectory"]
+
+
+def _texts(values: Any) -> Any:
+    """What of a column is text."""
+    return values[:0] if _is_number(values) else values[values.map(lambda each: isinstance(each, str)).astype(bool)]
+
+
+def _is_number(values: Any) -> bool:
+    return pd.api.types.is_numeric_dtype(values.dtype) and not pd.api.types.is_bool_dtype(values.dtype)
+
+
+def _listed(names: Iterable[str]) -> str:
+    names = list(names)
+    more = f" and {len(names) - NUM_NAMED} more" if len(names) > NUM_NAMED else ""
+    return ", ".join(names[:NUM_NAMED]) + more
+
+
+def _were(what: str, names: list[str]) -> str:
+    return f"{what} {_listed(names)} was" if len(names) == 1 else f"{what}s {_listed(names)} were"
+
+
+_CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
+    "all-cut": _all_cut,
+    "untrue-probability": untrue_probabilities,
+    "leak": leaks,
+    "outcome-as-covariate": outcomes_among_covariates,
+    "cut-called-finished": cuts_called_finished,
+    "identifier": _identifiers,
+    "number-as-text": _numbers_as_text,
+    "one-action": _one_action,
+    "no-alternative": _no_alternative,
+    "end-among-causes": _ends_among_causes,
+    "horizon-as-cut": _horizons,
+    "cuts-in-one-stage": _one_stage,
+    "mixed-clock-units": _mixed_clocks,
+    "long-clock": _long_clocks,
+    "running-clock": _running_clocks,
+    "mixed-covariate-units": _mixed_covariates,
+    "spelling": _spelling,
+    "rare-action": _rare_actions,
+    "no-probability": _no_probability,
+    "no-exploration": _no_exploration,
+    "equal-rewards": _equal_rewards,
+    "constant-covariate": _constant_covariates,
+    "duplicated-trajectories": _duplicates,
+}

@@ -1,0 +1,233 @@
+"""Which column of a table carries what: a mapping file, in the words of a bag's."""
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from halfseen.errors import ArgumentError
+from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
+from halfseen.reading import read_text, reason_of, toml_of
+
+NUMBERS = ("probability", "reward")
+"""Keys of numbers; covariates may be such, too."""
+_KEYS = ("object", "probability", "reward", "ending")
+Given: Any = {"frozen": True, "forbid_unknown_fields": True}
+
+
+class Layout(msgspec.Struct, **Given):
+    """How a file of text holds a table; what is None is found in the file.
+
+    Parameters
+    ----------
+    separator
+        Between cells.
+    decimal
+        Mark of a fraction.
+    thousands
+        Mark between groups of three digits: point, comma, apostrophe or space.
+    encoding
+        Of the text.
+    heading
+        Line that names the columns, from 1.
+    query
+        Of a database: the SELECT whose rows are read.
+    """
+
+    separator: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] | None = None
+    decimal: Literal[",", "."] | None = None
+    thousands: Literal[".", ",", "'", " "] | None = None
+    encoding: Literal["utf-8", "utf-8-sig", "cp1252", "utf-16"] | None = None
+    heading: Annotated[int, msgspec.Meta(ge=1)] = 1
+    query: str | None = None
+
+
+class Clock(msgspec.Struct, **Given):
+    """Where times stand, and how they are written.
+
+    Parameters
+    ----------
+    field
+        Column of the time of a row; or those of its date and of its time of day, which are read with a space between.
+    format
+        Of times that are not ISO 8601, as in Python: ``%d.%m.%Y %H:%M:%S``. Without a day they are times of day, and
+        the next day begins where they fall back past midnight.
+    zone
+        Of dates without one, such as ``Europe/Berlin``.
+    unit
+        Of times that are numbers.
+    since
+        What numbers count from: the beginning of the trajectory, or of the stage; None for a clock of their own.
+    begin
+        Of one row a stage: column of the time at which the stage began; or two, as of `field`.
+    """
+
+    field: str | Annotated[list[str], msgspec.Meta(min_length=1)]
+    format: str | None = None
+    zone: str | None = None
+    unit: Literal["s", "ms", "us", "ns", "min"] | None = None
+    since: Literal["trajectory", "stage"] | None = None
+    begin: str | list[str] | None = None
+
+    @property
+    def fields(self) -> list[str]:
+        """The columns of the time of a row."""
+        return [self.field] if isinstance(self.field, str) else self.field
+
+    @property
+    def begins(self) -> list[str]:
+        """The columns of the time of a beginning."""
+        return [self.begin] if isinstance(self.begin, str) else self.begin or []
+
+
+class Entry(msgspec.Struct, **Given):
+    """Where a value stands.
+
+    Parameters
+    ----------
+    field
+        Its column; by default that of the events.
+    topic
+        Which events carry it; None for any row in which the cell is not empty.
+    values
+        What text stands for; other text stays what it is.
+    type
+        Of a covariate, if it is not to be found.
+    """
+
+    field: str | None = None
+    topic: str | list[str] | None = None
+    values: dict[str, str | int | float] = {}
+    type: Literal["number", "text"] | None = None
+
+    @property
+    def topics(self) -> list[str]:
+        """The events that carry it."""
+        return [self.topic] if isinstance(self.topic, str) else list(self.topic or [])
+
+
+class Ending(Entry, **Given):
+    """Where an ending stands; what is in `finished` is no cause of a cut."""
+
+    finished: list[str] = msgspec.field(default_factory=lambda: [FINISHED])
+
+
+class EventMapping(msgspec.Struct, **Given):
+    """Which column carries what; made by `read_event_mapping`.
+
+    Parameters
+    ----------
+    clock
+        Times of the rows.
+    action, reward, ending
+        What every table has.
+    topic
+        Column of events; None where each row is a stage.
+    trajectory
+        Column of its name, or the event that begins it; None where the table is one trajectory.
+    object, probability, covariates
+        What a table may have.
+    table
+        How the file holds it.
+    """
+
+    clock: Clock
+    action: Entry
+    reward: Entry
+    ending: Ending
+    topic: str | None = None
+    trajectory: Entry | None = None
+    object: Entry | None = None
+    probability: Entry | None = None
+    covariates: dict[str, Entry] = {}
+    table: Layout = Layout()
+
+    @property
+    def entries(self) -> dict[str, Entry]:
+        """All that is mapped, in the order in which it counts within a row."""
+        named = {"trajectory": self.trajectory, **{f"covariates.{name}": one for name, one in self.covariates.items()}}
+        named |= {"action": self.action, **{key: getattr(self, key) for key in _KEYS}}
+        return {key: entry for key, entry in named.items() if entry is not None}
+
+    def column(self, key: str) -> str:
+        """The column of what is mapped."""
+        return str(self.entries[key].field or self.topic)
+
+    @property
+    def has_begins(self) -> bool:
+        """Whether an event begins a trajectory."""
+        return self.trajectory is not None and bool(self.trajectory.topics)
+
+
+def read_event_mapping(file: str | Path) -> EventMapping:
+    """Read the mapping file (TOML) of a table; `halfseen.logs.formats.mapping_of` makes one from a table.
+
+    Raises
+    ------
+    ArgumentError
+        It is missing or no TOML, or something in it is missing, unknown or of the wrong type; the key is named.
+    """
+    remedy = "`halfseen convert TABLE --mapping-template` prints one"
+    try:
+        found = toml_of(read_text(Path(file)))
+        mapping = msgspec.convert(found, EventMapping)
+    except OSError as error:
+        raise ArgumentError(f"{file}: it cannot be read ({error.strerror}); {remedy}") from error
+    except msgspec.ValidationError as error:
+        raise ArgumentError(f"{file}, {_reworded(str(error))}; {remedy}") from error
+    except ValueError as error:
+        raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
+    for key, trouble in _troubles(mapping):
+        raise ArgumentError(f"{file}, {key}: {trouble}")
+    return mapping
+
+
+def is_event_mapping(file: str | Path) -> bool:
+    """Whether a file is the mapping of a table, and no other one: it says where the times stand."""
+    try:
+        return isinstance(toml_of(read_text(Path(file))).get("clock"), dict)
+    except (OSError, ValueError):
+        return False
+
+
+def _reworded(trouble: str) -> str:
+    """Begin with the key what msgspec ends with."""
+    words, _, place = trouble.partition(" - at `$")
+    key = re.sub(r"\[\.\.\.\]", "", place.strip("`.")) or "top"
+    name = re.search(r"(?:required|unknown) field `(\w+)`", words)
+    if name is None:
+        return f"{key}: {words[:1].lower()}{words[1:]}"
+    where = name[1] if key == "top" else f"{key}.{name[1]}"
+    return f"{where}: it is {'missing; add it' if 'required' in words else 'unknown'}"
+
+
+def _troubles(mapping: EventMapping) -> Iterator[tuple[str, str]]:
+    """What of a mapping does not fit together, by key."""
+    clock, layout = mapping.clock, mapping.table
+    if layout.thousands is not None and layout.thousands == layout.decimal:
+        yield "table.thousands", "it is the mark of fractions, too; mend one of the two"
+    if clock.unit is not None and max(len(clock.fields), len(clock.begins)) > 1:
+        yield (
+            "clock.field",
+            "several columns are for a date and a time of day, and times of a unit stand in one; name it",
+        )
+    if clock.format is not None and (clock.unit or clock.since):
+        yield "clock.format", "dates have a format, and numbers a unit; leave one of the two out"
+    if mapping.topic is None and clock.since is None and clock.begin is None:
+        yield "clock.begin", "it is missing; name the column of the beginning of a stage, or say since what times count"
+    if mapping.topic is not None and (clock.since == "stage" or clock.begin is not None):
+        yield "clock", "begin, and since = 'stage', are for tables of one row a stage; leave it out"
+    for key, entry in mapping.entries.items():
+        if mapping.topic is None and entry.topic is not None:
+            yield f"{key}.topic", "no column of events is named; add topic = 'COLUMN' at the top"
+        if entry.field is None and (mapping.topic is None or entry.topic is None):
+            yield f"{key}.field", "it is missing; name the column"
+        if (key in NUMBERS or entry.type == "number") and any(
+            isinstance(value, str) for value in entry.values.values()
+        ):
+            yield f"{key}.values", "they are text; give numbers"
+    for name in mapping.covariates:
+        if name in (*STAGE_COLUMNS, "cloud"):
+            yield f"covariates.{name}", "stages have such a column already; give the covariate another name"

@@ -1,0 +1,268 @@
+"""Logs from any table of events (one row an event) or of stages (one row a stage), by a mapping file.
+
+A mapping has the tables of a bag's (`halfseen.logs.formats.bags`), and rows become stages as messages do: ``field`` is
+a column, and ``topic`` the text in the column of events that a row has. Without a column of events each row is a stage,
+and an empty cell says nothing. Where trajectories have a column, each of their rows moves their clock, mapped or not.
+A trajectory without an ending was cut: "log ended".
+"""
+
+import warnings
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.logs.columns import shown
+from halfseen.logs.formats.bag_messages import BagMapping, Event, Source
+from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
+from halfseen.logs.formats.event_mapping import NUMBERS, Entry, EventMapping, read_event_mapping
+from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
+from halfseen.logs.formats.table_numbers import (
+    WHOLE,
+    Marks,
+    is_numeric,
+    marks_of,
+    number_at,
+    plain_number,
+    refuse_most_numbers,
+)
+from halfseen.logs.formats.table_times import Stamps, stamps_ns
+from halfseen.logs.logs import Logs
+from halfseen.logs.missing import Missing
+from halfseen.shapes import Int
+
+LOG_ENDED = "log ended"
+"""Cause of a trajectory that has no ending."""
+_ROW, _BEGIN = Source("row", "", None), Source("begin", "", None)
+
+
+def read_event_table(
+    source: str | Path | Sequence[Path] | pa.Table,
+    mapping: str | Path,
+    *,
+    place: str = "table",
+    missing: Missing = None,
+) -> Logs:
+    """Read a table of events, or of stages.
+
+    Parameters
+    ----------
+    source
+        A ``.csv``, ``.tsv``, ``.txt`` or ``.parquet`` file, several with the same columns, such as of days, or an Arrow
+        table.
+    mapping
+        Which column carries what: a file.
+    place
+        What an Arrow table is called, for messages.
+    missing
+        What stands for covariates that are null, as `Logs` takes it.
+
+    Raises
+    ------
+    ArgumentError
+        The mapping does not fit the table; its file and key are named.
+    LogError
+        A file is missing or broken, a cell cannot be read (its line and column are named), or rows make no stages.
+    """
+    wanted, file = read_event_mapping(mapping), str(mapping)
+    cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
+    _check_columns(cells, wanted, file)
+    cells = cells if wanted.topic is None else _without_repeats(cells)
+    sources = {key: Source(key, f"column {wanted.column(key)!r}", None) for key in wanted.entries}
+    plain: Any = {
+        key: one for key, one in sources.items() if "." not in key and (key != "trajectory" or wanted.has_begins)
+    }
+    seen = {name: sources[f"covariates.{name}"] for name in wanted.covariates}
+    named = BagMapping(file=file, finished=tuple(wanted.ending.finished), covariates=seen, **plain)
+    found = []
+    for number, (name, events) in enumerate(_trajectories(cells, wanted, named, sources), start=1):
+        trajectory = Trajectory(number if name is None else name, named, cause=LOG_ENDED)
+        trajectory.follow(events)
+        if is_seen(Path(cells.file), trajectory):
+            found.append(trajectory)
+    return logs_of(cells.file, named, found, missing=missing)
+
+
+def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> Cells:
+    """Read one file, or several below one another."""
+    if isinstance(source, str | Path):
+        return read_cells(Path(source), mapping.table)
+    tables = [read_cells(file, mapping.table) for file in source]
+    first, *others = tables
+    for each in others:
+        if list(each.columns) != list(first.columns) or each.layout.separator != first.layout.separator:
+            names = ", ".join(map(shown, each.columns))
+            raise LogError(f"{each.file}: its columns are {names}, and not those of {first.file}; convert each alone")
+    columns = {name: [text for each in tables for text in each.columns[name]] for name in first.columns}
+    places = [f"{Path(each.file).name}, {each.word} {row}" for each in tables for row in each.rows]
+    return Cells(str(source[0].parent), columns, places, first.layout, "file")
+
+
+def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
+    """Refuse a column that is not there, and an event that no row has, but of endings, which may be missing."""
+    clock = [("clock.field", name) for name in mapping.clock.fields] + [
+        ("clock.begin", name) for name in mapping.clock.begins
+    ]
+    topic = [] if mapping.topic is None else [("topic", mapping.topic)]
+    for key, name in clock + topic + [(f"{key}.field", mapping.column(key)) for key in mapping.entries]:
+        check_column(cells, name, f"{file}, {key}")
+    there = set(cells.columns[mapping.topic]) if mapping.topic is not None else set()
+    for key, entry in mapping.entries.items():
+        if not entry.topics or there & set(entry.topics):
+            continue
+        trouble = f"no event of {cells.file} is {' or '.join(map(shown, entry.topics))}"
+        if key != "ending":
+            raise ArgumentError(f"{file}, {key}.topic: {trouble}; there are {', '.join(sorted(there)[:20])}")
+        message = f"{file}, ending.topic: {trouble}, so that every trajectory counts as cut by {LOG_ENDED!r}"
+        warnings.warn(message, HalfseenWarning, stacklevel=4)
+
+
+def _without_repeats(cells: Cells) -> Cells:
+    """Leave out events that are the row before them once more, time and all, as programs that send twice write them."""
+    whole = list(zip(*cells.columns.values(), strict=True))
+    kept = [row for row, texts in enumerate(whole) if row == 0 or texts != whole[row - 1]]
+    if len(kept) == len(whole):
+        return cells
+    first = next(row for row, texts in enumerate(whole[1:], start=1) if texts == whole[row - 1])
+    message = f"{cells.place(first)}: it repeats the one before it; such rows are left out: {len(whole) - len(kept)}"
+    warnings.warn(message, HalfseenWarning, stacklevel=3)
+    columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
+    return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
+
+
+def _trajectories(
+    cells: Cells, mapping: EventMapping, named: BagMapping, sources: dict[str, Source]
+) -> Iterator[tuple[Any, list[Event]]]:
+    """Name and events of each trajectory."""
+    marks = marks_of(cells, _columns_of_numbers(mapping))
+    stamps, begins = _times(cells, mapping, marks, named.file)
+    values_of = _values(cells, mapping, marks)
+    has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
+    for name, unordered in _groups(cells, mapping, values_of, stamps).items():
+        rows, times = _in_order(unordered, stamps, mapping)
+        events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), _BEGIN, None)]
+        for row, time in zip(rows, times.tolist(), strict=True):
+            place = f"{cells.place(row)}: "
+            # An empty cell tells only in the last row that nothing ended a trajectory.
+            is_blank = not mapping.ending.topics and not ending_texts[row] and row != rows[-1]
+            here = [pair for pair in values_of[row] if not (is_blank and pair[0] == "ending")]
+            events += [Event(time, sources[key], value, place) for key, value in here]
+            events += [] if has_begins else [Event(time, _ROW, None, place)]
+        if not has_begins:
+            yield name, events
+            continue
+        _warn_of_early(cells, events)
+        for begun, following in split(Path(cells.file), [events], named):
+            yield begun, following if since is None else [Event(0, _BEGIN, None), *following]
+
+
+def _columns_of_numbers(mapping: EventMapping) -> list[str]:
+    keys = [key for key, one in mapping.entries.items() if key in NUMBERS or ("." in key and one.type != "text")]
+    times = [*mapping.clock.fields, *mapping.clock.begins] if mapping.clock.unit is not None else []
+    return list(dict.fromkeys([mapping.column(key) for key in keys] + times))
+
+
+def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tuple[Stamps, Stamps | None]:
+    """Times of the rows, and of the beginning of what each row tells, where that is known [ns]."""
+    clock = mapping.clock
+    try:
+        stamps = stamps_ns(cells, clock.fields, clock, marks)
+        begins = stamps_ns(cells, clock.begins, clock, marks) if clock.begins else None
+    except ArgumentError as error:
+        raise ArgumentError(f"{file}, {error}") from error
+    if clock.since is not None:
+        begins = np.zeros_like(stamps)
+    if begins is not None and (begins > stamps).any():
+        cells.refuse(int(np.argmax(begins > stamps)), clock.fields[-1], "is before its beginning; mend one of the two")
+    return stamps, begins
+
+
+def _values(cells: Cells, mapping: EventMapping, marks: Marks) -> list[list[tuple[str, Any]]]:
+    """What each row tells: keys of the mapping and values, in the order in which they count."""
+    values_of: list[list[tuple[str, Any]]] = [[] for _ in cells.rows]
+    for key, entry in mapping.entries.items():
+        if key == "trajectory" and not mapping.has_begins:
+            continue
+        column = mapping.column(key)
+        rows = _rows_that_tell(cells, mapping, key)
+        is_numbered = key == "trajectory" and entry.field is None
+        values = [None] * len(rows) if is_numbered else _read(cells, key, entry, column, rows, marks)
+        for row, value in zip(rows, values, strict=True):
+            values_of[row].append((key, value))
+    return values_of
+
+
+def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
+    """Rows that carry a value."""
+    entry, texts = mapping.entries[key], cells.columns[mapping.column(key)]
+    if mapping.topic is not None and entry.topics:
+        topics, wanted = cells.columns[mapping.topic], set(entry.topics)
+        return [row for row, topic in enumerate(topics) if topic in wanted]
+    is_needed = mapping.topic is None and "." in key
+    is_needed |= "" in entry.values or (key == "ending" and "" in mapping.ending.finished)
+    return [row for row, text in enumerate(texts) if text or is_needed]
+
+
+def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int], marks: Marks) -> list[Any]:
+    """Read the cells of one column: numbers, or names, which are whole numbers if all are; a covariate may be null."""
+    texts, known, is_covariate = cells.columns[column], entry.values, "." in key
+    first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
+    has_text = any(isinstance(value, str) and plain_number(value, marks) is None for value in known.values())
+    has_text |= isinstance(first, str) and not is_numeric(first)
+    if key in NUMBERS or (is_covariate and (entry.type or ("text" if has_text else "number")) == "number"):
+        return [
+            float(known[text])
+            if (text := texts[row]) in known
+            else float("nan")
+            if not text and is_covariate
+            else number_at(cells, row, column, marks)
+            for row in rows
+        ]
+    for row in rows:
+        if not texts[row] and "" not in known and key != "ending" and not is_covariate:
+            cells.refuse(row, column, f"is no {key}; give one, or leave the row out")
+    if is_covariate and entry.type is None:
+        refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
+    if is_covariate:
+        return [str(known[text]) if (text := texts[row]) in known else text or None for row in rows]
+    names = [str(known.get(texts[row], texts[row])) for row in rows]
+    are_whole = key != "ending" and all(map(WHOLE.fullmatch, names))
+    return list(map(int, names)) if are_whole else names
+
+
+def _groups(
+    cells: Cells, mapping: EventMapping, values_of: list[list[tuple[str, Any]]], stamps: Stamps
+) -> dict[Any, list[int]]:
+    """Rows by the name of their trajectory; of a table of one, or of such as events begin, all rows."""
+    steps = np.diff(stamps)
+    is_newest_first = mapping.clock.since is None and bool((steps <= 0).all() and (steps < 0).any())
+    order = range(len(stamps))[:: -1 if is_newest_first else 1]
+    if mapping.trajectory is None or mapping.has_begins:
+        return {None: list(order)}
+    column = mapping.column("trajectory")
+    texts = cells.columns[column]
+    rows = [row for row in order if texts[row] or values_of[row]]
+    groups: dict[Any, list[int]] = {}
+    for row, name in zip(rows, _read(cells, "trajectory", mapping.trajectory, column, rows, Marks()), strict=True):
+        groups.setdefault(name, []).append(row)
+    return groups
+
+
+def _in_order(rows: list[int], stamps: Stamps, mapping: EventMapping) -> tuple[list[int], Int[np.ndarray, " some"]]:
+    """Put rows in the order of their clock, equal times as they stand; with these times [ns]."""
+    since, times = mapping.clock.since, stamps[rows]
+    if since == "stage":
+        return rows, np.cumsum(times)
+    order = np.argsort(times, kind="stable") if since is None or not mapping.has_begins else np.arange(len(rows))
+    return [rows[k] for k in order.tolist()], times[order]
+
+
+def _warn_of_early(cells: Cells, events: list[Event]) -> None:
+    num_early = next((k for k, event in enumerate(events) if event.source.key == "trajectory"), 0)
+    if num_early:
+        message = f"{cells.file}: {num_early} values come before the first beginning of a trajectory; they are left out"
+        warnings.warn(message, HalfseenWarning, stacklevel=5)

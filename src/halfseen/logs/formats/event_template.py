@@ -1,0 +1,266 @@
+"""A mapping made from a table itself, to start from: what names and cells look like, each guess marked as one."""
+
+import json
+import re
+import shlex
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import msgspec
+import pandas as pd
+
+from halfseen.errors import LogError
+from halfseen.logs.columns import STAGE_COLUMNS, shown
+from halfseen.logs.formats.event_mapping import Layout
+from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
+from halfseen.logs.formats.table_numbers import is_numeric, marks_of, thousands_mark
+from halfseen.logs.formats.table_times import ISO, TIME_OF_DAY, dates_and_times, joined
+
+_LIKE = {
+    "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"
+    r"|heure|horodat|fecha|hora|^ora$|^data",
+    "clock.begin": r"beg[ia]n|start|anfang|début|inicio|inizio",
+    "trajectory": r"lauf|run|traj|episode|auftrag|order|job|batch|charge|cycle|zyklus|trial|essai|ciclo|lote|lotto",
+    "topic": r"ereignis|event|typ|meldung|message|topic|kind|signal|tag|évén|mensaje|messaggio",
+    "action": r"a[kc]tion|griff|greif|grip|tool|werkzeug|decision|choice|prise|pince|outil|acción|azione|pinza",
+    "object": r"obje[kc]?t|teil|part|item|pièce|pieza|pezzo",
+    "probability": r"prob|wahrsch|propens",
+    "reward": r"reward|belohn|ertrag|worth|wert|value|score|punkt|profit|gewinn|récomp|valeur|valor",
+    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|stop|cause|grund|ursache|fault|fehler|stör|status"
+    r"|^fine?$|résult|risult|causa|motif|arrêt",
+}
+"""What names of columns look like that carry something, in the order in which columns are given away: as engineers
+write them in German, English, French, Spanish or Italian."""
+_EVENTS_LIKE = {
+    "trajectory": r"^(start|begin|anfang|début|inicio|inizio)",
+    "ending": r"^end|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
+    "reward": r"reward|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
+    r"|dépo|depó|depos|résult",
+    "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
+}
+_FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
+"""Likewise of events, and of endings that are no cut."""
+_ISO_8601 = "ISO8601"
+_DAYS = ("%d.%m.%Y", "%d/%m/%Y", "%m/%d/%Y", "%Y/%m/%d", "%d-%m-%Y", "%m-%d-%Y", "%d.%m.%y", "%d/%m/%y", "%m/%d/%y")
+_TIMES = ("%H:%M:%S", "%H:%M:%S.%f", "%H:%M:%S,%f", "%H:%M", "%I:%M:%S %p", "%I:%M %p")
+_ROWS_LOOKED_AT = 1000
+
+
+def mapping_of(file: str | Path) -> str:
+    """Write a mapping for a table, to be checked and completed by who knows it: every guess is marked as one.
+
+    Raises
+    ------
+    LogError
+        The table cannot be read.
+    """
+    cells = _read(Path(file))
+    parts: dict[str, list[str]] = {}
+    whole = cells
+    for both in dates_and_times(cells):
+        whole, name = joined(whole, both)
+        parts[name] = both
+    used = {name for both in parts.values() for name in both}
+    columns = {name: whole.columns[name] for name in (*parts, *cells.columns) if name not in used}
+    cells = replace(cells, columns=columns)
+    return "\n".join(_template(cells, str(file), _guessed(cells), parts)) + "\n"
+
+
+def _read(file: Path) -> Cells:
+    """Read a table whose heading may stand below other lines, and find its mark of thousands."""
+    try:
+        cells = read_cells(file, Layout())
+    except LogError:
+        heading = 1 if file.suffix in TYPED_FILES or not file.is_file() else heading_of(file)
+        if heading == 1:
+            raise
+        cells = read_cells(file, Layout(heading=heading))
+    return replace(cells, layout=msgspec.structs.replace(cells.layout, thousands=thousands_mark(cells)))
+
+
+def _guessed(cells: Cells) -> dict[str, str]:
+    """The column of each key, as far as one looks like it."""
+    found: dict[str, str] = {}
+    for key, like in _LIKE.items():
+        for name, texts in cells.columns.items():
+            there = [text for text in texts if text]
+            if name in found.values() or not there or not re.search(like, name, re.IGNORECASE):
+                continue
+            are_numbers = all(map(is_numeric, there))
+            are_times = len(there) == len(texts) and (are_numbers or bool(_date_formats(texts)))
+            is_fit = {
+                "probability": are_numbers,
+                "reward": are_numbers,
+                "action": not are_numbers,
+                "topic": not are_numbers,
+                "ending": not _date_formats(there),
+            }
+            if are_times if key.startswith("clock") else is_fit.get(key, True):
+                found[key] = name
+                break
+    return found | _other_times(cells, found)
+
+
+def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
+    """A column of times that no name tells; of one row a stage, that of the end where the one found is a beginning."""
+    times = (name for name in cells.columns if name not in found.values() and _date_formats(cells.columns[name]))
+    first = found.get("clock.field") or next(times, None)
+    is_begin = first is not None and re.search(_LIKE["clock.begin"], first, re.IGNORECASE) is not None
+    if is_begin and not {"topic", "clock.begin"} & set(found) and (end := next(times, None)) is not None:
+        return {"clock.begin": str(first), "clock.field": end}
+    return {} if first is None else {"clock.field": first}
+
+
+def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, list[str]]) -> Iterator[str]:
+    """Lines of a mapping."""
+    yield f"# What the columns of {file} carry, for: halfseen convert {shlex.quote(file)} --mapping THIS --out LOGS"
+    yield "# Each guess is marked: check it, mend it, complete what is missing, and leave out what is not recorded."
+    topics = list(dict.fromkeys(cells.columns[found["topic"]])) if "topic" in found else []
+    if topics:
+        yield from ("", "# Column of what happened, one row an event; without it each row is a stage.")
+        yield f"topic = {_guess(cells, found['topic'])}"
+        yield f"# There are {', '.join(map(shown, topics[:20]))}."
+    if cells.layout.separator is not None:
+        yield from ("", "[table]", f"separator = {_quoted(cells.layout.separator)}  # guess")
+        yield f"encoding = {_quoted(str(cells.layout.encoding))}  # guess: utf-8, utf-8-sig, cp1252 or utf-16"
+        yield _decimal_line(cells)
+        if cells.layout.thousands is not None:
+            yield f"thousands = {_quoted(cells.layout.thousands)}  # guess: between groups of three digits"
+        if cells.layout.heading > 1:
+            yield f"heading = {cells.layout.heading}  # guess: the line that names the columns"
+    yield from ("", "[clock]", *_clock_lines(cells, found, bool(topics), parts))
+    like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
+    for key in ("trajectory", "action", "object", "probability", "reward", "ending"):
+        topic = [] if key == "trajectory" and key in found else like.get(key, [])
+        if key in found or topic or key in ("action", "reward", "ending"):
+            yield from ("", *_entry_lines(cells, key, found, topic))
+    taken = {one for each in like.values() for one in each}
+    yield from _covariate_lines(cells, found, [one for one in topics if one not in taken])
+
+
+def _decimal_line(cells: Cells) -> str:
+    try:
+        return f'decimal = {_quoted(marks_of(cells, list(cells.columns)).decimal)}  # guess: of fractions, "," or "."'
+    except LogError:
+        return '# decimal = ","  # the mark of fractions; not to be guessed: "," or "."'
+
+
+def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: dict[str, list[str]]) -> Iterator[str]:
+    """How times are written."""
+    if "clock.field" not in found:
+        yield f'# field = "COLUMN"  # no column looks like times; there are {_names(cells)}'
+        return
+    name = found["clock.field"]
+    yield f"field = {_guessed_time(cells, name, parts)}"
+    formats = _date_formats(cells.columns[name])
+    if not formats:
+        unit = re.search(r"(?<![a-z])(ms|us|ns|min|s)\W*$", name)
+        yield f'unit = "{unit[1] if unit else "s"}"  # guess: s, ms, us, ns or min'
+        yield '{}since = "trajectory"  # guess: numbers count from there, or from the "stage"'.format(
+            "# " if has_topic else ""
+        )
+        return
+    if len(formats) > 1:
+        yield "# The order of day and month is not to be guessed; choose one:"
+    yield from (
+        f"{'# ' if len(formats) > 1 else ''}format = {_quoted(one)}  # guess" for one in formats if one != _ISO_8601
+    )
+    if all(map(TIME_OF_DAY.fullmatch, cells.columns[name])):
+        yield "# They have no date: the next day begins where they fall back past midnight."
+        return
+    yield '# zone = "Europe/Berlin"  # of times without one, so that the nights on which clocks change are right'
+    if not has_topic:
+        yield "# Column of the time at which a stage began."
+        begin = found.get("clock.begin")
+        yield (
+            '# begin = "COLUMN"  # no column looks like it'
+            if begin is None
+            else f"begin = {_guessed_time(cells, begin, parts)}"
+        )
+
+
+def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
+    """The columns of a time."""
+    columns = json.dumps(parts.get(name, name), ensure_ascii=False)
+    return _guess(cells, name).replace(_quoted(name), columns, 1)
+
+
+def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]) -> Iterator[str]:
+    """A table of the mapping."""
+    rows = _rows(cells, found, topic)
+    column = _filled(cells, found, key, rows) if topic else found.get(key)
+    if column is None and not topic:
+        yield from (f"# [{key}]", f'# field = "COLUMN"  # no column looks like it; there are {_names(cells)}')
+        return
+    yield f"[{key}]"
+    if topic:
+        yield f"topic = [{', '.join(map(_quoted, topic))}]  # guess: these events carry it"
+    if column is not None:
+        yield f"field = {_guess(cells, column, rows)}"
+    texts = topic if column is None else list(dict.fromkeys(cells.columns[column][row] for row in rows))
+    if key == "ending":
+        ends = [text for text in texts if _FINISHED_LIKE.search(text)] or [text for text in texts if not text]
+        yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: what is no cut; "" where an empty cell is none'
+    elif key == "action" or (key == "reward" and not all(map(is_numeric, texts))):
+        names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
+        pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
+        meaning = "what it stands for, if that is another" if key == "action" else "what each earns"
+        yield f"# values = {{{pairs}}}  # {meaning}"
+
+
+def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> Iterator[str]:
+    """What is left, as what was known before the action."""
+    free = [name for name in cells.columns if name not in found.values()]
+    for name in [] if "topic" in found else free:
+        yield from ("", f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}")
+    for topic in topics:
+        rows = _rows(cells, found, [topic])
+        column = _filled(cells, found, "covariates", rows)
+        if column is not None:
+            yield from ("", f"[covariates.{_key(topic)}]", f"topic = {_quoted(topic)}  # guess: this event carries it")
+            yield f"field = {_guess(cells, column, rows)}"
+
+
+def _rows(cells: Cells, found: dict[str, str], topic: list[str]) -> list[int]:
+    """Rows of some events, or all."""
+    return [row for row in range(len(cells.rows)) if not topic or cells.columns[found["topic"]][row] in topic]
+
+
+def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> str | None:
+    """The column in which some events have something: the one that looks like it, or else the first."""
+    others = {found.get(other) for other in ("topic", "clock.field", "trajectory") if other != key}
+    ways = [name for name in cells.columns if name not in others and all(cells.columns[name][row] for row in rows)]
+    numeric = [name for name in ways if all(is_numeric(cells.columns[name][row]) for row in rows)]
+    ways = numeric or ways if key == "reward" else ways
+    return found[key] if found.get(key) in ways else next(iter(ways), None)
+
+
+def _guess(cells: Cells, name: str, rows: Sequence[int] | None = None) -> str:
+    texts = cells.columns[name] if rows is None else [cells.columns[name][row] for row in rows]
+    return f"{_quoted(name)}  # guess: such as {' and '.join(map(shown, list(filter(None, dict.fromkeys(texts)))[:2]))}"
+
+
+def _names(cells: Cells) -> str:
+    return ", ".join(map(shown, cells.columns))
+
+
+def _key(name: str) -> str:
+    named = f"{name}_before" if name in STAGE_COLUMNS else name
+    return named if re.fullmatch(r"[A-Za-z0-9_-]+", named) else _quoted(named)
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _date_formats(texts: Sequence[str]) -> list[str]:
+    """The formats of dates that all of some text may be in; none if it is no dates."""
+    some = pd.Series(list(dict.fromkeys(texts))[:_ROWS_LOOKED_AT], dtype=object)
+    if some.map(lambda text: ISO.fullmatch(text) is not None).all():
+        return [_ISO_8601]
+    if ":" not in some.iloc[0]:
+        return []
+    ways = [f"{day} {time}" for day in _DAYS for time in _TIMES] + list(_TIMES)
+    likely = [way for way in ways if pd.notna(pd.to_datetime(some.iloc[0], format=way, errors="coerce"))]
+    return [way for way in likely if pd.to_datetime(some, format=way, errors="coerce").notna().all()]

@@ -1,0 +1,227 @@
+"""Cells of any table as text, with the line of each row.
+
+Read down: bytes → text (encoding) → cells (separator), or typed columns → the same cells. What text means is read in
+`halfseen.logs.formats.table_numbers` and `table_times`.
+"""
+
+import csv
+import io
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import NoReturn
+
+import msgspec
+import pyarrow as pa
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.columns import shown
+from halfseen.logs.formats.event_mapping import Layout
+from halfseen.logs.formats.step_tables import LAST, parquet_file, whole_table
+from halfseen.reading import TABLE, opened, reason_of
+from halfseen.suggestions import did_you_mean
+
+TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
+SEPARATORS = (";", ",", "\t", "|")
+ROWS_LOOKED_AT = 50
+
+
+@dataclass(frozen=True)
+class Cells:
+    """A table of text; an empty cell is an empty text.
+
+    Parameters
+    ----------
+    file
+        Its name, for messages.
+    columns
+        Cells of each column.
+    rows
+        Number of each row in its file, from 1; of several files behind the name of its own.
+    layout
+        How it was read.
+    word
+        What rows are called: line, or row where a file has no lines; file, of several.
+    """
+
+    file: str
+    columns: dict[str, list[str]]
+    rows: Sequence[int | str]
+    layout: Layout
+    word: str = "line"
+
+    def place(self, row: int, column: str | None = None) -> str:
+        """Name a row, or a cell."""
+        return f"{self.file}, {self.word} {self.rows[row]}" + ("" if column is None else f", column {column!r}")
+
+    def refuse(self, row: int, column: str, trouble: str) -> NoReturn:
+        """Refuse a cell, with its place and its value."""
+        raise LogError(f"{self.place(row, column)}: {shown(self.columns[column][row])} {trouble}")
+
+
+def is_event_table(file: Path, is_mapped: bool) -> bool:
+    """Whether a file is to be read by a mapping: it is a table, and one is given, or it is none of steps."""
+    if is_mapped or file.suffix not in (".csv", *TYPED_FILES):
+        return file.suffix in (*TEXT_FILES, *TYPED_FILES, *SHEETS)
+    try:
+        if file.suffix in TYPED_FILES:
+            return LAST not in parquet_file(file).schema_arrow.names
+        with opened(file, TABLE) as held:
+            return LAST.encode() not in held.readline(ROWS_LOOKED_AT * 1000)
+    except (OSError, pa.ArrowException):
+        return False
+
+
+def read_cells(file: Path, layout: Layout) -> Cells:
+    """Read a file of text, or Parquet.
+
+    Raises
+    ------
+    ArgumentError
+        It is of another kind.
+    LogError
+        It is missing or broken, a row has another number of cells than the heading, or the layout is not to be found.
+    """
+    refuse_workbook(file)
+    if file.suffix in TYPED_FILES:
+        with whole_table(file):
+            table = parquet_file(file).read()
+        return cells_of(str(file), table)
+    if file.suffix not in TEXT_FILES:
+        raise ArgumentError(f"{file}: a mapping of columns is for {', '.join((*TEXT_FILES, *TYPED_FILES))}; export one")
+    with whole_table(file), opened(file, TABLE) as held:
+        content = held.read()
+    text, encoding = _decoded(file, content, layout.encoding)
+    return _split(file, text, msgspec.structs.replace(layout, encoding=encoding))
+
+
+def refuse_workbook(file: Path) -> None:
+    """Refuse the files of spreadsheets (`ArgumentError`)."""
+    if file.suffix in SHEETS:
+        raise ArgumentError(f"{file}: workbooks are not read; save the sheet as CSV UTF-8, and convert that file")
+
+
+def cells_of(place: str, table: pa.Table) -> Cells:
+    """Write the columns of an Arrow table as text: times as ISO 8601, null as an empty text.
+
+    Raises
+    ------
+    LogError
+        A column is of a type that has no text, or there is no row.
+    """
+    columns = {}
+    for name, column in zip(table.column_names, table.columns, strict=True):
+        try:
+            values = column.combine_chunks()
+            values = values.dictionary_decode() if pa.types.is_dictionary(column.type) else values
+            columns[name] = [(cell or "").strip() for cell in values.cast(pa.string()).to_pylist()]
+        except (pa.ArrowException, ValueError, NotImplementedError) as error:
+            raise LogError(f"{place}: column {name!r} holds {column.type}, which is not read; drop it") from error
+    return _checked(Cells(place, columns, range(1, table.num_rows + 1), Layout(decimal="."), "row"), table.column_names)
+
+
+def _decoded(file: Path, content: bytes, encoding: str | None) -> tuple[str, str]:
+    """Decode text; of what nobody names, by its mark of the byte order, else UTF-8 or, if it is none, Windows' own."""
+    is_wide = content[:2] in (b"\xff\xfe", b"\xfe\xff")
+    found = ["utf-16"] if is_wide else ["utf-8-sig"] if content[:3] == b"\xef\xbb\xbf" else ["utf-8", "cp1252"]
+    names = found if encoding is None else ["utf-8-sig" if encoding == "utf-8" else encoding]
+    for name in names:
+        try:
+            return content.decode(name), name
+        except UnicodeDecodeError as error:
+            trouble = f"line {content[: error.start].count(10) + 1}: bytes {content[error.start : error.end]!r}"
+    raise LogError(f"{file}, {trouble} are no {encoding or names[-1]}; say table.encoding, or export it as UTF-8")
+
+
+def _split(file: Path, text: str, layout: Layout) -> Cells:
+    """Split text into cells."""
+    if "\0" in text:
+        raise LogError(f"{file}: it holds null characters; say table.encoding, such as 'utf-16', or export it as UTF-8")
+    lines = io.StringIO(text, newline="")
+    for _ in range(layout.heading - 1):
+        lines.readline()
+    start, number = lines.tell(), layout.heading - 1
+    if named := re.fullmatch(r"sep=(.)\s*", lines.readline(), re.IGNORECASE):  # as spreadsheets write it
+        start, number = lines.tell(), number + 1
+    separator = layout.separator or (named[1] if named else _separator(file, text[start:]))
+    lines.seek(start)
+    reader = csv.reader(lines, delimiter=separator, skipinitialspace=True)
+    kept: list[list[str]] = []
+    rows: list[int] = []
+    at = number + 1
+    try:
+        for cells in reader:
+            if any(map(str.strip, cells)):
+                kept.append([cell.strip() for cell in cells])
+                rows.append(at)
+            at = number + reader.line_num + 1
+    except csv.Error as error:
+        raise LogError(f"{file}, line {at}: it is no CSV ({reason_of(error)}); mend the line") from error
+    names = _trimmed(kept[0], 1) if kept else []
+    for row, cells in zip(rows[1:], kept[1:], strict=True):
+        if len(_trimmed(cells, len(names))) != len(names):
+            raise LogError(
+                f"{file}, line {row}: it has {len(cells)} cells between {separator!r}, and the heading has "
+                f"{len(names)}; mend or delete the line, or say table.separator or table.heading"
+            )
+    columns = {name: [cells[k] for cells in kept[1:]] for k, name in enumerate(names)}
+    return _checked(Cells(str(file), columns, rows[1:], msgspec.structs.replace(layout, separator=separator)), names)
+
+
+def _trimmed(cells: list[str], least: int) -> list[str]:
+    """Leave out empty cells behind the last that a row needs."""
+    end = len(cells)
+    while end > least and not cells[end - 1]:
+        end -= 1
+    return cells[:end]
+
+
+def _checked(cells: Cells, names: list[str]) -> Cells:
+    repeated = [name for k, name in enumerate(names) if name in names[:k]]
+    if repeated:
+        raise LogError(f"{cells.file}: there are two columns {repeated[0]!r}; drop or rename one")
+    if "" in names:
+        raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or say table.heading")
+    if not len(cells.rows):
+        raise LogError(f"{cells.file}: there is no row below the heading; give a table with one at least")
+    return cells
+
+
+def _separator(file: Path, text: str) -> str:
+    """Find what separates cells: what gives the first rows most cells, and equally many."""
+    sample = "".join(islice(io.StringIO(text, newline=""), ROWS_LOOKED_AT))
+    found: dict[str, tuple[bool, int]] = {}
+    for separator in SEPARATORS:
+        try:
+            sizes = [len(row) for row in csv.reader(io.StringIO(sample, newline=""), delimiter=separator) if any(row)]
+        except csv.Error:
+            continue
+        found |= {separator: (len(set(sizes)) == 1, sizes[0])} if sizes and sizes[0] > 1 else {}
+    if not found:
+        raise LogError(f"{file}: no separator is in its heading, among {SEPARATORS}; say table.separator or heading")
+    return max(found, key=lambda separator: found[separator])
+
+
+def heading_of(file: Path) -> int:
+    """The line that looks like a heading: the first with as many cells as most of the first lines, or one less."""
+    with opened(file, TABLE) as held:
+        text, _ = _decoded(file, held.read(), None)
+    lines = text.splitlines()[:ROWS_LOOKED_AT]
+    found: dict[int, int] = {}
+    for separator in SEPARATORS:
+        sizes = [line.count(separator) for line in lines]
+        usual = Counter(sizes).most_common(1)[0][0] if sizes else 0
+        if usual:
+            found[usual] = next(k for k, size in enumerate(sizes, start=1) if size >= max(1, usual - 1))
+    return found[max(found)] if found else 1
+
+
+def check_column(cells: Cells, name: str, asked_by: str) -> None:
+    """Refuse a name of no column (`ArgumentError`); `asked_by` is the place in the mapping that names it."""
+    if name not in cells.columns:
+        there = ", ".join(map(repr, list(cells.columns)[:20]))
+        ending = did_you_mean(name, cells.columns) or "; name one of them"
+        raise ArgumentError(f"{asked_by}: there is no column {name!r} in {cells.file}; there are {there}{ending}")

@@ -1,0 +1,189 @@
+"""What the cells of a table mean as times; what can be read in two ways is refused."""
+
+import json
+import re
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from decimal import Decimal
+from typing import Any, TypeAlias
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pandas as pd
+
+from halfseen.errors import ArgumentError, HalfseenWarning
+from halfseen.logs.columns import shown
+from halfseen.logs.formats.event_mapping import Clock
+from halfseen.logs.formats.table_cells import Cells
+from halfseen.logs.formats.table_numbers import Marks, is_numeric, plain_number
+from halfseen.reading import reason_of
+from halfseen.shapes import Int
+
+NANOSECONDS = {"ns": 1, "us": 10**3, "ms": 10**6, "s": 10**9, "min": 60 * 10**9}
+ISO = re.compile(r"\d{4}-\d\d-\d\d([T ]\d\d:\d\d(:\d\d([.,]\d{1,9})?)?)?( ?(Z|[+-]\d\d:?\d\d))?")
+_ZONED = re.compile(r":.*(Z|[+-]\d\d:?\d\d)$")
+_HOUR_NS = 3600 * 10**9
+_DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
+TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d{1,9})?)?( ?[AaPp][Mm])?")
+_HAS_DAY = re.compile(r"(?<!%)(%%)*%[djcxs]")
+Stamps: TypeAlias = Int[np.ndarray, " rows"]
+"""Times [ns]."""
+
+
+def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) -> Stamps:
+    """Read the times of all rows [ns]: since 1970 of dates, and as they count of numbers.
+
+    Cells of several columns are read as one, with a space between.
+
+    Raises
+    ------
+    ArgumentError
+        The format or the zone is none.
+    LogError
+        A cell is no time, or may be read in two ways.
+    """
+    cells, column = joined(cells, columns)
+    texts = cells.columns[column]
+    if clock.unit is not None:
+        return _counted(cells, column, NANOSECONDS[clock.unit], marks)
+    if clock.since is not None:
+        cells.refuse(0, column, "counts since a beginning; say clock.unit: s, ms, us, ns or min")
+    written = pd.Series(texts, dtype=object)
+    if clock.format is None:
+        _refuse_not_iso(cells, column)
+        written = written.str.replace(",", ".", regex=False).str.replace(r" (?=Z|[+-])", "", regex=True)
+        is_zoned = written.str.contains(_ZONED.pattern.replace("(Z", "(?:Z"), regex=True).to_numpy(dtype=bool)
+    else:
+        is_zoned = np.full(len(texts), "%z" in clock.format)
+    if is_zoned.any() and not is_zoned.all():
+        cells.refuse(int(np.argmin(is_zoned)), column, "has no zone, and others have; write all times alike")
+    is_of_day = clock.format is not None and not _HAS_DAY.search(clock.format)
+    if is_of_day and (is_zoned.any() or clock.zone is not None or clock.begin is not None):
+        raise ArgumentError("clock: the format has no day, which zone and begin need; name the column of dates, too")
+    message = _doubt(cells, column, is_of_day) if is_of_day or not (is_zoned.any() or clock.zone) else ""
+    if message:
+        warnings.warn(f"{cells.file}, column {column!r}: {message}", HalfseenWarning, stacklevel=5)
+    stamps = _dates(cells, column, written, clock, bool(is_zoned.all()))
+    return _over_midnight(cells, column, stamps) if is_of_day else stamps
+
+
+def joined(cells: Cells, columns: Sequence[str]) -> tuple[Cells, str]:
+    """Put the cells of several columns into one, with a space between.
+
+    Returns
+    -------
+    tuple
+        A table with one column more, and the name of that column; of one column the table as it is.
+
+    Raises
+    ------
+    LogError
+        A cell is empty.
+    """
+    if len(columns) == 1:
+        return cells, columns[0]
+    for name in columns:
+        if "" in cells.columns[name]:
+            cells.refuse(cells.columns[name].index(""), name, "is no part of a time; every row needs one")
+    name, parts = " ".join(columns), (cells.columns[name] for name in columns)
+    joined = {name: [" ".join(texts) for texts in zip(*parts, strict=True)]}
+    return replace(cells, columns=cells.columns | joined), name
+
+
+def _doubt(cells: Cells, column: str, is_of_day: bool) -> str:
+    """What may be wrong of times without a zone, or without a date."""
+    wrong = "an hour is wrong where clocks were changed"
+    if not is_of_day:
+        return f"times have no zone, so that {wrong}; say clock.zone, such as 'Europe/Berlin' or 'UTC'"
+    dates = _column_of(cells, _DAY_ALONE)
+    remedy = "" if dates is None else f"; if column {dates!r} has their dates, name both: {_both(dates, column)}"
+    return (
+        f"times have no date, so that those which fall back past midnight count as the next day's, and {wrong}{remedy}"
+    )
+
+
+def _both(dates: str, times: str) -> str:
+    return f"clock.field = {json.dumps([dates, times], ensure_ascii=False)}"
+
+
+def _column_of(cells: Cells, like: re.Pattern[str]) -> str | None:
+    """The first column all of whose cells look alike."""
+    return next((name for name, texts in cells.columns.items() if all(map(like.fullmatch, texts))), None)
+
+
+def dates_and_times(cells: Cells) -> list[list[str]]:
+    """The column of dates alone with each one of times of day."""
+    dates = _column_of(cells, _DAY_ALONE)
+    times = [name for name, texts in cells.columns.items() if all(map(TIME_OF_DAY.fullmatch, texts))]
+    return [] if dates is None else [[dates, name] for name in times]
+
+
+def _over_midnight(cells: Cells, column: str, times: Stamps) -> Stamps:
+    """Times of day on a clock that runs on: each is less than 18 h after the one before, or up to an hour before it."""
+    steps, day = np.diff(times), 24 * _HOUR_NS
+    near = steps - day * np.rint(steps / day).astype(np.int64)
+    forth = -1 if np.sign(near).sum() < 0 else 1  # the newest may stand first
+    steps = (forth * steps + _HOUR_NS) % day - _HOUR_NS
+    if (steps > 18 * _HOUR_NS).any():
+        row = int(np.argmax(steps > 18 * _HOUR_NS)) + 1
+        before = shown(cells.columns[column][row - 1])
+        cells.refuse(
+            row,
+            column,
+            f"stands after {before}, which no day tells apart; name the column of dates in clock.field, too",
+        )
+    return times[:1].sum() + forth * np.concatenate([np.zeros(1, np.int64), np.cumsum(steps)])
+
+
+def _refuse_not_iso(cells: Cells, column: str) -> None:
+    texts = cells.columns[column]
+    row = next((row for row, cell in enumerate(texts) if not ISO.fullmatch(cell)), None)
+    if row is None:
+        times = _column_of(cells, TIME_OF_DAY) if all(map(_DAY_ALONE.fullmatch, texts)) else None
+        if times is not None:
+            cells.refuse(0, column, f"has no time of day, and column {times!r} has; name both: {_both(column, times)}")
+        return
+    cell = texts[row]
+    if not cell:
+        cells.refuse(row, column, "is no time; every row needs one")
+    if is_numeric(cell):
+        cells.refuse(row, column, "is a number; say clock.unit: s, ms, us, ns or min")
+    if TIME_OF_DAY.fullmatch(cell):
+        dates = _column_of(cells, _DAY_ALONE)
+        way = "" if dates is None else f"{_both(dates, column)} and "
+        cells.refuse(
+            row, column, f'has no date; say {way}clock.format, such as "{"" if dates is None else "%d.%m.%Y "}%H:%M:%S"'
+        )
+    way = '"%d/%m/%Y %H:%M:%S" or "%m/%d/%Y %H:%M:%S"' if "/" in cell else '"%d.%m.%Y %H:%M:%S"'
+    cells.refuse(row, column, f"is no ISO time, and day and month may change places; say clock.format, such as {way}")
+
+
+def _dates(cells: Cells, column: str, written: Any, clock: Clock, is_zoned: bool) -> Stamps:
+    wanted = "ISO8601" if clock.format is None else clock.format
+    try:
+        dates = pd.DatetimeIndex(pd.to_datetime(written, format=wanted, utc=is_zoned, errors="coerce"))
+        known = dates.notna()
+        if not is_zoned and clock.zone is not None:
+            dates = dates.tz_localize(ZoneInfo(clock.zone), ambiguous="NaT", nonexistent="NaT")
+    except (ValueError, LookupError, OSError, TypeError) as error:
+        trouble = f"dates of column {column!r} cannot be read by it ({reason_of(error)}); mend it"
+        raise ArgumentError(f"clock.format or clock.zone: {trouble}") from error
+    if not known.all():
+        cells.refuse(int(np.argmin(known)), column, f"is no time of the format {wanted}; mend it, or clock.format")
+    if dates.isna().any():
+        row, where = int(np.argmax(dates.isna())), f"in {clock.zone}, where clocks were changed"
+        cells.refuse(row, column, f"was there twice or never {where}; export times with their offset, or in UTC")
+    return dates.as_unit("ns").asi8
+
+
+def _counted(cells: Cells, column: str, factor: int, marks: Marks) -> Stamps:
+    stamps = np.zeros(len(cells.rows), dtype=np.int64)
+    for row, cell in enumerate(cells.columns[column]):
+        if (number := plain_number(cell, marks)) is None:
+            cells.refuse(row, column, f"is no number of decimal mark {marks.decimal!r}; every row needs its time")
+        stamp = round(Decimal(number) * factor)
+        if abs(stamp) >= 2**62:
+            cells.refuse(row, column, "is no time that 64 bits of ns hold; mend it, or clock.unit")
+        stamps[row] = stamp
+    return stamps

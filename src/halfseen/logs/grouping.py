@@ -1,0 +1,108 @@
+"""Columns of a log in groups: numbers by fifths, names by name."""
+
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from halfseen.arrays import RowIds, RowMask, Rows
+from halfseen.logs.columns import shown
+from halfseen.logs.logs import Logs
+
+NUM_GROUPS, MOST_CATEGORIES = 5, 12
+BEGINNING = 1000
+"""Rows that tell of most columns whether they have many kinds."""
+FEWEST_APART, FEWEST_SHARE, GAP, RATIO = 3, 0.01, 30.0, 300.0
+"""Of a group whose units may differ: how many at least, what share, and how far apart."""
+
+
+class Grouped(NamedTuple):
+    """One covariate, in groups.
+
+    Parameters
+    ----------
+    name
+        Of the column.
+    group
+        Of each row, from 0.
+    words
+        What each of the G groups holds: "below 3", "'red'".
+    """
+
+    name: str
+    group: RowIds
+    words: tuple[str, ...]
+
+    @property
+    def num_groups(self) -> int:
+        """G."""
+        return len(self.words)
+
+
+def rows_with(stages: Any, *columns: str, most: int | None = None) -> Any:
+    """Stages in which no column is null, the first of them; they are not copied where that is all."""
+    rows = np.flatnonzero(np.logical_and.reduce([stages[column].notna().to_numpy() for column in columns]))[:most]
+    return stages if len(rows) == len(stages) else stages.iloc[rows]
+
+
+def grouped_covariates(logs: Logs, stages: Any) -> Iterator[Grouped]:
+    """Group each covariate of some of a log's stages."""
+    for name in logs.stage_covariates:
+        found = grouped(str(name), stages[name])
+        if found is not None:
+            yield found
+
+
+def grouped(name: str, values: Any) -> Grouped | None:
+    """Group a column: numbers by fifths, or by value where there are few, text by value; None for one or too many."""
+    if not can_be_counted(values):
+        return None
+    # A beginning that has too many kinds answers for all.
+    kinds = values.iloc[:BEGINNING].nunique()
+    kinds = kinds if kinds > MOST_CATEGORIES else values.nunique()
+    if not pd.api.types.is_numeric_dtype(values.dtype) or kinds <= NUM_GROUPS:
+        if not 2 <= kinds <= MOST_CATEGORIES or values.isna().any():
+            return None
+        code, names = pd.factorize(values, sort=not pd.api.types.is_string_dtype(values.dtype))
+        return Grouped(name, code.astype(np.int64), tuple(map(shown, names)))
+    numbers = values.to_numpy(dtype=np.float64, na_value=np.nan)
+    ends = np.unique(np.nanquantile(numbers, np.arange(1, NUM_GROUPS) / NUM_GROUPS))
+    # What lies at an end lies below it: values that many rows share stay together.
+    group = np.searchsorted(ends, np.where(np.isnan(numbers), ends[0], numbers), side="left")
+    words = [f"{ends[0]:.3g} or less", *(f"{low:.3g} to {high:.3g}" for low, high in pairwise(ends))]
+    return Grouped(name, group.astype(np.int64), (*words, f"above {ends[-1]:.3g}"))
+
+
+def can_be_counted(values: Any) -> bool:
+    """Whether the values of a column can be told apart and counted: there are no lists and no records among them."""
+    is_plain = values.dtype != object or pd.api.types.infer_dtype(values, skipna=True) == "string"
+    return is_plain or bool(values.map(pd.api.types.is_hashable).all())
+
+
+def coded(names: Any) -> tuple[RowIds, np.ndarray]:
+    """Number the names of a column without nulls, as text and in its order: the number of each row, and the names."""
+    code, kinds = pd.factorize(names)
+    words, place = np.unique([str(kind) for kind in kinds], return_inverse=True)
+    return place[code].astype(np.int64), words
+
+
+def is_one_kind(values: Any) -> bool:
+    """Whether all values of a column that can be counted are the same, nulls among them."""
+    return values.iloc[:BEGINNING].nunique(dropna=False) == 1 == values.nunique(dropna=False)
+
+
+def far_apart(sizes: Rows) -> RowMask | None:
+    """Which positive sizes lie above the widest gap on the logarithmic scale, if it is wide enough for mixed units."""
+    usable = np.isfinite(sizes) & (sizes > 0)
+    logs = np.sort(np.log(sizes[usable]))
+    fewest = max(FEWEST_APART, int(np.ceil(FEWEST_SHARE * len(logs))))
+    if len(logs) < 2 * fewest:
+        return None
+    gaps = np.diff(logs)[fewest - 1 : len(logs) - fewest]
+    split = int(np.argmax(gaps)) + fewest
+    ratio = np.median(logs[split:]) - np.median(logs[:split])
+    if gaps.max() < np.log(GAP) or ratio < np.log(RATIO):
+        return None
+    return usable & (sizes >= np.exp((logs[split] + logs[split - 1]) / 2))

@@ -1,0 +1,350 @@
+"""What stands for a covariate of the stages that is missing: a rule by column, and what the log taught it.
+
+A rule is ``"refuse"``, as where nothing is said; ``"median+flag"``, the median of the log, and a column
+``NAME_missing`` that is 1 where it stands (of text, a category of its own: ``"missing"``); or ``"last"``, the last
+value seen in the same trajectory, and before the first the same as of ``"median+flag"``, without a column. ``"keep"``
+lets all nulls stand, to write a log again: nothing can be learned from it. When each is right depends on why values
+are missing [LittleRubin2019]_; a flag is a part of the state, if the decision lacked the value, too.
+
+What is null is filled in where a log is read, so that all that comes after it sees complete covariates. A policy keeps
+its `Filling`, and fills in the states that it is asked about in the same way.
+"""
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass
+from itertools import repeat
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from halfseen.errors import ArgumentError, LogError
+from halfseen.lazy import Frame
+from halfseen.suggestions import did_you_mean
+
+REFUSE, MEDIAN, LAST, KEEP = "refuse", "median+flag", "last", "keep"
+RULES = (MEDIAN, LAST, REFUSE)
+OTHERS = "*"
+"""In rules by column: all columns that are not named."""
+CATEGORY, FLAG = "missing", "_missing"
+_LARGEST = 1e300
+
+
+@dataclass(frozen=True)
+class Fill:
+    """What stands for one covariate where it is missing.
+
+    Parameters
+    ----------
+    rule
+        ``"median+flag"`` or ``"last"``.
+    value
+        The median, or the category of what is missing; None of text that the log never lacked.
+    num_missing
+        Stages of the log that lacked it.
+    has_flag
+        Whether a column tells where it was missing.
+    """
+
+    rule: Literal["median+flag", "last"]
+    value: float | str | None
+    num_missing: int = 0
+    has_flag: bool = False
+
+    def __post_init__(self) -> None:
+        if isinstance(self.value, float) and not np.isfinite(self.value):
+            raise ValueError(f"value is {self.value}, and numbers are finite")
+        if self.num_missing < 0 or (self.has_flag and not self.is_number):
+            raise ValueError(f"num_missing is {self.num_missing}, has_flag {self.has_flag}; only numbers have a flag")
+
+    @property
+    def is_number(self) -> bool:
+        """Whether the covariate holds numbers."""
+        return isinstance(self.value, float)
+
+    @property
+    def source(self) -> str:
+        """What its value is."""
+        return "the median of the logs" if self.is_number else "a category of its own"
+
+
+@dataclass(frozen=True)
+class Filling:
+    """What stands for covariates that are missing.
+
+    Parameters
+    ----------
+    fills
+        By covariate.
+    num_stages
+        Stages of the log that it was learned from.
+
+    Examples
+    --------
+    >>> filling = Filling({"x": Fill("median+flag", 0.5, num_missing=3, has_flag=True)}, num_stages=100)
+    >>> filling.of_state({"x": None, "y": 2.0}, ["x", "x_missing", "y"])[0]
+    {'x': 0.5, 'y': 2.0, 'x_missing': 1}
+    """
+
+    fills: Mapping[str, Fill]
+    num_stages: int
+
+    def __post_init__(self) -> None:
+        if self.num_stages < 1:
+            raise ValueError(f"num_stages is {self.num_stages}; a log has at least one")
+
+    @property
+    def flags(self) -> dict[str, str]:
+        """Columns that tell where a covariate was missing, each with that covariate."""
+        return {name + FLAG: name for name, fill in self.fills.items() if fill.has_flag}
+
+    def of_log(self, stages: Frame) -> Frame:
+        """Fill in the stages of whole trajectories, which are sorted by trajectory and stage.
+
+        Raises
+        ------
+        LogError
+            A covariate holds text where the filling is of numbers, or the other way round.
+        """
+        columns: dict[str, Any] = {}
+        for name in (name for name in self.fills if name in stages.columns):
+            columns |= _filled(stages, name, self.fills[name], stages["trajectory"])
+        return stages.assign(**columns) if columns else stages
+
+    def of_states(self, frame: Frame, names: Collection[str]) -> Frame:
+        """Fill in states without a history, as `of_log` does; one of `names` that is no column is missing in all."""
+        columns: dict[str, Any] = {}
+        for name, fill in self.fills.items():
+            if name in names or name + FLAG in names:
+                there = frame if name in frame.columns else frame.assign(**{name: None})
+                columns |= {name: there[name]} | _filled(there, name, fill, None)
+        return frame.assign(**columns) if columns else frame
+
+    def of_state(
+        self, state: Mapping[str, Any], names: Collection[str], last: Mapping[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, str]]:
+        """Fill in one state.
+
+        Parameters
+        ----------
+        state
+            Covariates by name; None or NaN, or no entry, where one is missing.
+        names
+            Covariates that are looked at.
+        last
+            Covariates of the stage before in the same trajectory, filled in; None where there is none.
+
+        Returns
+        -------
+        dict, dict
+            The state, with columns that tell what was missing; and by covariate that was missing, in one sentence, what
+            stands for it.
+        """
+        full, said = dict(state), {}
+        for name, fill in self.fills.items():
+            if name not in state and name not in names and name + FLAG not in names:
+                continue
+            is_null = _is_null(state.get(name))
+            if is_null:
+                carried = None if fill.rule != LAST or last is None else last.get(name)
+                value, source = (fill.value, fill.source) if _is_null(carried) else (carried, "its last value")
+                if value is None:
+                    continue
+                full[name] = value
+                shown = f"{value:.6g}" if isinstance(value, int | float) else repr(value)
+                said[name] = f"{name} is missing, and {shown}, {source}, stands for it"
+            elif fill.is_number and isinstance(state[name], bool):
+                # Beside a median, truth values are numbers.
+                full[name] = float(state[name])
+            if fill.has_flag:
+                full[name + FLAG] = int(is_null or bool(full.get(name + FLAG)))
+        return full, said
+
+    def lines(self) -> list[str]:
+        """Say of each covariate that was missing how often, and what stands for it."""
+        return [
+            f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; {_stands(fill)} for it"
+            for name, fill in self.fills.items()
+            if fill.num_missing
+        ]
+
+
+Missing: TypeAlias = str | Mapping[str, str | Fill] | Filling | None
+"""A rule for all covariates, rules or fills by covariate (``"*"`` for all others), or what was learned from a log."""
+
+
+def share_of(num_missing: int, num_stages: int) -> str:
+    """Write how many stages lack a covariate: 12 of 400 stages (3 %)."""
+    return f"{num_missing:,} of {num_stages:,} stages ({100.0 * num_missing / num_stages:.2g} %)"
+
+
+def remedy_of(name: str) -> str:
+    """Say what to do where a covariate is null."""
+    return (
+        f"fill it in by --missing {name}={MEDIAN} (Python: missing={{{name!r}: {MEDIAN!r}}}), or by the rule {LAST}, "
+        f"or leave column {name!r} of stages out"
+    )
+
+
+def missing_in(stages: Frame, covariates: Collection[str]) -> dict[str, int]:
+    """Count the stages that lack each covariate, where any does."""
+    counts: Any = stages[list(covariates)].isna().sum()
+    return {str(name): int(count) for name, count in counts.items() if count}
+
+
+def rules_of(missing: Missing) -> dict[str, str | Fill]:
+    """Take rules by column, ``"*"`` for all others; columns of which nothing is said are left out.
+
+    Raises
+    ------
+    ArgumentError
+        One is no rule.
+    """
+    if missing is None:
+        return {}
+    if isinstance(missing, Filling):
+        return dict(missing.fills)
+    if not isinstance(missing, str | Mapping):
+        raise ArgumentError(f"missing is {missing!r}; give one of {', '.join(RULES)}, or a dict of these by column")
+    rules: dict[str, str | Fill] = {OTHERS: missing} if isinstance(missing, str) else dict(missing)
+    for name, rule in rules.items():
+        if not isinstance(rule, Fill) and rule not in RULES:
+            where = "missing" if name == OTHERS else f"missing of {name!r}"
+            close = did_you_mean(rule, RULES) if isinstance(rule, str) else ""
+            raise ArgumentError(f"{where} is {rule!r}; it is one of {', '.join(RULES)}{close}")
+    return rules
+
+
+Column: TypeAlias = Callable[[str], Iterable[Any]]
+"""Gives the values of a column of the stages, in parts."""
+
+
+def learned_filling(missing: Missing, covariates: Collection[str], column: Column, num_stages: int) -> Filling | None:
+    """Learn from a log what stands for its covariates; None where all nulls are refused.
+
+    Parameters
+    ----------
+    missing
+        Rules; of a `Filling` nothing is learned.
+    covariates
+        Names of the stages' covariates.
+    column
+        Gives their values.
+    num_stages
+        Stages of the log.
+
+    Raises
+    ------
+    ArgumentError
+        One is no rule, or of no covariate.
+    LogError
+        A covariate is null in every stage, or a rule is of one that holds neither numbers nor text.
+    """
+    if isinstance(missing, Filling):
+        return missing
+    rules = rules_of(missing)
+    unknown = [name for name, rule in rules.items() if name not in covariates and name != OTHERS and rule in RULES]
+    if unknown:
+        there = (", ".join(covariates) or "none") + did_you_mean(unknown[0], covariates)
+        raise ArgumentError(f"missing names {unknown[0]!r}; the stages have {there}")
+    fills = {name: rule for name, rule in rules.items() if isinstance(rule, Fill)}
+    flags = {name + FLAG for name in covariates}
+    for name in covariates:
+        rule = rules.get(name, REFUSE if name in flags else rules.get(OTHERS, REFUSE))
+        if rule in (MEDIAN, LAST):
+            is_flagged = rule == MEDIAN and name + FLAG in covariates and all(map(_is_flag, column(name + FLAG)))
+            fill = _learned(name, rule, column(name), column(name + FLAG) if is_flagged else None)
+            if fill is not None:
+                fills[name] = fill
+            elif name in rules:
+                raise LogError(f"covariate {name} holds neither numbers nor text, which no rule fills in; leave it out")
+    ordered = {name: fills[name] for name in (*covariates, *fills) if name in fills}
+    return Filling(ordered, num_stages) if fills else None
+
+
+def _learned(name: str, rule: Any, parts: Iterable[Any], flags: Iterable[Any] | None) -> Fill | None:
+    """Learn what stands for a column; None where it holds neither numbers nor text."""
+    numbers, num_rows, num_missing, is_text = [], 0, 0, False
+    flagged = repeat(None) if flags is None else iter(flags)
+    for values in parts:
+        kind, is_null = _kind(values), values.isna().to_numpy(dtype=bool)
+        if kind is None:
+            return None
+        was_missing = is_null | _said(next(flagged))
+        num_rows, num_missing = num_rows + len(values), num_missing + int(was_missing.sum())
+        is_text |= kind == "text"
+        if kind == "number":
+            numbers.append(_numbers(values)[~was_missing])
+    if num_missing == num_rows:
+        raise LogError(
+            f"covariate {name} is null in every one of the {num_rows:,} stages, so that nothing can stand for it; "
+            f"leave column {name!r} of stages out"
+        )
+    if is_text:
+        return Fill(rule, CATEGORY if num_missing else None, num_missing)
+    # What is larger, or infinite, is refused later.
+    median = float(np.median(np.clip(np.concatenate(numbers), -_LARGEST, _LARGEST)))
+    return Fill(rule, median, num_missing, has_flag=rule == MEDIAN and (num_missing > 0 or flags is not None))
+
+
+def _said(flags: Any) -> Any:
+    """Where a column says that another was missing; nowhere if there is none."""
+    return False if flags is None else flags.to_numpy(dtype=bool)
+
+
+def _is_flag(values: Any) -> bool:
+    """Whether a column tells by 0 or 1, as a log that was filled in before does."""
+    return all(value in (0, 1) for value in values.unique().tolist())
+
+
+def _filled(frame: Frame, name: str, fill: Fill, trajectory: Any) -> dict[str, Any]:
+    """A column that is filled in, with its flag; nothing where it is as it should be."""
+    import pandas as pd
+
+    values: Any = frame[name]
+    kind, is_null = _kind(values), values.isna().to_numpy(dtype=bool)
+    if kind not in ("null", "number" if fill.is_number else "text"):
+        said = "number" if fill.is_number else "text"
+        raise LogError(f"covariate {name} holds {kind or 'lists'}, and a {said} is to stand where it is missing")
+    columns: dict[str, Any] = {}
+    if is_null.any() or (fill.num_missing and fill.is_number):
+        plain = pd.Series(_numbers(values), index=frame.index) if fill.is_number else values.astype(object)
+        if fill.rule == LAST and trajectory is not None:
+            plain = plain.groupby(trajectory.to_numpy()).ffill()
+        columns[name] = plain if fill.value is None else plain.where(plain.notna(), fill.value)
+    if fill.has_flag and (is_null.any() or name + FLAG not in frame.columns):
+        before = frame[name + FLAG] if name + FLAG in frame.columns else None
+        if before is not None and not _is_flag(before):
+            raise LogError(
+                f"covariate {name + FLAG} is there, and not 0 or 1, by which the rule {MEDIAN} says where {name} is "
+                f"missing; rename it, or choose another rule for {name}"
+            )
+        columns[name + FLAG] = pd.Series((is_null | _said(before)).astype(np.int64), index=frame.index)
+    return columns
+
+
+def _kind(values: Any) -> str | None:
+    """What a column holds: number, text or null alone; None for anything else."""
+    from pandas.api.types import infer_dtype, is_numeric_dtype
+
+    if is_numeric_dtype(values.dtype):
+        return "number"
+    return {"boolean": "number", "string": "text", "categorical": "text", "empty": "null"}.get(
+        infer_dtype(values, skipna=True)
+    )
+
+
+def _numbers(values: Any) -> np.ndarray:
+    """Numbers and truth values, NaN where null."""
+    from pandas.api.types import is_numeric_dtype
+
+    plain = values if is_numeric_dtype(values.dtype) else values.astype("boolean")
+    return plain.to_numpy(dtype=np.float64, na_value=np.nan)
+
+
+def _is_null(value: Any) -> bool:
+    return value is None or (isinstance(value, float) and bool(value != value))
+
+
+def _stands(fill: Fill) -> str:
+    value = f"the median {fill.value:.6g}" if fill.is_number else f"the category {fill.value!r}"
+    return f"the last value of its trajectory stands, or {value}," if fill.rule == LAST else f"{value} stands"

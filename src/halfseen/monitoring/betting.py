@@ -1,0 +1,156 @@
+"""Wealth from bets against "nothing has changed", and what it says at any time.
+
+A test martingale multiplies its wealth by payoffs whose mean is at most 1 while nothing has changed; the chance that it
+ever reaches 1/α is at most α (Ville's inequality). So 1 / (largest wealth so far) is a p-value at any time, and Holm's
+procedure [Holm1979]_ over several of them errs with a chance of α in a whole lifetime.
+
+Bets are shared out among states, one of which does not bet, and move between them at a small rate, as in the simple
+jumper of [VovkEtAl2021]_: so wealth lasts until a change, whenever it comes, and then follows it.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from halfseen.shapes import Float, Int
+
+RATES = (1e-2, 1e-3, 1e-4)
+"""Of moving between states; wealth is divided equally among them."""
+STAKE = 0.9
+"""Share of the wealth that a bet may lose."""
+
+
+NUM_STATES = 7
+LOSSES = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0])
+"""Of what a bet may lose, by state, where there is one way to bet."""
+LEVELS = np.array([0.1, 0.3, 1.0])
+"""The same, where there are two ways."""
+
+
+def log_wealth(payoffs: Float[np.ndarray, "n F S"]) -> Float[np.ndarray, "n F"]:
+    """Logarithm of the wealth of F gamblers after each round.
+
+    Parameters
+    ----------
+    payoffs
+        By round, what each gambler's wealth in each state is multiplied by; 1 in the first state.
+    """
+    num, num_gamblers, num_states = payoffs.shape
+    stay, move = (1.0 - np.array(RATES))[:, None, None], (np.array(RATES) / num_states)[:, None, None]
+    shares = np.full((len(RATES), num_gamblers, num_states), 1.0 / (len(RATES) * num_states))
+    totals = np.empty((num, num_gamblers))
+    for k, payoff in enumerate(payoffs):
+        shares = (stay * shares + move * shares.sum(axis=2, keepdims=True)) * payoff
+        totals[k] = shares.sum(axis=(0, 2))
+        shares /= totals[k][:, None]
+    return np.cumsum(np.log(totals), axis=0)
+
+
+def rank_payoffs(p: Float[np.ndarray, "n F"]) -> Float[np.ndarray, "n F S"]:
+    """Bets that p-values are small, large, at both ends or in the middle; none where there is no p-value (NaN)."""
+    slope, ends = 2.0 * p - 1.0, np.cos(2.0 * np.pi * p)
+    bets = np.stack([0.0 * p, slope, -slope, 0.4 * slope, -0.4 * slope, ends, -ends], axis=2)
+    return 1.0 + STAKE * np.nan_to_num(bets)
+
+
+def mean_payoffs(
+    values: Float[np.ndarray, "n F"], highs: Float[np.ndarray, "n F"], means: Float[np.ndarray, " F"]
+) -> Float[np.ndarray, "n F S"]:
+    """Bets that outcomes of at most `highs` have smaller means than these; none where there is no outcome (NaN)."""
+    return 1.0 + _loss_bets(values, highs, means)[..., None] * LOSSES
+
+
+def residual_payoffs(
+    values: Float[np.ndarray, " m"],
+    trajectory: Int[np.ndarray, " m"],
+    num: int,
+    tolerance: Float[np.ndarray, " m"],
+    reach: float,
+) -> Float[np.ndarray, "n 1 S"]:
+    """Bets that residuals, clipped to ±`reach`, have a mean below −`tolerance`, or above it.
+
+    There is a bet on each residual, and those of a trajectory are multiplied: a mean over a trajectory, which may go on
+    because something failed, would not be 0.
+
+    Parameters
+    ----------
+    values
+        Residuals in their order.
+    trajectory
+        Place of the trajectory of each.
+    num
+        Number of trajectories.
+    tolerance
+        Of each residual; known before it is seen.
+    reach
+        Where they are clipped.
+    """
+    clipped, payoffs = np.clip(values, -reach, reach), np.ones((num, NUM_STATES))
+    less, more = (_loss_bets(sign * clipped, reach, -tolerance)[:, None] for sign in (1.0, -1.0))
+    each = 1.0 + np.concatenate([0.0 * less, less * LEVELS, more * LEVELS], axis=1)
+    np.multiply.at(payoffs, trajectory, each)
+    return payoffs[:, None]
+
+
+def _loss_bets(values: np.ndarray, highs: Any, means: Any) -> np.ndarray:
+    """The largest bets; what would win more than it may lose wins no more, which costs a little and is safe."""
+    bets = STAKE * (means - values) / np.maximum(highs - means, 1e-12)
+    return np.nan_to_num(np.maximum(bets, -STAKE))
+
+
+def rank_p_values(
+    bins: Int[np.ndarray, " n"], num_bins: int, counts: Sequence[float] | np.ndarray, draws: Float[np.ndarray, " n"]
+) -> Float[np.ndarray, " n"]:
+    """Conformal p-values: the place of each value among those before it and in a reference, ties broken at random.
+
+    Independent and uniform while all are exchangeable.
+
+    Parameters
+    ----------
+    bins
+        Bin of each value, in the order of values; −1 where there is none, which gives NaN.
+    num_bins
+        Number of bins.
+    counts
+        Reference values in each bin.
+    draws
+        Uniform on [0, 1).
+    """
+    there = np.flatnonzero(bins >= 0)
+    found, at = np.full(len(bins), np.nan), bins[there]
+    before = np.zeros((len(there), num_bins))
+    before[np.arange(len(there)), at] = 1.0
+    before = np.cumsum(before, axis=0) - before + np.asarray(counts, dtype=np.float64)
+    below = np.cumsum(before, axis=1)[np.arange(len(there)), at]
+    same = before[np.arange(len(there)), at]
+    found[there] = (below - same + draws[there] * (same + 1.0)) / (before.sum(axis=1) + 1.0)
+    return found
+
+
+def p_values(log_wealths: Float[np.ndarray, "n F"]) -> Float[np.ndarray, "n F"]:
+    """p-value of each gambler after each round, which never rises."""
+    return np.exp(-np.maximum.accumulate(np.maximum(log_wealths, 0.0), axis=0))
+
+
+def holm(p: Float[np.ndarray, " F"], alpha: float) -> np.ndarray:
+    """Which hypotheses are rejected, by Holm's procedure.
+
+    Examples
+    --------
+    >>> holm(np.array([0.03, 0.001, 0.02]), 0.05).tolist()
+    [True, True, True]
+    >>> holm(np.array([0.03, 0.001, 0.03]), 0.05).tolist()
+    [False, True, False]
+    """
+    order = np.argsort(p, kind="stable")
+    holds = np.logical_and.accumulate(p[order] <= alpha / np.arange(len(p), 0, -1))
+    rejected = np.zeros(len(p), dtype=bool)
+    rejected[order] = holds
+    return rejected
+
+
+def first_alarm(p: Float[np.ndarray, "n F"], alpha: float) -> int | None:
+    """Round (from 0) in which Holm's procedure first rejects anything; None if in none."""
+    is_out = p.min(axis=1, initial=1.0) <= alpha / max(p.shape[1], 1)
+    return int(np.argmax(is_out)) if is_out.any() else None

@@ -1,0 +1,128 @@
+"""Which part broke, in words: states and outcomes since the change beside the log that was learned from.
+
+These are no alarms: they say where to look first once there is one.
+"""
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from halfseen.evaluation.kept import drifts_of
+from halfseen.learning.covariates import Covariates
+from halfseen.logs import Logs
+from halfseen.monitoring.streams import Stream, part_residuals
+from halfseen.policies.folder.promised_parts import outcome_rows
+
+CLEARLY = 4.0
+"""Standard errors from which on a part is named."""
+
+
+def differs(part: Stream, at: int) -> str:
+    """Say by how much an action differs from what the log says, from one trajectory on."""
+    return _words(part.kind, part.about, float(part.residuals[part.trajectory >= at].mean()))
+
+
+def _words(what: str, action: str, mean: float) -> str:
+    amount = f"{abs(mean):.2g}" if what == "reward" else f"{abs(np.expm1(mean)):.0%}"
+    verb, time = ("brings", "") if what == "reward" else ("takes", " time")
+    return f"{action} {verb} {amount} {'less' if mean < 0 else 'more'}{time} than the log says of the same states"
+
+
+def moved(stream: Stream, at: int) -> str:
+    """Say how a stream has changed from one trajectory on."""
+    there, at = stream.bins >= 0, max(at, 1)
+    after = there & (np.arange(len(there)) >= at)
+    now = float(stream.bins[after].mean()) if after.any() else np.nan
+    before = there & ~after
+    was = float(stream.bins[before].mean()) if before.any() else np.nan
+    if stream.is_against_log:
+        was = float(stream.counts @ np.arange(len(stream.counts)) / stream.counts.sum())
+    than = "than in the log" if stream.is_against_log else "than before"
+    if not stream.is_number:
+        return f"{stream.name} is distributed otherwise {than}"
+    if stream.kind == "cut":
+        return f"{'more' if now > was else 'fewer'} trajectories are cut {than}"
+    if stream.kind == "input":
+        return f"{stream.name} is {'larger' if now > was else 'smaller'} {than}"
+    word = {"reward": ("more", "less"), "duration": ("longer", "shorter")}[stream.kind][0 if now > was else 1]
+    return f"{stream.about} {'brings' if stream.kind == 'reward' else 'takes'} {word} {than} in the same states"
+
+
+def input_words(promise: Any, logs: Logs, since: int) -> tuple[str, ...]:
+    """Say which covariates of the first stage look as if in another unit, swapped, or distributed otherwise.
+
+    Parameters
+    ----------
+    promise
+        Of the policy's folder.
+    logs
+        The log of its service.
+    since
+        Trajectory from which on it is looked at, counted from 1.
+    """
+    first = [each for each in promise["stages"] if each["stage"] == 1]
+    units, drifts = drifts_of(_without_nulls(first), logs.select(logs.trajectory_ids[since - 1 :]))
+    return (*units, *drifts)
+
+
+def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> tuple[str, ...]:
+    """Say which actions pay or take something else than the log says of the same states, the clearest first.
+
+    Parameters
+    ----------
+    promise
+        Of the policy's folder.
+    looks_at
+        The covariates that its models look at.
+    logs
+        The log of its service.
+    since
+        Trajectory from which on it is looked at, counted from 1.
+    """
+    later = logs.select(logs.trajectory_ids[since - 1 :])
+    rows, found = outcome_rows(later), []
+    for part in promise.get("parts", ()):
+        left = part_residuals(part, looks_at, rows[rows["action"].astype(str) == part["action"]])
+        if len(left) < 2:
+            continue
+        spread = max(float(part["deviation"]), float(left.std()), 1e-9)
+        z = float(left.mean()) / (spread * np.sqrt(1.0 / len(left) + 1.0 / part["num_states"]))
+        if abs(z) > CLEARLY:
+            found.append((abs(z), f"{_words(part['what'], part['action'], float(left.mean()))} ({len(left)} stages)"))
+    return (*_swapped(promise, looks_at, later), *(words for _, words in sorted(found, reverse=True)))
+
+
+def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
+    """Name two columns of numbers that the log's models fit clearly better the other way round, and so do states."""
+    first = _without_nulls([each for each in promise["stages"] if each["stage"] == 1])
+    # What is always the same in the first stage cannot tell.
+    differ = {name for each in first for name, one in each["covariates"].items() if len(one.get("values", ())) > 1}
+    numbers = [name for name in looks_at.columns if name in differ]
+    parts = [part for part in promise.get("parts", ()) if part["what"] == "reward" and part["deviation"] > 0.0]
+    rows = outcome_rows(logs)
+
+    def misfit(frame: Any) -> tuple[float, float]:
+        """Sum of squares of residuals, and their mean in standard errors."""
+        each = [part_residuals(part, looks_at, frame[frame["action"].astype(str) == part["action"]]) for part in parts]
+        left = np.concatenate([one / part["deviation"] for one, part in zip(each, parts, strict=True)] or [np.zeros(0)])
+        return float(left @ left), float(abs(left.sum()) / np.sqrt(max(len(left), 1)))
+
+    usual, found = misfit(rows)[0], []
+    for one, other in combinations(numbers, 2):
+        turned = {one: logs.stages[other], other: logs.stages[one]}
+        squares, off = misfit(rows.assign(**{one: rows[other], other: rows[one]}))
+        if usual - squares > CLEARLY**2 and off < CLEARLY:
+            drifts = drifts_of(first, Logs(logs.stages.assign(**turned), logs.trajectories))
+            found += [] if any(drifts) else [(squares, one, other)]
+    return tuple(
+        f"covariates {one} and {other} look swapped: the log's models fit better the other way round"
+        for _, one, other in sorted(found)[:1]
+    )
+
+
+def _without_nulls(stages: Any) -> list[dict[str, Any]]:
+    return [
+        each | {"covariates": {name: {k: v for k, v in one.items() if v} for name, one in each["covariates"].items()}}
+        for each in stages
+    ]

@@ -1,0 +1,266 @@
+"""A policy in service: what it earns beside what was promised, what has changed, and since when.
+
+Three families of bets share the chance of a false alarm in a whole lifetime, 5 %: 2.5 % is that of the promised
+interval itself, the rest is `ALPHAS`. What is promised is the value, and what actions bring in a state altogether.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from halfseen.censoring.cut_model import CensoringSpec
+from halfseen.errors import PolicyError
+from halfseen.evaluation.targets import task_of
+from halfseen.learning.covariates import Covariates
+from halfseen.learning.discrete_policy import NamedActionPolicy
+from halfseen.learning.rows import trajectory_arrays
+from halfseen.learning.task import Encoded
+from halfseen.logs import Logs
+from halfseen.monitoring import betting
+from halfseen.monitoring.answer import Finding, Monitored
+from halfseen.monitoring.change_point import ChangePoint, change_point
+from halfseen.monitoring.confidence_sequences import BettingBounds, Course
+from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, moved
+from halfseen.monitoring.joint import pair_payoffs
+from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
+from halfseen.monitoring.streams import Stream, input_streams, part_streams, whole_stream
+from halfseen.policies.folder import StoredPolicy
+from halfseen.policies.folder.promised_parts import own_stages
+from halfseen.policies.shares import action_shares
+from halfseen.shapes import Float
+from halfseen.wording import counted
+
+ALPHAS = {"promise": 0.017, "inputs": 0.004, "parts": 0.004}
+OWN = 0.9
+"""Share of the actions that are the policy's, from which on what is earned is what it earns."""
+RUNNING = "still-running"
+
+
+@dataclass(frozen=True, eq=False)
+class Bets:
+    """Everything that is bet on a log.
+
+    Parameters
+    ----------
+    logs
+        Its trajectories that have ended.
+    payoffs
+        By family.
+    streams
+        What the gamblers of a family look at, but for the one who looks at all covariates, and that of the promise.
+    outcomes
+        What each trajectory adds to what is earned; None where that is not known.
+    notes
+        What is not watched.
+    """
+
+    logs: Logs
+    payoffs: dict[str, Float[np.ndarray, "n F S"]]
+    streams: dict[str, list[Stream]]
+    outcomes: Outcomes | None
+    notes: tuple[str, ...]
+
+
+def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
+    """Watch a policy by the log of its service, of which trajectories that have ended count, in their order.
+
+    The same log with more at its end gives the same and more: an alarm stays.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    logs
+        The log.
+    seed
+        Of what breaks ties.
+
+    Raises
+    ------
+    PolicyError
+        The policy's folder keeps nothing of the log that was learned from.
+    """
+    bets = bets_of(stored, logs, seed)
+    return concluded(stored, bets, betting.log_wealth(np.concatenate(list(bets.payoffs.values()), axis=1)))
+
+
+def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
+    """Bet on a log; as `monitored`."""
+    promise = stored.record.get("promise")
+    if promise is None:
+        raise PolicyError("its folder promises nothing, as those of halfseen 0.1; learn the policy again")
+    has_ended = np.asarray(logs.trajectories["cause"] != RUNNING)
+    logs = logs if has_ended.all() else logs.select(logs.trajectory_ids[has_ended])
+    notes: list[str] = []
+    policy = stored.policy
+    looks_at = looks_at_of(policy)
+    inputs, parts = input_streams(promise["stages"], logs), part_streams(promise.get("parts", ()), looks_at, logs)
+    whole: list[Stream] = []
+    payoffs = {"inputs": _ranked(inputs, logs, seed), "parts": _ranked(parts, logs, seed + 1)}
+    if not isinstance(policy, NamedActionPolicy):
+        notes.append("the policy is of tables: nothing is watched but what it earns, and cuts")
+    elif not promise.get("parts"):
+        notes.append("the folder keeps no rewards and durations by action, so these are not watched; learn it again")
+    else:
+        against, num = parts[:-1], logs.num_trajectories
+        payoffs["parts"] = np.concatenate([payoffs["parts"], _against_log(against, num)], axis=1)
+        whole = [whole_stream(parts, promise["parts"], num)] * 2
+        payoffs["promise"] = np.concatenate([_ranked(whole[:1], logs, seed + 2), _against_log(whole[1:], num)], axis=1)
+        parts = [*parts, *against]
+    if looks_at.num_features > 1 and promise.get("first_states"):
+        joint = _joint(looks_at, logs, promise["first_states"], seed)
+        payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
+    outcomes = _outcomes(stored, logs, promise, notes)
+    if outcomes is not None and promise.get("value"):
+        least = np.array([promise["value"]["low"]])
+        promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
+        payoffs["promise"] = np.concatenate([*([payoffs["promise"]] if whole else []), promised], axis=1)
+    streams = {"inputs": inputs, "parts": parts, "promise": whole}
+    return Bets(logs, payoffs, streams, outcomes, tuple(notes))
+
+
+def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n F"]) -> Monitored:
+    """Say what the bets on a log have come to.
+
+    Parameters
+    ----------
+    stored
+        The policy.
+    bets
+        What was bet.
+    log_wealth
+        Of all gamblers, family by family.
+    """
+    promise, logs, outcomes = stored.record["promise"], bets.logs, bets.outcomes
+    ends = np.cumsum([each.shape[1] for each in bets.payoffs.values()])
+    each = np.split(betting.p_values(log_wealth), ends[:-1], axis=1)
+    p_values = dict(zip(bets.payoffs, each, strict=True))
+    findings = [one for family, p in p_values.items() for one in _findings(family, p, bets.streams, promise, outcomes)]
+    findings.sort(key=lambda each: (each.alarm_at, each.p_value))
+    causes: tuple[str, ...] = ()
+    if findings:
+        causes = input_words(promise, logs, findings[0].since)
+        broken = broken_parts(promise, looks_at_of(stored.policy), logs, findings[0].since)
+        causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
+    since = findings[0].since if findings else 1
+    course, earned = (None, None) if outcomes is None else _earned(outcomes, promise["brings"], since)
+    promised = {name: promise["value"][name] for name in ("value", "low", "high")} if promise.get("value") else None
+    smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
+    rest: Any = (outcomes, course, smallest)
+    return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
+
+
+def looks_at_of(policy: Any) -> Covariates:
+    """Covariates of a policy of named actions; none of another."""
+    return Covariates(tuple(getattr(policy, "covariates", ())), getattr(policy, "categories", {}))
+
+
+def _ranked(streams: list[Stream], logs: Logs, seed: int) -> Float[np.ndarray, "n F S"]:
+    draws = np.random.default_rng(seed).random((logs.num_trajectories, len(streams)))
+    p = np.empty(draws.shape)
+    for k, each in enumerate(streams):
+        p[:, k] = betting.rank_p_values(each.bins, len(each.counts), each.counts, draws[:, k])
+    return betting.rank_payoffs(p)
+
+
+def _against_log(parts: list[Stream], num: int) -> Float[np.ndarray, "n P S"]:
+    each = [betting.residual_payoffs(one.residuals, one.trajectory, num, one.tolerance, one.reach) for one in parts]
+    return np.concatenate(each, axis=1)
+
+
+def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed: int) -> Float[np.ndarray, "n 1 S"]:
+    rows: Any = logs.stages[logs.stages["stage"] == 1]
+    first = looks_at.encode(rows)
+    coins = np.random.default_rng([seed, 1]).random(len(first))
+    return pair_payoffs(first, np.array(reference), coins)
+
+
+def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) -> Outcomes | None:
+    """What each trajectory adds to what is earned; None, and a note, where that is not the policy's."""
+    if promise.get("brings") is None:
+        notes.append(
+            "the folder does not keep what a trajectory can bring, so its promise is not watched; learn it again"
+        )
+        return None
+    if promise.get("value") is None:
+        notes.append("nothing was promised: it was learned without a verdict, so what it earns is only shown")
+    own = _own_share(stored, logs)
+    if own < OWN:
+        notes.append(f"{own:.0%} of the actions are the policy's, so what is earned here says nothing of its promise")
+        return None
+    low, high = promise["brings"]
+    totals: Any = logs.stages.groupby("trajectory", sort=False)["reward"].sum().reindex(logs.trajectory_ids)
+    total = totals.to_numpy(dtype=np.float64)
+    num_more = int(((total > high) & logs.is_finished).sum())
+    if num_more:
+        words = counted(num_more, "trajectory")
+        notes.append(f"{words} brought more than any in the log could, and count as {high:g}")
+    has_actions = isinstance(stored.policy, NamedActionPolicy) and logs.has_all_actions
+    known = task_of(stored.policy, logs).censoring_covariates(logs, None, False) if has_actions else None
+    shape = (logs.num_trajectories, logs.horizon)
+    nothing = Encoded(np.zeros((*shape, 1, 0)), np.ones((*shape, 1), dtype=bool), np.zeros(shape, dtype=np.int64))
+    clocks = trajectory_arrays(logs, nothing, known).clocks
+    spec = CensoringSpec("cox", by="pooled") if has_actions else CensoringSpec()
+    return CensoredOutcomes(low, max(high, low + 1e-9), spec).add(clocks, np.clip(total, low, high))
+
+
+def _own_share(stored: StoredPolicy, logs: Logs) -> float:
+    """Share of the actions that are the policy's."""
+    if hasattr(stored.policy, "decide") and isinstance(stored.policy, NamedActionPolicy):
+        known: Any = logs.stages[logs.stages["action"].notna()]
+        return float(own_stages(stored.policy, known).mean()) if len(known) else 0.0
+    shares = action_shares(stored.policy, task_of(stored.policy, logs), [logs])
+    return float(np.average(shares["as_logged"].fillna(0.0), weights=shares["num_states"]))
+
+
+def _earned(outcomes: Outcomes, brings: Any, since: int) -> tuple[Course | None, dict[str, float] | None]:
+    there = outcomes.is_weighed
+    if not there.any():
+        return None, None
+    low, high = brings[0], max(brings[1], brings[0] + 1e-9)
+    bounds = BettingBounds(low, high, num_points=201)
+    lows, highs = np.minimum(outcomes.lows[there], low), np.maximum(outcomes.highs[there], high)
+    course = bounds.add(outcomes.values[there], lows, highs)
+    now = outcomes.values[since - 1 :][there[since - 1 :]]
+    value, latest = (float(np.clip(each.mean(), low, high)) for each in (outcomes.values[there], now))
+    return course, {"value": value, "low": bounds.lower, "high": bounds.upper, "since": latest}
+
+
+def _findings(
+    family: str, p: Float[np.ndarray, "n F"], ways: dict[str, list[Stream]], promise: Any, outcomes: Outcomes | None
+) -> list[Finding]:
+    at = betting.first_alarm(p, ALPHAS[family])
+    if at is None:
+        return []
+    found, streams = [], ways.get(family, [])
+    for k in np.flatnonzero(betting.holm(p[-1], ALPHAS[family])):
+        if k < len(streams):
+            against_log = k > (0 if family == "promise" else len(promise.get("parts", ()))) and family != "inputs"
+            change, name = (_since_log if against_log else _since)(streams[k]), streams[k].name
+            words = (differs if against_log else moved)(streams[k], change.at)
+        elif family == "promise" and outcomes is not None:
+            change, name, words = _since_promise(outcomes, promise["value"]), "promise", "it earns less than promised"
+        else:
+            change, name, words = ChangePoint(0, 0, at), "all covariates", "covariates of stage 1 have changed together"
+        since = (change.at + 1, change.low + 1, change.high + 1)
+        found.append(Finding(family, name, words, float(p[-1, k]), at + 1, *since))
+    return found
+
+
+def _since(stream: Stream) -> ChangePoint:
+    values = np.where(stream.bins >= 0, stream.bins, np.nan).astype(np.float64)
+    num = float(stream.counts.sum())
+    mean = float(stream.counts @ np.arange(len(stream.counts)) / num) if num else 0.0
+    return change_point(values, mean, num)
+
+
+def _since_log(part: Stream) -> ChangePoint:
+    found = change_point(np.clip(part.residuals, -part.reach, part.reach), 0.0, part.num_states)
+    return ChangePoint(*(int(part.trajectory[k]) for k in found))
+
+
+def _since_promise(outcomes: Outcomes, value: Any) -> ChangePoint:
+    spread = float(np.nanstd(outcomes.values))
+    error = max(float(value["standard_error"]), 1e-12)
+    return change_point(outcomes.values, float(value["value"]), (spread / error) ** 2)

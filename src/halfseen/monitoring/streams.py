@@ -1,0 +1,193 @@
+"""What is watched beside the reward: of each trajectory its covariates by stage, what its actions brought, its cut.
+
+A covariate of the first stage is held against the log that was learned from: no action has come before it. What comes
+later depends on who decides, so it is held against what the policy itself has seen so far; rewards and durations are
+held against both, given the state.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+from pandas.api.types import is_numeric_dtype
+
+from halfseen.learning.covariates import Covariates
+from halfseen.logs import Logs
+from halfseen.policies.folder.promised_parts import WHATS, expanded_as, outcome_rows, residuals
+from halfseen.shapes import Float, Int
+
+Kind = Literal["input", "reward", "duration", "cut"]
+
+ERRORS, MISFIT = 2.0, 0.1
+"""What a mean residual may be off: so many standard errors of the log's model, whose line may be bent by a tenth of the
+residuals' deviation."""
+LEAST_DEVIATION = 0.1
+"""Of the largest among the actions: what always brought the same may now bring a little else."""
+
+
+@dataclass(frozen=True)
+class Stream:
+    """Values, one a trajectory, in bins that were fixed before.
+
+    Parameters
+    ----------
+    kind
+        What it is of.
+    about
+        The covariate, or the action; "" for cuts.
+    stage
+        Of a covariate.
+    values
+        NaN where a trajectory has none; of text the number of its bin.
+    bins
+        −1 where there is none.
+    counts
+        Values of the reference in each bin; all 0 where there is none.
+    is_number
+        Whether bins have an order that means something.
+    residuals, trajectory
+        Of a part: each residual from the log's model, and the place of its trajectory.
+    tolerance
+        What the model may be off there, either way.
+    reach
+        Where residuals are clipped, either way.
+    num_states
+        States of the log that the model was fitted to.
+    """
+
+    kind: Kind
+    about: str
+    stage: int | None
+    values: Float[np.ndarray, " n"]
+    bins: Int[np.ndarray, " n"]
+    counts: Float[np.ndarray, " K"]
+    is_number: bool = True
+    residuals: Float[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0))
+    trajectory: Int[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0, dtype=int))
+    tolerance: Float[np.ndarray, " m"] = field(default_factory=lambda: np.zeros(0))
+    reach: float = np.nan
+    num_states: int = 0
+
+    @property
+    def is_against_log(self) -> bool:
+        """Whether the reference is the log that was learned from."""
+        return bool(self.counts.any())
+
+    @property
+    def name(self) -> str:
+        """In words."""
+        if self.kind == "input":
+            return f"{self.about} in stage {self.stage}"
+        return "cuts" if self.kind == "cut" else f"{self.kind} of {self.about}"
+
+
+def input_streams(promised: Any, logs: Logs) -> list[Stream]:
+    """Covariates by stage, as `halfseen.policies.folder.log_facts.promised_states` describes those of the log."""
+    streams = []
+    for entry in promised:
+        rows: Any = logs.stages[logs.stages["stage"] == entry["stage"]]
+        at, first = _places(logs, rows), entry["stage"] == 1
+        for name, described in entry["covariates"].items():
+            if name not in rows.columns:
+                continue
+            codes, bins, num_bins = _binned(described, rows[name])
+            counts = _counts(described, entry["num_states"], num_bins) if first else np.zeros(num_bins)
+            values = _spread(codes, at, logs.num_trajectories, np.nan)
+            spread = _spread(bins, at, logs.num_trajectories, -1).astype(int)
+            is_number = described.get("values") is not None
+            streams.append(Stream("input", name, entry["stage"], values, spread, counts, is_number))
+    return streams
+
+
+def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
+    """Residuals of rewards and durations of each action, their sum over a trajectory; and whether it was cut."""
+    rows, streams = outcome_rows(logs), []
+    largest = {what: max(part["deviation"] for part in parts if part["what"] == what) for what in WHATS if parts}
+    for part in parts:
+        some = rows[rows["action"].astype(str) == part["action"]]
+        left, trajectory = part_residuals(part, looks_at, some), _places(logs, some)
+        total = pd.Series(left).groupby(trajectory).sum()
+        codes, bins, num_bins = _binned(part["residuals"], total)
+        values = _spread(codes, total.index, logs.num_trajectories, np.nan)
+        spread = _spread(bins, total.index, logs.num_trajectories, -1).astype(int)
+        deviation = max(float(part["deviation"]), LEAST_DEVIATION * largest[part["what"]], 1e-9)
+        reach = max(*np.abs(part["residuals"]["values"]), 3.0 * deviation)
+        tolerance = _tolerance(part, looks_at, some, deviation)
+        rest = (np.zeros(num_bins), True, left, trajectory, tolerance, reach, part["num_states"])
+        streams.append(Stream(part["what"], part["action"], None, values, spread, *rest))
+    is_cut = (~logs.is_finished).astype(int)
+    return [*streams, Stream("cut", "", None, is_cut.astype(float), is_cut, np.zeros(2))]
+
+
+def whole_stream(streams: list[Stream], parts: Any, num: int) -> Stream:
+    """Rewards of all actions that are not always the same, together: each may fall short by too little to notice."""
+    largest = max(part["deviation"] for part in parts if part["what"] == "reward")
+    some = [
+        (stream, part)
+        for stream, part in zip(streams, parts, strict=False)
+        if part["what"] == "reward" and part["deviation"] >= LEAST_DEVIATION * largest
+    ]
+    trajectory = np.concatenate([stream.trajectory for stream, _ in some])
+    # Within a trajectory the order does not matter.
+    order = np.argsort(trajectory, kind="stable")
+    left, tolerance = (
+        np.concatenate([getattr(stream, name) for stream, _ in some])[order] for name in ("residuals", "tolerance")
+    )
+    total = pd.Series(left).groupby(trajectory[order]).sum()
+    values = _spread(total, total.index, num, np.nan)
+    knots = np.unique(np.concatenate([part["residuals"]["values"] for _, part in some]))
+    bins = np.where(np.isnan(values), -1, np.searchsorted(knots, values, side="left"))
+    own = (values, bins, np.zeros(len(knots) + 1), True)
+    limits = tolerance, max(stream.reach for stream, _ in some), sum(part["num_states"] for _, part in some)
+    return Stream("reward", "what is done", None, *own, left, trajectory[order], *limits)
+
+
+def _tolerance(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Float[np.ndarray, " m"]:
+    """By how much the log's model may be off in each of these rows."""
+    if not len(rows):
+        return np.zeros(0)
+    features = np.column_stack([np.ones(len(rows)), expanded_as(part, looks_at.encode(rows))])
+    covariance = np.asarray(part["covariance"])
+    variance = np.einsum("ij,jk,ik->i", features, covariance, features)
+    return ERRORS * np.sqrt(np.maximum(variance, 0.0) + (MISFIT * deviation) ** 2)
+
+
+def part_residuals(part: Mapping[str, Any], looks_at: Covariates, rows: Any) -> Float[np.ndarray, " m"]:
+    """What the log's model of a part leaves of these rows of `outcome_rows`."""
+    if not len(rows):
+        return np.zeros(0)
+    return residuals(part, looks_at.encode(rows), rows[part["what"]].to_numpy(dtype=np.float64))
+
+
+def _places(logs: Logs, rows: Any) -> Int[np.ndarray, " m"]:
+    return pd.Index(logs.trajectory_ids).get_indexer(rows["trajectory"])
+
+
+def _spread(values: Any, at: Any, num: int, empty: float | int) -> Float[np.ndarray, " n"]:
+    filled = np.full(num, empty, dtype=np.float64)
+    filled[at] = values
+    return filled
+
+
+def _binned(described: Mapping[str, Any], values: Any) -> tuple[np.ndarray, np.ndarray, int]:
+    """Numbers that values are compared by, their bins, and how many bins there are."""
+    if described.get("values") is not None:
+        if not is_numeric_dtype(values.dtype):
+            # Text where numbers were: beyond all of them.
+            return np.full(len(values), np.nan), np.full(len(values), len(described["values"])), _num(described)
+        numbers = values.to_numpy(dtype=np.float64)
+        return numbers, np.searchsorted(described["values"], numbers, side="left"), _num(described)
+    codes = pd.Index(described["names"]).get_indexer(values.astype(str))
+    codes = np.where(codes < 0, len(described["names"]), codes)
+    return codes.astype(float), codes, _num(described)
+
+
+def _num(described: Mapping[str, Any]) -> int:
+    return len(described["values"] if described.get("values") is not None else described["names"]) + 1
+
+
+def _counts(described: Mapping[str, Any], num_states: int, num_bins: int) -> Float[np.ndarray, " K"]:
+    shares = described["shares"] if described.get("values") is None else np.diff(described["below"], prepend=0.0)
+    return num_states * np.append(shares, 0.0)[:num_bins]

@@ -1,0 +1,408 @@
+"""A small table with grip offsets on a grid, in float64, and what must be counted of a trajectory to know all of it.
+
+Given what is seen, objects are independent, and an object's labels say nothing of its grip. So all that a trajectory
+says of an object that still stands on the table is counted (`Counted`): what its labels take of the looks, and how
+often it was grasped and missed at each occlusion. N objects can be occluded in no more than 2^(N−1) ways each, so there
+are few occlusions to count at. What left the table is forgotten.
+
+An object can be seen in a few ways only (`Views`). Under one record of its looks all that they may have said lies side
+by side as the cells of an axis. Where labels are independent given the truth (`CountedLabels`), the record is how often
+the object was looked at in each view, and a cell is how many of the looks in each view said DIRTY. Where they are not
+(`RecordedLabels`), it is the sequence of the views that showed something new, and a cell is what was said in each: of
+`PersistentSeeing` "not yet found", and "found at the k-th record".
+
+Values of a table are arrays over the grid of its objects' axes, and a look is taken along one axis after the other:
+given the past, the labels of different objects are independent.
+"""
+
+from dataclasses import dataclass
+from functools import cache, cached_property, lru_cache
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.polynomial.hermite_e import hermegauss
+
+from halfseen.arrays import PerObject, mapped
+from halfseen.errors import ArgumentError
+from halfseen.planners.belief import known_grasping, known_seeing
+from halfseen.shapes import Bool, Float, Int
+from halfseen.world.config import WorldConfig
+from halfseen.world.grasping import KnownGrasping
+from halfseen.world.number import Number
+from halfseen.world.scene import Scene
+from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
+
+_MAX_CACHED = 8192
+_SAME_OCCLUSION_DIGITS = 12
+
+Looks: TypeAlias = tuple[int, ...]
+"""What is kept of the looks at an object."""
+Grid: TypeAlias = Float[np.ndarray, "..."]
+"""Over the labels of a table: an axis for each object, of length 1 once that has left."""
+Counts: TypeAlias = tuple[int, ...]
+"""One number for each occlusion that an object can have."""
+
+
+class Views(NamedTuple):
+    """The ways in which an object can be seen."""
+
+    occluded: Float[np.ndarray, " views"]
+    is_held: Bool[np.ndarray, " views"]
+
+    @property
+    def held(self) -> int:
+        """Number of the view of it while it is held up."""
+        return int(np.argmax(self.is_held)) if self.is_held.any() else 0
+
+
+class Cells(NamedTuple):
+    """What is known of the object in each cell."""
+
+    log_odds: Float[np.ndarray, " cells"]
+    """Of DIRTY."""
+    seen: Float[np.ndarray, " cells"]
+    """Share of the surface that counts as seen."""
+
+    @property
+    def dirty(self) -> Float[np.ndarray, " cells"]:
+        """P(DIRTY)."""
+        return 1.0 / (1.0 + np.exp(-self.log_odds))
+
+
+class Look(NamedTuple):
+    """One more label of an object: where each cell of its axis goes, and how likely that is."""
+
+    looks: Looks
+    """What is kept of the looks then."""
+    if_clean: Int[np.ndarray, " cells"]
+    if_dirty: Int[np.ndarray, " cells"]
+    says_dirty: Float[np.ndarray, " cells"]
+
+
+@dataclass(frozen=True, eq=False)
+class CountedLabels:
+    """Labels of one object that are independent given the truth: a count of looks for each view."""
+
+    seeing: KnownSeeing
+    views: Views
+    prior: float
+    """Log-odds of DIRTY before the first label."""
+
+    @property
+    def nothing(self) -> Looks:
+        """What is kept before the first look."""
+        return (0,) * len(self.views.occluded)
+
+    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019 bounded, and the entries are small
+    def cells(self, looks: Looks) -> Cells:
+        """What looks may have told."""
+        positive = self.seeing.positive(self.views.occluded, 0.0, self.views.is_held)
+        if_said, if_not = (label_evidence(*positive, says_dirty) for says_dirty in (True, False))
+        said = 2 * _dirty_labels(looks) - np.array(looks)[:, None]
+        log_odds = self.prior + (if_said - if_not) / 2 @ said + (if_said + if_not) / 2 @ np.array(looks)
+        return Cells(log_odds, np.zeros_like(log_odds))
+
+    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
+    def look(self, looks: Looks, view: int) -> Look | None:
+        """Look once more; None where that says nothing."""
+        after = (*looks[:view], looks[view] + 1, *looks[view + 1 :])
+        labels, shape = _dirty_labels(looks), [count + 1 for count in after]
+        one_more = labels + (np.arange(len(looks)) == view)[:, None]
+        if_clean, if_dirty = (np.asarray(np.ravel_multi_index(tuple(each), shape)) for each in (labels, one_more))
+        positive = self.seeing.positive(self.views.occluded[view], 0.0, self.views.is_held[view])
+        return Look(after, if_clean, if_dirty, _says_dirty(self.cells(looks), *positive))
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedLabels:
+    """Labels of one object that depend on former looks: its views in their order, but for those that said nothing."""
+
+    seeing: KnownSeeing
+    views: Views
+    prior: float
+    """Log-odds of DIRTY before the first label."""
+    nothing: Looks = ()
+    """What is kept before the first look."""
+
+    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
+    def cells(self, looks: Looks) -> Cells:
+        """What looks may have told: a cell in which a look may say DIRTY gets a cell beside it, behind all others."""
+        if not looks:
+            return Cells(np.array([self.prior]), np.zeros(1))
+        before, view = self.cells(looks[:-1]), looks[-1]
+        positive = self._positive(before, view)
+        is_news = positive[0] + positive[1] > 0.0
+        if_not, if_said = (before.log_odds + label_evidence(*positive, is_news & says) for says in (False, True))
+        seen = [self._seen_after(before, view, says) for says in (False, True)]
+        return Cells(np.append(if_not, if_said[is_news]), np.append(seen[0], seen[1][is_news]))
+
+    @lru_cache(maxsize=_MAX_CACHED)  # noqa: B019
+    def look(self, looks: Looks, view: int) -> Look | None:
+        """Look once more; None where that says nothing."""
+        before, cells = self.cells(looks), np.arange(len(self.cells(looks).seen))
+        positive = self._positive(before, view)
+        is_news = positive[0] + positive[1] > 0.0
+        if not (is_news | (self._seen_after(before, view, False) != before.seen)).any():
+            return None
+        if_dirty = np.where(is_news, cells[-1] + np.cumsum(is_news), cells)
+        return Look((*looks, view), cells, if_dirty, _says_dirty(before, *positive))
+
+    def _positive(self, before: Cells, view: int) -> tuple[Float[np.ndarray, " cells"], Float[np.ndarray, " cells"]]:
+        if_dirty, if_clean = self.seeing.positive(self.views.occluded[view], before.seen, self.views.is_held[view])
+        return np.broadcast_to(if_dirty, before.seen.shape), np.broadcast_to(if_clean, before.seen.shape)
+
+    def _seen_after(self, before: Cells, view: int, says_dirty: bool) -> Float[np.ndarray, " cells"]:
+        after = self.seeing.after(self.views.occluded[view], before.seen, says_dirty, self.views.is_held[view])
+        return np.broadcast_to(after, before.seen.shape)
+
+
+Labels: TypeAlias = CountedLabels | RecordedLabels
+
+
+def labels_of(seeing: KnownSeeing, occlusions: Float[np.ndarray, " levels"], dirty_share: float) -> Labels:
+    """Labels of an object that is seen at its occlusions, from 0 up, and held, if that is another view."""
+    prior = float(np.log(dirty_share) - np.log1p(-dirty_share))
+    views = Views(np.append(occlusions, 0.0), np.arange(len(occlusions) + 1) == len(occlusions))
+    on_table, in_hand = (
+        [*seeing.positive(0.0, 0.0, is_held), *(seeing.after(0.0, 0.0, says, is_held) for says in (False, True))]
+        for is_held in (False, True)
+    )
+    if on_table == in_hand:
+        views = Views(*(each[:-1] for each in views))
+    return (CountedLabels if is_independent(seeing) else RecordedLabels)(seeing, views, prior)
+
+
+def _says_dirty(before: Cells, if_dirty: Grid | float, if_clean: Grid | float) -> Float[np.ndarray, " cells"]:
+    return before.dirty * if_dirty + (1.0 - before.dirty) * if_clean
+
+
+def _dirty_labels(looks: Looks) -> Int[np.ndarray, "views cells"]:
+    """How many of the looks in each view said DIRTY, cell by cell."""
+    return np.indices([count + 1 for count in looks]).reshape(len(looks), -1)
+
+
+def _along(values: Float[np.ndarray, " cells"], axis: int, num_axes: int) -> Grid:
+    """Lay values along one axis of a grid."""
+    return values.reshape([-1 if at == axis else 1 for at in range(num_axes)])
+
+
+def expected_over_labels(values: Grid, looks: tuple[Look | None, ...]) -> Grid:
+    """Mean of `values`, on the grid after a look, over what the look may say; on the grid before it."""
+    for axis, look in enumerate(looks):
+        if look is not None:
+            if_clean, if_dirty = values.take(look.if_clean, axis), values.take(look.if_dirty, axis)
+            if_dirty -= if_clean
+            if_dirty *= _along(look.says_dirty, axis, len(looks))
+            values = np.add(if_clean, if_dirty, out=if_clean)
+    return values
+
+
+def spread_over_labels(mass: Grid, looks: tuple[Look | None, ...], shape: tuple[int, ...]) -> Grid:
+    """Probability of each cell of the grid (of `shape`) after a look, given that of each before it.
+
+    The objects' axes are the last of `mass`; those before them are kept.
+    """
+    for axis, look in enumerate(looks, start=mass.ndim - len(looks)):
+        if look is not None:
+            said_dirty = mass * _along(look.says_dirty, axis, mass.ndim)
+            after = np.zeros((*mass.shape[:axis], shape[axis - mass.ndim], *mass.shape[axis + 1 :]))
+            after[(slice(None),) * axis + (look.if_clean,)] += mass - said_dirty
+            after[(slice(None),) * axis + (look.if_dirty,)] += said_dirty
+            mass = after
+    return mass
+
+
+@dataclass(frozen=True, eq=False, slots=True)
+class Counted:
+    """What a trajectory says of one object; `GridWorld.counted` makes each only once, so that it is a key."""
+
+    cup: int
+    looks: Looks
+    failures: Counts
+    """Attempts at each occlusion that the object can have."""
+    successes: Counts
+
+
+Tally: TypeAlias = tuple[Counted | None, ...]
+"""One entry for each object; None once it has left the table."""
+Held: TypeAlias = frozenset[int]
+"""Objects that are up in the air."""
+NOTHING: Held = frozenset()
+_GONE = None, None
+
+
+@dataclass(frozen=True, eq=False)
+class GridWorld:
+    """One table of the world with each grip offset on Gauss–Hermite nodes of its prior.
+
+    Parameters
+    ----------
+    scene
+        The table.
+    config
+        The world.
+    num_grip_nodes
+        Number of grip offsets that an object can have.
+    """
+
+    scene: Scene
+    config: WorldConfig
+    num_grip_nodes: int
+
+    def __post_init__(self) -> None:
+        # What these methods answer is kept for as long as the table is.
+        for name in ("counted", "tried", "seen", "attempt", "washed", "price"):
+            object.__setattr__(self, name, cache(getattr(self, name)))
+
+    @property
+    def num_objects(self) -> int:
+        """N."""
+        return self.scene.num_objects
+
+    @property
+    def grip(self) -> PerObject:
+        """Mean of each object's grip offset."""
+        return np.asarray(self.scene.grip)
+
+    @cached_property
+    def grasping(self) -> KnownGrasping:
+        """How attempts go, in float64."""
+        return mapped(_in_float64, known_grasping(self.config))
+
+    @cached_property
+    def seeing(self) -> KnownSeeing:
+        """What looks say, in float64."""
+        return mapped(_in_float64, known_seeing(self.config))
+
+    @cached_property
+    def grip_offsets(self) -> Float[np.ndarray, " G"]:
+        """What is hidden of the grip offset that an object can have: what comes on top of its mean."""
+        return float(self.grasping.offset_std) * hermegauss(self.num_grip_nodes)[0]
+
+    @cached_property
+    def grip_prior(self) -> Float[np.ndarray, " G"]:
+        """Prior probability of each of `grip_offsets`."""
+        weights = hermegauss(self.num_grip_nodes)[1]
+        return weights / weights.sum()
+
+    @cached_property
+    def occlusions(self) -> tuple[Float[np.ndarray, " levels"], ...]:
+        """For each object, the distinct occlusions that it can have, from 0 up."""
+        return tuple(np.unique(row) for row in self._occlusion_by_subset)
+
+    @cached_property
+    def level_by_subset(self) -> Int[np.ndarray, "N subsets"]:
+        """Index in `occlusions` of each object while the objects of a subset (bits) stand on the table."""
+        rows = zip(self.occlusions, self._occlusion_by_subset, strict=True)
+        return np.array([np.searchsorted(levels, row) for levels, row in rows])
+
+    @cached_property
+    def _occlusion_by_subset(self) -> Float[np.ndarray, "N subsets"]:
+        is_there = np.arange(2**self.num_objects)[:, None] >> np.arange(self.num_objects) & 1
+        seen = np.prod(1.0 - self.scene.hides[:, None] * is_there, axis=2)
+        return np.round(1.0 - seen, _SAME_OCCLUSION_DIGITS)
+
+    @cached_property
+    def _levels(self) -> list[list[int]]:
+        return self.level_by_subset.T.tolist()
+
+    @cached_property
+    def labels(self) -> tuple[Labels, ...]:
+        """For each object, what its looks may say.
+
+        Raises
+        ------
+        ArgumentError
+            The prior or a label leaves nothing in doubt.
+        """
+        dirty_share = float(self.config.dirty_share)
+        _check_between("dirty_share", np.array([dirty_share]))
+        labels = tuple(labels_of(self.seeing, levels, dirty_share) for levels in self.occlusions)
+        for cup, each in enumerate(labels):
+            positive = np.stack(self.seeing.positive(each.views.occluded, 0.0, each.views.is_held))
+            # A look that shows nothing never says DIRTY, and leaves all in doubt.
+            _check_between(f"a label's probability of object {cup}", positive[:, (positive != 0.0).any(axis=0)].ravel())
+        return labels
+
+    def counted(self, cup: int, looks: Looks, failures: Counts, successes: Counts) -> Counted:
+        """What a trajectory says of an object, once for each."""
+        return Counted(cup, looks, failures, successes)
+
+    @property
+    def first(self) -> Tally:
+        """The tally before anything was seen."""
+        none = [(0,) * len(levels) for levels in self.occlusions]
+        return tuple(self.counted(cup, each.nothing, none[cup], none[cup]) for cup, each in enumerate(self.labels))
+
+    def shape(self, tally: Tally) -> tuple[int, ...]:
+        """Length of each object's axis; 1 once it has left."""
+        pairs = zip(self.labels, tally, strict=True)
+        return tuple([1 if each is None else len(labels.cells(each.looks).seen) for labels, each in pairs])
+
+    def levels(self, tally: Tally, held: Held = NOTHING) -> list[int]:
+        """Index of the occlusion of each object now; what is held hides nothing."""
+        return self._levels[sum([1 << each.cup for each in tally if each is not None and each.cup not in held])]
+
+    def tried(self, counted: Counted, level: int, is_held: bool) -> Counted:
+        """What is known of an object after an attempt at one of its occlusions, by whether it held; it stays."""
+        failures, successes = list(counted.failures), list(counted.successes)
+        (successes if is_held else failures)[level] += 1
+        return self.counted(counted.cup, counted.looks, tuple(failures), tuple(successes))
+
+    def looked(self, tally: Tally, held: Held) -> tuple[Tally, tuple[Look | None, ...]]:
+        """Look once at every object on the table: the tally then, and what that does to each axis, None if nothing."""
+        levels = self.levels(tally, held)
+        seen = [_GONE if each is None else self.seen(each, levels[each.cup], each.cup in held) for each in tally]
+        after, looks = zip(*seen, strict=True)
+        return after, looks
+
+    def seen(self, counted: Counted, level: int, is_held: bool) -> tuple[Counted, Look | None]:
+        """Look once at one object, which is hidden so far, or held up."""
+        labels = self.labels[counted.cup]
+        look = labels.look(counted.looks, labels.views.held if is_held else level)
+        if look is None:
+            return counted, None
+        return self.counted(counted.cup, look.looks, counted.failures, counted.successes), look
+
+    def attempt(self, cup: int, failures: Counts, successes: Counts, level: int) -> tuple[float, float]:
+        """P(an attempt succeeds), and its expected time [s], transport included.
+
+        By object, past failures and successes at each of its occlusions, and index of the occlusion now.
+        """
+        occluded = self.occlusions[cup][:, None]
+        offsets = self.grip[cup] + self.grip_offsets
+        log_failure = self.grasping.log_failure(occluded, offsets)
+        missed, caught = np.exp(log_failure), -np.expm1(log_failure)
+        counts = np.array(failures)[:, None], np.array(successes)[:, None]
+        likelihood = self.grip_prior * np.prod(missed ** counts[0] * caught ** counts[1], axis=0)
+        grip = likelihood / likelihood.sum()
+        expected_s = float(grip @ self.grasping.expected_s(occluded, offsets)[level])
+        return float(grip @ caught[level]), float(self.config.transport_s) + expected_s
+
+    def washed(self, cup: int, looks: Looks) -> Grid:
+        """What it pays to have washed an object, along its axis of the grid."""
+        return self._by_dirt(cup, looks, float(self.config.reward_wash_dirty), float(self.config.reward_wash_clean))
+
+    def price(self, cup: int, looks: Looks) -> Grid:
+        """Expected price of leaving an object, along its axis of the grid."""
+        return self._by_dirt(cup, looks, float(self.config.reward_dirty_left), 0.0)
+
+    def _by_dirt(self, cup: int, looks: Looks, if_dirty: float, if_clean: float) -> Grid:
+        dirty = _along(self.labels[cup].cells(looks).dirty, cup, self.num_objects)
+        return dirty * if_dirty + (1.0 - dirty) * if_clean
+
+    def price_of_left(self, looks: tuple[Looks | None, ...]) -> Grid:
+        """Expected price of what is dirty on the table when the trajectory ends, by the looks at what is left."""
+        prices = [self.price(cup, each) for cup, each in enumerate(looks) if each is not None]
+        return sum(prices[1:], prices[0]) if prices else np.zeros((1,) * self.num_objects)
+
+
+def _in_float64(leaf: Number | np.ndarray) -> float | np.ndarray:
+    return np.asarray(leaf, dtype=np.float64) if np.ndim(leaf) else float(np.asarray(leaf))
+
+
+def _check_between(name: str, probabilities: Float[np.ndarray, " k"]) -> None:
+    """Log-odds must be finite."""
+    wrong = probabilities[~((probabilities > 0.0) & (probabilities < 1.0))]
+    if len(wrong):
+        raise ArgumentError(f"{name} is {wrong[0]:g}; it lies between 0 and 1 and is neither: change config")

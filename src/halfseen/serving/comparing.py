@@ -1,0 +1,204 @@
+"""A comparison in the cell: each trajectory is dealt to the policy or to the rule of today, and the log says which.
+
+The columns `ARM`, `CHANCE` and `COMPARISON` of a trajectory are the whole state: a server that begins again reads the
+log, and deals on as the one before would have. The probability of an action is that of the whole, whichever arm it is
+of: P(a | so far) = π P₁(a) + (1 − π) P₀(a), π the chance of the policy given the actions so far. So the product over
+stages is that of a log of both arms, and learning and evaluation by it stay right.
+"""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import count
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from halfseen.errors import NothingRecordedError
+from halfseen.learning.discrete_policy import DiscretePolicy
+from halfseen.logs import Logs, read_logs
+from halfseen.logs.recorder import ended_log
+from halfseen.monitoring.comparison import Courses, counted
+from halfseen.monitoring.dealing import Standing, Terms, standing
+from halfseen.policies.fall_back import FallBack, fall_back_of
+from halfseen.reading import read_bytes
+from halfseen.serving.models import Compared
+
+if TYPE_CHECKING:
+    from halfseen.serving.answering import InService
+
+ARM, CHANCE, COMPARISON = "arm", "policy_chance", "comparison"
+POLICY, RULE = "policy", "rule"
+
+
+@dataclass
+class Deal:
+    """A trajectory in progress.
+
+    Parameters
+    ----------
+    is_policys
+        Its arm.
+    chance
+        With which it was dealt to the policy.
+    belief
+        Chance of the policy given the actions so far.
+    """
+
+    is_policys: bool
+    chance: float
+    belief: float
+
+    after: float = 1.0
+    """The belief once the next action is taken."""
+
+    def probability(self, by_policy: float, by_rule: float) -> float:
+        """Of the next action, which each arm takes with these, given those before it."""
+        likely = self.belief * by_policy + (1.0 - self.belief) * by_rule
+        self.after = self.belief * by_policy / likely
+        return likely
+
+    def took(self) -> None:
+        """Take that action into account, now that it is recorded."""
+        self.belief = self.after
+
+
+@dataclass(eq=False)
+class Comparison:
+    """Deals the trajectories of a cell, and says how the comparison stands.
+
+    Parameters
+    ----------
+    service
+        The policy.
+    file
+        The rule of today, as .csv or .toml.
+    folder
+        Where trajectories are recorded.
+    terms
+        How it is held.
+    seed
+        Of the deals.
+    say
+        Is given a sentence where the verdict changes.
+    """
+
+    service: "InService"
+    file: Path
+    folder: Path
+    terms: Terms = field(default_factory=Terms)
+    seed: int = 0
+    say: Callable[[str], object] = field(default_factory=lambda: print)
+
+    def __post_init__(self) -> None:
+        self.deal: Deal | None = None
+        self.courses = self._recorded()
+        self.counted = counted(self.courses)
+        self.standing: Standing = standing(self.courses, self.terms, self.counted)
+
+    @cached_property
+    def rule(self) -> FallBack:
+        """What decides in the rule's trajectories."""
+        found = fall_back_of(self.service.stored, self.file)
+        assert found is not None, "a rule file says what decides"
+        return found
+
+    @cached_property
+    def name(self) -> str:
+        """Tells it from comparisons of other policies or rules in the same log."""
+        return f"{self.service.digest}:{hashlib.sha256(read_bytes(self.file)).hexdigest()[:12]}"
+
+    @property
+    def policy(self) -> DiscretePolicy:
+        """The policy."""
+        return self.service.stored.policy
+
+    def dealt(self) -> Deal:
+        """Deal the next trajectory, unless it is; the same seed and log give the same deal."""
+        if self.deal is None:
+            share, luck = self.standing.share, np.random.default_rng([self.seed, self.courses.num]).random()
+            self.deal = Deal(bool(luck < share), share, share)
+        return self.deal
+
+    def columns(self) -> dict[str, Any]:
+        """What is recorded of the trajectory."""
+        deal = self.dealt()
+        return {ARM: POLICY if deal.is_policys else RULE, CHANCE: deal.chance, COMPARISON: self.name}
+
+    def ended(self, events: Sequence[dict[str, Any]]) -> None:
+        """Count a trajectory that is over, as the log has it."""
+        self.deal = None
+        new = courses_of(ended_log(events), self.policy, self.name)
+        if not new.num:
+            return
+        before, self.courses = self.standing.verdict, joined(self.courses, new)
+        self.counted = counted(self.courses, self.counted)
+        self.standing = standing(self.courses, self.terms, self.counted)
+        if self.standing.verdict != before:
+            self.say(f"the policy is {self.standing}")
+
+    def of(self, service: "InService", *, is_in_progress: bool) -> "Comparison":
+        """That of another policy, in the same log; a trajectory in progress goes on, and counts for neither."""
+        if service.digest == self.service.digest:
+            return self
+        other = replace(self, service=service)
+        other.deal = self.deal if is_in_progress else None
+        return other
+
+    @property
+    def facts(self) -> Compared:
+        """What `/comparison` says."""
+        return Compared(sentence=str(self.standing), **vars(self.standing))
+
+    def _recorded(self) -> Courses:
+        if not self.folder.exists():
+            return courses_of(None, self.policy, self.name)
+        try:
+            return courses_of(read_logs(self.folder), self.policy, self.name)
+        except NothingRecordedError:
+            return courses_of(None, self.policy, self.name)
+
+
+def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
+    """Take the trajectories of a comparison from a log; none from None.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    policy
+        Whose covariates count.
+    name
+        What `COMPARISON` holds for them.
+    """
+    num_features = policy.looks_at.num_features
+    if logs is None or COMPARISON not in logs.trajectories.columns:
+        none = np.zeros(0)
+        is_one = np.zeros(0, dtype=bool)
+        return Courses(is_one, none, none, is_one, none.astype(np.int64), np.zeros((0, num_features)), none, none)
+    trajectories: Any = logs.trajectories[logs.trajectories[COMPARISON].eq(name).fillna(False)]
+    stages: Any = logs.stages[logs.stages["trajectory"].isin(trajectories["trajectory"])]
+    # In the order in which they were recorded, also where names are text.
+    names = sorted(trajectories["trajectory"], key=lambda each: (len(str(each)), str(each)))
+    trajectories, number = trajectories.set_index("trajectory").loc[names], dict(zip(names, count(), strict=False))
+    stages = stages.iloc[np.argsort(stages["trajectory"].map(number).to_numpy(), kind="stable")]
+    for text, known in policy.categories.items():
+        stages = stages.assign(**{text: stages[text].where(stages[text].isin(list(known)), known[0])})
+    return Courses(
+        is_policy=trajectories[ARM].eq(POLICY).to_numpy(dtype=bool),
+        chance=trajectories[CHANCE].to_numpy(dtype=np.float64),
+        end_s=trajectories["end_s"].to_numpy(dtype=np.float64),
+        is_finished=trajectories["ending"].eq("finished").to_numpy(dtype=bool),
+        trajectory=stages["trajectory"].map(number).to_numpy(dtype=np.int64),
+        state=policy.looks_at.encode(stages) if len(stages) else np.zeros((0, num_features)),
+        reward=stages["reward"].to_numpy(dtype=np.float64),
+        clock_s=stages["elapsed_s"].to_numpy(dtype=np.float64),
+    )
+
+
+def joined(one: Courses, other: Courses) -> Courses:
+    """Put trajectories after others."""
+    later = other._replace(trajectory=other.trajectory + one.num)
+    return Courses(*(np.concatenate(each) for each in zip(one, later, strict=True)))

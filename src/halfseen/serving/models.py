@@ -1,0 +1,211 @@
+"""What is asked and answered: a class for each JSON object. Requests are checked by them; OpenAPI is made of them."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal, TypeVar
+
+import msgspec
+from msgspec import UNSET, Meta, Struct, UnsetType
+
+Of = TypeVar("Of", bound=Struct)
+Schema = dict[str, Any]
+
+BODY, OCTETS = "the request", "application/octet-stream"
+
+
+def _is(description: str) -> Meta:
+    return Meta(description=description)
+
+
+File = Annotated[Path, Meta(extra_json_schema={"type": "string", "contentMediaType": OCTETS})]
+Stage = Annotated[int, Meta(ge=1, description="The stage to decide, a whole number from 1.")]
+Clock = Annotated[float | None, _is("Seconds since the trajectory began, always or never; if not, the server's clock.")]
+Held = _is(
+    "True or false, of clouds: whether the WASH or LIFT held. Without it, a WASH did if its object is gone, and a LIFT "
+    "is not counted."
+)
+Action = Annotated[int | str, _is("What is done, by name; on a table such as LIFT 2.")]
+Target = Annotated[Any, _is("Of tables: what is acted on, as the log names it; null if nothing is.")]
+Trajectory = Annotated[int | str, _is("As which it is recorded.")]
+Why = Annotated[
+    Literal["out-of-range", "beyond-horizon", "failed", "late"],
+    _is("Why the rule decided in the policy's place; only where it did."),
+]
+Arm = Annotated[Literal["policy", "rule"], _is("Of a comparison: to which the trajectory was dealt.")]
+Amount = float | None
+Digest = Annotated[str, _is("Digest of the policy that decides.")]
+
+
+class State(Struct):
+    """Covariates of a stage, by name."""
+
+    stage: Stage | UnsetType = UNSET
+
+
+class Table(Struct):
+    """Objects of a table."""
+
+    objects: Annotated[
+        list[dict[str, Any]],
+        Meta(
+            min_length=1, description="A list with each object as a stage of a log has it, or send a cloud as a form."
+        ),
+    ]
+    stage: Stage | UnsetType = UNSET
+
+
+class Cloud(Struct):
+    """A look at a table."""
+
+    cloud: Annotated[File, _is("A file of what the camera sees: .pcd, .ply or .npz.")]
+    labels: Annotated[File, _is("A .csv or .json of what looks dirty, as for halfseen look --labels.")] | UnsetType = (
+        UNSET
+    )
+    stage: Stage | UnsetType = UNSET
+
+
+class Reward(Struct, forbid_unknown_fields=True):
+    """What a stage brought."""
+
+    reward: Annotated[float, _is("A number, in the unit of the log.")]
+    elapsed_s: Clock = None
+    held: Annotated[bool | None, Held] = None
+
+
+class End(Struct, forbid_unknown_fields=True):
+    """How a trajectory ended."""
+
+    ending: Annotated[Literal["finished", "cut"], _is('The word "finished", or "cut" if it did not end by itself.')]
+    cause: Annotated[str | None, _is("What cut it, such as operator; with cut alone.")] = None
+    elapsed_s: Clock = None
+
+    def __post_init__(self) -> None:
+        if (self.ending == "cut") != (self.cause is not None):
+            raise ValueError('give {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}, or what cut it')
+
+
+class Decided(Struct, frozen=True, kw_only=True):
+    """What is done, and why."""
+
+    action: Action
+    probability: Annotated[float, _is("With which this action was taken.")]
+    is_explored: Annotated[bool, _is("Whether it was drawn to explore.")]
+    stage: Stage
+    horizon: Annotated[int, _is("Stages that the policy decides.")]
+    q_values: Annotated[dict[str, float | None], _is("What the policy goes by [reward]; null if not possible.")]
+    reason: Annotated[str, _is("Why the policy takes it, in one sentence.")]
+    warnings: Annotated[list[str], _is("What is doubtful, the gravest first.")]
+    intervals: Annotated[dict[str, tuple[float, float]], _is("95 % interval of Q [reward], if known.")]
+    chance_best: Annotated[dict[str, float], _is("Probability that no action is better, if known.")]
+    filled: Annotated[list[str], _is("Covariates that were missing, and are filled in; warnings say by what.")]
+    policy: Digest
+    seen: Annotated[str, _is("Of clouds: what labels say.")] | UnsetType = UNSET
+    verb: Annotated[str, _is("Of tables: the action without its object.")] | UnsetType = UNSET
+    object: Target | UnsetType = UNSET
+    trajectory: Trajectory | UnsetType = UNSET
+    stepped_back: Why | UnsetType = UNSET
+    arm: Arm | UnsetType = UNSET
+
+
+class Progress(Struct, frozen=True):
+    """Where recording stands; where it waits for a reward, for what: the answer may have been lost."""
+
+    trajectory: Annotated[int | str | None, _is("In progress; null if none is.")]
+    stage: Annotated[int, _is("Its last, from 1; 0 before the first.")]
+    waits_for: Literal["decision", "reward"]
+    action: Action | UnsetType = UNSET
+    object: Target | UnsetType = UNSET
+
+
+class Ended(Struct, frozen=True):
+    """A trajectory that is over."""
+
+    trajectory: Trajectory
+    stages: int
+    ending: Literal["finished", "cut"]
+
+
+class Reloaded(Struct, frozen=True):
+    """What answers from now on."""
+
+    policy: Digest
+
+
+class StepBacks(Struct, frozen=True):
+    """How often the rule decided in the policy's place, since the server began."""
+
+    decisions: Annotated[int, _is("All of them.")]
+    stepped_back: Annotated[int, _is("By the rule.")]
+    by: Annotated[dict[str, int], _is("The same by its cause.")]
+    last: Annotated[str | None, _is("What was the matter the last time.")]
+
+
+class Compared(Struct, frozen=True, kw_only=True):
+    """How the comparison of the policy with the rule of today stands."""
+
+    sentence: Annotated[str, _is("All of it in words.")]
+    verdict: Annotated[Literal["promoted", "stopped", "going on"], _is("Of the policy.")]
+    share: Annotated[float, _is("Chance with which the next trajectory is dealt to the policy.")]
+    num: Annotated[int, _is("Trajectories that were dealt.")]
+    num_policy: Annotated[int, _is("Of these to the policy.")]
+    gain: Annotated[Amount, _is("What the policy earns more a trajectory [reward]; null if unknown.")]
+    low: Annotated[
+        Amount, _is("Its lower bound, meant to be wrong, at any time, with chance 0.025 at most; null if none.")
+    ]
+    high: Annotated[Amount, _is("Its upper bound, likewise.")]
+    worst_loss: Annotated[Amount, _is("What the policy lost in all at most, wrong with chance 0.05 at most.")]
+    more: Annotated[int | None, _is("About how many trajectories more decide; null if nobody knows.")]
+
+
+class Health(Struct, frozen=True):
+    """That a server answers, and what."""
+
+    status: Literal["ok"]
+    policy: Digest
+    kind: Annotated[str, _is("Of the policy.")]
+    rule: StepBacks
+    recording: Progress | UnsetType = UNSET
+    comparison: Compared | UnsetType = UNSET
+
+
+class Refused(Struct, frozen=True):
+    """A request that cannot be answered; the next one can."""
+
+    error: Annotated[str, _is("What is wrong, where, the value and the remedy, in one line.")]
+
+
+class Refusal(Exception):
+    """A status of HTTP, and the line of `Refused`."""
+
+    def __init__(self, status: int, message: str) -> None:
+        super().__init__(message)
+        self.status, self.answer = status, Refused(" ".join(message.split()))
+
+
+def model_of(given: Mapping[str, Any], kind: type[Of], *, is_text: bool = False) -> Of:
+    """Check what a request holds, by name; `is_text` where its numbers are text.
+
+    Raises
+    ------
+    Refusal
+        A field is missing, unknown, or none that the model takes.
+    """
+    try:
+        return msgspec.convert(given, kind, strict=not is_text)
+    except msgspec.ValidationError as error:
+        raise Refusal(422, f"{BODY}: {_trouble(given, kind, str(error))}") from error
+    except UnicodeEncodeError as error:
+        raise Refusal(422, f"{BODY}: {error.object!r:.40} is no Unicode text; decode it") from error
+
+
+def _trouble(given: Mapping[str, Any], kind: type[Struct], error: str) -> str:
+    """The value and the remedy, too, in place of what msgspec says."""
+    fields = msgspec.json.schema_components([kind])[1][kind.__name__]["properties"]
+    if at := re.match("Object contains unknown field `(.*)`$", error, re.DOTALL):
+        return f"nothing is known of {at[1][:40]!r}; give {', '.join(fields)}"
+    if at := re.search(r"(?: - at `\$\.|missing required field `)(\w+)[^`]*`$", error):
+        wrong = f"{at[1]} is {given[at[1]]!r:.40}" if at[1] in given else f"there is no {at[1]!r}"
+        wanted = fields[at[1]]["description"]
+        return f"{wrong}; give {wanted[0].lower()}{wanted[1:]}"
+    return error

@@ -1,0 +1,128 @@
+"""Seconds count from the beginning of each trajectory, whatever a source counts from."""
+
+import warnings
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from foreign import arrays, episodes, last_of, rows_of, write_arrays, write_lerobot, write_rows
+from halfseen.errors import HalfseenWarning
+from halfseen.logs.formats import StepRules, read_lerobot, read_minari, read_step_arrays, read_steps
+from halfseen.logs.formats.clocks import ends_by_observations, ends_by_steps
+from refusals import refused
+
+FOUND = episodes(lengths=(3, 3, 3))
+EACH = [0.5, 1.0, 1.5]
+BEGINS = {
+    "each at 0": [0.0, 0.0, 0.0],
+    "running on": [0.0, 1.5, 3.0],
+    "of the calendar": [1.7e9, 1.7e9 + 60.0, 1.7e9 + 90],
+}
+RULES = StepRules(clock="t")
+
+
+def of_minari(folder, times):
+    import minari
+    from gymnasium import spaces
+    from minari.data_collector import EpisodeBuffer
+
+    parts = {"observations": np.zeros((4, 1)), "actions": np.zeros(3, dtype=int), "rewards": [0.0, 1.0, 2.0]}
+    flags = {"terminations": [False, False, True], "truncations": [False] * 3}
+    buffers = [EpisodeBuffer(**parts, **flags, infos={"t": np.array(each)}) for each in times]
+    seen = {"action_space": spaces.Discrete(2), "observation_space": spaces.Box(-1, 1, (1,), np.float64)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # Minari misses an author, a licence and an environment
+        dataset = minari.create_dataset_from_buffers("clock-v0", buffers, **seen)
+    return read_minari(dataset, clock="t")
+
+
+def of_rlds(folder, times):
+    return read_steps(write_rows(folder / "steps", rows_of(FOUND, [True] * 3, clocks=times)), RULES)
+
+
+def of_lerobot(folder, times):
+    flags = {"next.terminated": last_of(FOUND, [True] * 3)}
+    write_lerobot(folder, FOUND, fps=2, extra=flags, stamps=[time for each in times for time in each[:3]])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", HalfseenWarning)
+        return read_lerobot(folder, StepRules(clock="timestamp"))
+
+
+def of_d4rl(folder, times):
+    rows = arrays(FOUND, terminated=[0, 1, 2]) | {"t": np.concatenate(times)}
+    return read_step_arrays(write_arrays(folder / "a.hdf5", rows), RULES)
+
+
+@pytest.fixture(autouse=True)
+def datasets(tmp_path, monkeypatch):
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path))
+
+
+@pytest.mark.parametrize("counted", list(BEGINS))
+@pytest.mark.parametrize("read", [of_rlds, of_lerobot, of_minari])
+def test_times_of_observations_say_when_each_began(tmp_path, read, counted):
+    if read is of_lerobot and counted == "of the calendar":  # its stamps are float32, which hold no such times
+        counted = "running on"
+    logs = read(tmp_path, [[begin + time for time in (0.0, *EACH)] for begin in BEGINS[counted]])
+    assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([EACH] * 3, [1.5] * 3)
+
+
+@pytest.mark.parametrize("read", [of_d4rl, of_minari])
+def test_times_of_ends_of_steps_begin_at_0_or_where_the_episode_before_ended(tmp_path, read):
+    (tmp_path / "each").mkdir()
+    logs = read(tmp_path / "each", [EACH] * 3)
+    assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([EACH] * 3, [1.5] * 3)
+
+
+@pytest.mark.parametrize("read", [of_d4rl, of_minari])
+def test_a_clock_of_steps_that_runs_on_is_parted_at_the_ends(tmp_path, read):
+    times = [[begin + time for time in EACH] for begin in BEGINS["running on"]]
+    wording = r"t is later .* 2 of 2 times: each begins when the one before ended.*up to 0\.5 s"
+    with pytest.warns(HalfseenWarning, match=wording):
+        logs = read(tmp_path, times)
+    assert (logs.elapsed_s().tolist(), logs.end_s.tolist()) == ([EACH] * 3, [1.5] * 3)
+
+
+@pytest.mark.parametrize("read", [of_d4rl, of_minari])
+@pytest.mark.parametrize(
+    ("begins", "wording"),
+    [
+        (BEGINS["of the calendar"], r"episode 0: by t its first step would last 1\.7e\+09 s"),
+        (
+            [0.0, 99.0, 101.0],
+            r"episode 1: by t its first step would last 98 s, and no later step lasts more than 0\.5 s",
+        ),
+        ([0.0, 1.5, 0.0], r"episode 1: by t its first step would last 2 s"),  # begins again, though not everywhere
+    ],
+)
+def test_a_beginning_that_nobody_can_tell_is_refused(tmp_path, read, begins, wording):
+    with refused(wording):
+        read(tmp_path, [[begin + time for time in EACH] for begin in begins])
+
+
+def test_a_first_step_that_outlasts_the_episode_before_is_believed_and_told():
+    times = [np.array(each) for each in ([0.5], [0.7, 1.5], [0.2, 0.4])]
+    with pytest.warns(HalfseenWarning, match="1 of 2 times: each counts from its own beginning"):
+        found = ends_by_steps("a", "t", [0, 1, 2], times)
+    assert [each.tolist() for each in found] == [[0.5], [0.7, 1.5], [0.2, 0.4]]
+
+
+@given(
+    st.lists(st.lists(st.floats(0.5, 1.4), min_size=1, max_size=5), min_size=2, max_size=6),
+    st.floats(-1e6, 1e6),
+)
+def test_each_way_of_counting_gives_the_same_seconds(durations, begin):
+    """The oracle adds up the steps of each episode, one after the other."""
+    wanted = [[sum(each[: k + 1]) for k in range(len(each))] for each in durations]
+    now, running = 0.0, []
+    for each in wanted:
+        running.append(np.array([now + end for end in each]))
+        now = running[-1][-1]
+    with pytest.warns(HalfseenWarning, match="begins when the one before ended"):
+        found = ends_by_steps("a", "t", range(len(running)), running)
+    for ours, theirs in zip(found, wanted, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9)
+    for each in wanted:
+        np.testing.assert_allclose(ends_by_observations(begin + np.array([0.0, *each])), each, atol=1e-9)

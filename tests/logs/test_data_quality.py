@@ -1,0 +1,257 @@
+"""Sound logs raise no data-quality warning; each way of being legal and probably not meant raises its own."""
+
+import re
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.logs import Logs
+from halfseen.logs.data_quality import data_warnings
+from halfseen.logs.spelling import alike
+
+NAMES = ("stages", "trajectories", "objects")
+
+
+def sound_tables(num_trajectories=120, num_stages=4, seed=0):
+    """Trajectories of an exploring policy, a third of them cut at any time."""
+    rng = np.random.default_rng(seed)
+    stages, trajectories, objects = [], [], []
+    for trajectory in range(num_trajectories):
+        clock_s = np.cumsum(rng.exponential(3.0, num_stages))
+        cut_s = rng.exponential(25.0)
+        is_cut = cut_s < clock_s[-1]
+        cause = rng.choice(["operator", "battery"]) if is_cut else None
+        end_s = min(cut_s, clock_s[-1])
+        trajectories.append(
+            {"trajectory": trajectory, "end_s": end_s, "ending": "cut" if is_cut else "finished", "cause": cause}
+        )
+        for stage in range(1, int((clock_s <= end_s).sum()) + 1 + int(is_cut)):
+            is_completed = clock_s[stage - 1] <= end_s
+            at = {"trajectory": trajectory, "stage": stage}
+            seen = {"distance": rng.lognormal(), "offset": rng.normal(), "is_wet": rng.random() < 0.5}
+            done = {"elapsed_s": clock_s[stage - 1], "reward": rng.normal()} if is_completed else {}
+            stages.append(at | seen | {"action": rng.choice(["PICK", "LOOK"]), "probability": 0.5} | done)
+            objects.append(at | {"object": 0, "occlusion": rng.random(), "lifts": 0})
+    return {name: pd.DataFrame(rows) for name, rows in zip(NAMES, (stages, trajectories, objects), strict=True)}
+
+
+def found(tables):
+    return {warning.kind: warning.sentence for warning in data_warnings(Logs(**tables))}
+
+
+@pytest.fixture
+def tables():
+    return sound_tables()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_sound_logs_raise_none(seed):
+    assert found(sound_tables(seed=seed)) == {}
+    assert found(sound_tables(num_trajectories=12, seed=seed)) == {}
+
+
+@pytest.mark.parametrize("cut_kind", ["independent", "occlusion", "attempt"])
+@pytest.mark.slow
+def test_simulated_logs_raise_none(cut_kind):
+    from halfseen.planners.heuristics import GreedyPolicy
+    from halfseen.world import ExploringPolicy, Scene, TableWorld, WorldConfig
+
+    scene = Scene(np.array([[0.0, 0.4], [0.0, 0.0]]))
+    policy = ExploringPolicy(GreedyPolicy(WorldConfig(), True, True), 0.5)
+    logs = TableWorld().simulate([scene], policy, 300, 1, 0.33, cut_kind)
+    assert data_warnings(logs) == ()
+
+
+def test_where_every_trajectory_was_cut_it_is_the_first_that_is_said(tables):
+    was_cut = tables["trajectories"].loc[tables["trajectories"]["ending"] == "cut", "trajectory"]
+    told = found({name: table[table["trajectory"].isin(was_cut)] for name, table in tables.items()})
+    assert next(iter(told)) == "all-cut"
+    assert told["all-cut"].startswith(f"all {len(was_cut)} trajectories were cut: nobody saw one come to its own end")
+
+
+def caused(tables, cause, rows=slice(None), end_s=None):
+    is_cut = np.flatnonzero(tables["trajectories"]["ending"] == "cut")
+    tables["trajectories"].loc[is_cut, "cause"] = "operator"
+    tables["trajectories"].loc[is_cut[rows], "cause"] = cause
+    if end_s is not None:
+        tables["trajectories"].loc[is_cut, "end_s"] = np.linspace(end_s, end_s * 1.001, len(is_cut))
+
+
+def in_milliseconds(tables):
+    for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
+        tables[name].loc[tables[name]["trajectory"] < 10, column] *= 1000
+
+
+def stages(column, value, of=lambda stages: slice(None)):
+    """Put a value, or what is made of the values that are there, into some stages."""
+
+    def change(tables):
+        rows = tables["stages"]
+        rows[column] = rows[column].astype(object) if not callable(value) else rows[column]
+        at = of(rows)
+        rows.loc[at, column] = value(rows.loc[at, column]) if callable(value) else value
+        tables["stages"] = rows.infer_objects()
+
+    return change
+
+
+def late(rows):
+    return rows["trajectory"] >= 60
+
+
+def without_probability(tables):
+    tables["stages"] = tables["stages"].drop(columns="probability")
+
+
+@pytest.mark.parametrize(
+    ("change", "kind", "sentence"),
+    [
+        *(
+            (lambda tables, name=name: caused(tables, name, slice(3)), "end-among-causes",
+             f"^3 trajectories are cut by {name!r}: if that is how the task ends")
+            for name in ("done", "Success", " finished ")
+        ),
+        (without_probability, "no-probability",
+         "^no action has a probability: learning needs none, but evaluating asks"),
+        (lambda tables: caused(tables, "time-out", end_s=tables["trajectories"]["end_s"].max() + 1), "horizon-as-cut",
+         "{cuts} of {cuts} cuts by time-out fall at"),
+        (in_milliseconds, "mixed-clock-units", r"in (10|9) .*are some clocks in milliseconds\?"),
+        *(
+            (stages(name, lambda values: values * 1e6, late), "mixed-covariate-units", f"^covariate {name} is around")
+            for name in ("distance", "offset")
+        ),
+        (stages("action", "WASH", lambda rows: 0), "rare-action",
+         r"^action WASH \(1\) was taken in less than 1 % of {completed} stages: too few to learn from$"),
+        (stages("action", "WASH", lambda rows: rows["elapsed_s"].isna()), "rare-action",
+         "^action WASH was begun and never completed: nothing can be learned from that$"),
+        (stages("reward", lambda values: values * 0 + 1), "equal-rewards",
+         "^all {completed} rewards are 1: no action is better than another$"),
+        *(
+            (stages(name, value),
+             "constant-covariate", f"^covariate {name} is {value!r} in all {{stages}} rows")
+            for name, value in (("distance", 0.0), ("offset", 7), ("is_wet", True))
+        ),
+    ],
+)  # fmt: skip
+def test_what_was_probably_not_meant_is_asked_about_and_nothing_else(tables, change, kind, sentence):
+    change(tables)
+    counts = {
+        "cuts": (tables["trajectories"]["ending"] == "cut").sum(),
+        "completed": tables["stages"]["elapsed_s"].notna().sum(),
+        "stages": len(tables["stages"]),
+    }
+    told = found(tables)
+    assert set(told) == {kind}
+    assert re.search(sentence.format(**counts), told[kind])
+
+
+def test_cuts_in_one_stage(tables):
+    cut = tables["trajectories"].loc[tables["trajectories"]["ending"] == "cut", "trajectory"]
+    stages = tables["stages"]
+    stages = stages[~stages["trajectory"].isin(cut) | (stages["stage"] == 1)].copy()
+    stages.loc[stages["trajectory"].isin(cut), ["elapsed_s", "reward"]] = np.nan
+    told = f"all {len(cut)} cuts fall in stage 1: does something of the task itself end trajectories there?"
+    assert found({"stages": stages, "trajectories": tables["trajectories"]}) == {"cuts-in-one-stage": told}
+
+
+def test_object_covariates_of_mixed_units(tables):
+    tables["objects"]["occlusion"] += 0.1
+    tables["objects"].loc[tables["objects"]["trajectory"] < 20, "occlusion"] *= 1e3
+    assert "object covariate occlusion is around" in found(tables)["mixed-covariate-units"]
+
+
+def test_names_that_differ_in_spelling(tables):
+    causes = tables["trajectories"]["cause"]
+    tables["trajectories"]["cause"] = causes.where(causes.index % 2 == 0, causes.str.upper())
+    tables["stages"].loc[::3, "action"] = tables["stages"]["action"].str.title() + " "
+    spelling = [s.sentence for s in data_warnings(Logs(**tables)) if s.kind == "spelling"]
+    assert spelling[0] == "causes 'BATTERY', 'battery' differ only in their spelling: count them as one"
+    assert "actions 'PICK', 'Pick ' differ only in their spelling: count them as one" in spelling
+
+
+NFC, NFD = "caf\u00e9", "cafe\u0301"
+
+
+E_STOPS = ("E stop", "e_stop", "estop", "E-Stop.", "e - stop", "e\u2010stop")
+SAME = [("e-stop", other) for other in E_STOPS]
+SAME += [
+    ("-x", "\u2212x"),
+    ("2.5", " 2.5"),
+    ("slot 1 2", "Slot_1_2"),
+    ("pick (left)", "pick left"),
+    ("\u2190", " \u2190"),
+]
+SAME += [(NFC, NFD), (NFC.upper(), NFD), ("stra\u00dfe", "STRASSE")]
+OTHER = [
+    ("+x", "-x", "x", "x+", "x-"),
+    ("+x", "\u2212x"),
+    ("pick -x", "pick x", "pick +x"),
+    ("2.5", "25", "2,5", ".25", "2 5", "2-5"),
+    ("x-1", "x1", "x+1"),
+    ("slot 1 2", "slot 12"),
+    ("cafe", NFC),
+    ("cafe", NFD),
+    ("\u2190", "\u2192"),
+    ("<5", ">5", "5"),
+    ("pick!", "pick?"),
+    ("-", "_"),
+]
+
+
+@pytest.mark.parametrize(("one", "other"), SAME)
+def test_one_name_in_two_spellings(one, other):
+    assert alike([one, other, "another"]) == [sorted([one, other])]
+
+
+@pytest.mark.parametrize("names", OTHER)
+def test_signs_decimal_points_and_letters_are_more_than_spelling(names):
+    assert alike(names) == []
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "what"),
+    [
+        ("stages", "action", "actions"),
+        ("stages", "place", "values of covariate place"),
+        ("objects", "place", "values of object covariate place"),
+    ],
+)
+def test_names_that_look_alike_are_said_by_their_code_points(tables, table, column, what):
+    rows = tables[table]
+    rows[column] = [(NFC, NFD, "pick")[k % 3] for k in range(len(rows))]
+    told = found(tables)["spelling"]
+    assert told == rf"{what} 'cafe\u0301', 'caf\xe9' differ only in their spelling: count them as one"
+
+
+def test_a_clock_that_runs_on(tables):
+    of_each = tables["trajectories"].set_index("trajectory")["end_s"]
+    begin_s = of_each.cumsum() - of_each
+    for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
+        tables[name][column] += begin_s[tables[name]["trajectory"]].to_numpy()
+    told = found(tables)["running-clock"]
+    assert re.search(r"runs on .* first stage of \d+ ends at [\d.]+ s, after the last of \d+ at [\d.]+ s; count", told)
+
+
+def test_no_exploration(tables):
+    tables["stages"]["probability"] = 1.0
+    assert set(found(tables)) == {"no-exploration"}
+    tables["stages"]["action"] = "PICK"
+    assert set(found(tables)) == {"one-action"}
+
+
+def test_copied_trajectories(tables):
+    again = {name: frame[frame["trajectory"].isin([3, 5, 8])] for name, frame in tables.items()}
+    again = {name: frame.assign(trajectory=frame["trajectory"] + 1000) for name, frame in again.items()}
+    told = found({name: pd.concat([frame, again[name]]) for name, frame in tables.items()})
+    assert set(told) == {"duplicated-trajectories"}
+    assert re.search(r"\(such as (3 and 1003|5 and 1005)\)", told["duplicated-trajectories"])
+
+
+def test_trajectories_of_whole_steps_may_agree(tables):
+    stages, is_cut = tables["stages"], tables["trajectories"]["ending"] == "cut"
+    is_completed = stages["elapsed_s"].notna()
+    stages["elapsed_s"] = stages["stage"].where(is_completed).astype(float)
+    stages["reward"] = (stages["reward"] > 0).where(is_completed).astype(float)
+    tables["trajectories"]["end_s"] = stages.groupby("trajectory")["stage"].max().to_numpy() - 0.5 * is_cut
+    assert found(tables) == {}

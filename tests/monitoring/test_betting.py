@@ -1,0 +1,104 @@
+"""Wealth, p-values at any time and change points: against naive loops, and as often wrong as they say at most."""
+
+import numpy as np
+import pytest
+
+from halfseen.monitoring import betting
+from halfseen.monitoring.change_point import change_point
+from halfseen.monitoring.joint import pair_payoffs
+
+
+def naive_wealth(payoffs):
+    """Of one gambler, state by state and rate by rate."""
+    num, num_states = payoffs.shape
+    shares = {(r, s): 1.0 / (len(betting.RATES) * num_states) for r in betting.RATES for s in range(num_states)}
+    course = []
+    for k in range(num):
+        for r in betting.RATES:
+            all_of_it = sum(shares[r, s] for s in range(num_states))
+            for s in range(num_states):
+                shares[r, s] = ((1.0 - r) * shares[r, s] + r * all_of_it / num_states) * payoffs[k, s]
+        course.append(np.log(sum(shares.values())))
+    return np.array(course)
+
+
+def test_wealth_is_what_a_loop_over_states_finds():
+    p = np.random.default_rng(0).random((60, 2)) ** 1.5
+    p[10:20, 1] = np.nan
+    payoffs = betting.rank_payoffs(p)
+    found = betting.log_wealth(payoffs)
+    for k in range(2):
+        np.testing.assert_allclose(found[:, k], naive_wealth(payoffs[:, k]), atol=1e-12)
+    assert (payoffs[10:20, 1] == 1.0).all()
+
+
+def test_no_bet_has_a_mean_above_one_while_nothing_has_changed():
+    middles = (np.arange(100_000) + 0.5) / 100_000
+    np.testing.assert_allclose(betting.rank_payoffs(middles[:, None]).mean(axis=0), 1.0, atol=1e-9)
+    outcomes = np.array([[-2.0], [1.0], [1.0], [0.0]])
+    assert (betting.mean_payoffs(outcomes, np.ones((4, 1)), np.zeros(1)).mean(axis=0) <= 1.0 + 1e-12).all()
+    left = np.array([-1.0, 1.0])
+    payoffs = betting.residual_payoffs(left, np.arange(2), 2, np.full(2, 0.1), 1.5)
+    assert (payoffs.mean(axis=0) <= 1.0).all()
+
+
+def test_residuals_of_one_trajectory_are_multiplied():
+    left, place = np.array([-0.5, -0.5, 0.25]), np.array([0, 0, 1])
+    each = betting.residual_payoffs(left, np.arange(3), 3, np.zeros(3), 1.0)
+    together = betting.residual_payoffs(left, place, 3, np.zeros(3), 1.0)
+    np.testing.assert_allclose(together[0], each[0] * each[1])
+    np.testing.assert_allclose(together[1:, 0], [each[2, 0], np.ones(betting.NUM_STATES)])
+    assert each[0, 0, 3] == pytest.approx(1.0 + betting.STAKE * 0.5)
+
+
+def test_conformal_p_values_are_what_counting_gives():
+    rng = np.random.default_rng(1)
+    bins, draws, counts = rng.integers(-1, 4, 50), rng.random(50), np.array([3.0, 0.0, 2.0, 1.0])
+    found = betting.rank_p_values(bins, 4, counts, draws)
+    before = [k for k in range(4) for _ in range(int(counts[k]))]
+    for value, draw, p in zip(bins, draws, found, strict=True):
+        if value < 0:
+            assert np.isnan(p)
+            continue
+        below, same = sum(b < value for b in before), sum(b == value for b in before)
+        assert p == pytest.approx((below + draw * (same + 1)) / (len(before) + 1))
+        before.append(value)
+
+
+def test_pairs_take_the_oldest_aside_and_a_change_of_the_correlation_alone_is_noticed():
+    rng = np.random.default_rng(2)
+    reference, states = rng.normal(size=(200, 2)), rng.normal(size=(500, 2))
+    states[:, 1] = 0.8 * states[:, 0] + 0.6 * states[:, 1]
+    payoffs = pair_payoffs(states, reference, rng.random(500))
+    assert (payoffs[:, 0, 0] == 1.0).all()
+    assert betting.log_wealth(payoffs)[-1, 0] > np.log(1000)
+    same = pair_payoffs(rng.normal(size=(500, 2)), reference, rng.random(500))
+    assert betting.log_wealth(same)[-1, 0] < np.log(20)
+
+
+def test_a_change_is_found_where_it_is_and_against_a_reference_from_the_first_on():
+    values = np.concatenate([np.zeros(40), np.ones(20)]) + 0.1 * np.random.default_rng(0).normal(size=60)
+    found = change_point(values)
+    assert (found.at, found.low, found.high) == (40, 40, 40)
+    assert change_point(values[40:], 0.0, 100).at == 0
+    sparse = np.full(120, np.nan)
+    sparse[::2] = values
+    assert change_point(sparse).at == 80
+
+
+@pytest.mark.slow
+def test_the_interval_of_a_change_holds_it_as_often_as_said():
+    rng, num = np.random.default_rng(3), 400
+    found = [change_point(np.append(rng.normal(size=150), 1.0 + rng.normal(size=50))) for _ in range(num)]
+    share = np.mean([one.low <= 150 <= one.high for one in found])
+    assert share == pytest.approx(0.95, abs=3.0 * np.sqrt(0.95 * 0.05 / num))
+
+
+@pytest.mark.slow
+def test_wealth_reaches_twenty_in_one_of_twenty_lifetimes_at_most():
+    rng, num = np.random.default_rng(4), 400
+    bins = rng.choice(6, size=(2000, num), p=[0.3, 0.3, 0.2, 0.1, 0.05, 0.05])
+    draws = rng.random((2000, num))
+    p = np.column_stack([betting.rank_p_values(bins[:, k], 6, np.zeros(6), draws[:, k]) for k in range(num)])
+    share = (betting.p_values(betting.log_wealth(betting.rank_payoffs(p)))[-1] <= 0.05).mean()
+    assert share <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / num)

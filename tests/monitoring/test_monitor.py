@@ -1,0 +1,142 @@
+"""A small cell in service: healthy, with a part that broke, with swapped columns, and before it was all recorded."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.errors import PolicyError
+from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs
+from halfseen.monitoring.monitor import ALPHAS, monitored
+from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder.promised_parts import promised_parts
+from small_logs import table_log
+
+VALUE = {"value": 0.85, "low": 0.7, "high": 1.0, "standard_error": 0.07}
+VERDICT = {"verdict": "better", "reason": "it is", "sentence": "It is.", "value": VALUE}
+
+
+def cell(num, seed, chances=(0.9, 0.9), policy=None, swaps=False):
+    """One stage: A suits x < .5, B the others; an action that suits fetches with one of two chances, before and after.
+
+    A quarter is cut. The policy, if one is given, sees what is recorded.
+    """
+    rng = np.random.default_rng(seed)
+    x, z = rng.random(num), 2.0 + rng.normal(size=num)
+    seen = pd.DataFrame({"x": z, "z": x} if swaps else {"x": x, "z": z})
+    action = rng.choice(["A", "B"], num) if policy is None else policy.decide(seen, 1)
+    suits = (action == "A") == (x < 0.5)
+    chance = np.where(np.arange(num) < num // 2, *chances) * np.where(suits, 1.0, 0.2)
+    end_s, cut_s = rng.gamma(4.0, 1.0, num), rng.exponential(14.0, num)
+    is_cut = cut_s < end_s
+    done = {"elapsed_s": np.where(is_cut, np.nan, end_s), "reward": np.where(is_cut, np.nan, rng.random(num) < chance)}
+    stages = pd.DataFrame({"trajectory": range(num), "stage": 1, "action": action, **done, **seen})
+    ends = {"end_s": np.minimum(end_s, cut_s), "ending": np.where(is_cut, "cut", "finished")}
+    return Logs(stages, pd.DataFrame({"trajectory": range(num), **ends, "cause": np.where(is_cut, "operator", None)}))
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    folder, logs = tmp_path_factory.mktemp("policies") / "policy", cell(500, 0)
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x", "z"], reg=1e-3).fit(logs)
+    write_policy(learner, logs, folder, verdict=VERDICT)
+    return read_policy(folder)
+
+
+def test_a_healthy_cell_is_no_alarm_and_earns_what_it_does(stored):
+    found = monitored(stored, cell(600, 1, policy=stored.policy))
+    assert found.alarm_at is None
+    assert found.earned["low"] < 0.88 < found.earned["high"]
+    assert found.sentence.startswith("No alarm: in 600 trajectories nothing has changed; it earns 0.")
+    assert "0.85 was promised (0.7 to 1)" in found.sentence
+
+
+def test_a_part_that_broke_is_named_and_since_when(stored):
+    logs = cell(600, 1, (0.9, 0.3), stored.policy)
+    found = monitored(stored, logs)
+    assert 300 < found.alarm_at < 400
+    assert "less than" in found.sentence
+    assert any(
+        each.name.startswith("reward of") and each.since_low <= 301 <= each.since_high for each in found.findings
+    )
+    assert any("less than the log says of the same states" in each for each in found.causes)
+    assert not any("swapped" in each for each in found.causes)
+
+
+def test_swapped_columns_are_named(stored):
+    found = monitored(stored, cell(200, 1, policy=stored.policy, swaps=True))
+    assert found.alarm_at < 60
+    assert "covariates x and z look swapped" in found.causes
+    assert {each.name for each in found.findings} >= {"x in stage 1", "z in stage 1"}
+
+
+def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(stored):
+    logs = cell(400, 2, (0.9, 0.4), stored.policy)
+    whole = monitored(stored, logs)
+    first = monitored(stored, logs.select(logs.trajectory_ids[:300]))
+    for family, p in first.p_values.items():
+        np.testing.assert_allclose(whole.p_values[family][:300], p)
+        assert (np.diff(p) <= 1e-15).all()
+    trajectories = logs.trajectories.assign(cause=logs.trajectories["cause"].astype(object))
+    trajectories.loc[399, ["ending", "cause"]] = ["cut", "still-running"]
+    stages = logs.stages.copy()
+    stages.loc[399, ["elapsed_s", "reward"]] = np.nan
+    assert monitored(stored, Logs(stages, trajectories)).num_trajectories == 399
+
+
+def test_what_another_decided_says_nothing_of_the_promise(stored):
+    found = monitored(stored, cell(300, 3))
+    assert found.earned is None
+    assert any("of the actions are the policy's" in each for each in found.notes)
+
+
+def test_a_folder_that_keeps_less_watches_less_and_one_that_keeps_nothing_is_refused(stored):
+    promise = {name: stored.record["promise"][name] for name in ("stages", "value")}
+    older = type(stored)(stored.policy, {**stored.record, "promise": promise})
+    found = monitored(older, cell(200, 1, policy=stored.policy, swaps=True))
+    assert found.alarm_at < 60
+    assert sum("learn it again" in each for each in found.notes) == 2
+    with pytest.raises(PolicyError, match="learn the policy again"):
+        monitored(type(stored)(stored.policy, {**stored.record, "promise": None}), cell(20, 1))
+
+
+def test_what_is_kept_of_parts_is_least_squares_and_the_range_by_hand(stored):
+    logs = cell(500, 0)
+    rows = logs.stages[logs.stages["reward"].notna() & (logs.stages["action"] == "A")]
+    x, z = rows["x"].to_numpy(), rows["z"].to_numpy()
+    design = np.column_stack([np.ones(len(x)), x, z, x * x, x * z, z * z])
+    plain, *_ = np.linalg.lstsq(design, rows["reward"].to_numpy(), rcond=None)
+    kept = promised_parts(logs, stored.policy)
+    part = next(each for each in kept["parts"] if (each["action"], each["what"]) == ("A", "reward"))
+    at = [[1.0, 0.2, 2.0, 0.04, 0.4, 4.0], [1.0, 0.8, 1.0, 0.64, 0.8, 1.0]]
+    np.testing.assert_allclose(at @ np.array(part["coefficients"]), at @ plain, atol=0.03)
+    left = rows["reward"] - design @ plain
+    usual = np.linalg.inv(design.T @ design) * left.var(ddof=0)
+    np.testing.assert_allclose(
+        at @ np.array(part["covariance"]) @ np.transpose(at), at @ usual @ np.transpose(at), rtol=0.2
+    )
+    assert kept["brings"] == [0.0, 1.0]
+    assert len(kept["first_states"]) == 200
+    two = {"trajectory": [0, 0, 1, 2], "stage": [1, 2, 1, 1], "elapsed_s": [1.0, 2.0, 1.0, 1.0], "action": "A"}
+    ends = {"trajectory": [0, 1, 2], "end_s": [2.0, 1.0, 1.0], "ending": "finished", "cause": None}
+    two |= {"reward": [-0.1, 1.0, 0.5, -0.4]}
+    assert promised_parts(Logs(pd.DataFrame(two), pd.DataFrame(ends)), None) == {"brings": [-0.4, 0.9]}
+
+
+def test_of_tables_only_what_is_earned_and_cuts_are_watched(tmp_path):
+    logs = table_log()
+    learner = CensoredQLearner.for_table(3, laws=None, reg=0.1).fit(logs)
+    write_policy(learner, logs, tmp_path / "policy")
+    found = monitored(read_policy(tmp_path / "policy"), table_log(seed=1))
+    assert found.alarm_at is None
+    assert found.notes[0] == "the policy is of tables: nothing is watched but what it earns, and cuts"
+    assert set(found.p_values) == {"inputs", "parts"}
+
+
+@pytest.mark.slow
+def test_lifetimes_without_a_change_are_seldom_alarmed_about(stored):
+    num = 60
+    alarms = sum(
+        monitored(stored, cell(1500, 100 + k, policy=stored.policy), k).alarm_at is not None for k in range(num)
+    )
+    assert alarms <= sum(ALPHAS.values()) * num + 2.0 * np.sqrt(num * 0.05)

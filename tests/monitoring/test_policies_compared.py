@@ -1,0 +1,219 @@
+"""A policy against the rule of today: bounds by naive loops, false verdicts and losses over many lifetimes."""
+
+import numpy as np
+import pytest
+
+from halfseen.monitoring import comparison, dealing
+from halfseen.monitoring.comparison import Counted, Courses, beats_at, bound, counted, log_wealth
+from halfseen.monitoring.dealing import Terms, standing
+
+
+def drawn(num, rng, chance=0.5, gain=0.0, cut=0.0, noise=1.0, num_stages=3):
+    """Trajectories of up to three stages, of which about a share is cut; the policy earns so much more in its last."""
+    is_policy = rng.random(num) < chance
+    rows = []
+    for k in range(num):
+        x, clock_s, limit_s = rng.normal(), 0.0, rng.exponential() / cut if cut else np.inf
+        for stage in range(num_stages):
+            clock_s += rng.exponential()
+            reward = x + noise * rng.normal() + (gain if is_policy[k] and stage == num_stages - 1 else 0.0)
+            is_cut = clock_s > limit_s
+            rows.append((k, x, np.nan if is_cut else reward, np.nan if is_cut else clock_s, min(clock_s, limit_s)))
+            if is_cut:
+                break
+    trajectory, state, reward, clock_s, end_s = map(np.array, zip(*rows, strict=True))
+    last = np.append(np.flatnonzero(np.diff(trajectory)), len(trajectory) - 1)
+    return Courses(
+        is_policy,
+        np.full(num, chance),
+        end_s[last],
+        ~np.isnan(reward[last]),
+        trajectory,
+        state[:, None],
+        reward,
+        clock_s,
+    )
+
+
+def survival_of(ends, finished, at):
+    """P(C ≥ u) by a loop."""
+    left = 1.0
+    for s in sorted(set(ends[~finished])):
+        if s < at:
+            watched = sum((end > s) or (end == s and not done) for end, done in zip(ends, finished, strict=True))
+            cuts = sum(end == s and not done for end, done in zip(ends, finished, strict=True))
+            left *= (watched - cuts) / watched
+    return left
+
+
+def naive_counted(courses):
+    """Chance, A − p, Y − c and A − 1 + p, by loops over trajectories and stages."""
+    stages = [np.flatnonzero(courses.trajectory == k) for k in range(courses.num)]
+    arms = courses.is_policy.astype(int)
+    begin = next(k + 1 for k in range(courses.num) if min(arms[: k + 1].sum(), (1 - arms[: k + 1]).sum()) >= 2)
+    found, learned_at = [], None
+    for k in range(begin, courses.num):
+        if learned_at is None or k >= max(learned_at + 1, int(1.25 * learned_at)):
+            learned_at = k
+            model = naive_learned(courses, stages, k)
+        values, weight, scaled = model
+        p, a = courses.chance[k], arms[k]
+
+        def v(arm, row, values=values, scaled=scaled, first=stages[k][0]):
+            return values(arm, scaled(row, row - first))
+
+        worth = v(a, stages[k][0])
+        for row in stages[k]:
+            if not np.isnan(courses.reward[row]):
+                after = v(a, row + 1) if row + 1 in stages[k] else 0.0
+                worth += weight(a, courses.clock_s[row]) * (courses.reward[row] + after - v(a, row))
+        first = stages[k][0]
+        found.append((p, a - p, worth - (1 - p) * v(1, first) - p * v(0, first), a - 1 + p))
+    return np.array(found).T
+
+
+def naive_learned(courses, stages, num):
+    """Values and weights from the first trajectories."""
+    rows = [(k, row, row - stages[k][0]) for k in range(num) for row in stages[k]]
+    columns = np.array([[stage, courses.state[row, 0]] for _, row, stage in rows])
+    centre, spread = columns.mean(axis=0), columns.std(axis=0)
+
+    def scaled(row, stage):
+        return np.array([1.0, *((np.array([stage, courses.state[row, 0]]) - centre) / spread)])
+
+    of_arm = [[k for k in range(num) if courses.is_policy[k] == bool(arm)] for arm in (0, 1)]
+    of_arm = [each if len(each) >= 10 else list(range(num)) for each in of_arm]
+
+    def weight(arm, at):
+        ends, finished = courses.end_s[of_arm[arm]], courses.is_finished[of_arm[arm]]
+        return 1.0 / max(survival_of(ends, finished, at), 0.5)
+
+    coefficients = []
+    for arm in (0, 1):
+        left, right = np.diag([1e-6, 1.0, 1.0]), np.zeros(3)
+        for k, row, stage in rows:
+            if k in of_arm[arm] and not np.isnan(courses.reward[row]):
+                now = weight(int(courses.is_policy[k]), courses.clock_s[row]) * scaled(row, stage)
+                after = scaled(row + 1, stage + 1) if row + 1 in stages[k] else np.zeros(3)
+                left += np.outer(now, scaled(row, stage) - after)
+                right += now * courses.reward[row]
+        coefficients.append(np.linalg.solve(left, right))
+    totals = [np.nansum(courses.reward[stages[k]]) for k in range(num)]
+    return lambda arm, features: np.clip(coefficients[arm] @ features, min(totals), max(totals)), weight, scaled
+
+
+@pytest.mark.parametrize("cut", [0.0, 0.3])
+def test_what_a_trajectory_adds_is_that_of_a_loop_and_rests_on_those_before_it(cut):
+    courses = drawn(40, np.random.default_rng(1), chance=0.4, gain=0.5, cut=cut)
+    of = counted(courses)
+    np.testing.assert_allclose(np.array(of), naive_counted(courses), rtol=1e-9, atol=1e-12)
+    for num in (12, 25):
+        part = counted(courses.part(0, num))
+        np.testing.assert_array_equal(np.array(part), np.array(of)[:, : part.excess.size])
+        np.testing.assert_array_equal(np.array(counted(courses, part)), np.array(of))
+
+
+def test_without_cuts_a_trajectory_is_worth_what_it_earned():
+    courses = drawn(60, np.random.default_rng(2), gain=0.5)
+    of = counted(courses)
+    shifted = courses._replace(reward=courses.reward + 1.0)
+    # A constant a stage is expected of both arms, but for the ridge.
+    np.testing.assert_allclose(counted(shifted).excess[30:], of.excess[30:], atol=0.3)
+    assert counted(courses.part(0, 3)).excess.size == 0
+
+
+def test_wealth_is_that_of_a_loop():
+    of = counted(drawn(50, np.random.default_rng(3), chance=0.3, gain=0.5, cut=0.2))
+    for gain, side in ((0.0, 1), (0.4, -1)):
+        wealth, largest, found = np.ones(4), 0.0, []
+        for k, (p, w, e, g) in enumerate(zip(*of, strict=True)):
+            beside = e - gain * g
+            if k:
+                lowered = np.clip(beside, -largest, largest) / (largest or 1.0)
+                outcome = side * w * lowered / max(p, 1 - p)
+                wealth = wealth * (1.0 + comparison.BETS * outcome)
+            largest = max(largest, abs(beside))
+            found.append(np.log(comparison.STAKES @ wealth))
+        np.testing.assert_allclose(log_wealth(of, gain, side), found, atol=1e-12)
+
+
+def test_bounds_are_where_the_wealth_is_reached_and_hold_the_gain():
+    of = counted(drawn(400, np.random.default_rng(5), gain=1.0))
+    low, high = bound(of, 0.025), bound(of, 0.025, -1)
+    assert 0.0 < low < 1.0 < high
+    for end, side in ((low, 1), (high, -1)):
+        assert beats_at(of, end - side * 1e-2, 0.025, side) is not None
+        assert beats_at(of, end + side * 1e-2, 0.025, side) is None
+    assert bound(of, 0.05) >= low
+    assert bound(Counted(*np.zeros((4, 0))), 0.05) == -np.inf
+
+
+def test_outcomes_that_never_varied_tell_nothing():
+    courses = drawn(30, np.random.default_rng(5))
+    of = counted(courses._replace(reward=np.zeros(len(courses.reward))))
+    assert (log_wealth(of, 0.0) == 0.0).all()
+
+
+def test_the_share_grows_as_what_is_likely_to_be_lost_shrinks():
+    rng = np.random.default_rng(6)
+    courses = drawn(200, rng, chance=0.2)
+    shares = [standing(courses.part(0, num), Terms(0.1)).share for num in (0, 8, 30, 60, 200)]
+    assert shares[:2] == [0.1, 0.1]
+    assert shares == sorted(shares)
+    assert shares[-1] in (0.2, 0.4, 0.5)
+
+
+def test_the_chance_of_the_last_trajectory_says_what_was_decided():
+    courses = drawn(40, np.random.default_rng(7))
+    for chance, verdict in ((1.0, "promoted"), (0.0, "stopped")):
+        after = courses._replace(chance=np.append(courses.chance[:-1], chance))
+        assert (standing(after, Terms()).verdict, standing(after, Terms()).share) == (verdict, chance)
+
+
+def test_more_trajectories_are_about_what_a_gain_of_this_size_needs():
+    found = [standing(drawn(60, np.random.default_rng(seed), gain=0.8), Terms(0.5)).more for seed in range(12)]
+    # Growth of (0.8/2)²/(2·2.9/4) nats a trajectory, and log 40 + 1 wanted: some 85 in all.
+    assert 10 < np.median([each for each in found if each is not None]) < 120
+
+
+def test_a_loss_that_is_allowed_is_not_passed():
+    stopped = []
+    for seed in range(8):
+        courses = drawn(150, np.random.default_rng(seed), gain=-2.0, noise=0.5)
+        for num in range(4, 150, 2):
+            found = standing(courses.part(0, num), Terms(0.5, most_loss=40.0))
+            if found.verdict == "stopped":
+                break
+        stopped.append(found.num_policy * 2.0)
+    assert max(stopped) <= 40.0
+
+
+def test_what_is_said():
+    assert str(standing(drawn(2, np.random.default_rng(0)), Terms())) == (
+        "going on after 2 trajectories, 1 by the policy: nothing is known of its gain"
+    )
+    found = str(standing(drawn(300, np.random.default_rng(0), gain=1.0), Terms()))
+    assert found.startswith("promoted after 300 trajectories, 1")
+    assert " a trajectory" in found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("chance", [0.2, 0.5])
+@pytest.mark.parametrize("cut", [0.0, 0.4])
+def test_false_verdicts_are_rare_at_any_time(chance, cut):
+    rng, false = np.random.default_rng(8), 0
+    for _ in range(300):
+        of = counted(drawn(200, rng, chance=chance, cut=cut))
+        false += beats_at(of, 0.0, dealing.PROMOTES) is not None
+    assert false <= 300 * dealing.PROMOTES + 3.0 * np.sqrt(300 * dealing.PROMOTES)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("rate", [0.05, 0.5, 0.95])
+def test_false_verdicts_are_rare_where_success_is_rare_or_usual(rate):
+    rng, false = np.random.default_rng(9), 0
+    for _ in range(300):
+        courses = drawn(200, rng, chance=0.2, num_stages=1)
+        of = counted(courses._replace(reward=(rng.random(200) < rate).astype(float)))
+        false += beats_at(of, 0.0, dealing.PROMOTES) is not None
+    assert false <= 300 * dealing.PROMOTES + 3.0 * np.sqrt(300 * dealing.PROMOTES)

@@ -1,0 +1,95 @@
+"""Pixels of clouds in any order beside loops over all points, their colours, and pictures of what is seen."""
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from drawn_tables import Can, draw
+from halfseen.perception import XTION, Cloud, DepthSensor, perceive
+from halfseen.perception.colours import pixel_colours
+from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
+from halfseen.perception.range_image import VIRTUAL_PIXEL_SCALE, range_image
+
+
+def cloud_of(rng, num_points=1500):
+    """Points of few coordinates, so that rays and depths are shared by some."""
+    across = rng.integers(-20, 20, (num_points, 2)) / 32
+    depth = rng.integers(4, 7, num_points) / 4
+    return np.column_stack([across * depth[:, None], depth])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_pixel_has_the_nearest_of_its_points_and_is_as_wide_as_rays_are_apart(seed):
+    rng = np.random.default_rng(seed)
+    points = cloud_of(rng)
+    image = range_image(Cloud(points))
+    pixels = image.points_m.reshape(-1, 3)
+    for pixel in range(len(pixels)):
+        its = points[image.pixel_of_point == pixel]
+        nearest = min(its[:, [2, 0, 1]].tolist(), default=[np.nan] * 3)
+        np.testing.assert_array_equal(pixels[pixel, [2, 0, 1]], nearest)
+    assert max(np.bincount(image.pixel_of_point[image.pixel_of_point >= 0])) > 1
+    again = range_image(Cloud(rng.permutation(points)))
+    np.testing.assert_array_equal(again.points_m, image.points_m)
+    few = points[:600]
+    rays = np.unique(few[:, :2] / few[:, 2:], axis=0)
+    apart = np.linalg.norm(rays[:, None] - rays, axis=2) + np.diag(np.full(len(rays), np.inf))
+    pitch = VIRTUAL_PIXEL_SCALE * np.median(apart.min(axis=1))
+    assert 1 / range_image(Cloud(few)).intrinsics[0, 0] == pytest.approx(pitch, rel=1e-12)
+
+
+def test_noise_grows_with_the_square_of_the_distance_from_a_floor_on():
+    assert isinstance(XTION, DepthSensor)
+    np.testing.assert_allclose(XTION.noise_m(np.array([0.1, 1.0, 2.0])), [0.001, 0.003, 0.012])
+
+
+def pixels_of(view):
+    with Image.open(io.BytesIO(thumbnail(view))) as image:
+        return np.asarray(image.convert("RGB"), dtype=float) / 255.0
+
+
+def is_colour(pixels, place):
+    wanted = np.array([int(COLOURS[place][k : k + 2], 16) for k in (1, 3, 5)]) / 255.0
+    return np.abs(pixels - wanted).max(axis=-1) < 0.02
+
+
+@pytest.mark.parametrize("places_m", [[(0.0, 0.0)], [(-0.2, 0.0), (0.2, 0.1)], [(0.0, -0.15), (0.02, 0.2)]])
+def test_all_objects_are_within_the_frame_and_fill_it(places_m):
+    view = perceive(draw(*(Can(*place) for place in places_m)).cloud)
+    pixels = pixels_of(view)
+    assert pixels.shape[:2] == (THUMBNAIL_INCHES[1] * DOTS_PER_INCH, THUMBNAIL_INCHES[0] * DOTS_PER_INCH)
+    outlines = np.logical_or.reduce([is_colour(pixels, place) for place in range(len(places_m))])
+    inner = outlines[1:-1, 1:-1]
+    assert inner.sum() == outlines.sum()
+    extents = [np.ptp(each) / size for each, size in zip(np.nonzero(outlines), outlines.shape, strict=True)]
+    assert max(extents) > 0.75
+
+
+@pytest.fixture
+def wall():
+    """A cloud of a wall of many colours, one of whose pixels has no return."""
+    picture = np.random.default_rng(5).integers(0, 256, size=(30, 40, 3), dtype=np.uint8)
+    depth = np.full((30, 40), 1.0)
+    depth[2, 3] = np.nan
+    return Cloud.from_depth(depth, np.array([[40.0, 0.0, 20.0], [0.0, 40.0, 15.0], [0.0, 0.0, 1.0]]), "wall", picture)
+
+
+def test_pixels_have_their_own_colours_or_that_of_their_nearest_point(wall):
+    own = wall.colours.reshape(30, 40, 3).copy()
+    own[2, 3] = 0
+    np.testing.assert_array_equal(pixel_colours(range_image(wall), wall), own)
+    near = np.flatnonzero(np.isfinite(wall.points_m[:, 2]))
+    points = np.concatenate([0.9 * wall.points_m[near], wall.points_m[near]])
+    colours = np.concatenate([wall.colours[near], 255 - wall.colours[near]])
+    order = np.random.default_rng(0).permutation(len(points))
+    loose = Cloud(points[order], colours=colours[order])
+    image = range_image(loose)
+    assert image.is_virtual
+    seen = pixel_colours(image, loose)
+    # By brute force: the point of each pixel is looked up among all points.
+    for row, column in np.argwhere(image.is_return):
+        which = np.argmin(np.linalg.norm(points - image.points_m[row, column], axis=1))
+        np.testing.assert_array_equal(seen[row, column], colours[which])
+    assert not seen[~image.is_return].any()

@@ -1,0 +1,162 @@
+"""Trajectories are dealt to the policy or the rule of today, with honest probabilities, and the log is the state."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from asking import client_of, refused
+from click.testing import CliRunner
+from test_stepping_back import decided, learned
+
+from halfseen.cli.serve import serve
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs import read_logs
+from halfseen.monitoring.dealing import Terms
+from halfseen.policies import read_policy
+from halfseen.policies.folder import write_policy
+from halfseen.serving import comparing
+from halfseen.serving.answering import taken_into_service
+from halfseen.serving.comparing import Comparison, courses_of
+from small_logs import flat_log
+
+RULE = "stage,x1,action\n1,> 0,A\n1,,B\n,,A\n"
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory):
+    folder, logs = tmp_path_factory.mktemp("comparing") / "flat", flat_log()
+    write_policy(learned().fit(logs), logs, folder)
+    return folder
+
+
+@pytest.fixture
+def cell(flat, tmp_path):
+    """A comparison that records, as the command makes it: whom to ask, how it stands, and what was said."""
+    (tmp_path / "rule.csv").write_text(RULE)
+
+    def begin(terms=None, seed=3, **answering):
+        said, terms = [], terms or Terms(0.5)
+        service = taken_into_service(flat, rule=tmp_path / "rule.csv")
+        compared = Comparison(service, tmp_path / "rule.csv", tmp_path / "logs", terms, seed, said.append)
+        return compared, said, client_of(flat, tmp_path / "logs", comparison=compared, **answering)
+
+    return begin
+
+
+def run(client, rng, num, gain=0.0, cut=0.0):
+    """Trajectories of two stages; the policy's earn more by so much."""
+    for _ in range(num):
+        for stage in (1, 2):
+            told = decided(client, x1=float(rng.normal()), x2=int(rng.integers(3)))
+            reward = float(rng.random()) + (gain if told["arm"] == "policy" and stage == 2 else 0.0)
+            client.post("/reward", json={"reward": reward, "elapsed_s": float(stage)})
+        is_cut = rng.random() < cut
+        end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished"}
+        client.post("/end", json={**end, "elapsed_s": 2.5})
+
+
+def test_a_log_that_cannot_be_read_is_no_beginning(cell, tmp_path, monkeypatch):
+    (tmp_path / "logs").mkdir()
+
+    def broken(folder):
+        raise LogError(f"{folder}: trajectory 3 is broken")
+
+    monkeypatch.setattr(comparing, "read_logs", broken)
+    with pytest.raises(LogError, match="trajectory 3 is broken"):
+        cell()
+
+
+def test_the_log_says_which_arm_with_which_chance_and_a_server_that_begins_again_goes_on(cell, tmp_path):
+    rng = np.random.default_rng(0)
+    compared, _, client = cell()
+    with client as asked:
+        run(asked, rng, 30, cut=0.3)
+        told, live = asked.get("/comparison").json(), compared.standing
+        assert asked.get("/health").json()["comparison"] == told
+        decided(asked, x1=0.1, x2=1)
+        torn = compared.deal
+    trajectories = read_logs(tmp_path / "logs").trajectories
+    assert (told["num"], told["num_policy"]) == (30, int((trajectories["arm"][:30] == "policy").sum()))
+    assert set(trajectories["policy_chance"]) == {0.5}
+    again, _, client = cell()
+    assert (again.courses.num, again.courses.is_policy[-1]) == (31, torn.is_policys)
+    first = again.courses.part(0, 30)
+    for name, each in first._asdict().items():
+        np.testing.assert_array_equal(each, getattr(compared.courses, name), name)
+    with client as asked:
+        deals = [again.dealt().is_policys for _ in range(3)]
+        assert deals == [np.random.default_rng([3, 31]).random() < again.standing.share] * 3
+    assert live == compared.standing
+
+
+def test_probabilities_are_those_of_both_arms_together(cell, tmp_path, flat):
+    rng = np.random.default_rng(1)
+    _, _, client = cell(epsilon=0.2)
+    with client as asked:
+        run(asked, rng, 40)
+    logs, policy = read_logs(tmp_path / "logs"), read_policy(flat).policy
+    for _, rows in logs.stages.groupby("trajectory"):
+        # By the chance of all actions so far under either arm.
+        joint, before = np.array([0.5, 0.5]), 1.0
+        for row in rows.itertuples():
+            frame = rows[rows["stage"] == row.stage]
+            best = policy.decide(frame, row.stage)[0]
+            by_policy = 0.9 if row.action == best else 0.1
+            of_rule = "A" if row.stage == 2 or row.x1 > 0 else "B"
+            joint = joint * [by_policy, float(row.action == of_rule)]
+            assert row.probability == pytest.approx(joint.sum() / before)
+            before = joint.sum()
+
+
+def test_a_better_policy_is_promoted_and_a_sentence_says_so_once(cell, tmp_path):
+    rng = np.random.default_rng(2)
+    compared, said, client = cell()
+    with client as asked:
+        run(asked, rng, 40, gain=3.0)
+        assert compared.standing.verdict == "promoted"
+        told = asked.get("/comparison").json()
+        assert (told["verdict"], told["share"]) == ("promoted", 1.0)
+        assert 0.0 < told["low"] < told["gain"] < told["high"]
+    assert len(said) == 1
+    assert said[0].startswith("the policy is promoted after ")
+    chances = read_logs(tmp_path / "logs").trajectories["policy_chance"]
+    assert set(chances) == {0.5, 1.0}
+    assert (np.diff(chances) >= 0).all()
+    again, said, _ = cell()
+    assert (again.standing.verdict, said) == ("promoted", [])
+
+
+def test_a_worse_policy_is_stopped_within_the_loss_that_was_allowed(cell, tmp_path):
+    rng = np.random.default_rng(2)
+    compared, said, client = cell(Terms(0.5, most_loss=20.0))
+    with client as asked:
+        run(asked, rng, 40, gain=-2.0)
+        assert compared.standing.verdict == "stopped"
+        assert decided(asked, x1=0.1, x2=1)["arm"] == "rule"
+    assert said[0].startswith("the policy is stopped after ")
+    trajectories = read_logs(tmp_path / "logs").trajectories
+    assert (trajectories["arm"] == "policy").sum() * 2.0 <= 20.0
+    assert trajectories["policy_chance"].iloc[-1] == 0.0
+
+
+def test_another_policy_begins_a_comparison_of_its_own(cell, tmp_path):
+    compared, _, client = cell()
+    with client as asked:
+        run(asked, np.random.default_rng(0), 5)
+    other = replace(compared.service, digest="another")
+    assert compared.of(compared.service, is_in_progress=False) is compared
+    assert compared.of(other, is_in_progress=False).courses.num == 0
+    logs = read_logs(tmp_path / "logs")
+    assert courses_of(logs, compared.policy, compared.name).num == 5
+
+
+def test_without_a_comparison_there_is_nothing_to_say(flat):
+    with client_of(flat) as asked:
+        assert "--against RULE" in refused(asked.get("/comparison"), 409)
+        assert "/comparison" not in asked.get("/openapi.json").json()["paths"]
+
+
+def test_the_command_asks_for_a_log(flat, tmp_path):
+    (tmp_path / "rule.csv").write_text(RULE)
+    with pytest.raises(ArgumentError, match=r"--against is .*rule\.csv, .*; give --record LOGS"):
+        CliRunner().invoke(serve, [str(flat), "--against", str(tmp_path / "rule.csv")], catch_exceptions=False)

@@ -1,0 +1,205 @@
+"""Never without a decision: where the policy does not decide, the rule does, and answer, log and /health say so."""
+
+import json
+import re
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from asking import client_of, refused
+
+from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs, read_logs
+from halfseen.policies.fall_back import fall_back_of, usual_actions
+from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder.log_facts import actions_taken
+from halfseen.serving.app import Served
+from small_logs import HIDES, flat_log, table_log
+
+WITHIN = {"x1": 0.0, "x2": 1}
+
+
+def learned():
+    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
+
+
+@pytest.fixture(scope="module")
+def logs():
+    return flat_log()
+
+
+@pytest.fixture(scope="module")
+def flat(tmp_path_factory, logs):
+    folder = tmp_path_factory.mktemp("stepping") / "flat"
+    write_policy(learned().fit(logs), logs, folder)
+    return folder
+
+
+def usual(logs, stage):
+    """By a loop: the action that the log took most often in a stage."""
+    counts = {}
+    for of, action in zip(logs.stages["stage"], logs.stages["action"], strict=True):
+        if of == stage and action is not None:
+            counts[action] = counts.get(action, 0) + 1
+    return max(counts, key=lambda name: (counts[name], name))
+
+
+def decided(client, **state):
+    answer = client.post("/decide", json=state)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def test_far_outside_and_beyond_the_horizon_the_usual_action_of_the_log_is_taken(flat, logs):
+    with client_of(flat, epsilon=0.5) as client:
+        far, later = decided(client, **{**WITHIN, "x1": 800}), decided(client, **WITHIN, stage=7)
+        assert (far["action"], far["stepped_back"]) == (usual(logs, 1), "out-of-range")
+        assert far["reason"].startswith(f"{far['action']}: the usual action of its log in this stage, in the policy's")
+        assert "x1 is 800, outside the logs (" in far["reason"]
+        assert (later["action"], later["stepped_back"]) == (usual(logs, 2), "beyond-horizon")
+        for one in (far, later):
+            assert (one["probability"], one["is_explored"], one["q_values"]) == (1.0, False, {})
+        assert "stepped_back" not in decided(client, **WITHIN)
+        told = client.get("/health").json()["rule"]
+    counts = {"decisions": 3, "stepped_back": 2, "by": {"out-of-range": 1, "beyond-horizon": 1}}
+    assert told == {**counts, "last": "stage 7 is beyond the policy's horizon, 2"}
+
+
+@pytest.mark.parametrize(("stays_within", "why"), [(True, "out-of-range"), (False, None)])
+def test_a_hair_outside_the_rule_decides_where_that_is_wanted_and_the_ends_are_within(flat, stays_within, why):
+    low, high = read_policy(flat).ranges(1)["x1"]
+    with client_of(flat, served={"stays_within": stays_within}) as client:
+        for end, way in ((low, -np.inf), (high, np.inf)):
+            assert "stepped_back" not in decided(client, **{**WITHIN, "x1": end})
+            beyond = float(np.nextafter(end, way))
+            told = decided(client, **{**WITHIN, "x1": beyond})
+            assert told.get("stepped_back") == why
+            # As many digits as tell the two apart.
+            ((value, least, most),) = re.findall(r"x1 is (\S+), outside the logs \((\S+) to (\S+)\)", json.dumps(told))
+            assert not float(least) <= float(value) <= float(most)
+
+
+def test_a_rule_file_decides_and_where_it_cannot_the_usual_action_does(flat, tmp_path, logs):
+    rule = tmp_path / "rule.csv"
+    rule.write_text("x2,seen_by,action\n> 1,= left,C\n,,A\n")
+    with client_of(flat, served={"rule": rule}) as client:
+        told = [decided(client, x1=800, x2=x2, seen_by="left")["action"] for x2 in (0, 2)]
+        lacking = decided(client, x1=800, x2=2)
+    assert told == ["A", "C"]
+    assert lacking["action"] == usual(logs, 1)
+    assert "for the rule rule.csv fails: the rule asks for seen_by = left, and seen_by is None" in lacking["reason"]
+    rule.write_text("action\nD\n")
+    with pytest.raises(ValueError, match=r"rule\.csv: there is no action D; there are A, B, C"):
+        Served(flat, rule=rule)
+
+
+@pytest.mark.parametrize("failing", ["raises", "is no number"])
+def test_a_policy_that_fails_is_replaced_by_the_rule(flat, monkeypatch, capsys, failing):
+    with client_of(flat) as client:
+        kind = type(read_policy(flat).policy)
+        known = kind.valued
+
+        def broken(self, encoded, stage):
+            if failing == "raises":
+                raise ZeroDivisionError("by zero")
+            found = known(self, encoded, stage)
+            return found._replace(scores=np.full_like(found.scores, np.nan))
+
+        monkeypatch.setattr(kind, "valued", broken)
+        told = decided(client, **WITHIN)
+        assert told["stepped_back"] == "failed"
+        assert client.get("/health").json()["rule"]["by"] == {"failed": 1}
+    assert ("ZeroDivisionError" in capsys.readouterr().err) == (failing == "raises")
+
+
+def test_a_decision_that_comes_too_late_is_dropped_for_the_rules(flat, monkeypatch):
+    with client_of(flat, served={"limit_s": 0.05}) as client:
+        kind = type(read_policy(flat).policy)
+        known = kind.valued
+
+        def slow(self, encoded, stage):
+            time.sleep(0.5)
+            return known(self, encoded, stage)
+
+        monkeypatch.setattr(kind, "valued", slow)
+        told = decided(client, **WITHIN)
+        assert (told["stepped_back"], told["probability"]) == ("late", 1.0)
+        assert "no answer within 0.05 s" in told["reason"]
+
+
+def test_a_new_category_is_outside_the_logs(tmp_path):
+    logs = flat_log()
+    stages = logs.stages.assign(colour=np.where(logs.stages["x1"] > 0, "red", "blue"))
+    logs = Logs(stages=stages, trajectories=logs.trajectories)
+    learner = CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "colour"], reg=0.1)
+    write_policy(learner.fit(logs), logs, tmp_path / "policy")
+    with client_of(tmp_path / "policy") as client:
+        told = decided(client, x1=0.1, colour="mauve")
+        assert (told["action"], told["stepped_back"]) == (usual(logs, 1), "out-of-range")
+        assert "colour is 'mauve', which no state of the logs showed" in told["reason"]
+        assert "'x1'" in refused(client.post("/decide", json={"colour": "mauve"}), 422)
+
+
+def test_the_log_says_where_the_rule_decided_and_is_learned_from(flat, tmp_path):
+    with client_of(flat, tmp_path / "logs", epsilon=0.3, served={"stays_within": True}) as client:
+        rng = np.random.default_rng(0)
+        for _ in range(40):
+            for _ in range(3):
+                decided(client, x1=float(3.0 * rng.normal()), x2=int(rng.integers(3)))
+                client.post("/reward", json={"reward": float(rng.normal())})
+            client.post("/end", json={"ending": "finished"})
+        told = client.get("/health").json()["rule"]
+    logs = read_logs(tmp_path / "logs")
+    stages = logs.stages
+    counts = stages["stepped_back"].value_counts().to_dict()
+    assert counts == told["by"]
+    assert counts["beyond-horizon"] == 40
+    assert (stages.loc[stages["stepped_back"].notna(), "probability"] == 1.0).all()
+    assert (stages.loc[stages["stepped_back"].isna(), "probability"] < 1.0).all()
+    assert logs.stage_covariates == ["x1", "x2"]
+    logs.write(tmp_path / "written")
+    assert read_logs(tmp_path / "written").stages["stepped_back"].value_counts().to_dict() == counts
+    CensoredQLearner(logs.horizon, ["A", "B", "C"], ["x1", "x2"], reg=0.1).fit(logs)
+
+
+def test_a_folder_of_before_refuses_what_it_did(flat, monkeypatch):
+    stored = read_policy(flat)
+    record = {name: each for name, each in stored.record.items() if name != "actions_taken"}
+    assert fall_back_of(replace(stored, record=record)) is None
+    monkeypatch.setattr("halfseen.serving.answering.fall_back_of", lambda *_: None)
+    with client_of(flat) as client:
+        line = refused(client.post("/decide", json={**WITHIN, "x1": 800}), 422)
+    assert line.startswith("x1 is 800, outside the logs (")
+    assert line.endswith("learn it again, or serve it with --fall-back RULE")
+
+
+def test_of_tables_the_trajectory_ends(tables, tmp_path):
+    logs = table_log(num_trajectories=1, num_objects=3, hides=np.pad(HIDES, (0, 1)), seed=2)
+    columns = [name for name in logs.objects.columns if name not in ("trajectory", "stage")]
+    rows = logs.objects[(logs.objects["trajectory"] == 0) & (logs.objects["stage"] == 1)][columns]
+    objects = json.loads(rows.to_json(orient="records"))
+    with client_of(tables, of_tables=True) as client:
+        told = decided(client, objects=objects, stage=9)
+    assert (told["action"], told["verb"], told["object"], told["stepped_back"]) == (
+        "FINISH",
+        "FINISH",
+        None,
+        "beyond-horizon",
+    )
+
+
+def test_a_policy_keeps_how_often_its_log_took_each_action_in_each_stage_also_of_a_log_in_parts(flat, logs):
+    kept = read_policy(flat).record["actions_taken"]
+    naive = [{}, {}]
+    for stage, action in zip(logs.stages["stage"], logs.stages["action"], strict=True):
+        naive[stage - 1][action] = naive[stage - 1].get(action, 0) + 1
+    assert kept == naive
+    ids = logs.trajectories["trajectory"]
+    halves = [
+        Logs(logs.stages[logs.stages["trajectory"].isin(part)], logs.trajectories[ids.isin(part)])
+        for part in (ids[:30], ids[30:])
+    ]
+    added = [one + other for one, other in zip(*map(actions_taken, halves), strict=True)]
+    assert [dict(each) for each in added] == naive
+    assert list(usual_actions(read_policy(flat))) == [usual(logs, 1), usual(logs, 2)]
