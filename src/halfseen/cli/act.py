@@ -63,7 +63,7 @@ def act(
     """
     from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
-    from halfseen.policies.folder.stored import UNDECIDED, refuse_team
+    from halfseen.policies.folder.stored import UNDECIDED, refuse_team, sources_in_words
     from halfseen.policies.observations import read_observation
 
     if picture is not None:
@@ -91,12 +91,15 @@ def act(
 
         draw_decision(decision, picture, view=table.view if table else None, **where)
     report = {"policy": str(policy), "input": str(cloud), "action": decision.action, **where, **asdict(decision)}
+    report |= {"learned_from": stored.record["log"].get("sources", [])}
     seen = getattr(observation, "seen", "")  # of tables only
     if table is not None and seen:
         from halfseen.tables.first_look import chances_of
 
         report |= {"seen": seen, "p_dirty": chances_of(table.present)}
     lines = _lines(decision, seen, table.other_things if table else "", **where)
+    sources = sources_in_words(stored.record)
+    lines += [f"learned from {sources}"] if sources else []
     say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 

@@ -1,7 +1,9 @@
 """``halfseen learn``: from logs of which some were cut to a policy."""
 
 import json
+import shlex
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -43,6 +45,7 @@ class _Learning(NamedTuple):
     has_laws: bool
     reg: float | str
     pessimism: float | str
+    half_life: float | str | None
 
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
@@ -107,6 +110,22 @@ class _Learning(NamedTuple):
     show_default=True,
     help="Standard errors by which Q is lowered wherever the best action is sought; 0 for eq. 3 as it stands.",
 )
+@click.option(
+    "--recency",
+    "half_life",
+    type=options.Or("auto", "none"),
+    callback=lambda _, __, given: None if given == "none" else given,
+    default="none",
+    show_default=True,
+    help="Trajectories by which what they count halves, from the last of LOGS to the first; auto to choose it by how "
+    "well the latest fifth is predicted, none to count all alike. Of a table, it is for eq. 3 without laws.",
+)
+@click.option(
+    "--since",
+    metavar="TRAJECTORY|DATE",
+    help="Learn from what came later alone: from the trajectory of this name on, or, where the trajectories have a "
+    "column of dates, from a date on.",
+)
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
 @click.option(
     "--streaming/--in-memory",
@@ -149,6 +168,7 @@ def learn(
     learning: _Learning,
     cuts: options.Cuts,
     prior_law: str | None,
+    since: str | None,
     streaming: bool | None,
     missing: dict[str, str] | None,
     has_verdict: bool,
@@ -169,6 +189,10 @@ def learn(
     chooses among the actions that were seen at each stage. Stages of cut trajectories count, too. Where LOGS tell of
     several robots at a table, one policy decides for whichever is free, and may let it WAIT.
 
+    Where the cell has changed within LOGS, in the order of their trajectories, it says which part and since when, and
+    how to take only what still holds; all of LOGS are used until you say so. `halfseen convert OLD NEW --out LOGS`
+    joins logs in their order.
+
     It ends with a verdict: do policies that are learned this way beat the one that made LOGS, and that without its
     exploration? Five are learned from four fifths of LOGS each and judged by the rest, which they never saw. They are
     judged as they are, the best guess, and with more caution, which more often does as LOGS do. The one for which LOGS
@@ -183,13 +207,13 @@ def learn(
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, noted() as of_library:
         from halfseen.learning.discrete_policy import more_cautious_learner
-        from halfseen.logs.stream import opened, parts_of
+        from halfseen.logs.stream import parts_of
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.record import plain
         from halfseen.policies.learner_choice import learner_for
         from halfseen.policies.shares import action_shares
 
-        targets, log, prior = _targets(cuts), opened(logs, streaming, missing=missing), _prior_law(prior_law)
+        targets, log, prior = _targets(cuts), _opened(logs, streaming, missing, since), _prior_law(prior_law)
         choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **learning._asdict())
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
@@ -202,13 +226,52 @@ def learn(
         bar.begin("look", 0)
         shares = action_shares(learner.policy_, learner.model_.task, parts_of(log))
         kept = None if judged is None else judged.as_dict()
-        write_policy(learner, log, out, overwrite=overwrite, verdict=kept)
+        changes = _changes(log, learner)
+        origin = {"name": Path(str(logs)).name, "since": since, "changes": changes}
+        write_policy(learner, log, out, overwrite=overwrite, verdict=kept, origin=origin)
         if exploration is not None and judged is not None:
             notes += _write_exploration(exploration, judged)
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record}
     report["actions"] = plain(shares.reset_index().to_dict("records"))
+    report["relearn"] = _again(logs, out, changes)
     report["notes"] = [*choice.notes, *notes, *learner.unseen_, *of_library]
     say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, judged)))
+
+
+def _opened(
+    logs: str | Path, streaming: bool | None, missing: dict[str, str] | None, since: str | None
+) -> "Logs | LogStream":
+    from halfseen.errors import ArgumentError
+    from halfseen.logs import Logs
+    from halfseen.logs.since import since as later
+    from halfseen.logs.stream import opened
+
+    log = opened(logs, streaming, missing=missing)
+    if since is None:
+        return log
+    if not isinstance(log, Logs):
+        raise ArgumentError("--since takes logs that are held in memory: add --in-memory")
+    return later(log, since)
+
+
+def _changes(log: "Logs | LogStream", learner: "CensoredQLearner") -> list[dict[str, Any]]:
+    """What has changed in the log, or in a sample of it."""
+    from halfseen.learning.streaming import sample_of
+    from halfseen.logs import Logs
+    from halfseen.monitoring.training_log import changes_in
+
+    some = log if isinstance(log, Logs) else sample_of(log, learner.random_state)
+    found = changes_in(some, learner.policy_, learner.random_state)
+    return [{**asdict(each), "sentence": each.sentence} for each in found]
+
+
+def _again(logs: str | Path, out: Path, changes: Sequence[Mapping[str, Any]]) -> str | None:
+    """Command that takes only what still holds; None where nothing has changed."""
+    if not changes:
+        return None
+    return shlex.join(
+        ["halfseen", "learn", str(logs), "--out", str(out), "--overwrite", "--since", str(changes[0]["since"])]
+    )
 
 
 def _judged(
@@ -290,6 +353,7 @@ def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[s
         ),
         ("positivity", positivity),
         *(("warning", one) for one in report["warnings"] if one != positivity),
+        *([("", f"to take only what still holds: {report['relearn']}")] if report["relearn"] else []),
         *(("note", note) for note in report["notes"]),
     ]
     return [

@@ -47,9 +47,9 @@ def monitor(
     """Watch the policy in the folder POLICY by the logs of its service; exit status 3 on alarm.
 
     It says whether what was promised is earned, though trajectories were cut; which covariates have moved, by stage and
-    together; which part of the cell broke: what an action brings or how long it takes in the same states, or cuts; and
-    since when. It may be asked after every trajectory: in a whole lifetime without change, the chance of a false alarm
-    is meant to be at most 5 %.
+    together; which part of the cell broke: what an action brings or how long it takes in the same states, or cuts;
+    since when; and whether learning again would pay. It may be asked after every trajectory: in a whole lifetime
+    without change, the chance of a false alarm is meant to be at most 5 %.
     """
     from halfseen.errors import NothingRecordedError
     from halfseen.logs import read_logs
@@ -89,13 +89,14 @@ def monitor(
 
 
 def lines(found: "Monitored") -> list[str]:
-    """Say what was found: one sentence, what has changed, where to look first, and what is not watched."""
+    """Say what was found: a sentence, what has changed, where to look, whether to learn again, what is not watched."""
     others = [
         f"- {each.words}, since about trajectory {each.since} ({each.since_low} to {each.since_high})"
         for each in found.findings[1:]
     ]
     first = ["Where to look first:", *(f"- {each}" for each in found.causes)] if found.causes else []
-    return [found.sentence, *others, *first, *(f"note: {each}" for each in found.notes)]
+    pays = [found.relearning] if found.relearning else []
+    return [found.sentence, *others, *first, *pays, *(f"note: {each}" for each in found.notes)]
 
 
 def _write(page: Path, found: "Monitored", unit: str | None, command: str) -> None:

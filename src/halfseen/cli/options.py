@@ -53,14 +53,14 @@ class Choice(click.Choice):
 
 
 class Or(click.ParamType):
-    """A word, or a number."""
+    """A word, one of some, or a number."""
 
-    def __init__(self, word: str) -> None:
-        self.word, self.name = word, f"{word}|number"
+    def __init__(self, *words: str) -> None:
+        self.words, self.name = words, "|".join([*words, "number"])
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
-        """Take the word, or a number."""
-        return value if value == self.word else click.FLOAT.convert(value, param, ctx)
+        """Take a word, or a number."""
+        return value if value in self.words else click.FLOAT.convert(value, param, ctx)
 
 
 def several(*options: Any) -> Any:

@@ -41,6 +41,7 @@ from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.recency import latest
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 from halfseen.shapes import Float, Int
@@ -242,7 +243,10 @@ def held_out_verdict(
             warnings.simplefilter("ignore", HalfseenWarning)
             with workers.ready_if_worth() as pool:
                 policy = learn_by_folds(learner, logs, num_folds, on_progress, pool)
-            found = _judged(policy, learner, logs, num_folds, against, level, trust, workers)
+            # Where later trajectories count more, the question is what the policy is worth now.
+            present = latest(logs, learner.model_.half_life, len(learner.weights_))
+            policy = replace(policy, fold=policy.fold[-present.num_trajectories :])
+            found = _judged(policy, learner, present, num_folds, against, level, trust, workers)
     except HalfseenError as error:
         return HeldOutVerdict("inconclusive", str(error), num_folds)
     on_progress()
@@ -281,6 +285,9 @@ def learn_by_folds(
     # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen again in each fold.
     composed = learner.compose(logs)
     same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
+    if learner.half_life is not None and hasattr(learner, "model_"):
+        half_life, num_learned = learner.model_.half_life, logs.num_trajectories * (1.0 - 1.0 / num_folds)
+        same.set_params(half_life=half_life and half_life * num_learned / len(learner.weights_))
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
     policies = []
     for policy in pool.in_order(partial(_learned_without, same, logs, fold), range(num_folds)):

@@ -56,7 +56,7 @@ def judged(
     q = np.stack([q_values(of_stage, features, block_of_action) for of_stage, features in each], axis=1)
     value = _values(q, log)
     taken = np.take_along_axis(q, log.action[..., None], axis=2)[..., 0]
-    target = _targets(log._replace(reward=reward), value)
+    target = targets(log._replace(reward=reward), value)
     if fits.outcome is not None:
         target = _imputed(log, fits.outcome[in_order], target, block_of_action)
     return FittedValues(value, taken, target)
@@ -69,8 +69,8 @@ def _values(q: Float[np.ndarray, "n T A"], log: Transitions) -> Float[np.ndarray
     return or_nothing(np.max(np.where(log.is_possible, q, -np.inf), axis=-1))
 
 
-def _targets(log: Transitions, value: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """X_t = R_t + V̂(S_{t+1}); after a trajectory's own end, and after the last stage, V̂ is 0."""
+def targets(log: Transitions, value: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
+    """Give X_t = R_t + V̂(S_{t+1}); after a trajectory's own end, and after the last stage, V̂ is 0."""
     successor = np.pad(value[:, 1:], ((0, 0), (0, 1)))
     return log.reward + np.where(log.is_last, 0.0, successor)
 
@@ -142,7 +142,7 @@ def _gains(log: Transitions, regression: Regression, counts: Float[np.ndarray, "
     some, blocks = log.counted(counts), regression.block_of_action
     pooled = judged(fit_q(some, regression), log, blocks, "pooled", log.reward)
     # Separate stages are fitted to the targets of pooled ones.
-    reward = _targets(some, pooled.value)
+    reward = targets(some, pooled.value)
     separate = judged(fit_each_stage(some._replace(reward=reward), regression), log, blocks, "separate", log.reward)
     errors = (pooled.taken - pooled.target) ** 2 - (separate.taken - pooled.target) ** 2
     seen = log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight

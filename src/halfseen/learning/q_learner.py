@@ -30,6 +30,7 @@ from halfseen.learning.q_space import (
     reg_of,
     stage_mode_of,
 )
+from halfseen.learning.recency import half_life_of
 from halfseen.learning.recursion import QFunctions
 from halfseen.learning.rows import unseen_in_words
 from halfseen.learning.streaming import learned_from
@@ -87,6 +88,10 @@ class CensoredQLearner(Estimator):
         action anyway (`behaviour`); 0 for eq. 3 as it stands. ``"auto"``: 2/√T, but 0 where `censoring` is given.
     random_state
         Seed that deals trajectories into folds and draws the landmarks of a kernel.
+    half_life
+        Trajectories by which what they count in eq. 3 halves, from the last one of the log to its first (`recency`);
+        ``"auto"`` to choose it on held-out later ones (`half_life`); None where all count alike. Models of the cuts and
+        of durations count all alike.
 
     Attributes
     ----------
@@ -135,6 +140,7 @@ class CensoredQLearner(Estimator):
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
     pessimism: float | int | Literal["auto"] | str = AUTO
     random_state: int = 0
+    half_life: float | int | Literal["auto"] | str | None = None
 
     model_: QModel = field(init=False)
     q_functions_: QFunctions = field(init=False)
@@ -287,6 +293,7 @@ class CensoredQLearner(Estimator):
             stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
             pessimism=0.0 if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
             random_state=self.random_state,
+            half_life=half_life_of(self.half_life),
             is_space_free=_is_auto(self.q_function),
         )
         if is_of_policy and model.pessimism > 0:

@@ -31,6 +31,7 @@ from halfseen.learning.q_space import (
     num_features_of,
     refuse_too_large,
 )
+from halfseen.learning.recency import recency_weights
 from halfseen.learning.recursion import QFunctions, fit_q
 from halfseen.learning.rows import (
     Imputation,
@@ -123,6 +124,9 @@ class QModel:
         towards what the log does (`preference`).
     behaviour_weight
         τ of `preference`, once it is found.
+    half_life
+        Trajectories by which what they count in eq. 3 halves (`recency`); ``"auto"`` until it is chosen, None where all
+        count alike.
 
     Raises
     ------
@@ -147,6 +151,7 @@ class QModel:
     space_chosen: tuple[str, ...] = ()
     has_many_actions: bool = False
     behaviour_weight: float = 0.0
+    half_life: float | str | None = None
 
     def __post_init__(self) -> None:
         if not is_count(self.horizon):
@@ -310,6 +315,13 @@ class QModel:
             policy=trajectories.encoded.policy,
             imputation=imputed,
         )
+
+    def recent(self, log: Transitions, first: int = 0, num_trajectories: int | None = None) -> Transitions:
+        """Let later trajectories count more, if they are to: those of a log from the number `first` on, of so many."""
+        if not isinstance(self.half_life, float):
+            return log
+        weights = recency_weights(num_trajectories or len(log.action), self.half_life)
+        return log.counted(weights[first : first + len(log.action)])
 
     def rewarded(self, trajectories: TrajectoryArrays, weight: Float[np.ndarray, "n T"]) -> RewardedStages:
         """What stages paid; those that were cut count for nothing."""

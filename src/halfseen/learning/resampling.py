@@ -142,7 +142,7 @@ def _learned_again(
 ) -> list[QFunctions]:
     """Learn from some draws, in which each trajectory counts so often."""
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
-    return [fit_q(_redrawn(model, trajectories, log, each), regression) for each in counts]
+    return [fit_q(model.recent(_redrawn(model, trajectories, log, each)), regression) for each in counts]
 
 
 def _redrawn(

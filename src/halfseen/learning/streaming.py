@@ -22,6 +22,7 @@ from halfseen.arrays import mapped
 from halfseen.censoring import StageClocks, WeightDiagnostics
 from halfseen.censoring.stage_clocks import stacked
 from halfseen.censoring.weights import WeightTally, weight_diagnostics
+from halfseen.learning.half_life import with_half_life
 from halfseen.learning.judging import with_stages
 from halfseen.learning.kept_parts import KeptParts, kept_parts
 from halfseen.learning.q_model import QModel, sampled
@@ -78,8 +79,8 @@ def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, worker
     if isinstance(logs, LogStream):
         return _streaming(logs, model, has_choice, workers or ALONE)
     model, trajectories = model.fitted(logs)
-    model, chosen = with_stages(model, model.sample_of(trajectories)) if has_choice else (model, model.chosen)
-    log = model.transitions(trajectories)
+    model, chosen = _with_choices(model, model.sample_of(trajectories), has_choice, logs.num_trajectories)
+    log = model.recent(model.transitions(trajectories))
     diagnostics = weight_diagnostics(log.weight, model.cut_model and model.cut_model.truncate_at)
     return Learned(model, model.fit(log), chosen, log.weight, diagnostics)
 
@@ -101,11 +102,20 @@ def _streaming(stream: LogStream, model: QModel, has_choice: bool, workers: Work
         trajectories = model.lay_out(sample)
         give_back()
         model = model.with_sample(trajectories).with_durations(trajectories)
-        model, chosen = with_stages(model, trajectories) if has_choice else (model, model.chosen)
+        model, chosen = _with_choices(model, trajectories, has_choice, num_trajectories)
         give_back()
         rewarded = chain.from_iterable(work(model).rewarded(shard) for shard in shards)
         model = replace(model, task=model.task.fitted_to_rewards(rewarded))
         return _backward_streaming(work(model), shards, pool, trajectories.is_possible.shape[-1], chosen)
+
+
+def _with_choices(
+    model: QModel, sample: TrajectoryArrays, has_choice: bool, num_trajectories: int
+) -> tuple[QModel, tuple[str, ...]]:
+    """Choose what the log is to say: stages, and a half-life; and say why."""
+    model, chosen = with_stages(model, sample) if has_choice else (model, model.chosen)
+    model, why = with_half_life(model, sample, num_trajectories)
+    return model, (*chosen, *why)
 
 
 def _backward_streaming(
@@ -211,6 +221,8 @@ class _Work:
                 log = self.model.weighted(
                     trajectories, weight, imputed, fold[part.trajectories[0] - begin : part.trajectories[1] - begin]
                 )
+                log = self.model.recent(log, part.trajectories[0], self.num_trajectories)
+                weight = log.weight
                 rows = packed(log, self.model.regression(self.num_trajectories, log.is_possible.shape[-1]))
                 self.kept.forget("trajectories", part.number)
                 self.kept.keep("rows", part.number, rows)

@@ -170,7 +170,7 @@ LAWS = {
     "team": "halfseen.tables.learner:TeamLearner",
 }
 """Learners that fit laws to the log, by the name of the task."""
-OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO}
+OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO, "half_life": None}
 """Parameters of eq. 3 without laws; where one is given, that is what is wanted."""
 
 

@@ -64,6 +64,8 @@ class Monitored:
         What each trajectory adds, and the bounds after each that was weighed.
     p_values
         By name of a family, after each trajectory: the smallest of its p-values times their number.
+    relearning
+        Whether learning again would pay; "" where nothing has changed.
     """
 
     num_trajectories: int
@@ -75,6 +77,7 @@ class Monitored:
     outcomes: Outcomes | None
     course: Course | None
     p_values: dict[str, Float[np.ndarray, " n"]]
+    relearning: str = ""
 
     @property
     def alarm_at(self) -> int | None:
@@ -110,5 +113,6 @@ class Monitored:
             "earned": self.earned,
             "findings": [asdict(each) for each in self.findings],
             "causes": list(self.causes),
+            "relearning": self.relearning,
             "notes": list(self.notes),
         }

@@ -20,13 +20,14 @@ CLEARLY = 4.0
 
 def differs(part: Stream, at: int) -> str:
     """Say by how much an action differs from what the log says, from one trajectory on."""
-    return _words(part.kind, part.about, float(part.residuals[part.trajectory >= at].mean()))
+    return part_words(part.kind, part.about, float(part.residuals[part.trajectory >= at].mean()))
 
 
-def _words(what: str, action: str, mean: float) -> str:
+def part_words(what: str, action: str, mean: float, than: str = "than the log says of the same states") -> str:
+    """Say by how much an action brings or takes more or less: a mean reward, or a mean of logarithms of durations."""
     amount = f"{abs(mean):.2g}" if what == "reward" else f"{abs(np.expm1(mean)):.0%}"
     verb, time = ("brings", "") if what == "reward" else ("takes", " time")
-    return f"{action} {verb} {amount} {'less' if mean < 0 else 'more'}{time} than the log says of the same states"
+    return f"{action} {verb} {amount} {'less' if mean < 0 else 'more'}{time} {than}"
 
 
 def moved(stream: Stream, at: int) -> str:
@@ -89,7 +90,9 @@ def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> 
         spread = max(float(part["deviation"]), float(left.std()), 1e-9)
         z = float(left.mean()) / (spread * np.sqrt(1.0 / len(left) + 1.0 / part["num_states"]))
         if abs(z) > CLEARLY:
-            found.append((abs(z), f"{_words(part['what'], part['action'], float(left.mean()))} ({len(left)} stages)"))
+            found.append(
+                (abs(z), f"{part_words(part['what'], part['action'], float(left.mean()))} ({len(left)} stages)")
+            )
     return (*_swapped(promise, looks_at, later), *(words for _, words in sorted(found, reverse=True)))
 
 

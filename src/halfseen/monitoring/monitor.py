@@ -24,6 +24,7 @@ from halfseen.monitoring.confidence_sequences import BettingBounds, Course
 from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, moved
 from halfseen.monitoring.joint import pair_payoffs
 from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
+from halfseen.monitoring.relearning import num_needed, relearning
 from halfseen.monitoring.streams import Stream, input_streams, part_streams, whole_stream
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.folder.promised_parts import own_stages
@@ -147,8 +148,17 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     course, earned = (None, None) if outcomes is None else _earned(outcomes, promise["brings"], since)
     promised = {name: promise["value"][name] for name in ("value", "low", "high")} if promise.get("value") else None
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
-    rest: Any = (outcomes, course, smallest)
+    pays = _pays(stored, logs, since, earned) if findings else ""
+    rest: Any = (outcomes, course, smallest, pays)
     return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
+
+
+def _pays(stored: StoredPolicy, logs: Logs, since: int, earned: dict[str, float] | None) -> str:
+    """Say whether learning again would pay."""
+    promise, later = stored.record["promise"], logs.select(logs.trajectory_ids[since - 1 :])
+    num_learned = max((each["num_states"] for each in promise["stages"] if each["stage"] == 1), default=0)
+    needed = num_needed(promise.get("value"), num_learned, None if earned is None else earned["since"])
+    return relearning(later.num_trajectories, since, needed, _own_share(stored, later))
 
 
 def looks_at_of(policy: Any) -> Covariates:

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import Estimate
 from halfseen.figures import inline_svg
+from halfseen.policies.folder.stored import sources_in_words
 from halfseen.view import words
 from halfseen.view.findings import Findings, PolicyFindings
 from halfseen.view.log_figures import OTHERS_COLOUR, action_colours, draw_follow_up, draw_timeline, names_shown
@@ -242,6 +243,7 @@ def _policy_words(policy: PolicyFindings) -> list[tuple[str, str]]:
         ),
         ("cuts, when it was learned", words.CENSORING_WORDS.get(censoring, censoring)),
         ("learned from", record["log"]["sentence"].rstrip(".")),
+        *([("logs", sources_in_words(record))] if record["log"].get("sources") else []),
         (
             "its weights",
             f"{counted(weights['num_seen'], 'stage')}, effective sample size "

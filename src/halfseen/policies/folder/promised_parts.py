@@ -53,8 +53,8 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
     rows, parts = outcome_rows(logs), []
     for action, some in rows.groupby("action", observed=True, sort=True):
         if len(some) >= FEWEST:
-            features = expanded(looks_at.encode(some), len(some) // STATES_PER_TERM)
-            parts += [_part(str(action), what, features, some[what].to_numpy(float)) for what in WHATS]
+            features = looks_at.encode(some)
+            parts += [part_of(str(action), what, features, some[what].to_numpy(float)) for what in WHATS]
     first: Any = logs.stages[logs.stages["stage"] == 1]
     kept = first.iloc[np.unique(np.linspace(0, len(first) - 1, min(MOST_STATES, len(first))).astype(int))]
     return {"brings": [least, most], "parts": parts, "first_states": looks_at.encode(kept).tolist()}
@@ -97,9 +97,11 @@ def residuals(
     return np.round(values - coefficients[0] - features @ coefficients[1:], DECIMALS)
 
 
-def _part(
+def part_of(
     action: str, what: str, features: Float[np.ndarray, "m F"], values: Float[np.ndarray, " m"]
 ) -> dict[str, Any]:
+    """Describe a part: regress values on features, and keep what is left of them, which `residuals` gives again."""
+    features = expanded(features, len(features) // STATES_PER_TERM)
     mean, spread = features.mean(axis=0), features.std(axis=0)
     scale = 1.0 / np.where(spread > 0, spread, 1.0)
     scaled = (features - mean) * scale

@@ -35,6 +35,7 @@ def described(model: QModel) -> dict[str, Any]:
         "reg": "cv" if isinstance(model.reg, CrossValidation) else model.reg,
         "num_folds": getattr(model.reg, "num_folds", None),
         "random_state": int(model.random_state),
+        **({} if model.half_life is None else {"half_life": model.half_life}),
     }
 
 

@@ -106,6 +106,15 @@ class StoredPolicy:
         return None
 
 
+def sources_in_words(record: Mapping[str, Any]) -> str:
+    """Say which logs a policy was learned from, in one line; "" of a folder of before, which does not."""
+    each = [
+        f"{one['num_trajectories']:,} trajectories of {one['name'] or 'a log'} ({one['first']} to {one['last']})"
+        for one in record["log"].get("sources", ())
+    ]
+    return ", ".join(each)
+
+
 def read_policy(folder: str | Path) -> StoredPolicy:
     """Read a policy that `write_policy` wrote, and check all of it; no code of the folder is run.
 

@@ -14,6 +14,7 @@ from halfseen.censoring import positivity_report, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.estimator import check_fitted
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.recency import latest
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.data_quality import data_warnings
@@ -22,6 +23,7 @@ from halfseen.policies.folder.files import check_target, write_files
 from halfseen.policies.folder.kinds import kind_name_of, kind_named, laid_out
 from halfseen.policies.folder.log_facts import log_facts, promised_states
 from halfseen.policies.folder.promised_parts import promised_parts
+from halfseen.policies.folder.provenance import sources_of
 from halfseen.policies.folder.record import FORMAT, VERSION, as_json, from_json
 from halfseen.policies.folder.specification import described
 from halfseen.policies.folder.stored import policy_of
@@ -34,6 +36,7 @@ def write_policy(
     *,
     overwrite: bool = False,
     verdict: Mapping[str, Any] | None = None,
+    origin: Mapping[str, Any] | None = None,
 ) -> None:
     """Write the policy of a fitted learner, all or nothing.
 
@@ -49,6 +52,8 @@ def write_policy(
         Replace a policy that is already there.
     verdict
         On what was learned, such as `halfseen.evaluation.HeldOutVerdict.as_dict` gives; kept with it.
+    origin
+        What else is known of the log (see `record_of`).
 
     Raises
     ------
@@ -63,13 +68,16 @@ def write_policy(
     arrays = kind_named(kind_name_of(learner.policy_)).arrays_of(learner.policy_)
     # A product rounds by the order of its matrix in memory, and so may differ in its last bit.
     by_column = [name for name, each in arrays.items() if each.flags.f_contiguous and not each.flags.c_contiguous]
-    text = as_json({**record_of(learner, logs, verdict), "column_major": sorted(by_column)})
+    text = as_json({**record_of(learner, logs, verdict, origin), "column_major": sorted(by_column)})
     policy_of(from_json(text), arrays)
     write_files(Path(folder), text, safetensors.numpy.save(laid_out(arrays, ())), overwrite=overwrite)
 
 
 def record_of(
-    learner: CensoredQLearner, logs: Logs | LogStream, verdict: Mapping[str, Any] | None = None
+    learner: CensoredQLearner,
+    logs: Logs | LogStream,
+    verdict: Mapping[str, Any] | None = None,
+    origin: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Describe a fitted learner and its log.
 
@@ -81,6 +89,9 @@ def record_of(
         What it was learned from.
     verdict
         On what was learned, if there is one: at least ``verdict``, ``reason`` and ``sentence``.
+    origin
+        What else is known of the log: its ``name``; ``since``, what came before was left out; and ``changes``, each
+        with a ``sentence`` (`halfseen.monitoring.training_log`).
 
     Raises
     ------
@@ -92,6 +103,11 @@ def record_of(
     facts = log_facts(parts_of(logs), kind, policy, is_by_stage)
     schema = kind.schema(policy) | facts.prior
     sample = logs if isinstance(logs, Logs) else sample_of(logs, learner.random_state)
+    known = {"name": None, "since": None, "changes": [], **(origin or {})}
+    # Changes that weights by recency take into account are no reason to doubt a decision.
+    changes = [] if learner.model_.half_life else [each["sentence"] for each in known["changes"]]
+    # What is promised is of the cell as it was last.
+    present = latest(sample, learner.model_.half_life, logs.num_trajectories)
     positivity = positivity_report(logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
     return {
         "format": FORMAT,
@@ -115,14 +131,21 @@ def record_of(
             "columns": schema.get("blocks", schema["actions"]),
             "values": np.asarray(learner.q_functions_.reg).tolist(),
         },
-        "log": {"sha256": facts.sha256, "sentence": str(facts.summary), **asdict(facts.summary)},
+        "log": {
+            "sha256": facts.sha256,
+            "sentence": str(facts.summary),
+            **asdict(facts.summary),
+            "sources": sources_of(logs.trajectories, known["name"]),
+            "since": known["since"],
+            "changes": known["changes"],
+        },
         "diagnostics": _diagnostics(learner, facts.summary.horizon, positivity),
-        "warnings": _warnings(sample, positivity),
+        "warnings": [*_warnings(sample, positivity), *changes],
         "verdict": None if verdict is None else dict(verdict),
         "promise": {
             "value": None if verdict is None else verdict.get("value"),
-            "stages": promised_states(sample, schema.get("covariates", ())),
-            **promised_parts(sample, learner.policy_),
+            "stages": promised_states(present, schema.get("covariates", ())),
+            **promised_parts(present, learner.policy_),
         },
     }
 

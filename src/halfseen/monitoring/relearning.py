@@ -1,0 +1,69 @@
+"""When learning again would pay: how many trajectories there are since the change, and how many are needed.
+
+A policy that was learned from n trajectories has a promise with a standard error s, so one of m later ones would have
+about s √(n/m). What was lost, d, is clearly more than that from m = n (2s/d)² on.
+"""
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from halfseen.wording import counted
+
+CLEARLY = 2.0
+"""Standard errors."""
+FEWEST = 100
+"""Trajectories below which little is learned, whatever was lost (`benchmarks/relearning.py`)."""
+OWN = 0.98
+"""Share of the actions that are the policy's, from which on the log says too little of all others."""
+
+
+def num_needed(value: Mapping[str, float] | None, num_learned: int, now: float | None) -> int | None:
+    """Tell from how many trajectories on learning again would pay; None where nothing was lost.
+
+    Parameters
+    ----------
+    value
+        What was promised, ``value`` and ``standard_error``; None where nothing was.
+    num_learned
+        n, trajectories behind the promise.
+    now
+        What is earned since the change; None where that is not known.
+
+    Examples
+    --------
+    >>> num_needed({"value": 0.6, "standard_error": 0.1}, 400, 0.2)
+    100
+    >>> num_needed({"value": 0.6, "standard_error": 0.1}, 400, 0.5)
+    1600
+    """
+    if value is None or now is None:
+        return FEWEST
+    lost = value["value"] - now
+    return (
+        max(FEWEST, int(np.ceil(num_learned * (CLEARLY * value["standard_error"] / lost) ** 2))) if lost > 0 else None
+    )
+
+
+def relearning(num_since: int, since: int, needed: int | None, own: float) -> str:
+    """Say whether learning again would pay.
+
+    Parameters
+    ----------
+    num_since
+        Trajectories since the change.
+    since
+        The first of them, counted from 1.
+    needed
+        As `num_needed` tells.
+    own
+        Share of their actions that are the policy's.
+    """
+    there = f"{counted(num_since, 'trajectory')} since the change"
+    if needed is None:
+        return f"Learning again need not pay: nothing is lost in {there}."
+    blind = "; serve with --explore first, for they show hardly any action but the policy's" if own > OWN else ""
+    if num_since < needed:
+        return f"Learning again would not pay yet: there are {there}, and about {needed:,} are needed{blind}."
+    how = f"halfseen learn LOGS --since NAME, the name of trajectory {since}"
+    return f"Learning again would pay: there are {there}, and about {needed:,} are needed ({how}){blind}."

@@ -1,0 +1,170 @@
+"""Whether a log that is to be learned from is of one cell: which part of it has changed, and since when.
+
+Watched is what does not hang on who decided: covariates of the first stage; what each action brings, how long it takes
+and what it leads to, given the state, less what a regression on the whole log says; cuts less their cumulative hazard
+[FlemingHarrington1991]_. Of each, trajectory by trajectory, the test asks where the means before and after lie farthest
+apart, in standard errors, over all places. Without change the trajectories are exchangeable, so the largest of that
+over everything watched is compared with what it is of trajectories in random order [WestfallYoung1993]_. A log has its
+end, and this notices more than bets that may be looked at at any time.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+
+from halfseen.censoring import KaplanMeier
+from halfseen.learning.covariates import Covariates
+from halfseen.logs import Logs
+from halfseen.logs.logs import durations_s
+from halfseen.monitoring.change_point import change_point
+from halfseen.monitoring.diagnosis import part_words
+from halfseen.monitoring.monitor import looks_at_of
+from halfseen.monitoring.streams import LEAST_DEVIATION
+from halfseen.policies.folder.promised_parts import FEWEST, WHATS, part_of, residuals
+from halfseen.shapes import Float, Int
+
+ALPHA, NUM_ORDERS = 0.02, 499
+
+
+@dataclass(frozen=True)
+class Change:
+    """A part of the cell that a log says has changed.
+
+    Parameters
+    ----------
+    words
+        What, and how.
+    p_value
+        Adjusted for everything that is watched.
+    since, since_low, since_high
+        Name of the trajectory from which on it has changed, and between which that lies.
+    num_since
+        Trajectories from there on.
+    """
+
+    words: str
+    p_value: float
+    since: Any
+    since_low: Any
+    since_high: Any
+    num_since: int
+
+    @property
+    def sentence(self) -> str:
+        """All of it."""
+        between = f"{self.since_low} to {self.since_high}"
+        since = f"since about trajectory {self.since} ({between}), in the last {self.num_since}"
+        return f"the cell has changed within the log: {self.words}, {since}"
+
+
+class Watched(NamedTuple):
+    """A value of each trajectory, NaN where it has none, and what to say if their mean changes at one of them."""
+
+    scores: Float[np.ndarray, " n"]
+    says: Callable[[int], str]
+    least: float = 0.0
+    """What their deviation is taken for at least: a regression may be wrong by a little where nothing else varies."""
+
+
+def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
+    """Tell what has changed in a log, in the order of its trajectories, the clearest first; most often nothing.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    policy
+        What was learned from it, which tells the covariates that matter; of tables no states are compared.
+    seed
+        Of the random orders.
+    """
+    looks_at = looks_at_of(policy)
+    watched = [*_first_states(logs, looks_at), *_parts(logs, looks_at), _cuts(logs)]
+    scores = np.column_stack([each.scores for each in watched])
+    least, rng = np.array([each.least for each in watched]), np.random.default_rng([seed, 6])
+    largest = farthest_apart(scores, least)
+    chance = np.array([farthest_apart(rng.permutation(scores), least).max() for _ in range(NUM_ORDERS)])
+    p = (1.0 + (chance[:, None] >= largest).sum(axis=0)) / (1.0 + NUM_ORDERS)
+    clearest = np.argsort(-largest, kind="stable")
+    return [_change(logs.trajectory_ids.tolist(), watched[k], float(p[k])) for k in clearest if p[k] <= ALPHA]
+
+
+def _change(names: list[Any], watched: Watched, p_value: float) -> Change:
+    at, low, high = change_point(watched.scores)
+    return Change(watched.says(at), p_value, names[at], names[low], names[high], len(names) - at)
+
+
+def farthest_apart(scores: Float[np.ndarray, "n S"], least: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+    """How far the means before and after lie apart, at most over all places, of each column [standard errors].
+
+    NaN are no values; with k of m values after a place and a deviation σ of all, taken to be `least` at least, a
+    standard error is σ √(m / k(m − k)).
+    """
+    there = ~np.isnan(scores)
+    num = there.sum(axis=0)
+    mean = np.where(there, scores, 0.0).sum(axis=0) / np.maximum(num, 1)
+    apart = np.where(there, scores - mean, 0.0)
+    before, total = np.cumsum(there, axis=0), np.cumsum(apart, axis=0)
+    deviation = np.maximum(np.sqrt((apart**2).sum(axis=0) / np.maximum(num, 1)), least)
+    may_be = (before >= FEWEST) & (num - before >= FEWEST) & (deviation > 0)
+    error = deviation * np.sqrt(before * (num - before) / np.maximum(num, 1))
+    return np.where(may_be, np.abs(total) / np.where(may_be, error, 1.0), 0.0).max(axis=0)
+
+
+def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
+    """Covariates of the first stage, by their ranks, so that few large ones do not decide."""
+    states = pd.DataFrame(looks_at.encode(logs.stages[logs.stages["stage"] == 1]))
+    for name, (_, values) in zip(looks_at.names, states.rank().items(), strict=True):
+        ranks = values.to_numpy()
+        yield Watched(ranks, partial(_says_larger, f"{name} in stage 1", ranks, np.arange(len(ranks))))
+
+
+def _parts(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
+    """Reward, duration and next state of each action, less a regression on the state; of a trajectory their sum."""
+    states, place = looks_at.encode(logs.stages), np.cumsum(logs.stages["stage"] == 1) - 1
+    after = np.where(np.append(np.diff(place), 1)[:, None] == 0, np.roll(states, -1, axis=0), np.nan)
+    took = np.log(np.maximum(durations_s(logs), 1e-9))
+    outcomes = dict(zip(WHATS, (logs.stages["reward"].to_numpy(float, na_value=np.nan), took), strict=True))
+    outcomes |= dict(zip(looks_at.names, after.T, strict=True))
+    for action in sorted(logs.stages["action"].dropna().unique().tolist()):
+        for what, values in outcomes.items():
+            rows = np.flatnonzero((logs.stages["action"] == action).to_numpy(bool, na_value=False) & ~np.isnan(values))
+            if len(rows) >= FEWEST:
+                left = residuals(part_of(str(action), what, states[rows], values[rows]), states[rows], values[rows])
+                says = partial(_says_otherwise, str(action), what, left, place[rows])
+                scores, least = _summed(left, place[rows], logs.num_trajectories), LEAST_DEVIATION * np.nanstd(values)
+                yield Watched(scores, says, float(least))
+
+
+def _summed(left: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], num: int) -> Float[np.ndarray, " n"]:
+    return np.where(np.bincount(place, minlength=num) > 0, np.bincount(place, left, num), np.nan)
+
+
+def _cuts(logs: Logs) -> Watched:
+    """Whether each was cut, less the cumulative hazard of cuts until its end: of mean 0, however long it lasted."""
+    curve = KaplanMeier().fit(logs.end_s, logs.is_finished)
+    before, left = (curve.survival(ends) for ends in (logs.end_s, np.nextafter(logs.end_s, np.inf)))
+    scores = ~logs.is_finished + np.log(np.where(left > 0, left, before))
+    more = partial(_more, scores, np.arange(len(scores)))
+    return Watched(scores, lambda at: f"cuts are {'more' if more(at) > 0 else 'less'} frequent than before")
+
+
+def _says_larger(name: str, values: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], at: int) -> str:
+    return f"{name} is {'larger' if _more(values, place, at) > 0 else 'smaller'} than before"
+
+
+def _says_otherwise(
+    action: str, what: str, left: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], at: int
+) -> str:
+    if what in WHATS:
+        return part_words(what, action, _more(left, place, at), "than before in the same states")
+    return f"{_says_larger(f'after {action}, {what}', left, place, at)} in the same states"
+
+
+def _more(values: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], at: int) -> float:
+    """By how much the mean from a trajectory on is larger than before."""
+    return float(values[place >= at].mean() - values[place < at].mean())
