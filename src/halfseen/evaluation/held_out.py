@@ -285,9 +285,11 @@ def learn_by_folds(
     # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen again in each fold.
     composed = learner.compose(logs)
     same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
-    if learner.half_life is not None and hasattr(learner, "model_"):
-        half_life, num_learned = learner.model_.half_life, logs.num_trajectories * (1.0 - 1.0 / num_folds)
-        same.set_params(half_life=half_life and half_life * num_learned / len(learner.weights_))
+    half_life: Any = learner.model_.half_life if hasattr(learner, "model_") else None
+    if half_life is not None:
+        # Of fewer trajectories it has to be shorter.
+        num_learned = logs.num_trajectories * (1.0 - 1.0 / num_folds)
+        same.set_params(half_life=half_life * num_learned / len(learner.weights_))
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
     policies = []
     for policy in pool.in_order(partial(_learned_without, same, logs, fold), range(num_folds)):

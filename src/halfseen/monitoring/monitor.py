@@ -158,7 +158,7 @@ def _pays(stored: StoredPolicy, logs: Logs, since: int, earned: dict[str, float]
     promise, later = stored.record["promise"], logs.select(logs.trajectory_ids[since - 1 :])
     num_learned = max((each["num_states"] for each in promise["stages"] if each["stage"] == 1), default=0)
     needed = num_needed(promise.get("value"), num_learned, None if earned is None else earned["since"])
-    return relearning(later.num_trajectories, since, needed, _own_share(stored, later))
+    return relearning(later.num_trajectories, later.trajectory_ids.tolist()[0], needed, _own_share(stored, later))
 
 
 def looks_at_of(policy: Any) -> Covariates:

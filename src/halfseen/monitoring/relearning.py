@@ -45,7 +45,7 @@ def num_needed(value: Mapping[str, float] | None, num_learned: int, now: float |
     )
 
 
-def relearning(num_since: int, since: int, needed: int | None, own: float) -> str:
+def relearning(num_since: int, since: str | int, needed: int | None, own: float) -> str:
     """Say whether learning again would pay.
 
     Parameters
@@ -53,7 +53,7 @@ def relearning(num_since: int, since: int, needed: int | None, own: float) -> st
     num_since
         Trajectories since the change.
     since
-        The first of them, counted from 1.
+        Name of the first of them.
     needed
         As `num_needed` tells.
     own
@@ -65,5 +65,5 @@ def relearning(num_since: int, since: int, needed: int | None, own: float) -> st
     blind = "; serve with --explore first, for they show hardly any action but the policy's" if own > OWN else ""
     if num_since < needed:
         return f"Learning again would not pay yet: there are {there}, and about {needed:,} are needed{blind}."
-    how = f"halfseen learn LOGS --since NAME, the name of trajectory {since}"
+    how = f"halfseen learn LOGS --out FOLDER --since {since}"
     return f"Learning again would pay: there are {there}, and about {needed:,} are needed ({how}){blind}."

@@ -27,7 +27,7 @@ from halfseen.monitoring.streams import LEAST_DEVIATION
 from halfseen.policies.folder.promised_parts import FEWEST, WHATS, part_of, residuals
 from halfseen.shapes import Float, Int
 
-ALPHA, NUM_ORDERS = 0.02, 499
+ALPHA, NUM_ORDERS = 0.02, 199
 
 
 @dataclass(frozen=True)
@@ -117,9 +117,9 @@ def farthest_apart(scores: Float[np.ndarray, "n S"], least: Float[np.ndarray, " 
 
 def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
     """Covariates of the first stage, by their ranks, so that few large ones do not decide."""
-    states = pd.DataFrame(looks_at.encode(logs.stages[logs.stages["stage"] == 1]))
-    for name, (_, values) in zip(looks_at.names, states.rank().items(), strict=True):
-        ranks = values.to_numpy()
+    first: Any = logs.stages[logs.stages["stage"] == 1]
+    states = pd.DataFrame(looks_at.encode(first)).rank().to_numpy()
+    for name, ranks in zip(looks_at.names, states.T, strict=True):
         yield Watched(ranks, partial(_says_larger, f"{name} in stage 1", ranks, np.arange(len(ranks))))
 
 
