@@ -1,6 +1,6 @@
 """Relearning: what is to be learned from logs in which the cell changes, and is it noticed that it does?
 
-python benchmarks/relearning.py [--logs 40] [--unchanged 200] [--out FILE]
+python benchmarks/relearning.py [--logs 20] [--unchanged 200] [--only none wear] [--after 100 200] [--out FILE]
 
 Each log is of 400 trajectories of the bin before and 100, 200 or 400 after a change, a third of them cut, all by the
 cell's own rule with its exploration:
@@ -34,6 +34,7 @@ from halfseen.logs.since import since
 from halfseen.monitoring.training_log import changes_in
 
 NUM_BEFORE, NUMS_AFTER = 400, (100, 200, 400)
+KINDS = ("none", "wear", "camera")
 WEAR, SEES_WORSE = 0.35, 0.1
 
 
@@ -103,16 +104,18 @@ def told_of_nothing(num_logs: int) -> float:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--logs", type=int, default=40)
+    parser.add_argument("--logs", type=int, default=20)
     parser.add_argument("--unchanged", type=int, default=200)
+    parser.add_argument("--only", nargs="*", choices=KINDS, default=KINDS)
+    parser.add_argument("--after", nargs="*", type=int, default=NUMS_AFTER)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/relearning.json"))
     options = parser.parse_args()
     results: dict[str, Any] = {"unchanged": told_of_nothing(options.unchanged)}
     print(f"told of {results['unchanged']:.1%} of {options.unchanged} unchanged logs", flush=True)
     names = ("pooled", "since", "told", "recency")
     print(f"{'change':<8}{'after':>6}{'told of':>9}{'best':>7}" + "".join(f"{name:>15}" for name in names))
-    for kind in ("none", "wear", "camera"):
-        for num_after in NUMS_AFTER:
+    for kind in options.only:
+        for num_after in options.after:
             found = figures(kind, num_after, options.logs)
             results[f"{kind} {num_after}"] = found
             cells = "".join(f"{found[name][0]:>8.3f} ± {found[name][1]:.3f}" for name in names)

@@ -207,6 +207,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("lies.py", "--logs", "1", "--trajectories", "60"),
         ("wrong_laws.py", "--cases", "news", "stick", "--sizes", "30", "--logs", "1"),
         ("many_actions.py", "--sizes", "50", "--logs", "1"),
+        ("relearning.py", "--logs", "2", "--unchanged", "2", "--only", "none", "--after", "100"),
         (
             "service.py",
             "--lifetimes",

@@ -1,4 +1,4 @@
-"""Whether learning again would pay: how many trajectories there are, and how many are needed."""
+"""Whether learning again may pay: how many trajectories there are, and how many are needed."""
 
 import pytest
 
@@ -22,11 +22,11 @@ def test_where_nothing_is_lost_none_are_needed_and_where_nothing_is_known_the_fe
     [
         (
             (80, 301, 100, 0.8),
-            "Learning again would not pay yet: there are 80 trajectories since the change, and about",
+            "Learning again will not pay yet: there are 80 trajectories since the change, and about",
         ),
-        ((200, 301, 100, 0.8), "Learning again would pay: there are 200 trajectories since the change, and about 100"),
+        ((200, 301, 100, 0.8), "Learning again may pay: there are 200 trajectories since the change, and about 100"),
         ((200, 301, None, 0.8), "Learning again need not pay: nothing is lost in 200 trajectories since the change."),
-        ((200, 301, 100, 1.0), "Learning again would pay"),
+        ((200, 301, 100, 1.0), "Learning again may pay"),
     ],
 )
 def test_it_is_told_in_one_sentence(given, told):

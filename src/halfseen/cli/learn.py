@@ -353,7 +353,7 @@ def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[s
         ),
         ("positivity", positivity),
         *(("warning", one) for one in report["warnings"] if one != positivity),
-        *([("", f"to take only what still holds: {report['relearn']}")] if report["relearn"] else []),
+        *[("", way) for way in _ways(report["relearn"])],
         *(("note", note) for note in report["notes"]),
     ]
     return [
@@ -365,6 +365,16 @@ def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[s
         "",
         *([] if judged is None else [str(judged), ""]),
         f"Next: halfseen evaluate {report['policy']} {next_logs or '--world --team ROBOTS'}",
+    ]
+
+
+def _ways(command: str | None) -> list[str]:
+    """What to do where the log is not of one cell."""
+    if command is None:
+        return []
+    return [
+        f"to take only what still holds: {command}",
+        "or, where that is little: the same as here with --recency auto",
     ]
 
 

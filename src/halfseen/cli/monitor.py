@@ -48,7 +48,7 @@ def monitor(
 
     It says whether what was promised is earned, though trajectories were cut; which covariates have moved, by stage and
     together; which part of the cell broke: what an action brings or how long it takes in the same states, or cuts;
-    since when; and whether learning again would pay. It may be asked after every trajectory: in a whole lifetime
+    since when; and whether learning again may pay. It may be asked after every trajectory: in a whole lifetime
     without change, the chance of a false alarm is meant to be at most 5 %.
     """
     from halfseen.errors import NothingRecordedError

@@ -72,8 +72,8 @@ def _held_out_gains(plain: QModel, trajectories: TrajectoryArrays) -> Float[np.n
     """Squared error without a half-life, less that with each, of each of the latest trajectories."""
     num, log = trajectories.num_trajectories, plain.transitions(trajectories)
     regression = plain.regression(num, log.is_possible.shape[-1])
-    ends = np.linspace(num * (1.0 - LATEST), num, NUM_BLOCKS + 1).astype(int)
-    later, blocks = slice(int(ends[0]), None), regression.block_of_action
+    ends = np.linspace(num * (1.0 - LATEST), num, NUM_BLOCKS + 1).astype(int).tolist()
+    later, blocks = slice(ends[0], None), regression.block_of_action
     seen = (log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight)[later]
     with one_thread():
         of_all = judged(fit_q(log.counted(_counts(num, ends[0])), regression), log, blocks, plain.stages, log.reward)

@@ -5,8 +5,10 @@ be 5 % at most.
 
 Read it down: `confidence_sequences` (bounds on a mean) → `outcomes` (what a trajectory adds under
 cuts) → `betting` (wealth against "nothing has changed") → `joint` (the same by a classifier) → `change_point` (since
-when) → `streams` (what is watched) → `diagnosis` (which part broke) → `answer` → `monitor`. And `comparison`
-(bounds on the gain over the rule of today) → `dealing` (how a comparison stands, and who gets the next trajectory).
+when) → `streams` (what is watched) → `diagnosis` (which part broke) → `answer` → `monitor`, with `relearning` (whether
+to learn again). And `comparison` (bounds on the gain over the rule of today) → `dealing` (how a comparison stands, and
+who gets the next trajectory). Beside them `training_log` asks of a log before it is learned from whether it is of one
+cell.
 """
 
 from typing import TYPE_CHECKING
@@ -20,15 +22,18 @@ if TYPE_CHECKING:
     from halfseen.monitoring.dealing import Standing, Terms, standing
     from halfseen.monitoring.monitor import monitored
     from halfseen.monitoring.outcomes import CensoredOutcomes
+    from halfseen.monitoring.training_log import Change, changes_in
 
 __all__ = [
     "BettingBounds",
     "CensoredOutcomes",
+    "Change",
     "Courses",
     "Finding",
     "Monitored",
     "Standing",
     "Terms",
+    "changes_in",
     "monitored",
     "standing",
 ]
@@ -38,11 +43,13 @@ __getattr__ = lazy_names(
     {
         "BettingBounds": "confidence_sequences",
         "CensoredOutcomes": "outcomes",
+        "Change": "training_log",
         "Courses": "comparison",
         "Finding": "answer",
         "Monitored": "answer",
         "Standing": "dealing",
         "Terms": "dealing",
+        "changes_in": "training_log",
         "monitored": "monitor",
         "standing": "dealing",
     },

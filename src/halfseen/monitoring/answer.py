@@ -65,7 +65,7 @@ class Monitored:
     p_values
         By name of a family, after each trajectory: the smallest of its p-values times their number.
     relearning
-        Whether learning again would pay; "" where nothing has changed.
+        Whether learning again may pay; "" where nothing has changed.
     """
 
     num_trajectories: int

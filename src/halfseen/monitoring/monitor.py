@@ -154,7 +154,7 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
 
 
 def _pays(stored: StoredPolicy, logs: Logs, since: int, earned: dict[str, float] | None) -> str:
-    """Say whether learning again would pay."""
+    """Say whether learning again may pay."""
     promise, later = stored.record["promise"], logs.select(logs.trajectory_ids[since - 1 :])
     num_learned = max((each["num_states"] for each in promise["stages"] if each["stage"] == 1), default=0)
     needed = num_needed(promise.get("value"), num_learned, None if earned is None else earned["since"])

@@ -18,6 +18,7 @@ import pandas as pd
 
 from halfseen.censoring import KaplanMeier
 from halfseen.learning.covariates import Covariates
+from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.logs.logs import durations_s
 from halfseen.monitoring.change_point import change_point
@@ -124,20 +125,28 @@ def _first_states(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
 
 
 def _parts(logs: Logs, looks_at: Covariates) -> Iterator[Watched]:
-    """Reward, duration and next state of each action, less a regression on the state; of a trajectory their sum."""
-    states, place = looks_at.encode(logs.stages), np.cumsum(logs.stages["stage"] == 1) - 1
-    after = np.where(np.append(np.diff(place), 1)[:, None] == 0, np.roll(states, -1, axis=0), np.nan)
-    took = np.log(np.maximum(durations_s(logs), 1e-9))
-    outcomes = dict(zip(WHATS, (logs.stages["reward"].to_numpy(float, na_value=np.nan), took), strict=True))
-    outcomes |= dict(zip(looks_at.names, after.T, strict=True))
-    for action in sorted(logs.stages["action"].dropna().unique().tolist()):
-        for what, values in outcomes.items():
-            rows = np.flatnonzero((logs.stages["action"] == action).to_numpy(bool, na_value=False) & ~np.isnan(values))
+    """What each action brings, takes and leads to, less a regression on the state; of a trajectory their sum."""
+    states, actions, place = looks_at.encode(logs.stages), logs.stages["action"], stage_places(logs)[0]
+    for action in sorted(actions.dropna().unique().tolist()):
+        is_taken = (actions == action).to_numpy(dtype=bool, na_value=False)
+        for what, values in _outcomes(logs, looks_at, states, place).items():
+            rows = np.flatnonzero(is_taken & ~np.isnan(values))
             if len(rows) >= FEWEST:
                 left = residuals(part_of(str(action), what, states[rows], values[rows]), states[rows], values[rows])
                 says = partial(_says_otherwise, str(action), what, left, place[rows])
-                scores, least = _summed(left, place[rows], logs.num_trajectories), LEAST_DEVIATION * np.nanstd(values)
-                yield Watched(scores, says, float(least))
+                least = LEAST_DEVIATION * float(np.nanstd(values))
+                yield Watched(_summed(left, place[rows], logs.num_trajectories), says, least)
+
+
+def _outcomes(
+    logs: Logs, looks_at: Covariates, states: Float[np.ndarray, "m F"], place: Int[np.ndarray, " m"]
+) -> dict[str, Float[np.ndarray, " m"]]:
+    """Reward, log duration and next state of every stage, NaN where it has none."""
+    goes_on = np.append(place[1:] == place[:-1], False)
+    after = np.where(goes_on[:, None], np.roll(states, -1, axis=0), np.nan)
+    reward = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)
+    values = [reward, np.log(np.maximum(durations_s(logs), 1e-9)), *after.T]
+    return dict(zip((*WHATS, *looks_at.names), values, strict=True))
 
 
 def _summed(left: Float[np.ndarray, " m"], place: Int[np.ndarray, " m"], num: int) -> Float[np.ndarray, " n"]:
