@@ -179,7 +179,7 @@ def test_it_follows_scikit_learn(logs):
     assert copy.set_params(reg=0.5).reg == 0.5
     assert copy.set_params(censoring=Weighted(truncate_at=4.0)).compose().targets == Weighted(truncate_at=4.0)
     assert original.censoring == DoublyRobust("cox", by="pooled"), "the copy is its own"
-    assert len(original.get_params()) <= 9
+    assert len(original.get_params()) <= 10
     plain = learner()
     assert plain.fit(logs) is plain
     with pytest.raises(NotFittedError):

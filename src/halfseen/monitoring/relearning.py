@@ -14,8 +14,8 @@ from halfseen.wording import counted
 CLEARLY = 2.0
 """Standard errors."""
 FEWEST = 200
-"""Trajectories; where nothing changes, a policy of the bin from 100 earns a fifth less than one from 500, and from 200 a
-twentieth (`benchmarks/relearning.py`)."""
+"""Trajectories; where nothing changes, a policy of the bin from 100 earns a fifth less than one from 500, and one from
+200 a twentieth less than one from 600 (`benchmarks/relearning.py`)."""
 OWN = 0.98
 """Share of the actions that are the policy's, from which on the log says too little of all others."""
 
@@ -36,8 +36,8 @@ def num_needed(value: Mapping[str, float] | None, num_learned: int, now: float |
     --------
     >>> num_needed({"value": 0.6, "standard_error": 0.1}, 400, 0.2)
     200
-    >>> num_needed({"value": 0.6, "standard_error": 0.1}, 400, 0.5)
-    1600
+    >>> num_needed({"value": 0.6, "standard_error": 0.1}, 400, 0.35)
+    256
     """
     if value is None or now is None:
         return FEWEST
