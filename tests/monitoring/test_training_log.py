@@ -101,3 +101,13 @@ def test_at_most_one_in_twenty_unchanged_logs_is_told_of(policy):
     num = 300
     share = np.mean([bool(changes_in(cell(num=120, seed=seed), policy, seed)) for seed in range(10, 10 + num)])
     assert share <= 0.05
+
+
+@pytest.mark.parametrize(("at", "since"), [(7, FEWEST), (233, 240 - FEWEST)])
+def test_a_change_near_an_end_is_told_where_some_are_left_on_both_sides(policy, at, since):
+    logs = cell()
+    is_few = (logs.stages["trajectory"] < at) == (at < 120)
+    stages = logs.stages.assign(x=np.where(is_few, 40.0, logs.stages["x"]))
+    told = [each for each in changes_in(Logs(stages, logs.trajectories), policy) if each.words.startswith("x in")]
+    assert told[0].since == since
+    assert told[0].since_low <= since <= told[0].since_high

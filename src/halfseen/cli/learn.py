@@ -3,7 +3,7 @@
 import json
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -261,7 +261,8 @@ def _changes(log: "Logs | LogStream", learner: "CensoredQLearner") -> list[dict[
     from halfseen.monitoring.training_log import changes_in
 
     some = log if isinstance(log, Logs) else sample_of(log, learner.random_state)
-    found = changes_in(some, learner.policy_, learner.random_state)
+    found, names = changes_in(some, learner.policy_, learner.random_state), log.trajectory_ids
+    found = [replace(each, num_since=int((names >= each.since).sum())) for each in found]
     return [{**asdict(each), "sentence": each.sentence} for each in found]
 
 

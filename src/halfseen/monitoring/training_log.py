@@ -95,7 +95,10 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
 
 
 def _change(names: list[Any], watched: Watched, p_value: float) -> Change:
-    at, low, high = change_point(watched.scores)
+    found, there = change_point(watched.scores), np.flatnonzero(~np.isnan(watched.scores))
+    # The likeliest place may be nearer to an end than any that was tested.
+    at = int(there[np.clip(np.searchsorted(there, found.at), FEWEST, len(there) - FEWEST)])
+    low, high = min(found.low, at), max(found.high, at)
     return Change(watched.says(at), p_value, names[at], names[low], names[high], len(names) - at)
 
 
