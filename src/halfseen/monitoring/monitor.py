@@ -24,7 +24,7 @@ from halfseen.monitoring.confidence_sequences import BettingBounds, Course
 from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, moved
 from halfseen.monitoring.joint import pair_payoffs
 from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
-from halfseen.monitoring.streams import Stream, input_streams, part_streams, whole_stream
+from halfseen.monitoring.streams import Stream, input_streams, part_streams, swap_streams, whole_stream
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.folder.promised_parts import own_stages
 from halfseen.policies.shares import action_shares
@@ -104,6 +104,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
         notes.append("the folder keeps no rewards and durations by action, so these are not watched; learn it again")
     else:
         against, num = parts[:-1], logs.num_trajectories
+        against += swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
         payoffs["parts"] = np.concatenate([payoffs["parts"], _against_log(against, num)], axis=1)
         whole = [whole_stream(parts, promise["parts"], num)] * 2
         payoffs["promise"] = np.concatenate([_ranked(whole[:1], logs, seed + 2), _against_log(whole[1:], num)], axis=1)
