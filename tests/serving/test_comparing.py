@@ -52,7 +52,7 @@ def run(client, rng, num, gain=0.0, cut=0.0, *, is_clocked=True):
     for _ in range(num):
         for stage in (1, 2):
             told = decided(client, x1=float(rng.normal()), x2=int(rng.integers(3)))
-            reward = float(rng.random()) + (gain if told["arm"] == "policy" and stage == 2 else 0.0)
+            reward = float(rng.random()) + (gain if told.get("arm") != "rule" and stage == 2 else 0.0)
             client.post("/reward", json={"reward": reward, **clock(float(stage))})
         is_cut = rng.random() < cut
         end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished"}

@@ -269,7 +269,7 @@ def test_the_description_tells_what_can_be_asked(asked):
     assert api["components"]["schemas"]["Decided"]["properties"]["action"]["enum"] == ["A", "B", "C"]
     (example,) = taken["examples"]
     assert asked.post("/decide", json=example).status_code == 200
-    assert list(api["paths"]) == ["/decide", "/reload", "/health"]
+    assert list(api["paths"]) == ["/decide", "/reload", "/health", "/state"]
 
 
 @pytest.mark.parametrize("policy", ["flat", "tables"])
@@ -326,8 +326,8 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
 
 def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_of_a_trajectory(tables, tmp_path):
     with client_of(tables, tmp_path / "logs", of_tables=True) as client:
-        api, page = client.get("/openapi.json").json(), client.get("/")
-    assert list(api["paths"]) == ["/decide", "/reward", "/end", "/reload", "/health"]
+        api, page = client.get("/openapi.json").json(), client.get("/api")
+    assert list(api["paths"]) == ["/decide", "/reward", "/end", "/reload", "/health", "/state"]
     places = [page.text.index(address) for address in api["paths"]]
     assert places == sorted(places)
     assert "A file of what the camera sees" in page.text

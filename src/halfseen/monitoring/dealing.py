@@ -14,6 +14,9 @@ import numpy as np
 
 from halfseen.monitoring.comparison import Counted, Courses, Kept, bound, counted
 
+ARM = "arm"
+"""Column of a log's trajectories: to which each was dealt."""
+POLICY, RULE = "policy", "rule"
 PROMOTES, HARMS = 0.025, 0.05
 """Chances of promoting what is no better, and of a loss beyond its bound."""
 LARGEST_SHARE = 0.5

@@ -21,6 +21,7 @@ from halfseen.monitoring import betting
 from halfseen.monitoring.answer import Finding, Monitored
 from halfseen.monitoring.change_point import ChangePoint, change_point
 from halfseen.monitoring.confidence_sequences import BettingBounds, Course
+from halfseen.monitoring.dealing import ARM, RULE
 from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, moved
 from halfseen.monitoring.joint import pair_payoffs
 from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
@@ -111,7 +112,7 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if looks_at.num_features > 1 and promise.get("first_states"):
         joint = _joint(looks_at, logs, promise["first_states"], seed)
         payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
-    outcomes = _outcomes(stored, logs, promise, notes)
+    outcomes = _own_outcomes(stored, logs, promise, notes)
     if outcomes is not None and promise.get("value"):
         least = np.array([promise["value"]["low"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
@@ -176,6 +177,21 @@ def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed:
     return pair_payoffs(first, np.array(reference), coins)
 
 
+def _own_outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) -> Outcomes | None:
+    """As `_outcomes`; of a comparison those of the rule's trajectories are not looked at."""
+    if ARM not in logs.trajectories:
+        return _outcomes(stored, logs, promise, notes)
+    is_own = np.asarray(~logs.trajectories[ARM].eq(RULE).fillna(False))
+    if is_own.all():
+        return _outcomes(stored, logs, promise, notes)
+    notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
+    own = _outcomes(stored, logs.select(logs.trajectory_ids[is_own]), promise, notes) if is_own.any() else None
+    if own is None:
+        return None
+    place = np.where(is_own, np.cumsum(is_own) - 1, len(own.values))
+    return Outcomes(*(np.append(each, np.nan)[place] for each in own))
+
+
 def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) -> Outcomes | None:
     """What each trajectory adds to what is earned; None, and a note, where that is not the policy's."""
     if promise.get("brings") is None:
@@ -222,8 +238,8 @@ def _earned(outcomes: Outcomes, brings: Any, since: int) -> tuple[Course | None,
     bounds = BettingBounds(low, high, num_points=201)
     lows, highs = np.minimum(outcomes.lows[there], low), np.maximum(outcomes.highs[there], high)
     course = bounds.add(outcomes.values[there], lows, highs)
-    now = outcomes.values[since - 1 :][there[since - 1 :]]
-    value, latest = (float(np.clip(each.mean(), low, high)) for each in (outcomes.values[there], now))
+    every, now = outcomes.values[there], outcomes.values[since - 1 :][there[since - 1 :]]
+    value, latest = (float(np.clip(each.mean(), low, high)) for each in (every, now if len(now) else every))
     return course, {"value": value, "low": bounds.lower, "high": bounds.upper, "since": latest}
 
 

@@ -22,7 +22,7 @@ from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import FINISHED
 from halfseen.logs.recorder import ended_rows
 from halfseen.monitoring.comparison import Courses, Kept, counted
-from halfseen.monitoring.dealing import Standing, Terms, standing
+from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
 from halfseen.policies.fall_back import FallBack, fall_back_of
 from halfseen.reading import read_bytes
 from halfseen.serving.models import Compared
@@ -31,8 +31,7 @@ from halfseen.shapes import Float
 if TYPE_CHECKING:
     from halfseen.serving.answering import InService
 
-ARM, CHANCE, COMPARISON = "arm", "policy_chance", "comparison"
-POLICY, RULE = "policy", "rule"
+CHANCE, COMPARISON = "policy_chance", "comparison"
 
 
 @dataclass
