@@ -115,6 +115,11 @@ def test_with_a_token_only_who_has_it_is_answered_and_what_is_too_large_is_refus
             assert "Authorization: Bearer" in refused(client.get("/health", headers=given), 401)
         client.headers |= {"authorization": "Bearer secret-of-16-let", "host": "cell-3"}
         assert client.get("/health").json()["kind"] == "flat"
+        # A browser brings it as a password, for what changes nothing.
+        for password, status in (("secret-of-16-let", 200), ("other", 401), ("", 401)):
+            assert client.get("/", auth=("anyone", password)).status_code == status
+        refused(client.post("/reload", auth=("anyone", "secret-of-16-let")), 401)
+        refused(client.get("/", headers={"authorization": "Basic secret!"}), 401)
         # Whether it says how large it is or not.
         for large in (b" " * 101, (b" " * 60 for _ in range(2))):
             answer = client.post("/decide", content=large, headers={"content-type": "application/json"})
@@ -386,6 +391,6 @@ def test_what_comes_too_slowly_is_refused():
     async def refuse(refusal, scope, receive, send):
         sent.append(refusal)
 
-    scope = {"type": "http", "headers": [(b"host", b"localhost")]}
+    scope = {"type": "http", "method": "POST", "headers": [(b"host", b"localhost")]}
     asyncio.run(Bounded(never, refuse, None, 100, slowest_s=0.01)(scope, never, send))
     assert [one.status for one in sent] == [408]

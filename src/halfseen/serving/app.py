@@ -325,7 +325,7 @@ async def _refused(refusal: Refusal, scope: Any, receive: Any, send: Any) -> Non
     # What is left of the request is not read.
     response.headers["connection"] = "close"
     if refusal.status == 401:
-        response.headers["www-authenticate"] = "Bearer"
+        response.headers["www-authenticate"] = 'Basic realm="halfseen"' if scope["method"] == "GET" else "Bearer"
     await response(scope, receive, send)
 
 
