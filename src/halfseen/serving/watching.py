@@ -1,7 +1,7 @@
 """The log that is being recorded, held against what was promised: `halfseen monitor` in a process of its own.
 
-It is asked for once a trajectory has ended, at most so often, and at the lowest priority, so that no decision waits for
-it. What it found last stands until it finds more.
+It is asked for once a trajectory has ended, at most so often, and at a low priority, so that no decision waits for it.
+What it found last stands until it finds more.
 """
 
 import json
@@ -21,8 +21,9 @@ from halfseen.errors import HalfseenError
 
 EVERY_S = 30.0
 MOST_WORK = 0.1
-"""Share of the time that is spent on it, however long the log."""
-FIGURES = "figures"
+"""Share of a core that it takes, however long the log."""
+NICE = 10
+FIGURES, WORK = "figures", "work_s"
 
 
 @dataclass(eq=False)
@@ -82,18 +83,21 @@ class Watch:
     def _look(self) -> None:
         began_s = time.monotonic()
         found = self._asked()
-        took_s, is_alarm = time.monotonic() - began_s, (self.found or {}).get("is_alarm", False)
+        was_alarm = self.found is not None and self.found.get("is_alarm", False)
+        self._next_s = began_s + max(self.every_s, found.pop(WORK, 0.0) / MOST_WORK)
         self.found, self._began_s = found, began_s
-        self._next_s = began_s + max(self.every_s, took_s / MOST_WORK)
-        if found.get("is_alarm") and not is_alarm:
+        if found.get("is_alarm") and not was_alarm:
             self.say(found["sentence"])
 
     def _asked(self) -> dict[str, Any]:
         words = [sys.executable, "-m", __name__, str(self.policy), str(self.logs)]
         alone = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
         pipes: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
-        with subprocess.Popen(words, env=alone, encoding="utf-8", **pipes) as self._process:
-            text, trouble = self._process.communicate()
+        try:
+            with subprocess.Popen(words, env=alone, encoding="utf-8", **pipes) as self._process:
+                text, trouble = self._process.communicate()
+        except OSError as error:
+            return {"error": f"no process can be started ({error.strerror})"}
         if self._process.returncode:
             return {"error": (trouble.strip().splitlines() or [f"it ended with {self._process.returncode}"])[-1]}
         return json.loads(text)
@@ -120,5 +124,6 @@ def found_of(policy: Path, logs: Path) -> dict[str, Any]:
 
 if __name__ == "__main__":
     if hasattr(os, "nice"):
-        os.nice(19)
-    print(json.dumps(found_of(Path(sys.argv[1]), Path(sys.argv[2])), allow_nan=False))
+        os.nice(NICE)
+    what = found_of(Path(sys.argv[1]), Path(sys.argv[2]))
+    print(json.dumps({**what, WORK: time.process_time()}, allow_nan=False))
