@@ -111,7 +111,7 @@ def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Ke
     kept.begin()
     low, high, likely = (bound(of, alpha, side, kept) for alpha, side in ((PROMOTES, 1), (PROMOTES, -1), (HARMS, 1)))
     worst = num_policy * min(max(0.0, -likely), float(np.ptp(courses.totals()))) if num_policy else 0.0
-    is_harm = len(of.excess) > 0 and kept.best(of, 0.0, -1) >= -np.log(HARMS)
+    is_harm = len(of.excess) > 0 and bool(kept.best(of, 0.0, -1) >= -np.log(HARMS))
     verdict = _verdict(courses, terms, low, is_harm, worst)
     share = {"promoted": 1.0, "stopped": 0.0, "going on": _share(courses, terms, likely)}[verdict]
     gain = float(of.bet_on @ of.excess / (of.bet_on @ of.share)) if len(of.excess) else np.nan
