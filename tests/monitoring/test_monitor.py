@@ -111,6 +111,17 @@ def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored
     assert of_rule.earned is None
 
 
+def test_a_share_that_grows_is_no_change_of_the_cell(stored):
+    """The rule comes first, and is never cut."""
+    rules, own = cell(400, 5), cell(300, 1, policy=stored.policy)
+    rules = rules.select(rules.trajectory_ids[rules.is_finished])
+    ends = pd.concat([rules.trajectories, own.trajectories.assign(trajectory=own.trajectories["trajectory"] + 1000)])
+    stages = pd.concat([rules.stages, own.stages.assign(trajectory=own.stages["trajectory"] + 1000)])
+    assert monitored(stored, Logs(stages, ends)).findings
+    dealt = ends.assign(arm=np.where(ends["trajectory"] < 1000, "rule", "policy"))
+    assert monitored(stored, Logs(stages, dealt)).findings == ()
+
+
 def test_a_folder_that_keeps_less_watches_less_and_one_that_keeps_nothing_is_refused(stored):
     promise = {name: stored.record["promise"][name] for name in ("stages", "value")}
     older = type(stored)(stored.policy, {**stored.record, "promise": promise})

@@ -6,7 +6,7 @@ held against both, given the state.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,7 +16,7 @@ from pandas.api.types import is_numeric_dtype
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.policies.folder.promised_parts import WHATS, expanded_as, outcome_rows, residuals
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Bool, Float, Int
 
 Kind = Literal["input", "reward", "duration", "cut"]
 
@@ -142,6 +142,16 @@ def whole_stream(streams: list[Stream], parts: Any, num: int) -> Stream:
     own = (values, bins, np.zeros(len(knots) + 1), True)
     limits = tolerance, max(stream.reach for stream, _ in some), sum(part["num_states"] for _, part in some)
     return Stream("reward", "what is done", None, *own, left, trajectory[order], *limits)
+
+
+def own_alone(streams: list[Stream], is_own: Bool[np.ndarray, " n"]) -> list[Stream]:
+    """Leave others' trajectories out of what is held against the service so far, which depends on who decides."""
+    return [
+        one
+        if one.is_against_log
+        else replace(one, values=np.where(is_own, one.values, np.nan), bins=np.where(is_own, one.bins, -1))
+        for one in streams
+    ]
 
 
 def _tolerance(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Float[np.ndarray, " m"]:
