@@ -100,6 +100,7 @@ async def load(port: int, rate: float, seconds: float, server: psutil.Process, *
             for address in ("/state", "/"):
                 await looker.get(address)
 
+    cpu_s = sum(server.cpu_times()[:2])
     looking, begin_s, num = asyncio.create_task(look()), time.perf_counter(), int(rate * seconds)
     for k in range(num):
         due_s = begin_s + k / rate
@@ -119,6 +120,7 @@ async def load(port: int, rate: float, seconds: float, server: psutil.Process, *
             name: {f"p{p}": float(np.percentile(each, p)) for p in (50, 99, 100)} for name, each in waited.items()
         },
         "num": {name: len(each) for name, each in waited.items()},
+        "cpu_ms": (sum(server.cpu_times()[:2]) - cpu_s) / num * 1e3,
         "grown_mb": (server.memory_info().rss - memory[1]) / 1e6,
         "memory_mb": server.memory_info().rss / 1e6,
         "comparison": told.get("comparison"),
@@ -263,7 +265,8 @@ def main() -> None:
             print(f"{name}: {each['num']['/end']:,} trajectories, {args.rate:g} requests a second")
             for path, waited in each["waited_ms"].items():
                 print(f"  {path:8}" + "  ".join(f"{p} {value:6.2f} ms" for p, value in waited.items()))
-            print(f"  {each['monitor']['sentence']}" if each["monitor"] else "  nobody watches")
+            print(f"  {each['monitor']['sentence']}" if each["monitor"] else "  not watched yet")
+            print(f"  a request takes {each['cpu_ms']:.2f} ms of the server's core")
             print(f"  memory {each['memory_mb']:.0f} MB, grew by {each['grown_mb']:.1f} MB")
         if args.kills:
             found["kills"] = killed(Path(scratch), policy, args.kills)
