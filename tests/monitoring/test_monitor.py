@@ -121,6 +121,38 @@ def test_what_another_decided_says_nothing_of_the_promise(stored):
     assert any("of the actions are the policy's" in each for each in found.notes)
 
 
+def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):
+    own, rules = cell(300, 1, policy=stored.policy), cell(300, 5)
+    of_both = pd.concat(
+        [one.stages.assign(trajectory=one.stages["trajectory"] * 2 + k) for k, one in enumerate((own, rules))]
+    )
+    ends = pd.concat(
+        [
+            one.trajectories.assign(trajectory=one.trajectories["trajectory"] * 2 + k, arm=arm)
+            for k, (one, arm) in enumerate(((own, "policy"), (rules, "rule")))
+        ]
+    )
+    both = Logs(of_both.sort_values("trajectory"), ends.sort_values("trajectory"))
+    found, alone = monitored(stored, both), monitored(stored, own)
+    np.testing.assert_array_equal(found.outcomes.values[::2], alone.outcomes.values)
+    assert np.isnan(found.outcomes.values[1::2]).all()
+    assert found.earned["value"] == pytest.approx(alone.earned["value"])
+    assert "300 trajectories of the rule say nothing of what the policy earns" in found.notes
+    of_rule = monitored(stored, Logs(rules.stages, rules.trajectories.assign(arm="rule")))
+    assert of_rule.earned is None
+
+
+def test_a_share_that_grows_is_no_change_of_the_cell(stored):
+    """The rule comes first, and is never cut."""
+    rules, own = cell(400, 5), cell(300, 1, policy=stored.policy)
+    rules = rules.select(rules.trajectory_ids[rules.is_finished])
+    ends = pd.concat([rules.trajectories, own.trajectories.assign(trajectory=own.trajectories["trajectory"] + 1000)])
+    stages = pd.concat([rules.stages, own.stages.assign(trajectory=own.stages["trajectory"] + 1000)])
+    assert monitored(stored, Logs(stages, ends)).findings
+    dealt = ends.assign(arm=np.where(ends["trajectory"] < 1000, "rule", "policy"))
+    assert monitored(stored, Logs(stages, dealt)).findings == ()
+
+
 def test_a_folder_that_keeps_less_watches_less_and_one_that_keeps_nothing_is_refused(stored):
     promise = {name: stored.record["promise"][name] for name in ("stages", "value")}
     older = type(stored)(stored.policy, {**stored.record, "promise": promise})

@@ -6,7 +6,7 @@ held against both, given the state.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Any, Literal
 
@@ -17,7 +17,7 @@ from pandas.api.types import is_numeric_dtype
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.policies.folder.promised_parts import WHATS, expanded_as, outcome_rows, residuals
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Bool, Float, Int
 
 Kind = Literal["input", "reward", "duration", "cut", "swap"]
 
@@ -209,6 +209,16 @@ def _together(
     bins = np.where(np.isnan(values), -1, np.searchsorted(knots, values, side="left"))
     own = (values, bins, np.zeros(len(knots) + 1), True)
     return Stream(kind, about, None, *own, left, trajectory, tolerance, reach, num_states)
+
+
+def own_alone(streams: list[Stream], is_own: Bool[np.ndarray, " n"]) -> list[Stream]:
+    """Leave others' trajectories out of what is held against the service so far, which depends on who decides."""
+    return [
+        one
+        if one.is_against_log
+        else replace(one, values=np.where(is_own, one.values, np.nan), bins=np.where(is_own, one.bins, -1))
+        for one in streams
+    ]
 
 
 def _tolerance(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Float[np.ndarray, " m"]:
