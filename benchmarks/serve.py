@@ -72,15 +72,19 @@ class Connection:
         self.reader, self.writer = await asyncio.open_connection(self.host, self.port)
         return self
 
-    async def ask(self, body: bytes) -> tuple[int, Any]:
-        head = (
-            f"POST /decide HTTP/1.1\r\nhost: {self.host}\r\ncontent-type: application/json\r\n"
-            f"content-length: {len(body)}\r\n\r\n"
-        )
-        self.writer.write(head.encode() + body)
+    async def ask(self, body: bytes, path: str = "/decide") -> tuple[int, Any]:
+        head = f"content-type: application/json\r\ncontent-length: {len(body)}\r\n"
+        status, told = await self._answered(f"POST {path} HTTP/1.1\r\nhost: {self.host}\r\n{head}\r\n".encode() + body)
+        return status, json.loads(told)
+
+    async def get(self, path: str) -> tuple[int, bytes]:
+        return await self._answered(f"GET {path} HTTP/1.1\r\nhost: {self.host}\r\n\r\n".encode())
+
+    async def _answered(self, request: bytes) -> tuple[int, bytes]:
+        self.writer.write(request)
         told = (await self.reader.readuntil(b"\r\n\r\n")).lower()
         length = int(told.partition(b"content-length:")[2].split(b"\r\n", 1)[0])
-        return int(told.split(b" ", 2)[1]), json.loads(await self.reader.readexactly(length))
+        return int(told.split(b" ", 2)[1]), await self.reader.readexactly(length)
 
 
 async def load(port: int, asked: list, rate: float, server: psutil.Process) -> dict[str, Any]:

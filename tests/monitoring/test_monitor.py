@@ -7,22 +7,23 @@ import pytest
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.monitoring.monitor import ALPHAS, monitored
+from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
+from halfseen.monitoring.streams import part_streams, swap_streams
 from halfseen.policies.folder import read_policy, write_policy
-from halfseen.policies.folder.promised_parts import promised_parts
+from halfseen.policies.folder.promised_parts import expanded_as, outcome_rows, promised_parts, residuals
 from small_logs import table_log
 
 VALUE = {"value": 0.85, "low": 0.7, "high": 1.0, "standard_error": 0.07}
 VERDICT = {"verdict": "better", "reason": "it is", "sentence": "It is.", "value": VALUE}
 
 
-def cell(num, seed, chances=(0.9, 0.9), policy=None, swaps=False):
+def cell(num, seed, chances=(0.9, 0.9), policy=None, swaps=False, are_alike=False):
     """One stage: A suits x < .5, B the others; an action that suits fetches with one of two chances, before and after.
 
-    A quarter is cut. The policy, if one is given, sees what is recorded.
+    A quarter is cut. The policy, if one is given, sees what is recorded. z tells nothing, and may be distributed as x.
     """
     rng = np.random.default_rng(seed)
-    x, z = rng.random(num), 2.0 + rng.normal(size=num)
+    x, z = rng.random(num), rng.random(num) if are_alike else 2.0 + rng.normal(size=num)
     seen = pd.DataFrame({"x": z, "z": x} if swaps else {"x": x, "z": z})
     action = rng.choice(["A", "B"], num) if policy is None else policy.decide(seen, 1)
     suits = (action == "A") == (x < 0.5)
@@ -35,12 +36,15 @@ def cell(num, seed, chances=(0.9, 0.9), policy=None, swaps=False):
     return Logs(stages, pd.DataFrame({"trajectory": range(num), **ends, "cause": np.where(is_cut, "operator", None)}))
 
 
-@pytest.fixture(scope="module")
-def stored(tmp_path_factory):
-    folder, logs = tmp_path_factory.mktemp("policies") / "policy", cell(500, 0)
+def learned(folder, logs):
     learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x", "z"], reg=1e-3).fit(logs)
     write_policy(learner, logs, folder, verdict=VERDICT)
     return read_policy(folder)
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    return learned(tmp_path_factory.mktemp("policies") / "policy", cell(500, 0))
 
 
 def test_a_healthy_cell_is_no_alarm_and_earns_what_it_does(stored):
@@ -70,6 +74,33 @@ def test_swapped_columns_are_named(stored):
     assert {each.name for each in found.findings} >= {"x in stage 1", "z in stage 1"}
 
 
+def test_swapped_columns_that_are_distributed_alike_are_named_by_what_actions_bring(tmp_path):
+    stored = learned(tmp_path / "policy", cell(500, 0, are_alike=True))
+    assert monitored(stored, cell(400, 1, policy=stored.policy, are_alike=True)).alarm_at is None
+    found = monitored(stored, cell(400, 1, policy=stored.policy, swaps=True, are_alike=True))
+    assert found.alarm_at < 150
+    assert "x and z swapped" in {each.name for each in found.findings}
+
+
+def test_a_swap_is_asked_of_states_where_it_would_matter(stored):
+    logs, promise, looks_at = cell(60, 3), stored.record["promise"], looks_at_of(stored.policy)
+    parts = part_streams(promise["parts"], looks_at, logs)
+    [found] = swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
+    models = {part["action"]: part for part in promise["parts"] if part["what"] == "reward"}
+    due = []
+    for row in outcome_rows(logs).itertuples():
+        part = models[row.action]
+        here, there = np.array([[row.x, row.z]]), np.array([[row.z, row.x]])
+        [as_is], [turned] = (residuals(part, features, np.array([row.reward])) for features in (here, there))
+        terms = np.append(1.0, expanded_as(part, here))
+        bent = 0.1 * max(part["deviation"], 0.1 * max(one["deviation"] for one in models.values()))
+        tolerance = 2.0 * np.sqrt(terms @ np.array(part["covariance"]) @ terms + bent**2)
+        if abs(as_is - turned) > 2.0 * tolerance:
+            due.append((row.trajectory, np.sign(as_is - turned) * as_is, tolerance))
+    assert 5 < len(due) < 60
+    np.testing.assert_allclose(np.column_stack([found.trajectory, found.residuals, found.tolerance]), due)
+
+
 def test_more_trajectories_take_nothing_back_and_one_in_progress_does_not_count(stored):
     logs = cell(400, 2, (0.9, 0.4), stored.policy)
     whole = monitored(stored, logs)
@@ -88,6 +119,38 @@ def test_what_another_decided_says_nothing_of_the_promise(stored):
     found = monitored(stored, cell(300, 3))
     assert found.earned is None
     assert any("of the actions are the policy's" in each for each in found.notes)
+
+
+def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):
+    own, rules = cell(300, 1, policy=stored.policy), cell(300, 5)
+    of_both = pd.concat(
+        [one.stages.assign(trajectory=one.stages["trajectory"] * 2 + k) for k, one in enumerate((own, rules))]
+    )
+    ends = pd.concat(
+        [
+            one.trajectories.assign(trajectory=one.trajectories["trajectory"] * 2 + k, arm=arm)
+            for k, (one, arm) in enumerate(((own, "policy"), (rules, "rule")))
+        ]
+    )
+    both = Logs(of_both.sort_values("trajectory"), ends.sort_values("trajectory"))
+    found, alone = monitored(stored, both), monitored(stored, own)
+    np.testing.assert_array_equal(found.outcomes.values[::2], alone.outcomes.values)
+    assert np.isnan(found.outcomes.values[1::2]).all()
+    assert found.earned["value"] == pytest.approx(alone.earned["value"])
+    assert "300 trajectories of the rule say nothing of what the policy earns" in found.notes
+    of_rule = monitored(stored, Logs(rules.stages, rules.trajectories.assign(arm="rule")))
+    assert of_rule.earned is None
+
+
+def test_a_share_that_grows_is_no_change_of_the_cell(stored):
+    """The rule comes first, and is never cut."""
+    rules, own = cell(400, 5), cell(300, 1, policy=stored.policy)
+    rules = rules.select(rules.trajectory_ids[rules.is_finished])
+    ends = pd.concat([rules.trajectories, own.trajectories.assign(trajectory=own.trajectories["trajectory"] + 1000)])
+    stages = pd.concat([rules.stages, own.stages.assign(trajectory=own.stages["trajectory"] + 1000)])
+    assert monitored(stored, Logs(stages, ends)).findings
+    dealt = ends.assign(arm=np.where(ends["trajectory"] < 1000, "rule", "policy"))
+    assert monitored(stored, Logs(stages, dealt)).findings == ()
 
 
 def test_a_folder_that_keeps_less_watches_less_and_one_that_keeps_nothing_is_refused(stored):

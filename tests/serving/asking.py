@@ -17,8 +17,7 @@ def client_of(
     policy, folder=None, *, of_tables=False, token=None, largest_bytes=None, law=None, served=None, **answering
 ):
     """Ask a server that records into a folder, if one is given."""
-    keeps = {"is_of_tables": of_tables, "keeps_events": "comparison" in answering}
-    recorded = nullcontext() if folder is None else RecordedTrajectories(folder, **keeps)
+    recorded = nullcontext() if folder is None else RecordedTrajectories(folder, is_of_tables=of_tables)
     with recorded as trajectories:
         options = {"extrapolates": of_tables, "law": law, **(served or {})}
         served = Served(policy, Answering(**answering, trajectories=trajectories), **options)

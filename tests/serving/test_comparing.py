@@ -11,7 +11,7 @@ from test_stepping_back import decided, learned
 from halfseen.cli.serve import serve
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import read_logs
-from halfseen.monitoring.dealing import Terms
+from halfseen.monitoring.dealing import Terms, standing
 from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
 from halfseen.serving import comparing
@@ -43,16 +43,20 @@ def cell(flat, tmp_path):
     return begin
 
 
-def run(client, rng, num, gain=0.0, cut=0.0):
+def run(client, rng, num, gain=0.0, cut=0.0, *, is_clocked=True):
     """Trajectories of two stages; the policy's earn more by so much."""
+
+    def clock(elapsed_s):
+        return {"elapsed_s": elapsed_s} if is_clocked else {}
+
     for _ in range(num):
         for stage in (1, 2):
             told = decided(client, x1=float(rng.normal()), x2=int(rng.integers(3)))
-            reward = float(rng.random()) + (gain if told["arm"] == "policy" and stage == 2 else 0.0)
-            client.post("/reward", json={"reward": reward, "elapsed_s": float(stage)})
+            reward = float(rng.random()) + (gain if told.get("arm") != "rule" and stage == 2 else 0.0)
+            client.post("/reward", json={"reward": reward, **clock(float(stage))})
         is_cut = rng.random() < cut
         end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished"}
-        client.post("/end", json={**end, "elapsed_s": 2.5})
+        client.post("/end", json={**end, **clock(2.5)})
 
 
 def test_a_log_that_cannot_be_read_is_no_beginning(cell, tmp_path, monkeypatch):
@@ -66,11 +70,12 @@ def test_a_log_that_cannot_be_read_is_no_beginning(cell, tmp_path, monkeypatch):
         cell()
 
 
-def test_the_log_says_which_arm_with_which_chance_and_a_server_that_begins_again_goes_on(cell, tmp_path):
+@pytest.mark.parametrize("is_clocked", [True, False])
+def test_the_log_says_which_arm_with_which_chance_and_a_server_that_begins_again_goes_on(cell, tmp_path, is_clocked):
     rng = np.random.default_rng(0)
     compared, _, client = cell()
     with client as asked:
-        run(asked, rng, 30, cut=0.3)
+        run(asked, rng, 30, cut=0.3, is_clocked=is_clocked)
         told, live = asked.get("/comparison").json(), compared.standing
         assert asked.get("/health").json()["comparison"] == told
         decided(asked, x1=0.1, x2=1)
@@ -86,7 +91,7 @@ def test_the_log_says_which_arm_with_which_chance_and_a_server_that_begins_again
     with client as asked:
         deals = [again.dealt().is_policys for _ in range(3)]
         assert deals == [np.random.default_rng([3, 31]).random() < again.standing.share] * 3
-    assert live == compared.standing
+    assert live == compared.standing == standing(first, compared.terms)
 
 
 def test_probabilities_are_those_of_both_arms_together(cell, tmp_path, flat):

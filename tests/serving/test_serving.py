@@ -115,6 +115,11 @@ def test_with_a_token_only_who_has_it_is_answered_and_what_is_too_large_is_refus
             assert "Authorization: Bearer" in refused(client.get("/health", headers=given), 401)
         client.headers |= {"authorization": "Bearer secret-of-16-let", "host": "cell-3"}
         assert client.get("/health").json()["kind"] == "flat"
+        # A browser brings it as a password, for what changes nothing.
+        for password, status in (("secret-of-16-let", 200), ("other", 401), ("", 401)):
+            assert client.get("/", auth=("anyone", password)).status_code == status
+        refused(client.post("/reload", auth=("anyone", "secret-of-16-let")), 401)
+        refused(client.get("/", headers={"authorization": "Basic secret!"}), 401)
         # Whether it says how large it is or not.
         for large in (b" " * 101, (b" " * 60 for _ in range(2))):
             answer = client.post("/decide", content=large, headers={"content-type": "application/json"})
@@ -269,7 +274,7 @@ def test_the_description_tells_what_can_be_asked(asked):
     assert api["components"]["schemas"]["Decided"]["properties"]["action"]["enum"] == ["A", "B", "C"]
     (example,) = taken["examples"]
     assert asked.post("/decide", json=example).status_code == 200
-    assert list(api["paths"]) == ["/decide", "/reload", "/health"]
+    assert list(api["paths"]) == ["/decide", "/reload", "/health", "/state"]
 
 
 @pytest.mark.parametrize("policy", ["flat", "tables"])
@@ -326,8 +331,8 @@ def test_a_field_that_a_model_does_not_take_is_named_with_its_value_and_the_reme
 
 def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_of_a_trajectory(tables, tmp_path):
     with client_of(tables, tmp_path / "logs", of_tables=True) as client:
-        api, page = client.get("/openapi.json").json(), client.get("/")
-    assert list(api["paths"]) == ["/decide", "/reward", "/end", "/reload", "/health"]
+        api, page = client.get("/openapi.json").json(), client.get("/api")
+    assert list(api["paths"]) == ["/decide", "/reward", "/end", "/reload", "/health", "/state"]
     places = [page.text.index(address) for address in api["paths"]]
     assert places == sorted(places)
     assert "A file of what the camera sees" in page.text
@@ -386,6 +391,6 @@ def test_what_comes_too_slowly_is_refused():
     async def refuse(refusal, scope, receive, send):
         sent.append(refusal)
 
-    scope = {"type": "http", "headers": [(b"host", b"localhost")]}
+    scope = {"type": "http", "method": "POST", "headers": [(b"host", b"localhost")]}
     asyncio.run(Bounded(never, refuse, None, 100, slowest_s=0.01)(scope, never, send))
     assert [one.status for one in sent] == [408]

@@ -87,6 +87,14 @@ class _ShareOrTable(click.ParamType):
     show_default=True,
     help="How long to wait for the policy until the rule decides [s].",
 )
+@click.option(
+    "--monitor-every",
+    type=click.FloatRange(0.0, 86400.0),
+    default=30.0,
+    show_default=True,
+    help="Of --record: how long to wait at least until what is earned is held against the promise again, in a process "
+    "of its own [s]; 0 for never.",
+)
 @options.seed("draws of --explore and deals of --against")
 def serve(
     policy: Path,
@@ -103,13 +111,14 @@ def serve(
     share: float,
     most_loss: float | None,
     time_limit: float,
+    monitor_every: float,
     seed: int,
 ) -> None:
     """Answer what `halfseen act` answers, over HTTP, by the policy in the folder POLICY. Needs the extra serve.
 
     POST /decide takes the covariates of a stage as a JSON object; for a policy of tables {"objects": [...]}, as a stage
-    of a log has them, or a cloud as multipart. GET /health tells that it answers; GET / and /openapi.json tell what can
-    be asked. POST /reload, or the signal SIGHUP, reads the folder again.
+    of a log has them, or a cloud as multipart. GET /health tells that it answers; / is a page of the running cell; /api
+    and /openapi.json tell what can be asked. POST /reload, or the signal SIGHUP, reads the folder again.
 
     With --record, each decision begins a stage of a log, with its probability; POST /reward completes it, and POST /end
     ends its trajectory: {"ending": "finished"}, or {"ending": "cut", "cause": "operator"}. A cloud is then put where
@@ -130,7 +139,9 @@ def serve(
     from halfseen.serving.comparing import Comparison
     from halfseen.serving.limits import bound_socket
     from halfseen.serving.limits import serve as answer
+    from halfseen.serving.recent import Recent
     from halfseen.serving.recording import RecordedTrajectories
+    from halfseen.serving.watching import Watch
 
     _check_token(host, token)
     if against is not None and record is None:
@@ -139,15 +150,15 @@ def serve(
     served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
-    is_table, is_compared = served.service.stored.is_table, against is not None
+    is_table = served.service.stored.is_table
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
-        nullcontext()
-        if record is None
-        else RecordedTrajectories(record, is_of_tables=is_table, keeps_events=is_compared) as trajectories,
+        nullcontext() if record is None else RecordedTrajectories(record, is_of_tables=is_table) as trajectories,
+        nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, _said) as watch,
     ):
-        served.answering = Answering(epsilon, table, np.random.default_rng(seed), trajectories)
+        rng, recent = np.random.default_rng(seed), Recent(watch)
+        served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:
             held = Comparison(served.service, against, record, Terms(share, most_loss), seed, _said)
             served.answering = replace(served.answering, comparison=held)

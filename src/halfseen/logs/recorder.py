@@ -176,24 +176,19 @@ def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
     return Logs(**tables_of([trajectory]))
 
 
-def ended_log(events: Sequence[dict[str, Any]]) -> Logs:
-    """Give the log of one trajectory that has ended.
+def ended_rows(events: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any]]]:
+    """Give the rows of one trajectory that has ended, by their table, as its log has them.
 
     Parameters
     ----------
     events
         Of the trajectory, as `TrajectoryRecorder.events` has them.
-
-    Raises
-    ------
-    LogError
-        What happened is none that a log takes.
     """
     first, *others = events
     trajectory = RecordedTrajectory(first)
     for event in others:
         trajectory.add(event)
-    return Logs(**tables_of([trajectory]))
+    return trajectory.rows
 
 
 class TrajectoryRecorder:

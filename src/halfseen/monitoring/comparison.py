@@ -93,10 +93,45 @@ class _Learned(NamedTuple):
     range: tuple[float, float]
 
 
+class _Wealth(NamedTuple):
+    """Of who bets on one gain and side."""
+
+    num: int
+    """Trajectories that were bet on."""
+    largest: float
+    """Of what they brought beside that gain, either way [reward]."""
+    of_bets: Float[np.ndarray, " 4"]
+    """Logarithm of the wealth of each of `BETS` now."""
+    best: float
+    """Largest logarithm of the wealth of all so far."""
+
+
+class Kept:
+    """What a comparison that goes on need not work out again; nothing that comes out depends on it."""
+
+    def __init__(self) -> None:
+        self.learned: dict[int, _Learned] = {}
+        self._wealth: dict[tuple[float, int], _Wealth] = {}
+        self._before = self._wealth
+
+    def begin(self) -> None:
+        """Ask for bounds again: from now on, wealth that nobody asked for since the last time is forgotten."""
+        self._before, self._wealth = self._wealth, {}
+
+    def best(self, of: Counted, gain: float, side: int) -> float:
+        """Largest logarithm of the wealth so far, as `log_wealth` has it; `of` has grown, if it changed."""
+        asked = gain, side
+        known = self._wealth.get(asked) or self._before.get(asked) or _begun(of, gain)
+        if known.num < len(of.excess):
+            known = _gone_on(of, gain, side, known)[1]
+        self._wealth[asked] = known
+        return known.best
+
+
 NOTHING = Counted(*np.zeros((4, 0)))
 
 
-def counted(courses: Courses, known: Counted = NOTHING) -> Counted:
+def counted(courses: Courses, known: Counted = NOTHING, kept: Kept | None = None) -> Counted:
     """Weigh trajectories, each by those before it alone: the more there are, what the first ones add stays the same.
 
     Parameters
@@ -105,7 +140,10 @@ def counted(courses: Courses, known: Counted = NOTHING) -> Counted:
         All of them.
     known
         What was found of the first of them, which is not worked out again.
+    kept
+        What was learned from them.
     """
+    kept = Kept() if kept is None else kept
     arm = np.cumsum(courses.is_policy)
     enough = np.flatnonzero(np.minimum(arm, np.arange(1, courses.num + 1) - arm) >= FEWEST_OF_EITHER)
     begin = int(enough[0]) + 1 if len(enough) else courses.num
@@ -113,7 +151,9 @@ def counted(courses: Courses, known: Counted = NOTHING) -> Counted:
     while begin < courses.num:
         end = min(courses.num, max(begin + 1, int(MORE * begin)))
         if end > done:
-            parts.append(_added(_learned(courses.part(0, begin)), courses.part(max(begin, done), end)))
+            if begin not in kept.learned:
+                kept.learned = {begin: _learned(courses.part(0, begin))}
+            parts.append(_added(kept.learned[begin], courses.part(max(begin, done), end)))
         begin = end
     return Counted(*(np.concatenate(each) for each in zip(*parts, strict=True)))
 
@@ -181,7 +221,8 @@ def _added(learned: _Learned, new: Courses) -> Counted:
     first = np.searchsorted(new.trajectory, np.arange(new.num))
     columns = (_columns(new) - learned.centre) / learned.spread
     features = np.column_stack([np.ones(len(columns)), columns])
-    values = np.clip(learned.coefficients @ features.T, *learned.range)
+    # A sum of its own for each row: with others beside it, a product of matrices differs in the last bit.
+    values = np.clip((learned.coefficients[:, None] * features).sum(axis=2), *learned.range)
     arm, goes_on = new.is_policy[new.trajectory], _goes_on(new)
     own = np.where(arm, values[1], values[0])
     after = np.where(goes_on, np.roll(own, -1), 0.0)
@@ -203,14 +244,28 @@ def log_wealth(of: Counted, gain: float, side: int = 1) -> Float[np.ndarray, " n
     side
         1, or −1 for who bets that it gains less.
     """
-    beside = of.excess - gain * of.share
-    # The first says what is large alone; what is larger than ever is lowered, whichever arm it is of.
-    largest = np.maximum.accumulate(np.abs(beside))[:-1]
-    lowered = np.clip(beside[1:], -largest, largest) / np.where(largest > 0.0, largest, 1.0)
-    outcome = side * of.bet_on[1:] * lowered / np.maximum(of.chance, 1.0 - of.chance)[1:]
-    wealth = np.cumsum(np.log1p(BETS[:, None] * outcome), axis=1)
-    top = wealth.max(axis=0) if wealth.size else np.zeros(0)
-    return np.append(np.zeros(min(len(beside), 1)), top + np.log(STAKES @ np.exp(wealth - top)))
+    return np.append(np.zeros(min(len(of.excess), 1)), _gone_on(of, gain, side, _begun(of, gain))[0])
+
+
+def _begun(of: Counted, gain: float) -> _Wealth:
+    """The first trajectory says what is large alone."""
+    first = np.abs(of.excess[:1] - gain * of.share[:1])
+    return _Wealth(len(first), float(first.sum()), np.zeros(len(BETS)), 0.0)
+
+
+def _gone_on(of: Counted, gain: float, side: int, known: _Wealth) -> tuple[Float[np.ndarray, " k"], _Wealth]:
+    """Logarithm of the wealth after each of the k trajectories that come after those that were bet on."""
+    beside = of.excess[known.num :] - gain * of.share[known.num :]
+    # What is larger than ever is lowered, whichever arm it is of.
+    largest = np.maximum.accumulate(np.append(known.largest, np.abs(beside)))
+    lowered = np.clip(beside, -largest[:-1], largest[:-1]) / np.where(largest[:-1] > 0.0, largest[:-1], 1.0)
+    chance = of.chance[known.num :]
+    outcome = side * of.bet_on[known.num :] * lowered / np.maximum(chance, 1.0 - chance)
+    wealth = np.column_stack([known.of_bets, np.log1p(BETS[:, None] * outcome)]).cumsum(axis=1)
+    top = wealth[:, 1:].max(axis=0)
+    after = top + np.log((STAKES[:, None] * np.exp(wealth[:, 1:] - top)).sum(axis=0))
+    best = max(known.best, float(after.max(initial=-np.inf)))
+    return after, _Wealth(len(of.excess), float(largest[-1]), wealth[:, -1], best)
 
 
 def beats_at(of: Counted, gain: float, alpha: float, side: int = 1) -> int | None:
@@ -219,18 +274,19 @@ def beats_at(of: Counted, gain: float, alpha: float, side: int = 1) -> int | Non
     return int(above[0]) + 1 if len(above) else None
 
 
-def bound(of: Counted, alpha: float, side: int = 1) -> float:
+def bound(of: Counted, alpha: float, side: int = 1, kept: Kept | None = None) -> float:
     """Bound the gain from below, or with side −1 from above [reward]; it is passed, ever, with chance `alpha` at most.
 
     ∓∞ where nothing is seen yet.
     """
     if not len(of.excess):
         return -side * np.inf
+    kept, need = Kept() if kept is None else kept, -np.log(alpha)
     far = FARTHEST * float(np.abs(of.excess).max()) + 1e-12
     out, within = -side * far, side * far
-    if beats_at(of, out, alpha, side) is None:
+    if kept.best(of, out, side) < need:
         return -side * np.inf
     for _ in range(NUM_HALVINGS):
         middle = 0.5 * (out + within)
-        out, within = (out, middle) if beats_at(of, middle, alpha, side) is None else (middle, within)
+        out, within = (out, middle) if kept.best(of, middle, side) < need else (middle, within)
     return out

@@ -12,8 +12,11 @@ from typing import Literal
 
 import numpy as np
 
-from halfseen.monitoring.comparison import Counted, Courses, beats_at, bound, counted
+from halfseen.monitoring.comparison import Counted, Courses, Kept, bound, counted
 
+ARM = "arm"
+"""Column of a log's trajectories: to which each was dealt."""
+POLICY, RULE = "policy", "rule"
 PROMOTES, HARMS = 0.025, 0.05
 """Chances of promoting what is no better, and of a loss beyond its bound."""
 LARGEST_SHARE = 0.5
@@ -89,7 +92,7 @@ def _signed(number: float) -> str:
     return f"{number:+.2g}".replace("-", "−")
 
 
-def standing(courses: Courses, terms: Terms, of: Counted | None = None) -> Standing:
+def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Kept | None = None) -> Standing:
     """Work out how a comparison stands.
 
     Parameters
@@ -100,11 +103,16 @@ def standing(courses: Courses, terms: Terms, of: Counted | None = None) -> Stand
         How it is held.
     of
         What they add, where that is known.
+    kept
+        What was worked out of those before them.
     """
     of, num_policy = counted(courses) if of is None else of, int(courses.is_policy.sum())
-    low, high, likely = bound(of, PROMOTES), bound(of, PROMOTES, -1), bound(of, HARMS)
+    kept = Kept() if kept is None else kept
+    kept.begin()
+    low, high, likely = (bound(of, alpha, side, kept) for alpha, side in ((PROMOTES, 1), (PROMOTES, -1), (HARMS, 1)))
     worst = num_policy * min(max(0.0, -likely), float(np.ptp(courses.totals()))) if num_policy else 0.0
-    verdict = _verdict(courses, terms, low, beats_at(of, 0.0, HARMS, -1) is not None, worst)
+    is_harm = len(of.excess) > 0 and bool(kept.best(of, 0.0, -1) >= -np.log(HARMS))
+    verdict = _verdict(courses, terms, low, is_harm, worst)
     share = {"promoted": 1.0, "stopped": 0.0, "going on": _share(courses, terms, likely)}[verdict]
     gain = float(of.bet_on @ of.excess / (of.bet_on @ of.share)) if len(of.excess) else np.nan
     more = _more(of) if verdict == "going on" else None

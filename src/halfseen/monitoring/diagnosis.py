@@ -20,6 +20,8 @@ CLEARLY = 4.0
 
 def differs(part: Stream, at: int) -> str:
     """Say by how much an action differs from what the log says, from one trajectory on."""
+    if part.kind == "swap":
+        return f"covariates {part.about} look swapped"
     return part_words(part.kind, part.about, float(part.residuals[part.trajectory >= at].mean()))
 
 

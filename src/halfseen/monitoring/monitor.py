@@ -21,15 +21,16 @@ from halfseen.monitoring import betting
 from halfseen.monitoring.answer import Finding, Monitored
 from halfseen.monitoring.change_point import ChangePoint, change_point
 from halfseen.monitoring.confidence_sequences import BettingBounds, Course
+from halfseen.monitoring.dealing import ARM, RULE
 from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, moved
 from halfseen.monitoring.joint import pair_payoffs
 from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
 from halfseen.monitoring.relearning import num_needed, relearning
-from halfseen.monitoring.streams import Stream, input_streams, part_streams, whole_stream
+from halfseen.monitoring.streams import Stream, input_streams, own_alone, part_streams, swap_streams, whole_stream
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.folder.promised_parts import own_stages
 from halfseen.policies.shares import action_shares
-from halfseen.shapes import Float
+from halfseen.shapes import Bool, Float
 from halfseen.wording import counted
 
 ALPHAS = {"promise": 0.017, "inputs": 0.004, "parts": 0.004}
@@ -98,6 +99,8 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     looks_at = looks_at_of(policy)
     inputs, parts = input_streams(promise["stages"], logs), part_streams(promise.get("parts", ()), looks_at, logs)
     whole: list[Stream] = []
+    is_own = _is_own(logs)
+    inputs, parts = own_alone(inputs, is_own), own_alone(parts, is_own)
     payoffs = {"inputs": _ranked(inputs, logs, seed), "parts": _ranked(parts, logs, seed + 1)}
     if not isinstance(policy, NamedActionPolicy):
         notes.append("the policy is of tables: nothing is watched but what it earns, and cuts")
@@ -105,14 +108,15 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
         notes.append("the folder keeps no rewards and durations by action, so these are not watched; learn it again")
     else:
         against, num = parts[:-1], logs.num_trajectories
+        against += swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
         payoffs["parts"] = np.concatenate([payoffs["parts"], _against_log(against, num)], axis=1)
-        whole = [whole_stream(parts, promise["parts"], num)] * 2
+        whole = own_alone([whole_stream(parts, promise["parts"], num)] * 2, is_own)
         payoffs["promise"] = np.concatenate([_ranked(whole[:1], logs, seed + 2), _against_log(whole[1:], num)], axis=1)
         parts = [*parts, *against]
     if looks_at.num_features > 1 and promise.get("first_states"):
         joint = _joint(looks_at, logs, promise["first_states"], seed)
         payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
-    outcomes = _outcomes(stored, logs, promise, notes)
+    outcomes = _own_outcomes(stored, logs, is_own, promise, notes)
     if outcomes is not None and promise.get("value"):
         least = np.array([promise["value"]["low"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
@@ -186,6 +190,27 @@ def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed:
     return pair_payoffs(first, np.array(reference), coins)
 
 
+def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
+    """Which trajectories are the policy's; of a comparison, not all."""
+    if ARM not in logs.trajectories:
+        return np.ones(logs.num_trajectories, dtype=bool)
+    return np.asarray(~logs.trajectories[ARM].eq(RULE).fillna(False), dtype=bool)
+
+
+def _own_outcomes(
+    stored: StoredPolicy, logs: Logs, is_own: Bool[np.ndarray, " n"], promise: Any, notes: list[str]
+) -> Outcomes | None:
+    """As `_outcomes`; the rule's trajectories are not looked at."""
+    if is_own.all():
+        return _outcomes(stored, logs, promise, notes)
+    notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
+    own = _outcomes(stored, logs.select(logs.trajectory_ids[is_own]), promise, notes) if is_own.any() else None
+    if own is None:
+        return None
+    place = np.where(is_own, np.cumsum(is_own) - 1, len(own.values))
+    return Outcomes(*(np.append(each, np.nan)[place] for each in own))
+
+
 def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) -> Outcomes | None:
     """What each trajectory adds to what is earned; None, and a note, where that is not the policy's."""
     if promise.get("brings") is None:
@@ -232,8 +257,8 @@ def _earned(outcomes: Outcomes, brings: Any, since: int) -> tuple[Course | None,
     bounds = BettingBounds(low, high, num_points=201)
     lows, highs = np.minimum(outcomes.lows[there], low), np.maximum(outcomes.highs[there], high)
     course = bounds.add(outcomes.values[there], lows, highs)
-    now = outcomes.values[since - 1 :][there[since - 1 :]]
-    value, latest = (float(np.clip(each.mean(), low, high)) for each in (outcomes.values[there], now))
+    every, now = outcomes.values[there], outcomes.values[since - 1 :][there[since - 1 :]]
+    value, latest = (float(np.clip(each.mean(), low, high)) for each in (every, now if len(now) else every))
     return course, {"value": value, "low": bounds.lower, "high": bounds.upper, "since": latest}
 
 

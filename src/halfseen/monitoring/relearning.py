@@ -34,17 +34,17 @@ def num_needed(value: Mapping[str, float] | None, num_learned: int, now: float |
 
     Examples
     --------
-    >>> num_needed({"value": 0.6, "standard_error": 0.1}, 400, 0.2)
+    >>> num_needed({"value": 0.75, "standard_error": 0.125}, 400, 0.5)
+    400
+    >>> num_needed({"value": 0.75, "standard_error": 0.125}, 400, -0.25)
     200
-    >>> num_needed({"value": 0.6, "standard_error": 0.1}, 400, 0.35)
-    256
     """
     if value is None or now is None:
         return FEWEST
     lost = value["value"] - now
-    return (
-        max(FEWEST, int(np.ceil(num_learned * (CLEARLY * value["standard_error"] / lost) ** 2))) if lost > 0 else None
-    )
+    if lost <= 0.0:
+        return None
+    return max(FEWEST, int(np.ceil(num_learned * (CLEARLY * value["standard_error"] / lost) ** 2)))
 
 
 def relearning(num_since: int, since: str | int, needed: int | None, own: float) -> str:

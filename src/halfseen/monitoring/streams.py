@@ -6,7 +6,8 @@ held against both, given the state.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Any, Literal
 
 import numpy as np
@@ -16,15 +17,18 @@ from pandas.api.types import is_numeric_dtype
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.policies.folder.promised_parts import WHATS, expanded_as, outcome_rows, residuals
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Bool, Float, Int
 
-Kind = Literal["input", "reward", "duration", "cut"]
+Kind = Literal["input", "reward", "duration", "cut", "swap"]
 
 ERRORS, MISFIT = 2.0, 0.1
 """What a mean residual may be off: so many standard errors of the log's model, whose line may be bent by a tenth of the
 residuals' deviation."""
 LEAST_DEVIATION = 0.1
 """Of the largest among the actions: what always brought the same may now bring a little else."""
+MOST_PAIRS = 15
+"""Of covariates that may be swapped; others differ so much that each shows it by itself."""
+_NOTHING = (np.zeros(0), np.zeros(0), np.zeros(0, dtype=int))
 
 
 @dataclass(frozen=True)
@@ -36,7 +40,7 @@ class Stream:
     kind
         What it is of.
     about
-        The covariate, or the action; "" for cuts.
+        The covariate, or the action, or the two covariates that may be swapped; "" for cuts.
     stage
         Of a covariate.
     values
@@ -80,6 +84,8 @@ class Stream:
         """In words."""
         if self.kind == "input":
             return f"{self.about} in stage {self.stage}"
+        if self.kind == "swap":
+            return f"{self.about} swapped"
         return "cuts" if self.kind == "cut" else f"{self.kind} of {self.about}"
 
 
@@ -129,19 +135,90 @@ def whole_stream(streams: list[Stream], parts: Any, num: int) -> Stream:
         for stream, part in zip(streams, parts, strict=False)
         if part["what"] == "reward" and part["deviation"] >= LEAST_DEVIATION * largest
     ]
-    trajectory = np.concatenate([stream.trajectory for stream, _ in some])
+    pieces = [(stream.residuals, stream.tolerance, stream.trajectory) for stream, _ in some]
+    knots = np.unique(np.concatenate([part["residuals"]["values"] for _, part in some]))
+    reach, num_states = max(stream.reach for stream, _ in some), sum(part["num_states"] for _, part in some)
+    return _together("reward", "what is done", pieces, knots, num, reach, num_states)
+
+
+def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: Logs, first: Any) -> list[Stream]:
+    """Residuals of rewards, of each two covariates, turned to where a swap of the two would drive them.
+
+    Let the model be off by at most its tolerance ε, and say Δ more of a state, had the two changed places. Then the
+    residual r has E[sign(Δ) r | state] ≤ ε; if they did change places, it is |Δ|. Only states with |Δ| > 2ε count.
+
+    Parameters
+    ----------
+    streams
+        Of the parts.
+    parts
+        Models of the log.
+    looks_at
+        Covariates that they look at.
+    logs
+        The log of the service.
+    first
+        Covariates of the first stage of the log that was learned from, as `input_streams` takes them.
+    """
+    rows, rewards = outcome_rows(logs), [pair for pair in zip(parts, streams, strict=False) if _pays(pair[0])]
+    frames = [rows[rows["action"].astype(str) == part["action"]] for part, _ in rewards]
+    reach, num_states = max((of.reach for _, of in rewards), default=1.0), sum(of.num_states for _, of in rewards)
+    found = []
+    for one, other in swappable(first, looks_at):
+        pieces = []
+        for (part, stream), some in zip(rewards, frames, strict=True):
+            turned = part_residuals(part, looks_at, some.assign(**{one: some[other], other: some[one]}))
+            more = stream.residuals - turned
+            tells = np.abs(more) > 2.0 * stream.tolerance
+            values = (np.sign(more) * stream.residuals, stream.tolerance, stream.trajectory)
+            pieces.append(tuple(each[tells] for each in values))
+        about = f"{one} and {other}"
+        found.append(_together("swap", about, pieces, np.zeros(0), logs.num_trajectories, reach, num_states))
+    return found
+
+
+def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:
+    """Pairs of numbers that differ from state to state, those first whose distributions are most alike."""
+    seen = {name: one for each in first if each["stage"] == 1 for name, one in each["covariates"].items()}
+    numbers = [name for name in looks_at.columns if len(seen.get(name, {}).get("values") or ()) > 1]
+
+    def apart(pair: tuple[str, str]) -> float:
+        one, other = (seen[name] for name in pair)
+        at = np.union1d(one["values"], other["values"])
+        below = [np.interp(at, each["values"], each["below"], left=0.0) for each in (one, other)]
+        return float(np.abs(below[0] - below[1]).max())
+
+    return sorted(combinations(numbers, 2), key=apart)[:MOST_PAIRS]
+
+
+def _pays(part: Any) -> bool:
+    """Whether a part is of rewards that differ."""
+    return part["what"] == "reward" and part["deviation"] > 0.0
+
+
+def _together(
+    kind: Kind, about: str, pieces: Any, knots: np.ndarray, num: int, reach: float, num_states: int
+) -> Stream:
+    """Residuals, tolerances and trajectories of several parts, in the order of trajectories."""
+    left, tolerance, trajectory = (np.concatenate(each) for each in zip(*pieces, strict=True)) if pieces else _NOTHING
     # Within a trajectory the order does not matter.
     order = np.argsort(trajectory, kind="stable")
-    left, tolerance = (
-        np.concatenate([getattr(stream, name) for stream, _ in some])[order] for name in ("residuals", "tolerance")
-    )
-    total = pd.Series(left).groupby(trajectory[order]).sum()
+    left, tolerance, trajectory = left[order], tolerance[order], trajectory[order]
+    total = pd.Series(left).groupby(trajectory).sum()
     values = _spread(total, total.index, num, np.nan)
-    knots = np.unique(np.concatenate([part["residuals"]["values"] for _, part in some]))
     bins = np.where(np.isnan(values), -1, np.searchsorted(knots, values, side="left"))
     own = (values, bins, np.zeros(len(knots) + 1), True)
-    limits = tolerance, max(stream.reach for stream, _ in some), sum(part["num_states"] for _, part in some)
-    return Stream("reward", "what is done", None, *own, left, trajectory[order], *limits)
+    return Stream(kind, about, None, *own, left, trajectory, tolerance, reach, num_states)
+
+
+def own_alone(streams: list[Stream], is_own: Bool[np.ndarray, " n"]) -> list[Stream]:
+    """Leave others' trajectories out of what is held against the service so far, which depends on who decides."""
+    return [
+        one
+        if one.is_against_log
+        else replace(one, values=np.where(is_own, one.values, np.nan), bins=np.where(is_own, one.bins, -1))
+        for one in streams
+    ]
 
 
 def _tolerance(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Float[np.ndarray, " m"]:

@@ -15,6 +15,7 @@ import numpy as np
 from msgspec import UNSET
 
 from halfseen.errors import HalfseenError, OutOfRangeError
+from halfseen.monitoring.dealing import POLICY, RULE
 from halfseen.policies import decider_of, read_policy
 from halfseen.policies.decision import Decider, Decision
 from halfseen.policies.exploration_table import ExplorationTable
@@ -24,8 +25,9 @@ from halfseen.policies.folder.record import as_json
 from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
 from halfseen.policies.named_decider import NamedDecider, checked_stage, completed, known_covariates
 from halfseen.policies.ranges import middle_of
-from halfseen.serving.comparing import POLICY, RULE, Comparison
+from halfseen.serving.comparing import Comparison
 from halfseen.serving.models import BODY, Cloud, Decided, Refusal, Table, model_of
+from halfseen.serving.recent import Recent
 from halfseen.serving.recording import Begun, RecordedTrajectories, Taken, chance_of, taken, uniform_shares
 from halfseen.serving.stepping_back import SteppedBack, Tally, decided_by_rule
 
@@ -278,6 +280,8 @@ class Answering:
         How often the rule decided.
     comparison
         Deals trajectories to the policy or the rule of today; None where all are the policy's.
+    recent
+        What happened last.
     """
 
     epsilon: float = 0.0
@@ -286,6 +290,7 @@ class Answering:
     trajectories: RecordedTrajectories | None = None
     tally: Tally = field(default_factory=Tally)
     comparison: Comparison | None = None
+    recent: Recent = field(default_factory=Recent)
 
     def answer(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Decided:
         """Put what the policy decides, or what the rule does in its place, into an answer.
@@ -355,12 +360,15 @@ class Answering:
         Refusal
             It cannot be recorded; then nothing was decided.
         """
-        if self.trajectories is None:
-            return reply
         begun, comparison = seen.begun, self.comparison
+        if self.trajectories is None:
+            self.recent.decided(begun.covariates, reply)
+            return reply
         if comparison is not None:
             begun = replace(begun, columns={**begun.columns, **comparison.columns()})
         name = self.trajectories.decided(begun, reply)
         if comparison is not None:
             comparison.dealt().took()
-        return msgspec.structs.replace(reply, trajectory=name)
+        reply = msgspec.structs.replace(reply, trajectory=name)
+        self.recent.decided(begun.covariates, reply)
+        return reply

@@ -28,9 +28,10 @@ from halfseen.policies.decision import Decision
 from halfseen.reading import json_of
 from halfseen.serving import models
 from halfseen.serving.answering import Answering, InService, Seen, seen_in_cloud, seen_in_state, taken_into_service
+from halfseen.serving.cell_page import SECURITY, cell_of, page_of
 from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, cloud_in
 from halfseen.serving.models import Decided, Refusal, model_of
-from halfseen.serving.openapi import FORM, JSON, described, page_of
+from halfseen.serving.openapi import FORM, JSON, described, description_of
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.stepping_back import SteppedBack, asked, late
 
@@ -183,6 +184,8 @@ def app_of(served: Served, token: str | None = None, *, largest_bytes: int | Non
         "/health": ("GET", _health),
         "/comparison": ("GET", _comparison),
         "/openapi.json": ("GET", _openapi),
+        "/api": ("GET", _description),
+        "/state": ("GET", _state),
         "/": ("GET", _page),
     }
     routes = [Route(path, _answering(partial(answer, served)), methods=[how]) for path, (how, answer) in asked.items()]
@@ -245,6 +248,7 @@ async def _end(served: Served, request: Request) -> models.Ended:
         ended = recording.ended(given.cause, given.elapsed_s)
         if comparison is not None:
             await run_in_threadpool(comparison.ended, recording.events)
+        served.answering.recent.ended(recording.events)
         return ended
 
 
@@ -273,9 +277,18 @@ async def _openapi(served: Served, request: Request) -> dict[str, Any]:
     return described(served.service, is_recording=is_recording, is_comparing=is_comparing)
 
 
-async def _page(served: Served, request: Request) -> Response:
+async def _description(served: Served, request: Request) -> Response:
     policy = "default-src 'none'; style-src 'unsafe-inline'"
-    return HTMLResponse(page_of(await _openapi(served, request)), headers={"Content-Security-Policy": policy})
+    return HTMLResponse(description_of(await _openapi(served, request)), headers={"Content-Security-Policy": policy})
+
+
+async def _state(served: Served, request: Request) -> models.Cell:
+    return cell_of(served.service, served.answering)
+
+
+async def _page(served: Served, request: Request) -> Response:
+    page = page_of(await _state(served, request), served.answering)
+    return HTMLResponse(page, headers={"Content-Security-Policy": SECURITY})
 
 
 async def _object(request: Request) -> dict[str, Any]:
@@ -312,11 +325,11 @@ async def _refused(refusal: Refusal, scope: Any, receive: Any, send: Any) -> Non
     # What is left of the request is not read.
     response.headers["connection"] = "close"
     if refusal.status == 401:
-        response.headers["www-authenticate"] = "Bearer"
+        response.headers["www-authenticate"] = 'Basic realm="halfseen"' if scope["method"] == "GET" else "Bearer"
     await response(scope, receive, send)
 
 
 async def _no_address(request: Request, error: Exception) -> Response:
     status = error.status_code if isinstance(error, HTTPException) else 500
     trouble = "there is nothing at this address" if status == 404 else f"{request.method} is not answered here"
-    return _error(Refusal(status, f"{request.url.path[:80]}: {trouble}; / lists what there is"))
+    return _error(Refusal(status, f"{request.url.path[:80]}: {trouble}; /api lists what there is"))

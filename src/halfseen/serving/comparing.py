@@ -7,7 +7,7 @@ stages is that of a log of both arms, and learning and evaluation by it stay rig
 """
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
@@ -19,18 +19,19 @@ import numpy as np
 from halfseen.errors import NothingRecordedError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs, read_logs
-from halfseen.logs.recorder import ended_log
-from halfseen.monitoring.comparison import Courses, counted
-from halfseen.monitoring.dealing import Standing, Terms, standing
+from halfseen.logs.columns import FINISHED
+from halfseen.logs.recorder import ended_rows
+from halfseen.monitoring.comparison import Courses, Kept, counted
+from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
 from halfseen.policies.fall_back import FallBack, fall_back_of
 from halfseen.reading import read_bytes
 from halfseen.serving.models import Compared
+from halfseen.shapes import Float
 
 if TYPE_CHECKING:
     from halfseen.serving.answering import InService
 
-ARM, CHANCE, COMPARISON = "arm", "policy_chance", "comparison"
-POLICY, RULE = "policy", "rule"
+CHANCE, COMPARISON = "policy_chance", "comparison"
 
 
 @dataclass
@@ -95,8 +96,9 @@ class Comparison:
     def __post_init__(self) -> None:
         self.deal: Deal | None = None
         self.courses = self._recorded()
-        self.counted = counted(self.courses)
-        self.standing: Standing = standing(self.courses, self.terms, self.counted)
+        self.kept = Kept()
+        self.counted = counted(self.courses, kept=self.kept)
+        self.standing: Standing = standing(self.courses, self.terms, self.counted, self.kept)
 
     @cached_property
     def rule(self) -> FallBack:
@@ -130,12 +132,12 @@ class Comparison:
     def ended(self, events: Sequence[dict[str, Any]]) -> None:
         """Count a trajectory that is over, as the log has it."""
         self.deal = None
-        new = courses_of(ended_log(events), self.policy, self.name)
-        if not new.num:
+        rows = ended_rows(events)
+        if rows["trajectories"][0].get(COMPARISON) != self.name:
             return
-        before, self.courses = self.standing.verdict, joined(self.courses, new)
-        self.counted = counted(self.courses, self.counted)
-        self.standing = standing(self.courses, self.terms, self.counted)
+        before, self.courses = self.standing.verdict, joined(self.courses, course_of(rows, self.policy))
+        self.counted = counted(self.courses, self.counted, self.kept)
+        self.standing = standing(self.courses, self.terms, self.counted, self.kept)
         if self.standing.verdict != before:
             self.say(f"the policy is {self.standing}")
 
@@ -186,15 +188,49 @@ def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
     stages = stages.iloc[np.argsort(stages["trajectory"].map(number).to_numpy(), kind="stable")]
     for text, known in policy.categories.items():
         stages = stages.assign(**{text: stages[text].where(stages[text].isin(list(known)), known[0])})
-    return Courses(
+    courses = Courses(
         is_policy=trajectories[ARM].eq(POLICY).to_numpy(dtype=bool),
         chance=trajectories[CHANCE].to_numpy(dtype=np.float64),
         end_s=trajectories["end_s"].to_numpy(dtype=np.float64),
-        is_finished=trajectories["ending"].eq("finished").to_numpy(dtype=bool),
+        is_finished=trajectories["ending"].eq(FINISHED).to_numpy(dtype=bool),
         trajectory=stages["trajectory"].map(number).to_numpy(dtype=np.int64),
         state=policy.looks_at.encode(stages) if len(stages) else np.zeros((0, num_features)),
         reward=stages["reward"].to_numpy(dtype=np.float64),
         clock_s=stages["elapsed_s"].to_numpy(dtype=np.float64),
+    )
+    # Laid out as they are where trajectories come one by one: else products of matrices differ in the last bit.
+    return Courses(*map(np.ascontiguousarray, courses))
+
+
+def course_of(rows: Mapping[str, Sequence[Mapping[str, Any]]], policy: DiscretePolicy) -> Courses:
+    """Take one trajectory from its rows, as `courses_of` does from the log.
+
+    Parameters
+    ----------
+    rows
+        As `ended_rows` gives them.
+    policy
+        Whose covariates count.
+    """
+    (trajectory,), stages = rows["trajectories"], rows["stages"]
+    first = {text: known[0] for text, known in policy.categories.items()}
+    seen = [
+        {**row, **{text: first[text] for text in first if not policy.looks_at.is_known(text, row.get(text))}}
+        for row in stages
+    ]
+
+    def numbers(name: str) -> Float[np.ndarray, " m"]:
+        return np.array([row[name] for row in stages], dtype=np.float64)
+
+    return Courses(
+        is_policy=np.array([trajectory[ARM] == POLICY]),
+        chance=np.array([trajectory[CHANCE]], dtype=np.float64),
+        end_s=np.array([trajectory["end_s"]], dtype=np.float64),
+        is_finished=np.array([trajectory["ending"] == FINISHED]),
+        trajectory=np.zeros(len(stages), dtype=np.int64),
+        state=policy.looks_at.encode_known(seen),
+        reward=numbers("reward"),
+        clock_s=numbers("elapsed_s"),
     )
 
 

@@ -4,6 +4,8 @@ The server is on one port, until somebody interrupts.
 """
 
 import asyncio
+import base64
+import binascii
 import contextlib
 import hmac
 import signal
@@ -71,7 +73,7 @@ class Bounded:
             return
         try:
             headers = dict(scope["headers"])
-            self._check_asker(headers)
+            self._check_asker(scope["method"], headers)
             self._check_stated_size(headers)
             try:
                 async with asyncio.timeout(self._slowest_s):
@@ -85,12 +87,12 @@ class Bounded:
         if body is not None:
             await self._app(scope, _given_once(body, receive), send)
 
-    def _check_asker(self, headers: dict[bytes, bytes]) -> None:
+    def _check_asker(self, method: str, headers: dict[bytes, bytes]) -> None:
         if self._token is None:
             name = headers.get(b"host", b"").decode("latin-1")
             if (name if name.endswith("]") else name.rpartition(":")[0] or name) not in OF_THIS_MACHINE:
                 raise Refusal(403, f"host is {name!r}; this server is asked as {' or '.join(OF_THIS_MACHINE)}")
-        elif not hmac.compare_digest(headers.get(b"authorization", b""), b"Bearer " + self._token.encode()):
+        elif not hmac.compare_digest(_token_in(method, headers.get(b"authorization", b"")), self._token.encode()):
             raise Refusal(401, "the token is missing or another; send the header Authorization: Bearer TOKEN")
 
     def _check_stated_size(self, headers: dict[bytes, bytes]) -> None:
@@ -114,6 +116,15 @@ class Bounded:
 
     def _too_large(self) -> Refusal:
         return Refusal(413, f"the request has more than {self._largest_bytes:,} bytes; send less")
+
+
+def _token_in(method: str, given: bytes) -> bytes:
+    """The token of a header; of a page a browser brings it as a password, and never where it would decide."""
+    scheme, _, token = given.partition(b" ")
+    if scheme == b"Basic" and method == "GET":
+        with contextlib.suppress(binascii.Error):
+            return base64.b64decode(token, validate=True).partition(b":")[2]
+    return token if scheme == b"Bearer" else b""
 
 
 def _given_once(body: bytes, receive: Receive) -> Receive:

@@ -158,6 +158,36 @@ class Compared(Struct, frozen=True, kw_only=True):
     more: Annotated[int | None, _is("About how many trajectories more decide; null if nobody knows.")]
 
 
+class Recorded(Struct, frozen=True, kw_only=True):
+    """A trajectory of the log."""
+
+    trajectory: Trajectory
+    arm: Arm | UnsetType = UNSET
+    stages: Annotated[int, _is("That it began.")]
+    stepped_back: Annotated[int, _is("Of these, where the rule decided in the policy's place.")]
+    reward: Annotated[float, _is("That it brought while it was seen.")]
+    ending: Literal["finished", "cut"]
+    cause: Annotated[str | None, _is("What cut it.")]
+
+
+class Cell(Struct, frozen=True, kw_only=True):
+    """All that the page of the running cell shows but its figures."""
+
+    sentence: Annotated[str, _is("What matters most, in words.")]
+    revision: Annotated[str, _is("Another whenever anything but an age is.")]
+    policy: Digest
+    decision: Annotated[Decided | None, _is("The last one; null before the first.")]
+    seen: Annotated[dict[str, Any], _is("Covariates that it was about.")]
+    rule: StepBacks
+    recording: Progress | UnsetType = UNSET
+    comparison: Compared | UnsetType = UNSET
+    trajectories: Annotated[list[Recorded], _is("The last ones that ended since the server began, the newest first.")]
+    monitor: Annotated[
+        dict[str, Any] | None,
+        _is("What halfseen monitor said last of the log, age_s ago [s]; null if nothing yet."),
+    ]
+
+
 class Health(Struct, frozen=True):
     """That a server answers, and what."""
 

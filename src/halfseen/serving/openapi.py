@@ -39,6 +39,7 @@ def described(service: InService, *, is_recording: bool, is_comparing: bool = Fa
         ("/end", "post", "End the trajectory in progress; what was cut has a cause.", models.Ended, {JSON: models.End}),
         ("/reload", "post", "Read the policy's folder again.", models.Reloaded, {}),
         ("/health", "get", "Say that it answers, and what.", models.Health, {}),
+        ("/state", "get", "Say all that the page of the running cell shows.", models.Cell, {}),
         ("/comparison", "get", "Say how the policy stands against the rule.", models.Compared, {}),
     ]
     others = () if is_recording else ("/reward", "/end")
@@ -95,7 +96,7 @@ def _covariate(categories: Any, seen: Any, may_lack: bool) -> Schema:
     return {"type": ["number", "null"] if may_lack else "number", "description": f"A number{known}."}
 
 
-def page_of(api: Schema) -> str:
+def description_of(api: Schema) -> str:
     """Write the page of what `halfseen.serving.openapi.described` describes."""
     css = files("halfseen.view").joinpath("page.css").read_text(encoding="utf-8")
     title, schemas = escape(api["info"]["title"]), api["components"]["schemas"]

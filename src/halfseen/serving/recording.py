@@ -79,7 +79,7 @@ class RecordedTrajectories:
         The folder cannot be recorded into.
     """
 
-    def __init__(self, folder: Path, *, is_of_tables: bool = False, keeps_events: bool = False) -> None:
+    def __init__(self, folder: Path, *, is_of_tables: bool = False, keeps_events: bool = True) -> None:
         check = self._check_table if is_of_tables else None
         self._recorder = LogRecorder(folder, check=check, keeps_events=keeps_events)
         self._is_of_tables = is_of_tables

@@ -16,7 +16,7 @@ from halfseen.figures import HUES, inline_svg
 from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Experiment, Section, Tables
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.setting import Setting, law_sentence
-from halfseen.view.page import rendered
+from halfseen.view.templates import rendered
 from halfseen.wording import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence, percent, share
 from halfseen.world.scene import Scene
 

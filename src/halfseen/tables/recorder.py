@@ -42,6 +42,9 @@ ENOUGH = 1000
 PARTS = (4, 12)
 """In how many parts of what an object shows in full view a recorder's own curves are looked for."""
 
+MOST_STEPS = 100
+"""Of a search; a law that made the moves is found in far fewer."""
+
 RECORDER_SPREAD = 0.1
 """Standard deviation of the prior about the recorder's law, in logits."""
 
@@ -84,7 +87,8 @@ def read_back(
         return np.concatenate([moved_by(law_of(theta), some) - some.moved, 1e-4 * (theta - centre)])
 
     def read(loss: str) -> Recorder:
-        theta = least_squares(left, centre, bounds=bounds, loss=loss, f_scale=MOVE_ROUNDING).x
+        limits: Any = {"bounds": bounds, "loss": loss, "f_scale": MOVE_ROUNDING, "max_nfev": MOST_STEPS}
+        theta = least_squares(left, centre, **limits).x
         squares = np.sort((moved_by(law_of(theta), labels) - labels.moved) ** 2)
         return Recorder(theta, float(np.sqrt(np.mean(squares[: int(np.ceil(MOST * len(squares)))]))))
 

@@ -4,12 +4,14 @@ from functools import partial
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from halfseen.figures import ALARM, BAND_OPACITY, GREEN, NARROW_INCHES, OURS, PINK, SOFT, draw_grid, inline_svg
 from halfseen.monitoring.answer import Monitored
 from halfseen.monitoring.monitor import ALPHAS
-from halfseen.view.page import MARK, rendered
+from halfseen.view.page import MARK
+from halfseen.view.templates import rendered
 from halfseen.wording import counted, labelled, significant
 
 NAMES = {"promise": "promise", "inputs": "inputs", "parts": "parts of the cell"}
@@ -29,14 +31,19 @@ def monitor_page(found: Monitored, unit: str | None, command: str) -> str:
     command
         What makes it again.
     """
+    content = {"mark": MARK, "found": found, "figures": figures_of(found, unit), "command": command}
+    return rendered("halfseen.view", "monitor.html.j2", content, counted=counted, significant=significant)
+
+
+def figures_of(found: Monitored, unit: str | None) -> dict[str, Markup]:
+    """Draw the course of what is earned, where that is known, and that of the evidence for a change, by title."""
     figures = {}
     if found.course is not None and found.outcomes is not None:
         title = "What a trajectory earns so far, with bounds that hold at all times, beside what was promised"
         figures[title] = inline_svg(partial(_draw_earned, found, unit), "f-earned", title)
     title = "Evidence for a change: the smaller the p-value, the stronger; below its line, a family alarms"
     figures[title] = inline_svg(partial(_draw_evidence, found), "f-evidence", title)
-    content = {"mark": MARK, "found": found, "figures": figures, "command": command}
-    return rendered("halfseen.view", "monitor.html.j2", content, counted=counted, significant=significant)
+    return figures
 
 
 def _draw_earned(found: Monitored, unit: str | None) -> Figure:

@@ -2,11 +2,9 @@
 
 from collections.abc import Callable
 from functools import partial
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import jinja2
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
@@ -26,6 +24,7 @@ from halfseen.view.policy_figures import (
     draw_values,
     drawn_actions,
 )
+from halfseen.view.templates import rendered
 from halfseen.wording import as_sentence, counted, labelled, listed, percent, significant, with_interval
 from halfseen.writing import refuse_unwritable, write_file
 
@@ -34,15 +33,6 @@ MARKED_CHARS = 1000
 MOST_ROWS = 30
 Drawing = tuple[str, list[Callable[[], Figure]]]
 """What a figure shows, and its panels."""
-
-
-def rendered(package: str, template: str, content: dict[str, Any], **functions: Any) -> str:
-    """Fill a template of a package, which may call `functions`; the style sheet of all pages is its `css`."""
-    environment = jinja2.Environment(
-        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.globals.update(functions, css=files("halfseen.view").joinpath("page.css").read_text(encoding="utf-8"))
-    return environment.from_string(files(package).joinpath(template).read_text(encoding="utf-8")).render(content)
 
 
 def page_of(findings: Findings, command: str) -> str:

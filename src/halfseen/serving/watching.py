@@ -1,0 +1,129 @@
+"""The log that is being recorded, held against what was promised: `halfseen monitor` in a process of its own.
+
+It is asked for once a trajectory has ended, at most so often, and at a low priority, so that no decision waits for it.
+What it found last stands until it finds more.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+from halfseen.errors import HalfseenError
+
+EVERY_S = 30.0
+MOST_WORK = 0.1
+"""Share of a core that it takes, however long the log."""
+NICE = 10
+FIGURES, WORK = "figures", "work_s"
+
+
+@dataclass(eq=False)
+class Watch:
+    """Has a log watched beside the server that records it.
+
+    Parameters
+    ----------
+    policy, logs
+        Folders.
+    every_s
+        How long to wait at least after a look at the log has begun [s].
+    say
+        Is given the sentence of the first alarm.
+    """
+
+    policy: Path
+    logs: Path
+    every_s: float = EVERY_S
+    say: Callable[[str], object] = print
+    found: dict[str, Any] | None = field(default=None, init=False)
+    """As `found_of` has it; None before the first look is over."""
+
+    def __post_init__(self) -> None:
+        self._is_new, self._began_s, self._next_s = False, 0.0, 0.0
+        self._thread: threading.Thread | None = None
+        self._process: subprocess.Popen[str] | None = None
+
+    def __enter__(self) -> "Watch":
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
+        self._next_s = float("inf")
+        if self._process is not None:
+            self._process.kill()
+        if self._thread is not None:
+            self._thread.join()
+
+    @property
+    def age_s(self) -> float:
+        """How long ago the log was as it was found [s]."""
+        return time.monotonic() - self._began_s
+
+    def ended(self) -> None:
+        """Look again, now or where it is next asked for: a trajectory has ended."""
+        self._is_new = True
+        self.look()
+
+    def look(self) -> None:
+        """Begin to look at the log, where there is news, nobody does, and it is time."""
+        is_busy = self._thread is not None and self._thread.is_alive()
+        if self._is_new and not is_busy and time.monotonic() >= self._next_s:
+            self._is_new = False
+            self._thread = threading.Thread(target=self._look, daemon=True)
+            self._thread.start()
+
+    def _look(self) -> None:
+        began_s = time.monotonic()
+        found = self._asked()
+        was_alarm = self.found is not None and self.found.get("is_alarm", False)
+        self._next_s = began_s + max(self.every_s, found.pop(WORK, 0.0) / MOST_WORK)
+        self.found, self._began_s = found, began_s
+        if found.get("is_alarm") and not was_alarm:
+            self.say(found["sentence"])
+
+    def _asked(self) -> dict[str, Any]:
+        words = [sys.executable, "-m", __name__, str(self.policy), str(self.logs)]
+        alone = os.environ | {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        pipes: Any = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+        try:
+            with subprocess.Popen(words, env=alone, encoding="utf-8", **pipes) as self._process:
+                text, trouble = self._process.communicate()
+        except OSError as error:
+            return {"error": f"no process can be started ({error.strerror})"}
+        if self._process.returncode:
+            return {"error": (trouble.strip().splitlines() or [f"it ended with {self._process.returncode}"])[-1]}
+        return json.loads(text)
+
+
+def found_of(policy: Path, logs: Path) -> dict[str, Any]:
+    """Say what `halfseen monitor --json` says, with figures where they can be drawn; or in one line why it cannot."""
+    from halfseen.logs import read_logs
+    from halfseen.monitoring.monitor import monitored
+    from halfseen.policies.folder import read_policy
+
+    try:
+        stored = read_policy(policy)
+        read = read_logs(logs, missing=stored.missing())
+        found = monitored(stored, read)
+    except HalfseenError as error:
+        return {"error": str(error)}
+    if find_spec("matplotlib") is None:
+        return found.as_dict()
+    from halfseen.view.monitor_page import figures_of
+
+    return found.as_dict() | {FIGURES: figures_of(found, read.reward_unit)}
+
+
+if __name__ == "__main__":
+    if hasattr(os, "nice"):
+        os.nice(NICE)
+    what = found_of(Path(sys.argv[1]), Path(sys.argv[2]))
+    print(json.dumps({**what, WORK: time.process_time()}, allow_nan=False))

@@ -1,0 +1,193 @@
+"""The page of the running cell says what the log and the monitor say, stands alone, and waits for nobody."""
+
+import base64
+import hashlib
+import re
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+from asking import client_of
+from test_comparing import RULE, run
+from test_stepping_back import decided, learned
+
+from axe import PAGES, faults_of, in_browser
+from halfseen.logs import read_logs
+from halfseen.monitoring import monitored
+from halfseen.monitoring.dealing import Terms
+from halfseen.policies.folder import read_policy, write_policy
+from halfseen.serving.answering import taken_into_service
+from halfseen.serving.comparing import Comparison
+from halfseen.serving.recent import MOST_TRAJECTORIES, Recent
+from halfseen.serving.watching import Watch, found_of
+from small_logs import flat_log
+
+VOID = {"meta", "br", "link", "path", "use", "rect", "image"}
+
+
+@pytest.fixture(scope="module")
+def policy(tmp_path_factory):
+    folder, logs = tmp_path_factory.mktemp("cell") / "policy", flat_log()
+    write_policy(learned().fit(logs), logs, folder)
+    return folder
+
+
+class Outline(HTMLParser):
+    """The elements of a page, and whether each was closed where it should be."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.open, self.elements = [], []
+        self.feed(page)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.elements.append((tag, dict(attrs)))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+    def all(self, *tags):
+        return [given for tag, given in self.elements if tag in tags]
+
+
+def check_page(answer):
+    """Check that a page stands alone, and what axe would say first of it."""
+    outline, text = Outline(answer.text), answer.text
+    ids = [given["id"] for _, given in outline.elements if "id" in given]
+    assert len(ids) == len(set(ids))
+    assert outline.all("html")[0]["lang"] == "en"
+    assert (
+        len(outline.all("h1")) == len(outline.all("main")) == len(outline.all("title")) - len(outline.all("svg")) == 1
+    )
+    assert all("scope" in each for each in outline.all("th"))
+    assert all(each.get("aria-label") for _, each in outline.elements if each.get("role") == "group")
+    assert not [
+        value for _, each in outline.elements for value in each.values() if re.match("(https?:)?//", value or "")
+    ]
+    (script,) = re.findall("<script>(.*?)</script>", text, re.DOTALL)
+    digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+    assert f"script-src 'sha256-{digest}'" in answer.headers["content-security-policy"]
+    for part in re.findall(r'getElementById\("(\w+)"\)', script):
+        assert part == "age" or part in ids
+    return text
+
+
+def test_before_the_first_decision_it_says_so(policy):
+    with client_of(policy) as asked:
+        text = check_page(asked.get("/"))
+        assert asked.get("/state").json()["decision"] is None
+    assert "<h1>No decision yet.</h1>" in text
+    assert "halfseen serve --record LOGS" in text
+
+
+def test_a_decision_is_told_with_its_reason_its_values_and_what_was_seen(policy, tmp_path):
+    with client_of(policy, tmp_path / "logs") as asked:
+        told = decided(asked, x1=0.25, x2=1)
+        state, text = asked.get("/state").json(), check_page(asked.get("/"))
+        assert (state["decision"], state["seen"]) == (told, {"x1": 0.25, "x2": 1})
+        assert f"<h1>Trajectory 1, stage 1 of 2: {told['action']}, by the policy.</h1>" in text
+        assert told["reason"] in text
+        assert f"{told['action']}, taken</th>" in text
+        assert asked.get("/state").json()["revision"] == state["revision"]
+        asked.post("/reward", json={"reward": 1.0})
+        after = asked.get("/state").json()
+        assert after["sentence"] == "Trajectory 1: stage 1 is done, the next decision is awaited."
+        assert after["revision"] != state["revision"]
+        asked.post("/end", json={"ending": "finished"})
+        assert asked.get("/state").json()["sentence"] == "No trajectory is in progress."
+
+
+def test_where_the_rule_decides_it_says_why(policy, tmp_path):
+    with client_of(policy, tmp_path / "logs") as asked:
+        decided(asked, x1=1e6, x2=1)
+        text, why = check_page(asked.get("/")), asked.get("/state").json()["rule"]["last"]
+    assert "by the rule in the policy&#39;s place (out-of-range).</h1>" in text
+    assert "stepped back</p>" in text
+    assert text.count(why) == 2
+
+
+def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_of_its_address(policy, tmp_path):
+    (tmp_path / "rule.csv").write_text(RULE)
+    service = taken_into_service(policy, rule=tmp_path / "rule.csv")
+    compared = Comparison(service, tmp_path / "rule.csv", tmp_path / "logs", Terms(0.5), 3, print)
+    with client_of(policy, tmp_path / "logs", comparison=compared) as asked:
+        run(asked, np.random.default_rng(0), MOST_TRAJECTORIES + 3, cut=0.4)
+        state, text = asked.get("/state").json(), check_page(asked.get("/"))
+        assert state["comparison"] == asked.get("/comparison").json()
+    assert state["comparison"]["sentence"] in text.replace("&#39;", "'")
+    logs = read_logs(tmp_path / "logs")
+    totals = logs.stages.groupby("trajectory")["reward"].agg(["sum", "size"])
+    rows = logs.trajectories.set_index("trajectory").iloc[: -MOST_TRAJECTORIES - 1 : -1]
+    assert [each["trajectory"] for each in state["trajectories"]] == rows.index.tolist()
+    for told, (name, row) in zip(state["trajectories"], rows.iterrows(), strict=True):
+        assert told["reward"] == pytest.approx(totals["sum"][name])
+        assert (told["stages"], told["arm"], told["ending"]) == (totals["size"][name], row["arm"], row["ending"])
+
+
+@pytest.fixture
+def alarm(policy, tmp_path):
+    """The page of a cell in which everything earns more than the log, once that was found."""
+    watch = Watch(policy, tmp_path / "logs", say=lambda sentence: None)
+    with watch, client_of(policy, tmp_path / "logs", recent=Recent(watch)) as asked:
+        watch.found = {"error": "its folder promises nothing"}
+        assert "Not watched: its folder promises nothing" in check_page(asked.get("/"))
+        watch.every_s = watch._next_s = float("inf")
+        run(asked, np.random.default_rng(0), 60, gain=9.0)
+        watch.found = found_of(policy, tmp_path / "logs")
+        return watch.found, asked.get("/"), asked.get("/state").json()
+
+
+def test_what_the_monitor_found_is_told_first(alarm, policy, tmp_path):
+    found, page, state = alarm
+    text = check_page(page).replace("&#39;", "'")
+    expected = monitored(read_policy(policy), read_logs(tmp_path / "logs"))
+    assert {**state["monitor"], "age_s": 0} == {**expected.as_dict(), "age_s": 0}
+    assert found["is_alarm"]
+    assert f"<h1>{expected.sentence}</h1>" in text
+    assert text.count("<svg") == len(found["figures"]) > 0
+    assert "figures" not in state["monitor"]
+
+
+def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(policy, tmp_path, monkeypatch):
+    looks, said = [], []
+
+    def asked(watch):
+        looks.append(len(looks))
+        return {"is_alarm": len(looks) > 1, "sentence": f"Look {len(looks)}."}
+
+    monkeypatch.setattr(Watch, "_asked", asked)
+    with Watch(policy, tmp_path, every_s=0.0, say=said.append) as watch:
+        watch.look()
+        assert watch._thread is None
+        for num in (1, 2, 3):
+            watch._next_s = 0.0
+            watch.ended()
+            watch._thread.join()
+            assert len(looks) == num
+        watch._next_s = float("inf")
+        watch.ended()
+        watch._thread.join()
+    assert len(looks) == 3
+    assert said == ["Look 2."]
+
+
+def test_the_log_is_watched_in_a_process_of_its_own(policy, tmp_path):
+    with client_of(policy, tmp_path / "logs") as asked:
+        run(asked, np.random.default_rng(0), 3)
+    with Watch(policy, tmp_path / "logs") as watch:
+        watch.ended()
+        watch._thread.join()
+        assert watch.found == found_of(policy, tmp_path / "logs")
+        assert watch._process.returncode == 0
+    assert "nowhere" in found_of(policy, tmp_path / "nowhere")["error"]
+
+
+@in_browser
+@PAGES
+def test_the_page_can_be_heard_and_read_on_a_phone(alarm, tmp_path, width_px, scheme):
+    (tmp_path / "cell.html").write_text(alarm[1].text, encoding="utf-8")
+    assert faults_of([tmp_path / "cell.html"], width_px, scheme) == []
