@@ -17,7 +17,7 @@ from halfseen.cli.options import SHIPPED
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
     from halfseen.policies.exploration_table import ExplorationTable
-    from halfseen.serving.app import Served
+    from halfseen.serving.served import Served
 
 TOKEN = "HALFSEEN_TOKEN"
 HERE = "127.0.0.1"
@@ -160,7 +160,7 @@ def _served(
     policy: Path, extrapolate: bool, out_of_range: str | None, rule: Path | None, time_limit: float
 ) -> "Served":
     from halfseen.serving.answering import NOBODY
-    from halfseen.serving.app import Served
+    from halfseen.serving.served import Served
 
     stays_within = not extrapolate and out_of_range != "answer"
     served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)

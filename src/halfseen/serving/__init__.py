@@ -3,7 +3,8 @@
 Read down: `models` (what is asked and answered) → `limits` (who may ask, how much and how slowly; the server) →
 `recording` (what was decided becomes the next log, and now and then it is another action, with its probability) →
 `table_state` (the objects of a table, as a log has them) → `stepping_back` (where a rule decides) → `comparing` (which
-trajectories are the policy's) → `answering` (a question, an answer) → `openapi` → `app`.
+trajectories are the policy's) → `answering` (a question, an answer) → `served` (one at a time, whatever the door) →
+`openapi` → `app` (the door of HTTP).
 """
 
 from typing import TYPE_CHECKING
@@ -12,9 +13,10 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.serving.answering import Answering
-    from halfseen.serving.app import Served, app_of
+    from halfseen.serving.app import app_of
     from halfseen.serving.comparing import Comparison
     from halfseen.serving.recording import RecordedTrajectories
+    from halfseen.serving.served import Served
 
 __all__ = ["Answering", "Comparison", "RecordedTrajectories", "Served", "app_of"]
 
@@ -24,7 +26,7 @@ __getattr__ = lazy_names(
         "Answering": "answering",
         "Comparison": "comparing",
         "RecordedTrajectories": "recording",
-        "Served": "app",
+        "Served": "served",
         "app_of": "app",
     },
 )
