@@ -1,5 +1,8 @@
-"""``halfseen serve``: a policy that answers over HTTP; ``halfseen record``: what a program says, line by line."""
+"""``halfseen serve``: a policy that answers over HTTP or OPC UA; ``halfseen record``: what a program says."""
 
+import asyncio
+import logging
+import os
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -17,9 +20,11 @@ from halfseen.cli.options import SHIPPED
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
     from halfseen.policies.exploration_table import ExplorationTable
+    from halfseen.serving.opcua.mapping import CellMapping
+    from halfseen.serving.opcua.wire import Wire
     from halfseen.serving.served import Served
 
-TOKEN = "HALFSEEN_TOKEN"
+TOKEN, PASSWORD = "HALFSEEN_TOKEN", "HALFSEEN_OPCUA_PASSWORD"
 HERE = "127.0.0.1"
 SHORTEST_TOKEN = 16
 OUT_OF_RANGE = ["answer", "step-back"]
@@ -87,6 +92,15 @@ class _ShareOrTable(click.ParamType):
     show_default=True,
     help="How long to wait for the policy until the rule decides [s].",
 )
+@click.option(
+    "--opcua",
+    "controller",
+    metavar="URL",
+    help="Let a controller ask over OPC UA instead, such as opc.tcp://10.0.0.2:4840. Needs --mapping, --record and the "
+    "extra opcua.",
+)
+@options.path("--mapping", text="Of --opcua: which of the controller's variables is what (TOML).")
+@options.flag("--mapping-template", "is_template", text="Only print a mapping for this policy to start from.")
 @options.seed("draws of --explore and deals of --against")
 def serve(
     policy: Path,
@@ -103,6 +117,9 @@ def serve(
     share: float,
     most_loss: float | None,
     time_limit: float,
+    controller: str | None,
+    mapping: Path | None,
+    is_template: bool,
     seed: int,
 ) -> None:
     """Answer what `halfseen act` answers, over HTTP, by the policy in the folder POLICY. Needs the extra serve.
@@ -120,6 +137,9 @@ def serve(
 
     With --against, the log says to which of both each trajectory was dealt, and with which chance; a server that begins
     again goes on from it. A sentence says when the policy is promoted, or stopped; GET /comparison says more.
+
+    With --opcua, halfseen reads a controller's variables and writes its decisions there; HTTP then only tells how it
+    stands. A trajectory goes on where a server that was stopped or killed left it.
     """
     import numpy as np
 
@@ -132,28 +152,34 @@ def serve(
     from halfseen.serving.limits import serve as answer
     from halfseen.serving.recording import RecordedTrajectories
 
+    if is_template:
+        _print_template(policy)
+        return
     _check_token(host, token)
+    _check_wire(controller, mapping, record)
     if against is not None and record is None:
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
     # A folder of logs is begun only where there is something to record.
     served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
-    is_table, is_compared = served.service.stored.is_table, against is not None
+    to = None if mapping is None else _mapping(mapping, served)
+    is_table, keeps = served.service.stored.is_table, {"keeps_events": against is not None, "resumes": to is not None}
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
         nullcontext()
         if record is None
-        else RecordedTrajectories(record, is_of_tables=is_table, keeps_events=is_compared) as trajectories,
+        else RecordedTrajectories(record, is_of_tables=is_table, **keeps) as trajectories,
     ):
         served.answering = Answering(epsilon, table, np.random.default_rng(seed), trajectories)
         if against is not None and record is not None:
             held = Comparison(served.service, against, record, Terms(share, most_loss), seed, _said)
             served.answering = replace(served.answering, comparison=held)
+        wire = None if controller is None or to is None else _wire(served, controller, to)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
-        answer(app_of(served, token), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
+        answer(app_of(served, token, wire=wire), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
 
 
 def _served(
@@ -167,6 +193,42 @@ def _served(
     if served.service.fall_back is None:
         click.echo(f"halfseen: warning: {NOBODY}; until then, what the policy does not decide is refused", err=True)
     return served
+
+
+def _print_template(policy: Path) -> None:
+    from halfseen.policies import read_policy
+    from halfseen.serving.opcua.mapping import template_of
+
+    click.echo(template_of(read_policy(policy)), nl=False)
+
+
+def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
+    from halfseen.errors import ArgumentError
+
+    if (controller is None) != (mapping is None):
+        raise ArgumentError("--opcua and --mapping go together; `halfseen serve POLICY --mapping-template` prints one")
+    if controller is None:
+        return
+    if not controller.startswith("opc.tcp://") or "@" in controller:
+        raise ArgumentError(f"--opcua is {controller}; give opc.tcp://HOST:PORT, and users in --mapping")
+    if record is None:
+        raise ArgumentError(f"--opcua {controller}: what was decided is known by the log; give --record LOGS")
+
+
+def _mapping(file: Path, served: "Served") -> "CellMapping":
+    from halfseen.serving.opcua.mapping import read_mapping
+
+    return read_mapping(file, served.service.stored)
+
+
+def _wire(served: "Served", controller: str, mapping: "CellMapping") -> "Wire":
+    from halfseen.serving.opcua.wire import Wire
+
+    # What it has to say is said by the wire, in a line.
+    logging.getLogger("asyncua").addHandler(logging.NullHandler())
+    wire = Wire(served, controller, mapping, os.environ.get(PASSWORD))
+    asyncio.run(wire.check())
+    return wire
 
 
 def _said(sentence: str) -> None:

@@ -7,12 +7,12 @@ import sys
 import threading
 import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from contextlib import asynccontextmanager, nullcontext
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from msgspec import UNSET, Struct
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -27,6 +27,9 @@ from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, Ap
 from halfseen.serving.models import Decided, Refusal, model_of
 from halfseen.serving.openapi import FORM, JSON, described, page_of
 from halfseen.serving.served import Served
+
+if TYPE_CHECKING:
+    from halfseen.serving.opcua.wire import Wire
 
 
 @asynccontextmanager
@@ -67,7 +70,9 @@ async def _check_is_there(request: Request) -> None:
         raise Refusal(408, "the client has gone; nothing is decided")
 
 
-def app_of(served: Served, token: str | None = None, *, largest_bytes: int | None = None) -> App:
+def app_of(
+    served: Served, token: str | None = None, *, largest_bytes: int | None = None, wire: "Wire | None" = None
+) -> App:
     """Make an ASGI app of a policy that is served.
 
     Parameters
@@ -78,22 +83,36 @@ def app_of(served: Served, token: str | None = None, *, largest_bytes: int | Non
         That each request must bring; None where none is asked for.
     largest_bytes
         Of a request; None for 1 MiB, and 64 MiB where clouds may come.
+    wire
+        By which a controller asks instead, as long as the app runs; then nobody else does.
     """
     asked = {
         "/decide": ("POST", _decide),
         "/reward": ("POST", _reward),
         "/end": ("POST", _end),
         "/reload": ("POST", _reload),
-        "/health": ("GET", _health),
+        "/health": ("GET", partial(_health, wire)),
         "/comparison": ("GET", _comparison),
         "/openapi.json": ("GET", _openapi),
         "/": ("GET", _page),
     }
+    if wire is not None:
+        asked |= dict.fromkeys(("/decide", "/reward", "/end"), ("POST", partial(_asked_elsewhere, wire)))
     routes = [Route(path, _answering(partial(answer, served)), methods=[how]) for path, (how, answer) in asked.items()]
     refused: Any = {HTTPException: _no_address}
-    app = Starlette(routes=routes, exception_handlers=refused, lifespan=lambda _: reloading_at_hang_up(served.reload))
+    app = Starlette(routes=routes, exception_handlers=refused, lifespan=lambda _: _running(served, wire))
     largest = largest_bytes or (LARGEST_CLOUD_BYTES if served.service.stored.is_table else LARGEST_STATE_BYTES)
     return Bounded(app, _refused, token, largest)  # type: ignore[arg-type]
+
+
+@asynccontextmanager
+async def _running(served: Served, wire: "Wire | None") -> AsyncIterator[None]:
+    async with reloading_at_hang_up(served.reload), nullcontext() if wire is None else wire.running():
+        yield
+
+
+async def _asked_elsewhere(wire: "Wire", served: Served, request: Request) -> None:
+    raise Refusal(409, f"decisions are asked for by the controller at {wire.url}; GET /health says how it stands")
 
 
 def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Response]]:
@@ -150,8 +169,8 @@ async def _reload(served: Served, request: Request) -> models.Reloaded:
     return models.Reloaded((await served.reload()).digest)
 
 
-async def _health(served: Served, request: Request) -> models.Health:
-    return served.health
+async def _health(wire: "Wire | None", served: Served, request: Request) -> models.Health:
+    return served.health if wire is None else replace(served.health, wire=wire.facts)
 
 
 async def _openapi(served: Served, request: Request) -> dict[str, Any]:
