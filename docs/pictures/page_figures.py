@@ -181,7 +181,7 @@ def draw_team_study() -> Figure:
 
 
 ASKS_FOR = {
-    "serve": ("serve",),
+    "serve": ("serve", "opcua"),
     "export": ("onnx",),
     "watch": ("watch",),
     "report": ("study",),
@@ -193,8 +193,8 @@ ASKS_FOR = {
     "study": ("study", "ray", "dask"),
 }
 """Command → the extras that it asks for, some of which hold others."""
-ON_DEMAND = ("minari", "hdf5", "mcap", "ros", "sql", "ray", "dask", "stores")
-"""Extras that a format or an engine alone needs: pale dots."""
+ON_DEMAND = ("minari", "hdf5", "mcap", "ros", "sql", "ray", "dask", "stores", "opcua")
+"""Extras that a format, an engine or a wire alone needs: pale dots."""
 
 PICTURES = (
     plot("bias-of-weights", draw_bias),

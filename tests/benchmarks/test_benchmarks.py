@@ -198,6 +198,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("verdicts.py", "--logs", "2", "--world", "trial", "--share", "1/3", "--setting", "default"),
         ("repetition.py", "--repetitions", "1", "--trajectories", "25"),
         ("serve.py", "--seconds", "3"),
+        ("opcua.py", "--stages", "3"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
         ("half_seen.py", "--tables", "1", "--washes", "1", "--stains", "2"),
         ("two_arms.py", "--tables", "1", "--rule", "greedy", "--only", "one arm", "two arms"),

@@ -145,8 +145,10 @@ def check(side, did):
     assert logs.trajectories["end_s"].tolist() == [4.0, 2.0, 2.0]
 
 
-@pytest.mark.parametrize("is_compared", [False, True])
-@pytest.mark.parametrize("killed_at", [None, *range(1, 12)])
+@pytest.mark.parametrize(
+    ("killed_at", "is_compared"),
+    [*((at, False) for at in (None, *range(1, 12))), *((at, True) for at in (None, 2, 3, 6))],
+)
 def test_a_kill_before_any_writing_loses_nothing_and_decides_nothing_twice(flat, tmp_path, killed_at, is_compared):
     side = Side(flat, tmp_path, is_compared=is_compared)
     did = run(side, Played(killed_at))

@@ -100,7 +100,11 @@ class _ShareOrTable(click.ParamType):
     "extra opcua.",
 )
 @options.path("--mapping", text="Of --opcua: which of the controller's variables is what (TOML).")
-@options.flag("--mapping-template", "is_template", text="Only print a mapping for this policy to start from.")
+@options.flag(
+    "--mapping-template",
+    "is_template",
+    text="Only print a mapping for this policy to start from, or write it to --mapping.",
+)
 @options.seed("draws of --explore and deals of --against")
 def serve(
     policy: Path,
@@ -153,7 +157,7 @@ def serve(
     from halfseen.serving.recording import RecordedTrajectories
 
     if is_template:
-        _print_template(policy)
+        _give_template(policy, mapping)
         return
     _check_token(host, token)
     _check_wire(controller, mapping, record)
@@ -195,11 +199,19 @@ def _served(
     return served
 
 
-def _print_template(policy: Path) -> None:
+def _give_template(policy: Path, file: Path | None) -> None:
+    from halfseen.errors import ArgumentError
     from halfseen.policies import read_policy
     from halfseen.serving.opcua.mapping import template_of
+    from halfseen.writing import write_file
 
-    click.echo(template_of(read_policy(policy)), nl=False)
+    template = template_of(read_policy(policy))
+    if file is None:
+        click.echo(template, nl=False)
+    elif file.exists():
+        raise ArgumentError(f"--mapping is {file}, which is there already; name a file to be written")
+    else:
+        write_file(file, template)
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:

@@ -129,8 +129,7 @@ def read_mapping(file: Path, stored: StoredPolicy) -> CellMapping:
     ArgumentError
         It cannot be read, something in it is missing, unknown or of the wrong type, or it does not fit the policy.
     """
-    if stored.is_table:
-        raise ArgumentError("--opcua: the policy is of tables of objects, and a variable holds one value; ask by HTTP")
+    _refuse_tables(stored)
     mapping, policy = mapping_in(file, CellMapping, REMEDY), stored.policy
     actions = {str(action) for action in policy.actions}
     for key, given, known in (
@@ -144,6 +143,11 @@ def read_mapping(file: Path, stored: StoredPolicy) -> CellMapping:
     if len(set(mapping.actions.values())) < len(mapping.actions):
         raise ArgumentError(f"{file}, actions: two of them have the same code; give each its own")
     return msgspec.structs.replace(mapping, security=_beside(file, mapping.security))
+
+
+def _refuse_tables(stored: StoredPolicy) -> None:
+    if stored.is_table:
+        raise ArgumentError("--opcua: the policy is of tables of objects, and a variable holds one value; ask by HTTP")
 
 
 def _beside(file: Path, security: Security | None) -> Security | None:
@@ -161,7 +165,14 @@ def _beside(file: Path, security: Security | None) -> Security | None:
 
 
 def template_of(stored: StoredPolicy) -> str:
-    """Begin a mapping file for a policy: with its covariates and actions, each key explained."""
+    """Begin a mapping file for a policy: with its covariates and actions, each key explained.
+
+    Raises
+    ------
+    ArgumentError
+        The policy is of tables.
+    """
+    _refuse_tables(stored)
     policy = stored.policy
     covariates = _table({str(name): f"Cell/{name}" for name in policy.covariates})
     actions = _table({str(action): code for code, action in enumerate(policy.actions)}, before="# ")

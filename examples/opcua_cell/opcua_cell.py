@@ -4,7 +4,7 @@
 
     halfseen learn examples/bin_cell/logs --out policy
     halfseen serve policy --mapping-template > cell.toml
-    python examples/opcua_cell/cell.py
+    python examples/opcua_cell/opcua_cell.py
     halfseen serve policy --opcua opc.tcp://127.0.0.1:4840 --mapping cell.toml --record next-logs
 
 Its state machine is after that of OPC 40100, machine vision: Ready (a request stands), SingleExecution (the arm acts),
@@ -18,6 +18,7 @@ import json
 import sys
 from contextlib import suppress
 from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -96,6 +97,8 @@ class Cell:
         self.rng = np.random.default_rng([seed, len(kept)])
         self.standing = Standing(**{**kept[-1], "state": tuple(kept[-1]["state"])}) if kept else self.begun(1)
         self.variables: dict[str, Any] = {}
+        self.faulty: dict[str, int] = {}
+        """Status codes of variables that are not good."""
 
     async def build(self) -> None:
         """Make the variables."""
@@ -133,7 +136,9 @@ class Cell:
         values = {"State": state, "Stage": now.stage, "Reward": now.reward, "ElapsedS": now.elapsed_s}
         values |= {"Ending": now.ending, **dict(zip(Bin.covariates, now.state, strict=True)), "Request": now.request}
         for name, value in values.items():
-            await self.variables[name].write_value(ua.Variant(value, VARIABLES[name]))
+            status = ua.StatusCode(self.faulty.get(name, ua.StatusCodes.Good))
+            found = ua.DataValue(ua.Variant(value, VARIABLES[name]), status, datetime.now(UTC))
+            await self.variables[name].write_value(found)
 
     async def answer(self) -> str | None:
         """Wait for the answer to what stands; None if it comes too late."""
@@ -173,28 +178,25 @@ class Cell:
         return standing
 
     async def run(self, num_trajectories: int) -> None:
-        """Run so many trajectories to their end."""
+        """Run so many trajectories, until the end of the last is acknowledged."""
         while num_trajectories:
             num_trajectories -= bool((await self.step()).ending)
-        await self.show("Ready")
-        await self.answer()
+        await self.step()
 
 
-async def built(server: Server, url: str, **options: Any) -> Cell:
-    """Make a cell of a server that has not started."""
-    cell = Cell(server, **options)
+async def prepare(server: Server, url: str, cell: Cell) -> None:
+    """Give a server that has not started the variables of a cell."""
     await server.init()
     server.set_endpoint(url)
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
     await cell.build()
-    return cell
 
 
 async def main(args: argparse.Namespace) -> None:
     """Serve, and run the cell."""
     server = Server()
-    options = {"seed": args.seed, "time_limit_s": args.time_limit, "memory": args.memory, "faster": args.faster}
-    cell = await built(server, args.url, **options)
+    cell = Cell(server, args.seed, args.time_limit, args.memory, args.faster)
+    await prepare(server, args.url, cell)
     async with server:
         print(f"opc.tcp://{server.endpoint.hostname}:{server.bserver.port}", flush=True)
         await cell.run(args.trajectories)
