@@ -189,6 +189,7 @@ async def prepare(server: Server, url: str, cell: Cell) -> None:
     await server.init()
     server.set_endpoint(url)
     server.set_security_policy([ua.SecurityPolicyType.NoSecurity])
+    server.set_identity_tokens([ua.AnonymousIdentityToken])
     await cell.build()
 
 

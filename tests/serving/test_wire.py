@@ -8,19 +8,21 @@ import asyncio
 
 import numpy as np
 import pytest
+from asking import refused
+from starlette.testclient import TestClient
 from test_stepping_back import learned
 
 from halfseen.errors import ArgumentError
 from halfseen.logs import read_logs
 from halfseen.monitoring.dealing import Terms
 from halfseen.policies.folder import write_policy
-from halfseen.serving import Answering, Comparison, RecordedTrajectories, Served
+from halfseen.serving import Answering, Comparison, RecordedTrajectories, Served, app_of
 from halfseen.serving.opcua.controller import Controller, Snapshot
 from halfseen.serving.opcua.mapping import read_mapping, template_of
 from halfseen.serving.opcua.wire import REQUESTS_LOST, Wire
 from small_logs import flat_log
 
-URL = "opc.tcp://127.0.0.1:4840"
+URL = "opc.tcp://127.0.0.1:1"
 TRAJECTORIES = [
     [({"x1": 0.1, "x2": 1}, 1.0), ({"x1": -0.4, "x2": 0}, 2.0), "finished"],
     [({"x1": 0.3, "x2": 2}, None), "operator"],
@@ -85,6 +87,7 @@ class Side:
         served.answering = Answering(self.epsilon, None, rng, self.trajectories, comparison=comparison)
         mapping = read_mapping(self.folder / "cell.toml", served.service.stored)
         self.wire = Wire(served, URL, mapping, tell=self.lines.append)
+        self.wire.resume()
 
     def begin_again(self):
         self.leave()
@@ -284,6 +287,15 @@ def test_what_goes_wrong_in_halfseen_is_told_and_the_wire_stays(side, monkeypatc
         assert side.look(controller).error == "this went wrong in halfseen itself (ZeroDivisionError)"
     assert "ZeroDivisionError" in capsys.readouterr().err
     assert side.look(controller).state == "ResultReady"
+
+
+def test_http_tells_how_the_wire_stands_and_decides_nothing_beside_it(side):
+    with TestClient(app_of(side.wire.served, wire=side.wire), base_url="http://127.0.0.1") as client:
+        for path in ("/decide", "/reward", "/end"):
+            assert "the controller at opc.tcp://" in refused(client.post(path, json={}), 409)
+        told = client.get("/health").json()["wire"]
+    assert (told["url"], told["state"]) == (URL, "Preoperational")
+    assert client.get("/openapi.json").status_code == 200
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,7 @@ async def certified(folder, name, *usages):
     return str(certificate), str(key)
 
 
-def test_signed_or_encrypted_and_with_a_user_or_a_certificate(tmp_path):
+def test_signed_or_encrypted_and_with_a_user_or_a_certificate(flat, tmp_path):
     async def main():
         own, key = await certified(tmp_path, "own", ExtendedKeyUsageOID.CLIENT_AUTH)
         user, user_key = await certified(tmp_path, "user", ExtendedKeyUsageOID.CLIENT_AUTH)
@@ -233,6 +233,11 @@ def test_signed_or_encrypted_and_with_a_user_or_a_certificate(tmp_path):
             with pytest.raises(LOST):
                 async with connected(url, MAPPING):
                     pass
+            with pytest.raises(ArgumentError, match="security: a certificate or its key cannot be used"):
+                await asked(url, "secret", mode="Sign", user="halfseen", key=own)
+            wrong = msgspec.structs.replace(MAPPING, security=None)
+            with pytest.raises(ArgumentError, match="the controller refuses"):
+                await Wire(Served(flat), url, wrong).check()
 
     asyncio.run(main())
 

@@ -20,7 +20,6 @@ from halfseen.cli.options import SHIPPED
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
     from halfseen.policies.exploration_table import ExplorationTable
-    from halfseen.serving.opcua.mapping import CellMapping
     from halfseen.serving.opcua.wire import Wire
     from halfseen.serving.served import Served
 
@@ -167,8 +166,8 @@ def serve(
     served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
-    to = None if mapping is None else _mapping(mapping, served)
-    is_table, keeps = served.service.stored.is_table, {"keeps_events": against is not None, "resumes": to is not None}
+    wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
+    is_table, keeps = served.service.stored.is_table, {"keeps_events": against is not None, "resumes": wire is not None}
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
@@ -180,7 +179,6 @@ def serve(
         if against is not None and record is not None:
             held = Comparison(served.service, against, record, Terms(share, most_loss), seed, _said)
             served.answering = replace(served.answering, comparison=held)
-        wire = None if controller is None or to is None else _wire(served, controller, to)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
         answer(app_of(served, token, wire=wire), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
@@ -227,18 +225,14 @@ def _check_wire(controller: str | None, mapping: Path | None, record: Path | Non
         raise ArgumentError(f"--opcua {controller}: what was decided is known by the log; give --record LOGS")
 
 
-def _mapping(file: Path, served: "Served") -> "CellMapping":
+def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
     from halfseen.serving.opcua.mapping import read_mapping
-
-    return read_mapping(file, served.service.stored)
-
-
-def _wire(served: "Served", controller: str, mapping: "CellMapping") -> "Wire":
     from halfseen.serving.opcua.wire import Wire
 
     # What it has to say is said by the wire, in a line.
     logging.getLogger("asyncua").addHandler(logging.NullHandler())
-    wire = Wire(served, controller, mapping, os.environ.get(PASSWORD))
+    to = read_mapping(mapping, served.service.stored)
+    wire = Wire(served, controller, to, os.environ.get(PASSWORD))
     asyncio.run(wire.check())
     return wire
 

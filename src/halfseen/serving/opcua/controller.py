@@ -2,8 +2,8 @@
 
 import asyncio
 import math
-from collections.abc import AsyncIterator, Mapping
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager
 from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
@@ -17,6 +17,7 @@ from asyncua.ua.attribute_ids import AttributeIds
 from cryptography import x509
 
 from halfseen.errors import ArgumentError
+from halfseen.reading import reason_of
 from halfseen.serving.models import Refusal
 from halfseen.serving.opcua.mapping import CellMapping, Security
 
@@ -126,6 +127,8 @@ class Controller:
         """Write variables, those that the mapping lacks aside; raises what `LOST` lists."""
         typed = {name: ua.DataValue(self.typed(name, value)) for name, value in values.items() if name in self.writes}
         nodes = [self.writes[name].nodeid for name in typed]
+        if not nodes:
+            return
         for code in await self.client.uaclient.write_attributes(nodes, [*typed.values()], AttributeIds.Value):
             code.check()
 
@@ -185,7 +188,8 @@ async def connected(url: str, mapping: CellMapping, password: str | None = None)
     """
     client = Client(url, timeout=TIME_OUT_S)
     if mapping.security is not None:
-        await _secure(client, mapping.security, password)
+        with _usable():
+            await _secure(client, mapping.security, password)
     async with client:
         reads, writes = await _nodes(client, mapping, mapping.readable), await _nodes(client, mapping, mapping.writable)
         types = {name: await node.read_data_type_as_variant_type() for name, node in writes.items()}
@@ -209,11 +213,20 @@ async def _nodes(client: Client, mapping: CellMapping, paths: Mapping[str, str])
     return nodes
 
 
+@contextmanager
+def _usable() -> Iterator[None]:
+    """Refuse a certificate or key that is none."""
+    try:
+        yield
+    except (ValueError, TypeError, x509.ExtensionNotFound) as error:
+        raise ArgumentError(f"security: a certificate or its key cannot be used ({reason_of(error)})") from error
+
+
 async def _secure(client: Client, security: Security, password: str | None) -> None:
     """Sign, or sign and encrypt, and say who asks."""
     certificate = await uacrypto.load_certificate(security.certificate)
     names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
-    client.application_uri = next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)))
+    client.application_uri = next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), "")
     await client.set_security(
         getattr(security_policies, f"SecurityPolicy{security.policy}"),
         security.certificate,

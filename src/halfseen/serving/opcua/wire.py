@@ -68,6 +68,9 @@ class Wire:
 
     def __post_init__(self) -> None:
         self.facts = Wired(self.url, "Preoperational", None, None)
+
+    def resume(self) -> None:
+        """Go on with the deal of a trajectory in progress; one that this comparison did not deal is cut."""
         comparison, recording = self.served.answering.comparison, self.served.answering.trajectories
         if comparison is None or recording is None or not recording.columns:
             return
@@ -109,15 +112,19 @@ class Wire:
 
     async def run(self) -> None:
         """Answer the controller until this is cancelled; a session that is lost is begun again."""
+        self.resume()
         while True:
             try:
                 async with connected(self.url, self.mapping, self.password) as controller:
                     while True:
                         await self.look(controller)
                         await controller.news(TRIED_AGAIN_AFTER_S if self.facts.error else LOOKED_AFTER_S)
-            except (*LOST, HalfseenError) as error:
+            except Exception as error:
+                if not isinstance(error, (*LOST, HalfseenError)):
+                    traceback.print_exc(file=sys.stderr)
                 self._note("Preoperational", f"{type(error).__name__}: {error}")
             except asyncio.CancelledError:
+                # So asyncua tells of a session that is lost, too.
                 task = asyncio.current_task()
                 if task is None or task.cancelling():
                     raise
