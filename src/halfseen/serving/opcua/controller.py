@@ -152,7 +152,7 @@ def _doubt(found: ua.DataValue, now: datetime | None, limit_s: float | None) -> 
     if found.SourceTimestamp is None or now is None:
         return "has no time stamp, so nobody knows how old it is"
     age_s = (now - found.SourceTimestamp).total_seconds()
-    return f"is {age_s:.3g} s old, and {limit_s:g} s are allowed" if age_s > limit_s else ""
+    return f"is {age_s:.1f} s old, and {limit_s:g} s are allowed" if age_s > limit_s else ""
 
 
 def _value(found: ua.DataValue) -> Any:
