@@ -120,7 +120,7 @@ def draw_extras() -> Figure:
         for name in names:
             axes.plot(extras.index(name), row, "o", color=SKY if name in ON_DEMAND else BLUE, ms=9)
     axes.set_yticks(range(len(asked)), [f"halfseen {verb}" for verb in asked])
-    axes.set_xticks(range(len(extras)), extras, rotation=40, ha="left", rotation_mode="anchor")
+    axes.set_xticks(range(len(extras)), extras, rotation=60, ha="left", rotation_mode="anchor")
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)

@@ -220,7 +220,8 @@ def _check_wire(controller: str | None, mapping: Path | None, record: Path | Non
     if controller is None:
         return
     if not controller.startswith("opc.tcp://") or "@" in controller:
-        raise ArgumentError(f"--opcua is {controller}; give opc.tcp://HOST:PORT, and users in --mapping")
+        place = controller.rpartition("@")[2]  # no password is repeated
+        raise ArgumentError(f"--opcua names {place}; give opc.tcp://HOST:PORT, and users in --mapping")
     if record is None:
         raise ArgumentError(f"--opcua {controller}: what was decided is known by the log; give --record LOGS")
 
