@@ -120,7 +120,7 @@ def draw_extras() -> Figure:
         for name in names:
             axes.plot(extras.index(name), row, "o", color=SKY if name in ON_DEMAND else BLUE, ms=9)
     axes.set_yticks(range(len(asked)), [f"halfseen {verb}" for verb in asked])
-    axes.set_xticks(range(len(extras)), extras, rotation=40, ha="left", rotation_mode="anchor")
+    axes.set_xticks(range(len(extras)), extras, rotation=60, ha="left", rotation_mode="anchor")
     axes.xaxis.tick_top()
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
@@ -181,7 +181,7 @@ def draw_team_study() -> Figure:
 
 
 ASKS_FOR = {
-    "serve": ("serve",),
+    "serve": ("serve", "opcua"),
     "export": ("onnx",),
     "watch": ("watch",),
     "report": ("study",),
@@ -193,8 +193,8 @@ ASKS_FOR = {
     "study": ("study", "ray", "dask"),
 }
 """Command → the extras that it asks for, some of which hold others."""
-ON_DEMAND = ("minari", "hdf5", "mcap", "ros", "sql", "ray", "dask", "stores")
-"""Extras that a format or an engine alone needs: pale dots."""
+ON_DEMAND = ("minari", "hdf5", "mcap", "ros", "sql", "ray", "dask", "stores", "opcua")
+"""Extras that a format, an engine or a wire alone needs: pale dots."""
 
 PICTURES = (
     plot("bias-of-weights", draw_bias),

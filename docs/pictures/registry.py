@@ -20,6 +20,7 @@ from pictures.treatments import TREATMENTS
 from pictures.two_planners import TWO_PLANNERS
 from pictures.view_figures import PICTURES as OF_VIEWS
 from pictures.way_of_the_data import WAY_OF_THE_DATA
+from pictures.wire import WIRE
 from pictures.wrong_laws import WRONG_LAWS
 
 PICTURES = (
@@ -30,4 +31,5 @@ PICTURES = (
     WRONG_LAWS,
     COMPARISON,
     MONITOR,
+    WIRE,
 )

@@ -199,6 +199,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("repetition.py", "--repetitions", "1", "--trajectories", "25"),
         ("serve.py", "--seconds", "3"),
         ("running_cell.py", "--seconds", "3", "--kills", "1"),
+        ("opcua.py", "--stages", "3"),
         ("closed_loop.py", "--tables", "2", "--only", "greedy"),
         ("half_seen.py", "--tables", "1", "--washes", "1", "--stains", "2"),
         ("two_arms.py", "--tables", "1", "--rule", "greedy", "--only", "one arm", "two arms"),

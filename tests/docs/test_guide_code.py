@@ -89,7 +89,7 @@ def follow_patched(page, text, folder):
 SLOW = {
     *("another-camera", "another-figure", "another-planner", "another-verb", "any-multistage-problem"),
     *("from-logs-to-a-policy", "physical-cell", "planners", "several-robots", "times-that-were-cut", "watch"),
-    *("what-looks-dirty", "can-i-believe-it", "in-service", "stepping-back"),
+    *("what-looks-dirty", "can-i-believe-it", "in-service", "stepping-back", "opcua"),
 }
 PAGES = [
     pytest.param(page, id=page.stem, marks=[pytest.mark.slow] if page.stem in SLOW else [])

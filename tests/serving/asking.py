@@ -7,9 +7,10 @@ from jsonschema import Draft202012Validator
 from starlette.testclient import TestClient
 
 from halfseen.serving.answering import Answering
-from halfseen.serving.app import Served, app_of
+from halfseen.serving.app import app_of
 from halfseen.serving.openapi import described
 from halfseen.serving.recording import RecordedTrajectories
+from halfseen.serving.served import Served
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """Trajectories are dealt to the policy or the rule of today, with honest probabilities, and the log is the state."""
 
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
@@ -11,6 +12,8 @@ from test_stepping_back import decided, learned
 from halfseen.cli.serve import serve
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import read_logs
+from halfseen.logs.journal import JOURNAL, JournalEvents
+from halfseen.logs.recorder import torn_by
 from halfseen.monitoring.dealing import Terms, standing
 from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
@@ -165,3 +168,19 @@ def test_the_command_asks_for_a_log(flat, tmp_path):
     (tmp_path / "rule.csv").write_text(RULE)
     with pytest.raises(ArgumentError, match=r"--against is .*rule\.csv, .*; give --record LOGS"):
         CliRunner().invoke(serve, [str(flat), "--against", str(tmp_path / "rule.csv")], catch_exceptions=False)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_deal_goes_on_where_the_log_of_a_trajectory_in_progress_ends(cell, tmp_path, seed):
+    compared, _, client = cell(seed=seed, epsilon=0.2)
+    with client as asked:
+        decided(asked, x1=0.1 + seed, x2=1)
+        asked.post("/reward", json={"reward": 1.0, "elapsed_s": 1.0})
+        decided(asked, x1=-0.3, x2=0)
+        events = reduce(torn_by, JournalEvents(tmp_path / "logs" / JOURNAL), [])
+        again, _, _ = cell(seed=seed)
+        assert again.courses.num == compared.courses.num == 0
+        assert again.resumed(events)
+        deal, live = again.deal, compared.deal
+        assert (deal.is_policys, deal.chance, deal.belief) == (live.is_policys, live.chance, pytest.approx(live.belief))
+        assert not replace(again, seed=seed).resumed([{**events[0], "columns": {}}])

@@ -17,8 +17,9 @@ from halfseen.logs import Logs, read_logs
 from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import write_policy
 from halfseen.scene import table_paths
-from halfseen.serving.app import Served, app_of
+from halfseen.serving.app import app_of
 from halfseen.serving.limits import Bounded
+from halfseen.serving.served import Served
 from small_logs import HIDES, flat_log, table_log
 
 SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}

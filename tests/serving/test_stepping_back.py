@@ -14,7 +14,7 @@ from halfseen.logs import Logs, read_logs
 from halfseen.policies.fall_back import fall_back_of, usual_actions
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.log_facts import actions_taken
-from halfseen.serving.app import Served
+from halfseen.serving.served import Served
 from small_logs import HIDES, flat_log, table_log
 
 WITHIN = {"x1": 0.0, "x2": 1}

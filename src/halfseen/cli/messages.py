@@ -34,9 +34,15 @@ EXTRAS = {
     "ray": ("ray",),
     "dask": ("distributed",),
     "stores": ("upath",),
+    "opcua": ("asyncua",),
 }
 """Libraries that some verbs need, by the extra that brings them."""
-HELD = {"scene": ("perception",), "study": ("scene", "perception"), "watch": ("scene", "perception")}
+HELD = {
+    "opcua": ("serve",),
+    "scene": ("perception",),
+    "study": ("scene", "perception"),
+    "watch": ("scene", "perception"),
+}
 """What an extra holds of others."""
 OF_VERB = {"cell": "scene", "report": "study", "study": "study", "watch": "watch"}
 """Extras of the verbs that need one which holds others: it is told at once, not one after the other."""

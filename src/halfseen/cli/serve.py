@@ -1,5 +1,8 @@
-"""``halfseen serve``: a policy that answers over HTTP; ``halfseen record``: what a program says, line by line."""
+"""``halfseen serve``: a policy that answers over HTTP or OPC UA; ``halfseen record``: what a program says."""
 
+import asyncio
+import logging
+import os
 import sys
 from collections.abc import Callable
 from contextlib import nullcontext
@@ -17,9 +20,10 @@ from halfseen.cli.options import SHIPPED
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
     from halfseen.policies.exploration_table import ExplorationTable
-    from halfseen.serving.app import Served
+    from halfseen.serving.opcua.wire import Wire
+    from halfseen.serving.served import Served
 
-TOKEN = "HALFSEEN_TOKEN"
+TOKEN, PASSWORD = "HALFSEEN_TOKEN", "HALFSEEN_OPCUA_PASSWORD"
 HERE = "127.0.0.1"
 SHORTEST_TOKEN = 16
 OUT_OF_RANGE = ["answer", "step-back"]
@@ -95,6 +99,19 @@ class _ShareOrTable(click.ParamType):
     help="Of --record: how long to wait at least until what is earned is held against the promise again, in a process "
     "of its own [s]; 0 for never.",
 )
+@click.option(
+    "--opcua",
+    "controller",
+    metavar="URL",
+    help="Let a controller ask over OPC UA instead, such as opc.tcp://10.0.0.2:4840. Needs --mapping, --record and the "
+    "extra opcua.",
+)
+@options.path("--mapping", text="Of --opcua: which of the controller's variables is what (TOML).")
+@options.flag(
+    "--mapping-template",
+    "is_template",
+    text="Only print a mapping for this policy to start from, or write it to --mapping.",
+)
 @options.seed("draws of --explore and deals of --against")
 def serve(
     policy: Path,
@@ -112,6 +129,9 @@ def serve(
     most_loss: float | None,
     time_limit: float,
     monitor_every: float,
+    controller: str | None,
+    mapping: Path | None,
+    is_template: bool,
     seed: int,
 ) -> None:
     """Answer what `halfseen act` answers, over HTTP, by the policy in the folder POLICY. Needs the extra serve.
@@ -129,6 +149,9 @@ def serve(
 
     With --against, the log says to which of both each trajectory was dealt, and with which chance; a server that begins
     again goes on from it. A sentence says when the policy is promoted, or stopped; GET /comparison says more.
+
+    With --opcua, halfseen reads a controller's variables and writes its decisions there; HTTP then only tells how it
+    stands. A trajectory goes on where a server that was stopped or killed left it.
     """
     import numpy as np
 
@@ -143,18 +166,23 @@ def serve(
     from halfseen.serving.recording import RecordedTrajectories
     from halfseen.serving.watching import Watch
 
+    if is_template:
+        _give_template(policy, mapping)
+        return
     _check_token(host, token)
+    _check_wire(controller, mapping, record)
     if against is not None and record is None:
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
     # A folder of logs is begun only where there is something to record.
     served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
-    is_table = served.service.stored.is_table
+    wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
+    kinds = {"is_of_tables": served.service.stored.is_table, "resumes": wire is not None}
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
-        nullcontext() if record is None else RecordedTrajectories(record, is_of_tables=is_table) as trajectories,
+        nullcontext() if record is None else RecordedTrajectories(record, **kinds) as trajectories,
         nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, _said) as watch,
     ):
         rng, recent = np.random.default_rng(seed), Recent(watch)
@@ -164,20 +192,61 @@ def serve(
             served.answering = replace(served.answering, comparison=held)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
-        answer(app_of(served, token), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
+        answer(app_of(served, token, wire=wire), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
 
 
 def _served(
     policy: Path, extrapolate: bool, out_of_range: str | None, rule: Path | None, time_limit: float
 ) -> "Served":
     from halfseen.serving.answering import NOBODY
-    from halfseen.serving.app import Served
+    from halfseen.serving.served import Served
 
     stays_within = not extrapolate and out_of_range != "answer"
     served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)
     if served.service.fall_back is None:
         click.echo(f"halfseen: warning: {NOBODY}; until then, what the policy does not decide is refused", err=True)
     return served
+
+
+def _give_template(policy: Path, file: Path | None) -> None:
+    from halfseen.errors import ArgumentError
+    from halfseen.policies import read_policy
+    from halfseen.serving.opcua.mapping import template_of
+    from halfseen.writing import write_file
+
+    template = template_of(read_policy(policy))
+    if file is None:
+        click.echo(template, nl=False)
+    elif file.exists():
+        raise ArgumentError(f"--mapping is {file}, which is there already; name a file to be written")
+    else:
+        write_file(file, template)
+
+
+def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
+    from halfseen.errors import ArgumentError
+
+    if (controller is None) != (mapping is None):
+        raise ArgumentError("--opcua and --mapping go together; `halfseen serve POLICY --mapping-template` prints one")
+    if controller is None:
+        return
+    if not controller.startswith("opc.tcp://") or "@" in controller:
+        place = controller.rpartition("@")[2]  # no password is repeated
+        raise ArgumentError(f"--opcua names {place}; give opc.tcp://HOST:PORT, and users in --mapping")
+    if record is None:
+        raise ArgumentError(f"--opcua {controller}: what was decided is known by the log; give --record LOGS")
+
+
+def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
+    from halfseen.serving.opcua.mapping import read_mapping
+    from halfseen.serving.opcua.wire import Wire
+
+    # What it has to say is said by the wire, in a line.
+    logging.getLogger("asyncua").addHandler(logging.NullHandler())
+    to = read_mapping(mapping, served.service.stored)
+    wire = Wire(served, controller, to, os.environ.get(PASSWORD))
+    asyncio.run(wire.check())
+    return wire
 
 
 def _said(sentence: str) -> None:

@@ -27,6 +27,7 @@ Events, with the clock `at_s` of the trajectory [s]:
 ==========  ===========================================================================================================
 journal     the first line: format and version
 session     a recorder was opened; a trajectory in progress above it was torn; ``reward_unit`` where it is known
+resumed     below a session: that trajectory goes on
 stage       a stage began: trajectory, stage, covariates, objects, robot, action, object, probability,
             stepped_back; the first one also has ``columns``
 done        the stage in progress was completed: reward; ``is_given`` where the clock was given, not read

@@ -34,7 +34,7 @@ JUST_BEFORE = 0.01
 is less than others take to their next clock, and more than rounding (`halfseen.censoring.tied_times`)."""
 RESOLUTION_S = 1e-9
 """What a clock can tell apart [s]; a trajectory that was torn before its clock moved ends there."""
-CRASH, STILL_RUNNING = "crash", "still-running"
+CRASH, STILL_RUNNING, RESUMED = "crash", "still-running", "resumed"
 ROWS_A_CHUNK = 20_000
 _TYPES = {
     "elapsed_s": pa.float64(),
@@ -95,10 +95,18 @@ def tables_of(trajectories: Iterable["RecordedTrajectory"]) -> dict[str, Any]:
 
 def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory"]:
     """Put the events of a journal together into trajectories; one that never ended has no ending, and is last."""
-    trajectory = None
+    trajectory = torn = None
     for event in events:
         with following(events):
-            if event["event"] in ("session", "hole") and trajectory is not None:
+            if event["event"] == "session":
+                torn, trajectory = trajectory or torn, None
+            elif event["event"] == RESUMED and torn is not None and torn.name == event["trajectory"]:
+                trajectory, torn = torn, None
+            elif torn is not None:
+                torn.end(CUT, None, CRASH)
+                yield torn
+                torn = None
+            if event["event"] == "hole" and trajectory is not None:
                 trajectory.end(CUT, None, CRASH)
             elif event["event"] == "stage" and event["stage"] == 1:
                 _check_new(trajectory, event)
@@ -108,8 +116,11 @@ def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory
         if trajectory is not None and trajectory.ending is not None:
             yield trajectory
             trajectory = None
-    if trajectory is not None:
-        yield trajectory
+    if torn is not None:
+        torn.end(CUT, None, CRASH)
+    last = trajectory or torn
+    if last is not None:
+        yield last
 
 
 def _check_new(trajectory: "RecordedTrajectory | None", event: dict[str, Any]) -> None:

@@ -36,7 +36,7 @@ from halfseen.logs.columns import CUT, FINISHED, STEPPED_BACK, UNKNOWN_CAUSE, ch
 from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal import PART_BYTES, JournalWriter, synced_events
 from halfseen.logs.logs import Logs
-from halfseen.logs.recorded import CRASH, RESOLUTION_S, STILL_RUNNING, RecordedTrajectory, tables_of
+from halfseen.logs.recorded import CRASH, RESOLUTION_S, RESUMED, STILL_RUNNING, RecordedTrajectory, tables_of
 from halfseen.logs.values import Schema, checked_number, checked_robot, checked_text
 
 _CLOCK_REMEDY = "give the time since the trajectory began [s]"
@@ -84,6 +84,23 @@ class TrajectoryState:
     completed_s: float = 0.0
     noted_s: float = 0.0
     events: tuple[dict[str, Any], ...] = ()
+
+    @classmethod
+    def of(cls, events: Sequence[dict[str, Any]]) -> "TrajectoryState":
+        """Where a trajectory stands whose events a journal has; its clock is one that is given from now on."""
+        last = next(event for event in reversed(events) if event["event"] == "stage")
+        done = [event for event in events if event["event"] == "done"]
+        return cls(
+            name=last["trajectory"],
+            number=1,
+            stage=last["stage"],
+            is_in_stage=not done or events.index(done[-1]) < events.index(last),
+            has_action="action" in last,
+            at_s=max(event.get("at_s", 0.0) for event in events),
+            is_given=True,
+            completed_s=done[-1]["at_s"] if done else 0.0,
+            events=tuple(events),
+        )
 
     def started(self) -> "TrajectoryState":
         """The state whose clock begins to count now."""
@@ -189,6 +206,18 @@ def ended_rows(events: Sequence[dict[str, Any]]) -> dict[str, list[dict[str, Any
     for event in others:
         trajectory.add(event)
     return trajectory.rows
+
+
+def torn_by(events: list[dict[str, Any]], event: dict[str, Any]) -> list[dict[str, Any]]:
+    """Events of the trajectory in progress after one more; empty where none is."""
+    match event["event"]:
+        case "stage" if event["stage"] == 1:
+            return [event]
+        case "finished" | "cut" | "hole":
+            return []
+        case "stage" | "done" | "running" | "out" if events:
+            events.append(event)
+    return events
 
 
 class TrajectoryRecorder:
@@ -541,6 +570,7 @@ class LogRecorder:
             raise ArgumentError(f"part_bytes is {part_bytes!r}; give a whole number of bytes, such as {PART_BYTES}")
         self._check, self._keeps_events = check, keeps_events
         self._names: set[int | str] = set()
+        self._torn: list[dict[str, Any]] = []
         self._restored = Recorded()
         self._trajectory: TrajectoryRecorder | None = None
         self._journal = JournalWriter(folder, synced_events(fsync), self._restore, unit, part_bytes)
@@ -582,19 +612,41 @@ class LogRecorder:
         self._trajectory = TrajectoryRecorder(self._journal, label, row, schema, self._check, self._keeps_events)
         return self._trajectory
 
+    def resume(self) -> TrajectoryRecorder | None:
+        """Go on with the trajectory that was torn when the folder was left; None where none was.
+
+        Call it before the first trajectory begins. Its clock must be given: what passed meanwhile no clock of this
+        process has seen.
+
+        Raises
+        ------
+        LogError
+            The disk is full.
+        """
+        is_read = any(event["event"] == "done" and not event.get("is_given") for event in self._torn)
+        if not self._torn or is_read or self._trajectory is not None:
+            return None
+        known, state = self._journal.known, TrajectoryState.of(self._torn)
+        columns, more = self._torn[0]["columns"], (self._check, self._keeps_events)
+        trajectory = TrajectoryRecorder(self._journal, state.name, columns, known.schema, *more)
+        self._journal.append({"event": RESUMED, "trajectory": state.name}, replace(known, trajectory=state))
+        self._trajectory = trajectory
+        return trajectory
+
     @property
     def trajectory(self) -> TrajectoryRecorder | None:
         """The trajectory that began last; None before the first."""
         return self._trajectory
 
-    def close(self, cause: str = UNKNOWN_CAUSE) -> None:
-        """Cut the trajectory in progress, if there is one, and let the folder go.
+    def close(self, cause: str | None = UNKNOWN_CAUSE) -> None:
+        """Cut the trajectory in progress, if there is one, and let the folder go; without a cause it may be resumed.
 
         Leaving a ``with`` block does the same, with the cause "operator" after Ctrl-C and "crash" after an error.
         """
         try:
-            if self._trajectory is not None and not self._trajectory.is_ended and not self._journal.is_closed:
-                self._trajectory.cut(cause)
+            last = None if self._journal.is_closed or cause is None else self._trajectory
+            if last is not None and not last.is_ended:
+                last.cut(cause)
         finally:
             self._journal.close()
 
@@ -608,6 +660,7 @@ class LogRecorder:
     def _restore(self, event: dict[str, Any]) -> None:
         """Learn names and columns from what the folder holds."""
         known = self._restored
+        self._torn = torn_by(self._torn, event)
         if event["event"] == "done":
             self._restored = replace(known, num_shares=len(event.get("own_rewards", ())))
         if event["event"] != "stage":

@@ -7,36 +7,30 @@ import sys
 import threading
 import traceback
 from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
-from dataclasses import dataclass, field, replace
+from contextlib import asynccontextmanager, nullcontext
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import anyio
 from msgspec import UNSET, Struct
-from msgspec.structs import asdict
+from msgspec.structs import asdict, replace
 from starlette.applications import Starlette
-from starlette.concurrency import run_in_threadpool
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
 from starlette.responses import HTMLResponse, Response
 from starlette.routing import Route
 
 from halfseen.errors import HalfseenError
-from halfseen.policies.decision import Decision
 from halfseen.reading import json_of
 from halfseen.serving import models
-from halfseen.serving.answering import Answering, InService, Seen, seen_in_cloud, seen_in_state, taken_into_service
+from halfseen.serving.answering import InService, Seen, seen_in_cloud, seen_in_state
 from halfseen.serving.cell_page import SECURITY, cell_of, page_of
 from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, cloud_in
 from halfseen.serving.models import Decided, Refusal, model_of
 from halfseen.serving.openapi import FORM, JSON, described, description_of
-from halfseen.serving.recording import RecordedTrajectories
-from halfseen.serving.stepping_back import SteppedBack, asked, late
+from halfseen.serving.served import Served
 
 if TYPE_CHECKING:
-    from halfseen.policies.table_observation import SeenLaw
+    from halfseen.serving.opcua.wire import Wire
 
 
 @asynccontextmanager
@@ -72,99 +66,14 @@ async def reloading_at_hang_up(reload: Callable[[], Awaitable[Any]]) -> AsyncIte
         loop.remove_signal_handler(hang_up)
 
 
-@dataclass(eq=False)
-class Served:
-    """A policy that is served, and what it is served with.
-
-    Parameters
-    ----------
-    folder
-        Of the policy; it is read again where a reload is asked for.
-    answering
-        How decisions are taken and kept.
-    extrapolates
-        Whether to decide far outside what the logs showed, too.
-    law
-        Of tables, what a cell's law tells of labels; None for the assumed one.
-    stays_within
-        Of named actions, whether the rule decides whatever lies outside what the logs showed, however near.
-    rule
-        A file with the rule; None for what the log did most.
-    limit_s
-        How long to wait for the policy until the rule decides [s]; None for as long as it takes.
-    """
-
-    folder: Path
-    answering: Answering = field(default_factory=Answering)
-    extrapolates: bool = False
-    law: "SeenLaw | None" = None
-    stays_within: bool = False
-    rule: Path | None = None
-    limit_s: float | None = None
-
-    def __post_init__(self) -> None:
-        self.service = self.read()
-        self.lock = asyncio.Lock()
-
-    def read(self) -> InService:
-        """Read the policy as it is in its folder now; raises what `taken_into_service` does."""
-        return taken_into_service(
-            self.folder, extrapolates=self.extrapolates, stays_within=self.stays_within, rule=self.rule
-        )
-
-    async def reload(self) -> InService:
-        """Put the policy of the folder in the place of the one that answers; requests go on meanwhile.
-
-        Raises
-        ------
-        PolicyError
-            The folder cannot be read; what answered goes on.
-        """
-        fresh = await run_in_threadpool(self.read)
-        async with self.lock:
-            answering, recording = self.answering, self.answering.trajectories
-            if answering.comparison is not None and recording is not None:
-                to = partial(answering.comparison.of, fresh, is_in_progress=recording.facts.trajectory is not None)
-                self.answering = replace(answering, comparison=await run_in_threadpool(to))
-            self.service = fresh
-        return fresh
-
-    async def answer(self, request: Request, look: Callable[[InService], Seen]) -> Decided:
-        """Look, decide and record, one at a time; what may last runs beside the loop, so that others are answered.
-
-        Raises
-        ------
-        Refusal
-            It cannot be recorded, or nobody would learn what was decided; then nothing was.
-        """
-        async with self.lock:
-            service, is_table = self.service, self.service.stored.is_table
-            if not is_table:
-                seen = look(service)
-                given = self.answering.answer(service, seen, await self._decided(service, seen))
-                return self.answering.recorded(seen, given)
-            await _check_is_there(request)
-            seen = await run_in_threadpool(look, service)
-            given = self.answering.answer(service, seen, await self._decided(service, seen))
-            await _check_is_there(request)
-            return await run_in_threadpool(self.answering.recorded, seen, given)
-
-    async def _decided(self, service: InService, seen: Seen) -> Decision | SteppedBack:
-        """Ask the policy; what comes too late is dropped."""
-        ask = partial(asked, seen.decide, seen.stage, service.stored.horizon)
-        if self.limit_s is None:
-            return await run_in_threadpool(ask) if service.stored.is_table else ask()
-        with anyio.move_on_after(self.limit_s):
-            return await anyio.to_thread.run_sync(ask, abandon_on_cancel=True)
-        return late(self.limit_s)
-
-
 async def _check_is_there(request: Request) -> None:
     if await request.is_disconnected():
         raise Refusal(408, "the client has gone; nothing is decided")
 
 
-def app_of(served: Served, token: str | None = None, *, largest_bytes: int | None = None) -> App:
+def app_of(
+    served: Served, token: str | None = None, *, largest_bytes: int | None = None, wire: "Wire | None" = None
+) -> App:
     """Make an ASGI app of a policy that is served.
 
     Parameters
@@ -175,24 +84,38 @@ def app_of(served: Served, token: str | None = None, *, largest_bytes: int | Non
         That each request must bring; None where none is asked for.
     largest_bytes
         Of a request; None for 1 MiB, and 64 MiB where clouds may come.
+    wire
+        By which a controller asks instead, as long as the app runs; then nobody else does.
     """
     asked = {
         "/decide": ("POST", _decide),
         "/reward": ("POST", _reward),
         "/end": ("POST", _end),
         "/reload": ("POST", _reload),
-        "/health": ("GET", _health),
+        "/health": ("GET", partial(_health, wire)),
         "/comparison": ("GET", _comparison),
         "/openapi.json": ("GET", _openapi),
         "/api": ("GET", _description),
         "/state": ("GET", _state),
         "/": ("GET", _page),
     }
+    if wire is not None:
+        asked |= dict.fromkeys(("/decide", "/reward", "/end"), ("POST", partial(_asked_elsewhere, wire)))
     routes = [Route(path, _answering(partial(answer, served)), methods=[how]) for path, (how, answer) in asked.items()]
     refused: Any = {HTTPException: _no_address}
-    app = Starlette(routes=routes, exception_handlers=refused, lifespan=lambda _: reloading_at_hang_up(served.reload))
+    app = Starlette(routes=routes, exception_handlers=refused, lifespan=lambda _: _running(served, wire))
     largest = largest_bytes or (LARGEST_CLOUD_BYTES if served.service.stored.is_table else LARGEST_STATE_BYTES)
     return Bounded(app, _refused, token, largest)  # type: ignore[arg-type]
+
+
+@asynccontextmanager
+async def _running(served: Served, wire: "Wire | None") -> AsyncIterator[None]:
+    async with reloading_at_hang_up(served.reload), nullcontext() if wire is None else wire.running():
+        yield
+
+
+async def _asked_elsewhere(wire: "Wire", served: Served, request: Request) -> None:
+    raise Refusal(409, f"decisions are asked for by the controller at {wire.url}; GET /health says how it stands")
 
 
 def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request], Awaitable[Response]]:
@@ -215,10 +138,10 @@ def _answering(answer: Callable[[Request], Awaitable[Any]]) -> Callable[[Request
 
 
 async def _decide(served: Served, request: Request) -> Decided:
-    trajectories = served.answering.trajectories
+    trajectories, check = served.answering.trajectories, partial(_check_is_there, request)
     if _content_type(request) == FORM:
         async with cloud_in(request) as cloud:
-            return await served.answer(request, lambda service: seen_in_cloud(service, cloud, served.law, trajectories))
+            return await served.decide(lambda service: seen_in_cloud(service, cloud, served.law, trajectories), check)
     state = await _object(request)
 
     def look(service: InService) -> Seen:
@@ -226,30 +149,17 @@ async def _decide(served: Served, request: Request) -> Decided:
             return seen_in_state(service, state)
         return seen_in_state(service, state, trajectories.next_stage(), trajectories.last)
 
-    return await served.answer(request, look)
-
-
-def _recording(served: Served) -> RecordedTrajectories:
-    if served.answering.trajectories is None:
-        raise Refusal(409, "this server records nothing; start it with --record LOGS")
-    return served.answering.trajectories
+    return await served.decide(look, check)
 
 
 async def _reward(served: Served, request: Request) -> models.Progress:
     given = model_of(await _object(request), models.Reward)
-    async with served.lock:
-        return _recording(served).rewarded(given.reward, given.elapsed_s, given.held)
+    return await served.rewarded(given.reward, given.elapsed_s, given.held)
 
 
 async def _end(served: Served, request: Request) -> models.Ended:
     given = model_of(await _object(request), models.End)
-    async with served.lock:
-        recording, comparison = _recording(served), served.answering.comparison
-        ended = recording.ended(given.cause, given.elapsed_s)
-        if comparison is not None:
-            await run_in_threadpool(comparison.ended, recording.events)
-        served.answering.recent.ended(recording.events)
-        return ended
+    return await served.ended(given.cause, given.elapsed_s)
 
 
 async def _comparison(served: Served, request: Request) -> models.Compared:
@@ -262,13 +172,8 @@ async def _reload(served: Served, request: Request) -> models.Reloaded:
     return models.Reloaded((await served.reload()).digest)
 
 
-async def _health(served: Served, request: Request) -> models.Health:
-    service, trajectories = served.service, served.answering.trajectories
-    recording = UNSET if trajectories is None else trajectories.facts
-    comparison = served.answering.comparison
-    compared = UNSET if comparison is None else comparison.facts
-    kind, rule = service.stored.record["kind"], served.answering.tally.facts
-    return models.Health("ok", service.digest, kind, rule, recording, compared)
+async def _health(wire: "Wire | None", served: Served, request: Request) -> models.Health:
+    return served.health if wire is None else replace(served.health, wire=wire.facts)
 
 
 async def _openapi(served: Served, request: Request) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from halfseen.errors import NothingRecordedError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import FINISHED
+from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.logs.recorder import ended_rows
 from halfseen.monitoring.comparison import Courses, Kept, counted
 from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
@@ -129,6 +130,18 @@ class Comparison:
         deal = self.dealt()
         return {ARM: POLICY if deal.is_policys else RULE, CHANCE: deal.chance, COMPARISON: self.name}
 
+    def resumed(self, events: Sequence[dict[str, Any]]) -> bool:
+        """Go on with a trajectory in progress, as the log has it; False where it was not dealt by this comparison."""
+        columns = events[0]["columns"]
+        if columns.get(COMPARISON) != self.name:
+            return False
+        self.deal = Deal(columns[ARM] == POLICY, columns[CHANCE], columns[CHANCE])
+        for event in (each for each in events if each["event"] == "stage"):
+            action, _ = self.rule.action(event["covariates"], event["stage"])
+            by_rule = 1.0 if event["action"] == action else 0.0
+            self.deal.belief = 1.0 - (1.0 - self.deal.belief) * by_rule / event["probability"]
+        return True
+
     def ended(self, events: Sequence[dict[str, Any]]) -> None:
         """Count a trajectory that is over, as the log has it."""
         self.deal = None
@@ -180,7 +193,8 @@ def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
         none = np.zeros(0)
         is_one = np.zeros(0, dtype=bool)
         return Courses(is_one, none, none, is_one, none.astype(np.int64), np.zeros((0, num_features)), none, none)
-    trajectories: Any = logs.trajectories[logs.trajectories[COMPARISON].eq(name).fillna(False)]
+    is_its = logs.trajectories[COMPARISON].eq(name).fillna(False) & logs.trajectories["cause"].ne(STILL_RUNNING)
+    trajectories: Any = logs.trajectories[is_its]
     stages: Any = logs.stages[logs.stages["trajectory"].isin(trajectories["trajectory"])]
     # In the order in which they were recorded, also where names are text.
     names = sorted(trajectories["trajectory"], key=lambda each: (len(str(each)), str(each)))

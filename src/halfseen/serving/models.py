@@ -188,6 +188,18 @@ class Cell(Struct, frozen=True, kw_only=True):
     ]
 
 
+class Wired(Struct, frozen=True):
+    """How the wire to a controller stands."""
+
+    url: Annotated[str, _is("Of the controller.")]
+    state: Annotated[
+        Literal["Preoperational", "Ready", "ResultReady", "Error"],
+        _is("As OPC 40100 calls it: not connected, nothing decided, decided, or a reason not to decide."),
+    ]
+    error: Annotated[str | None, _is("Why nothing is decided; null if nothing is wrong.")]
+    request: Annotated[int | None, _is("Number of the last request; null before the first.")]
+
+
 class Health(Struct, frozen=True):
     """That a server answers, and what."""
 
@@ -197,6 +209,7 @@ class Health(Struct, frozen=True):
     rule: StepBacks
     recording: Progress | UnsetType = UNSET
     comparison: Compared | UnsetType = UNSET
+    wire: Wired | UnsetType = UNSET
 
 
 class Refused(Struct, frozen=True):

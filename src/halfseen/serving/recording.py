@@ -59,6 +59,13 @@ class SoFar(NamedTuple):
     """Whether its last action held; None if nobody said."""
 
 
+class Waiting(NamedTuple):
+    """What was decided in the stage that waits for its reward."""
+
+    action: int | str
+    object: Any = UNSET
+
+
 class RecordedTrajectories:
     """The trajectories of one cell, in a folder of logs.
 
@@ -69,9 +76,11 @@ class RecordedTrajectories:
     is_of_tables
         Whether stages are of tables: then what would break a rule of theirs is not recorded, and a trajectory can be
         gone on from.
-
     keeps_events
         As `LogRecorder` takes it.
+    resumes
+        Whether a trajectory that was in progress when the folder was left goes on, and this one is left so, too; then
+        `elapsed_s` must be given always.
 
     Raises
     ------
@@ -79,22 +88,35 @@ class RecordedTrajectories:
         The folder cannot be recorded into.
     """
 
-    def __init__(self, folder: Path, *, is_of_tables: bool = False, keeps_events: bool = True) -> None:
+    def __init__(
+        self, folder: Path, *, is_of_tables: bool = False, keeps_events: bool = True, resumes: bool = False
+    ) -> None:
         check = self._check_table if is_of_tables else None
-        self._recorder = LogRecorder(folder, check=check, keeps_events=keeps_events)
-        self._is_of_tables = is_of_tables
+        self._recorder = LogRecorder(folder, check=check, keeps_events=keeps_events or resumes)
+        self._is_of_tables, self._resumes = is_of_tables, resumes
         self._checked: Logs | None = None
         self._trajectory: TrajectoryRecorder | None = None
         self._num_begun = 0
         self._begun = Begun()
-        self._unrewarded: Decided | None = None
+        self._unrewarded: Waiting | None = None
         self._held: bool | None = None
+        if resumes:
+            self._resume()
+
+    def _resume(self) -> None:
+        """Take up where the events of a trajectory in progress end, if there is one."""
+        self._trajectory = self._recorder.resume()
+        if self._trajectory is None:
+            return
+        last = [event for event in self.events if event["event"] == "stage"][-1]
+        self._num_begun, self._begun = last["stage"], Begun(last["covariates"])
+        self._unrewarded = Waiting(last["action"]) if self._trajectory.is_in_stage else None
 
     def __enter__(self) -> "RecordedTrajectories":
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._recorder.close(STOPPED)
+        self._recorder.close(None if self._resumes else STOPPED)
 
     def next_stage(self, *, is_of_cloud: bool = False) -> int:
         """Stage that the next decision begins, from 1.
@@ -132,6 +154,11 @@ class RecordedTrajectories:
         return SoFar(self._checked, self._begun.objects, self._held)
 
     @property
+    def columns(self) -> Mapping[str, Any]:
+        """Of the trajectory in progress, where events are kept; none where none is."""
+        return {} if self._trajectory is None or not self.events else self.events[0]["columns"]
+
+    @property
     def last(self) -> Mapping[str, Any] | None:
         """Covariates of the last stage of the trajectory in progress; None where none is."""
         return None if self._trajectory is None else self._begun.covariates
@@ -146,7 +173,7 @@ class RecordedTrajectories:
     def facts(self) -> Progress:
         """Where it stands, for a client that has forgotten it."""
         name, waits = self._trajectory and self._trajectory.name, self._unrewarded
-        action = () if waits is None else (waits.action, waits.object)
+        action = () if waits is None else waits
         return Progress(name, self._num_begun, "reward" if action else "decision", *action)
 
     def decided(self, begun: Begun, reply: Decided) -> int | str:
@@ -185,7 +212,8 @@ class RecordedTrajectories:
                 raise
             raise Refusal(422, f"nothing is decided, for it could not be recorded: {error}") from error
         self._begun, self._held = begun, None
-        self._trajectory, self._num_begun, self._unrewarded = trajectory, self._num_begun + 1, reply
+        self._trajectory, self._num_begun = trajectory, self._num_begun + 1
+        self._unrewarded = Waiting(reply.action, reply.object)
         return trajectory.name
 
     def _check_table(self, logs: Logs) -> None:

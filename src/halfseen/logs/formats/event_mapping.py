@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 
@@ -11,6 +11,7 @@ from halfseen.errors import ArgumentError
 from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
 from halfseen.reading import read_text, reason_of, toml_of
 
+Of = TypeVar("Of")
 NUMBERS = ("probability", "reward")
 """Keys of numbers; covariates may be such, too."""
 _KEYS = ("object", "probability", "reward", "ending")
@@ -169,19 +170,28 @@ def read_event_mapping(file: str | Path) -> EventMapping:
     ArgumentError
         It is missing or no TOML, or something in it is missing, unknown or of the wrong type; the key is named.
     """
-    remedy = "`halfseen convert TABLE --mapping-template` prints one"
+    mapping = mapping_in(file, EventMapping, "`halfseen convert TABLE --mapping-template` prints one")
+    for key, trouble in _troubles(mapping):
+        raise ArgumentError(f"{file}, {key}: {trouble}")
+    return mapping
+
+
+def mapping_in(file: str | Path, kind: type[Of], remedy: str) -> Of:
+    """Read a mapping file (TOML) as a record of a kind; what makes one is the remedy.
+
+    Raises
+    ------
+    ArgumentError
+        As `read_event_mapping`.
+    """
     try:
-        found = toml_of(read_text(Path(file)))
-        mapping = msgspec.convert(found, EventMapping)
+        return msgspec.convert(toml_of(read_text(Path(file))), kind)
     except OSError as error:
         raise ArgumentError(f"{file}: it cannot be read ({error.strerror}); {remedy}") from error
     except msgspec.ValidationError as error:
         raise ArgumentError(f"{file}, {_reworded(str(error))}; {remedy}") from error
     except ValueError as error:
         raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
-    for key, trouble in _troubles(mapping):
-        raise ArgumentError(f"{file}, {key}: {trouble}")
-    return mapping
 
 
 def is_event_mapping(file: str | Path) -> bool:

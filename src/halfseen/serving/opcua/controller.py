@@ -1,0 +1,242 @@
+"""A session with a controller: its variables by name, each with what speaks against acting on it."""
+
+import asyncio
+import math
+from collections.abc import AsyncIterator, Iterator, Mapping
+from contextlib import asynccontextmanager, contextmanager
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from asyncua import ua
+from asyncua.client.client import Client
+from asyncua.common.node import Node
+from asyncua.crypto import security_policies, uacrypto
+from asyncua.ua.attribute_ids import AttributeIds
+from cryptography import x509
+
+from halfseen.errors import ArgumentError
+from halfseen.reading import reason_of
+from halfseen.serving.models import Refusal
+from halfseen.serving.opcua.mapping import CellMapping, Security
+
+TIME_OUT_S = 4.0
+"""Until an answer of the controller [s]."""
+PUBLISHED_EVERY_MS = 10.0
+"""How often the controller is asked to tell changes [ms]; it may choose to do so less often."""
+CLOCK = "i=2258"
+"""The controller's own: Server_ServerStatus_CurrentTime."""
+LOST = (OSError, ua.UaError)
+"""What is raised where a controller is not there, or refuses."""
+
+
+@dataclass(frozen=True)
+class Snapshot:
+    """What variables held at one time.
+
+    Parameters
+    ----------
+    values
+        By name.
+    doubts
+        Why a value must not be acted on, by name; none where it may.
+    """
+
+    values: Mapping[str, Any]
+    doubts: Mapping[str, str] = field(default_factory=dict)
+
+    def __getitem__(self, name: str) -> Any:
+        """The value of a name; raises `Refusal` where it must not be acted on."""
+        if name in self.doubts:
+            raise Refusal(422, f"{name.removeprefix('covariates.')} {self.doubts[name]}")
+        return self.values[name]
+
+    def whole(self, name: str) -> int:
+        """A whole number from 0; raises `Refusal` where it must not be acted on."""
+        value = self[name]
+        if not isinstance(value, int) or value < 0:
+            raise Refusal(422, f"{name} is {value!r:.40}, and no whole number from 0")
+        return value
+
+    def number(self, name: str) -> float:
+        """A finite number; raises `Refusal` where it must not be acted on."""
+        value = self[name]
+        if not isinstance(value, int | float) or not math.isfinite(value):
+            raise Refusal(422, f"{name} is {value!r:.40}, and no finite number")
+        return float(value)
+
+    @property
+    def ending(self) -> str:
+        """How the trajectory ended, empty while it goes on; raises `Refusal` where it must not be acted on."""
+        return str(self["ending"] or "")
+
+    @property
+    def covariates(self) -> dict[str, Any]:
+        """Covariates by name; raises `Refusal` where it must not be acted on."""
+        return {name.removeprefix("covariates."): self[name] for name in self.values if name.startswith("covariates.")}
+
+
+@dataclass(eq=False)
+class Controller:
+    """A controller that a session is held with.
+
+    Parameters
+    ----------
+    client
+        The session.
+    reads, writes
+        Variables by name.
+    types
+        What is written as, by name.
+    stale_after_s
+        As `CellMapping` has it.
+    """
+
+    client: Client
+    reads: Mapping[str, Node]
+    writes: Mapping[str, Node]
+    types: Mapping[str, ua.VariantType]
+    stale_after_s: float | None = None
+    _news: asyncio.Event = field(default_factory=asyncio.Event)
+
+    def datachange_notification(self, node: Node, val: Any, data: Any) -> None:
+        """Note that something is asked; asyncua calls it."""
+        self._news.set()
+
+    async def news(self, limit_s: float) -> None:
+        """Wait until something is asked, or so long."""
+        try:
+            await asyncio.wait_for(self._news.wait(), limit_s)
+        except TimeoutError:
+            return
+        self._news.clear()
+
+    async def read(self) -> Snapshot:
+        """Read all variables at once; raises what `LOST` lists."""
+        nodes = [self.client.get_node(CLOCK), *self.reads.values()]
+        clock, *found = await self.client.read_attributes(nodes)
+        by_name = dict(zip(self.reads, found, strict=True))
+        now = max(filter(None, (_value(clock), by_name["request"].SourceTimestamp)), default=None)
+        limits_s = {name: self.stale_after_s for name in by_name if name not in ("request", "decision")}
+        doubts = {name: _doubt(value, now, limits_s.get(name)) for name, value in by_name.items()}
+        values = {name: _plain(_value(value)) for name, value in by_name.items()}
+        return Snapshot(values, {name: doubt for name, doubt in doubts.items() if doubt})
+
+    async def write(self, values: Mapping[str, Any]) -> None:
+        """Write variables, those that the mapping lacks aside; raises what `LOST` lists."""
+        typed = {name: ua.DataValue(self.typed(name, value)) for name, value in values.items() if name in self.writes}
+        nodes = [self.writes[name].nodeid for name in typed]
+        if not nodes:
+            return
+        for code in await self.client.uaclient.write_attributes(nodes, [*typed.values()], AttributeIds.Value):
+            code.check()
+
+    def typed(self, name: str, value: Any) -> ua.Variant:
+        """Give a value the type of its variable; raises `ArgumentError` where that takes no text."""
+        kind = self.types[name]
+        if isinstance(value, str) and kind != ua.VariantType.String:
+            raise ArgumentError(f"{name} is {value!r}, and its variable takes {kind.name}; give codes in [actions]")
+        return ua.Variant(str(value) if kind == ua.VariantType.String else value, kind)
+
+
+def _doubt(found: ua.DataValue, now: datetime | None, limit_s: float | None) -> str:
+    """Why a value must not be acted on; empty where it may."""
+    status = found.StatusCode
+    if status is not None and not status.is_good():
+        return f"has the quality {status.name}"
+    if isinstance(_value(found), list | tuple):
+        return "is an array, and no single value"
+    if limit_s is None:
+        return ""
+    if found.SourceTimestamp is None or now is None:
+        return "has no time stamp, so nobody knows how old it is"
+    age_s = (now - found.SourceTimestamp).total_seconds()
+    return f"is {age_s:.1f} s old, and {limit_s:g} s are allowed" if age_s > limit_s else ""
+
+
+def _value(found: ua.DataValue) -> Any:
+    return None if found.Value is None else found.Value.Value
+
+
+def _plain(value: Any) -> Any:
+    """A value as a log takes it."""
+    if isinstance(value, ua.LocalizedText):
+        return value.Text
+    return int(value) if isinstance(value, bool) else value
+
+
+@asynccontextmanager
+async def connected(url: str, mapping: CellMapping, password: str | None = None) -> AsyncIterator[Controller]:
+    """Hold a session with a controller, and hear of its requests.
+
+    Parameters
+    ----------
+    url
+        As opc.tcp://HOST:PORT.
+    mapping
+        Where its variables are.
+    password
+        Of the user that the mapping names.
+
+    Raises
+    ------
+    ArgumentError
+        A variable is not where the mapping says.
+    OSError, ua.UaError
+        It is not there, or refuses.
+    """
+    client = Client(url, timeout=TIME_OUT_S)
+    if mapping.security is not None:
+        with _usable():
+            await _secure(client, mapping.security, password)
+    async with client:
+        reads, writes = await _nodes(client, mapping, mapping.readable), await _nodes(client, mapping, mapping.writable)
+        types = {name: await node.read_data_type_as_variant_type() for name, node in writes.items()}
+        controller = Controller(client, reads, writes, types, mapping.stale_after_s)
+        subscription = await client.create_subscription(PUBLISHED_EVERY_MS, controller)
+        await subscription.subscribe_data_change(reads["request"])
+        yield controller
+
+
+async def _nodes(client: Client, mapping: CellMapping, paths: Mapping[str, str]) -> dict[str, Node]:
+    """Find variables by their browse paths."""
+    known, objects, nodes = await client.get_namespace_array(), client.nodes.objects, {}
+    for name, path in paths.items():
+        names = mapping.browse_names(path)
+        if strange := [address for address, _ in names if address not in known]:
+            raise ArgumentError(f"{name}: the controller has no namespace {strange[0]!r}; it has {', '.join(known)}")
+        try:
+            nodes[name] = await objects.get_child([ua.QualifiedName(each, known.index(of)) for of, each in names])
+        except ua.uaerrors.BadNoMatch as error:
+            raise ArgumentError(f"{name}: the controller has no {path!r} below Objects; mend the path") from error
+    return nodes
+
+
+@contextmanager
+def _usable() -> Iterator[None]:
+    """Refuse a certificate or key that is none."""
+    try:
+        yield
+    except (ValueError, TypeError, x509.ExtensionNotFound) as error:
+        raise ArgumentError(f"security: a certificate or its key cannot be used ({reason_of(error)})") from error
+
+
+async def _secure(client: Client, security: Security, password: str | None) -> None:
+    """Sign, or sign and encrypt, and say who asks."""
+    certificate = await uacrypto.load_certificate(security.certificate)
+    names = certificate.extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+    client.application_uri = next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), "")
+    await client.set_security(
+        getattr(security_policies, f"SecurityPolicy{security.policy}"),
+        security.certificate,
+        security.key,
+        server_certificate=security.server_certificate,
+        mode=ua.MessageSecurityMode[security.mode],
+    )
+    if security.user is not None:
+        client.set_user(security.user)
+        client.set_password(password or "")
+    if security.user_certificate is not None and security.user_key is not None:
+        await client.load_client_certificate(security.user_certificate)
+        await client.load_private_key(Path(security.user_key))

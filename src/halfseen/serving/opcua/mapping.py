@@ -1,0 +1,238 @@
+"""Which variable of a controller is what: the mapping file of ``serve --opcua``, and a template of it."""
+
+import json
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import msgspec
+
+from halfseen.errors import ArgumentError
+from halfseen.logs.formats.event_mapping import mapping_in
+from halfseen.policies.folder.stored import StoredPolicy
+from halfseen.suggestions import did_you_mean
+
+REMEDY = "`halfseen serve POLICY --mapping-template` prints one"
+FILES = ("certificate", "key", "server_certificate", "user_certificate", "user_key")
+Given: Any = {"frozen": True, "forbid_unknown_fields": True, "kw_only": True}
+
+
+class Reads(msgspec.Struct, **Given):
+    """Browse paths of what is asked and of what came of it."""
+
+    request: str
+    stage: str
+    reward: str
+    elapsed_s: str
+    ending: str
+
+
+class Writes(msgspec.Struct, **Given):
+    """Browse paths of what is answered; None for what the controller does not want to know."""
+
+    action: str
+    decision: str
+    state: str | None = None
+    error: str | None = None
+
+
+class Security(msgspec.Struct, **Given):
+    """How messages are signed and encrypted, and who asks; files lie beside the mapping file.
+
+    Parameters
+    ----------
+    mode, policy
+        As the controller offers them.
+    certificate, key
+        Of halfseen, .der or .pem.
+    server_certificate
+        Of the controller, which alone is trusted.
+    user
+        Its name; the password is never in a file.
+    user_certificate, user_key
+        Of the user, in place of a password.
+    """
+
+    mode: Literal["Sign", "SignAndEncrypt"]
+    certificate: str
+    key: str
+    server_certificate: str
+    policy: Literal["Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss"] = "Basic256Sha256"
+    user: str | None = None
+    user_certificate: str | None = None
+    user_key: str | None = None
+
+
+class CellMapping(msgspec.Struct, **Given):
+    """Where a controller's variables are.
+
+    Parameters
+    ----------
+    namespaces
+        Their addresses by alias; a name without an alias is in the first.
+    reads, writes
+        What is asked and answered.
+    covariates
+        Browse paths by covariate.
+    actions
+        Codes of actions, where the controller takes whole numbers; empty where it takes names.
+    stale_after_s
+        How old a value may be that is acted on [s]; None for any age.
+    security
+        None for messages in plain text.
+    """
+
+    namespaces: Annotated[dict[str, str], msgspec.Meta(min_length=1)]
+    reads: Reads
+    writes: Writes
+    covariates: dict[str, str]
+    actions: dict[str, int] = {}
+    stale_after_s: Annotated[float, msgspec.Meta(gt=0.0)] | None = None
+    security: Security | None = None
+
+    @property
+    def readable(self) -> dict[str, str]:
+        """Browse paths of all that is read, by name; covariates as (covariates.name)."""
+        given = {f"covariates.{name}": path for name, path in self.covariates.items()}
+        return {**msgspec.structs.asdict(self.reads), "decision": self.writes.decision, **given}
+
+    @property
+    def writable(self) -> dict[str, str]:
+        """Browse paths of all that is written, by name."""
+        return {name: path for name, path in msgspec.structs.asdict(self.writes).items() if path is not None}
+
+    def code_of(self, action: int | str) -> int | str:
+        """What is written for an action."""
+        return self.actions.get(str(action), action)
+
+    def browse_names(self, path: str) -> list[tuple[str, str]]:
+        """Take a browse path apart: of each name the address of its namespace, and the name."""
+        first = next(iter(self.namespaces))
+        parts = [part.partition(":") for part in path.split("/")]
+        known = [(alias, name) if alias in self.namespaces else (first, alias + by + name) for alias, by, name in parts]
+        return [(self.namespaces[alias], name) for alias, name in known]
+
+
+def read_mapping(file: Path, stored: StoredPolicy) -> CellMapping:
+    """Read the mapping file of a cell.
+
+    Parameters
+    ----------
+    file
+        As `template_of` begins one.
+    stored
+        The policy that is to decide there.
+
+    Raises
+    ------
+    ArgumentError
+        It cannot be read, something in it is missing, unknown or of the wrong type, or it does not fit the policy.
+    """
+    _refuse_tables(stored)
+    mapping, policy = mapping_in(file, CellMapping, REMEDY), stored.policy
+    actions = {str(action) for action in policy.actions}
+    for key, given, known in (
+        ("covariates", mapping.covariates, set(policy.covariates)),
+        ("actions", mapping.actions, actions if mapping.actions else set()),
+    ):
+        if missing := sorted(known - given.keys()):
+            raise ArgumentError(f"{file}, {key}: {missing[0]!r} of the policy is missing; add it")
+    for name in mapping.actions.keys() - actions:
+        raise ArgumentError(f"{file}, actions: the policy has no {name!r}{did_you_mean(name, actions)}; leave it out")
+    if len(set(mapping.actions.values())) < len(mapping.actions):
+        raise ArgumentError(f"{file}, actions: two of them have the same code; give each its own")
+    return msgspec.structs.replace(mapping, security=_beside(file, mapping.security))
+
+
+def _refuse_tables(stored: StoredPolicy) -> None:
+    if stored.is_table:
+        raise ArgumentError("--opcua: the policy is of tables of objects, and a variable holds one value; ask by HTTP")
+
+
+def _beside(file: Path, security: Security | None) -> Security | None:
+    """Take file names of a mapping from its folder."""
+    if security is None:
+        return None
+    named = {name: getattr(security, name) for name in FILES}
+    paths = {name: file.parent / each for name, each in named.items() if each is not None}
+    for name, path in paths.items():
+        if not path.is_file():
+            raise ArgumentError(f"{file}, security.{name}: there is no file {path}; name a .der or .pem file")
+    if (security.user_certificate is None) != (security.user_key is None):
+        raise ArgumentError(f"{file}, security: user_certificate and user_key go together; give both or none")
+    return msgspec.structs.replace(security, **{name: str(path) for name, path in paths.items()})
+
+
+def template_of(stored: StoredPolicy) -> str:
+    """Begin a mapping file for a policy: with its covariates and actions, each key explained.
+
+    Raises
+    ------
+    ArgumentError
+        The policy is of tables.
+    """
+    _refuse_tables(stored)
+    policy = stored.policy
+    covariates = _table({str(name): f"Cell/{name}" for name in policy.covariates})
+    actions = _table({str(action): code for code, action in enumerate(policy.actions)}, before="# ")
+    return TEMPLATE.format(covariates=covariates, actions=actions)
+
+
+def _table(entries: Mapping[str, Any], before: str = "") -> str:
+    """Lines of a table of TOML, which quotes as JSON does."""
+    keys = [name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name) for name in entries]
+    return "\n".join(f"{before}{key} = {json.dumps(value)}" for key, value in zip(keys, entries.values(), strict=True))
+
+
+TEMPLATE = """\
+# What `halfseen serve POLICY --opcua URL --mapping THIS_FILE --record LOGS` reads and writes at a controller.
+# A path leads from the folder Objects by browse names. "alias:Name" is in the namespace of that alias, "Name" in the
+# first.
+
+# A value that the controller stamped longer ago is not acted on [s]. Leave it out where values are stamped only when
+# they change.
+stale_after_s = 2.0
+
+[namespaces]
+cell = "urn:example:cell"
+
+[reads]
+# Whole number that counts on by one with each question: set it last, and let all else stand until it is answered.
+# 0 asks nothing.
+request = "Cell/Request"
+# Whole number: the stage of the trajectory, from 1.
+stage = "Cell/Stage"
+# What the decision before brought, and the time since the trajectory began [s]; not read in stage 1.
+reward = "Cell/Reward"
+elapsed_s = "Cell/ElapsedS"
+# Text: empty while the trajectory goes on, "finished", or what cut it, such as "operator". An end is a request, too.
+ending = "Cell/Ending"
+
+[covariates]
+{covariates}
+
+[writes]
+# What to do: the name of the action, or its code below.
+action = "Cell/Action"
+# The number of the request that is answered, written once the action is there.
+decision = "Cell/Decision"
+# Text, both optional: Ready, ResultReady or Error; and why there is no decision.
+state = "Cell/PolicyState"
+error = "Cell/PolicyError"
+
+# Where the controller takes numbers:
+# [actions]
+{actions}
+
+# The password of a user is taken from the environment, HALFSEEN_OPCUA_PASSWORD.
+# [security]
+# mode = "SignAndEncrypt"  # or "Sign"
+# policy = "Basic256Sha256"
+# certificate = "halfseen.der"
+# key = "halfseen.pem"
+# server_certificate = "controller.der"
+# user = "halfseen"
+# user_certificate = "user.der"  # in place of a password
+# user_key = "user.pem"
+"""

@@ -1,0 +1,212 @@
+"""What a controller asks, is answered and recorded, whatever is lost in between.
+
+The controller counts its questions; what it asks and what came of the answer before stand together. A decision is
+recorded before it is written, and the log names the number of its trajectory's first request. So where a session or
+either side is lost, log and numbers tell what comes next: with r the request and d the last decision of the trajectory
+in progress,
+
+* r = d, and the state is still that of the log: the decision was taken, and is written again, not taken again;
+* r = d + 1: the outcome of d is recorded, then the next decision taken, or the trajectory ended;
+* any other r: requests were lost, and the trajectory is cut.
+"""
+
+import asyncio
+import sys
+import traceback
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Any
+
+from halfseen.errors import ArgumentError, HalfseenError
+from halfseen.logs.columns import FINISHED
+from halfseen.serving.answering import InService, Seen, seen_in_state
+from halfseen.serving.models import Refusal, Wired
+from halfseen.serving.opcua.controller import LOST, Controller, Snapshot, connected
+from halfseen.serving.opcua.mapping import CellMapping
+from halfseen.serving.recording import RecordedTrajectories
+from halfseen.serving.served import Served
+
+REQUEST = "first_request"
+"""Column of a trajectory: the number of its first request."""
+REQUESTS_LOST = "requests-lost"
+"""Cause of the cut of a trajectory whose requests do not go on where the log ends."""
+LOOKED_AFTER_S, TRIED_AGAIN_AFTER_S, BEGUN_AGAIN_AFTER_S = 1.0, 0.1, 0.5
+"""When the controller is looked at without news, while all is well and while a value is doubtful, and when a session is
+begun again [s]."""
+
+
+def _tell(line: str) -> None:
+    print(f"halfseen: {line}", file=sys.stderr, flush=True)
+
+
+@dataclass(eq=False)
+class Wire:
+    """A policy that a controller asks over OPC UA, trajectory after trajectory.
+
+    Parameters
+    ----------
+    served
+        The policy, which records with `resumes`.
+    url
+        Of the controller, as opc.tcp://HOST:PORT.
+    mapping
+        Where its variables are.
+    password
+        Of the user that the mapping names.
+    tell
+        Is given a line where something goes wrong, and where it goes well again.
+    """
+
+    served: Served
+    url: str
+    mapping: CellMapping
+    password: str | None = None
+    tell: Callable[[str], object] = _tell
+    facts: Wired = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.facts = Wired(self.url, "Preoperational", None, None)
+
+    def resume(self) -> None:
+        """Go on with the deal of a trajectory in progress; one that this comparison did not deal is cut."""
+        comparison, recording = self.served.answering.comparison, self.served.answering.trajectories
+        if comparison is None or recording is None or not recording.columns:
+            return
+        if not comparison.resumed(recording.events):
+            recording.ended(REQUESTS_LOST)
+
+    @property
+    def recording(self) -> RecordedTrajectories:
+        """Where decisions are recorded; raises `Refusal` where they are not."""
+        return self.served.recording
+
+    async def check(self) -> None:
+        """Try the controller once; one that is not there yet may come later.
+
+        Raises
+        ------
+        ArgumentError
+            It refuses, or has not the variables of the mapping.
+        """
+        try:
+            async with connected(self.url, self.mapping, self.password) as controller:
+                for action in self.served.service.stored.policy.actions:
+                    controller.typed("action", self.mapping.code_of(action))
+        except OSError as error:
+            self.tell(f"{self.url}: nobody answers ({error or type(error).__name__}); trying again until somebody does")
+        except LOST as error:
+            raise ArgumentError(f"--opcua {self.url}: the controller refuses ({error})") from error
+
+    @asynccontextmanager
+    async def running(self) -> AsyncIterator[None]:
+        """Answer the controller for a while."""
+        task = asyncio.create_task(self.run())
+        try:
+            yield
+        finally:
+            task.cancel()
+            with suppress(asyncio.CancelledError):
+                await task
+
+    async def run(self) -> None:
+        """Answer the controller until this is cancelled; a session that is lost is begun again."""
+        self.resume()
+        while True:
+            try:
+                async with connected(self.url, self.mapping, self.password) as controller:
+                    while True:
+                        await self.look(controller)
+                        await controller.news(TRIED_AGAIN_AFTER_S if self.facts.error else LOOKED_AFTER_S)
+            except Exception as error:
+                if not isinstance(error, (*LOST, HalfseenError)):
+                    traceback.print_exc(file=sys.stderr)
+                self._note("Preoperational", f"{type(error).__name__}: {error}")
+            except asyncio.CancelledError:
+                # So asyncua tells of a session that is lost, too.
+                task = asyncio.current_task()
+                if task is None or task.cancelling():
+                    raise
+                self._note("Preoperational", "the session is lost")
+            await asyncio.sleep(BEGUN_AGAIN_AFTER_S)
+
+    async def look(self, controller: Controller) -> None:
+        """Look at the controller once: answer what it asks, or say why not; raises what `LOST` lists."""
+        before = self.facts
+        seen = await controller.read()
+        try:
+            await self._answer(controller, seen)
+            self._note("ResultReady" if self.recording.facts.waits_for == "reward" else "Ready", None, seen["request"])
+        except Refusal as refusal:
+            self._note("Error", refusal.answer.error)
+        except HalfseenError as error:
+            self._note("Error", str(error))
+        except LOST:
+            raise
+        except Exception as error:
+            # The next request is answered all the same.
+            traceback.print_exc(file=sys.stderr)
+            self._note("Error", f"this went wrong in halfseen itself ({type(error).__name__})")
+        if self.facts != before:
+            await controller.write({"state": self.facts.state, "error": self.facts.error or ""})
+
+    def _note(self, state: Any, error: str | None, request: int | None = None) -> None:
+        """Keep how it stands, and tell it where that has changed."""
+        if error != self.facts.error:
+            self.tell(f"{self.url}: {'all is well again' if error is None else f'no decision is written: {error}'}")
+        self.facts = Wired(self.url, state, error, self.facts.request if request is None else request)
+
+    async def _answer(self, controller: Controller, seen: Snapshot) -> None:
+        """Answer a request, unless it is answered."""
+        request = seen.whole("request")
+        if request in (0, seen.values["decision"]):
+            return
+        action = self._decided_before(request, seen)
+        if action is None:
+            await self._take_outcome(request, seen)
+            action = None if seen.ending else await self._decide(request, seen)
+        if action is not None:
+            await controller.write({"action": self.mapping.code_of(action)})
+        await controller.write({"decision": request})
+
+    def _last_decision(self) -> int | None:
+        """The number of the last decision of the trajectory in progress; None where none is."""
+        first = self.recording.columns.get(REQUEST)
+        return None if first is None else first + self.recording.facts.stage - 1
+
+    def _decided_before(self, request: int, seen: Snapshot) -> Any:
+        """The action that the log has for this very question; None where it has none."""
+        facts, last = self.recording.facts, self.recording.last
+        if request != self._last_decision() or facts.waits_for != "reward" or seen.ending or last is None:
+            return None
+        given = {name: value for name, value in seen.covariates.items() if value is not None}
+        is_same = facts.stage == seen.whole("stage") and given.items() <= last.items()
+        return facts.action if is_same else None
+
+    async def _take_outcome(self, request: int, seen: Snapshot) -> None:
+        """Record what the decision before brought, and the end of its trajectory."""
+        last, ending, facts = self._last_decision(), seen.ending, self.recording.facts
+        if facts.trajectory is None:
+            return
+        if last is None or request != last + 1 or not (ending or seen.whole("stage") == facts.stage + 1):
+            await self.served.ended(REQUESTS_LOST)
+            return
+        is_cut = ending not in ("", FINISHED)
+        elapsed_s = seen.number("elapsed_s")
+        if facts.waits_for == "reward" and not is_cut:
+            await self.served.rewarded(seen.number("reward"), elapsed_s)
+        if ending:
+            await self.served.ended(ending if is_cut else None, elapsed_s)
+
+    async def _decide(self, request: int, seen: Snapshot) -> int | str:
+        """Decide and record the next stage."""
+        stage, next_stage = seen.whole("stage"), self.recording.next_stage()
+        if stage != next_stage:
+            raise Refusal(409, f"stage is {stage}, and the log awaits stage {next_stage}; end the trajectory")
+        state = {**seen.covariates, "stage": stage}
+        return (await self.served.decide(partial(self._seen, request, state))).action
+
+    def _seen(self, request: int, state: dict[str, Any], service: InService) -> Seen:
+        seen = seen_in_state(service, state, self.recording.next_stage(), self.recording.last)
+        return replace(seen, begun=replace(seen.begun, columns={**seen.begun.columns, REQUEST: request}))
