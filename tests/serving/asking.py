@@ -12,6 +12,9 @@ from halfseen.serving.openapi import described
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.served import Served
 
+OF_ACT = {"policy", "input", "learned_from"}
+"""What `act` says of the folder and the file that it was given, and a server does not with each decision."""
+
 
 @contextmanager
 def client_of(

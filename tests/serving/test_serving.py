@@ -7,7 +7,7 @@ from collections import Counter
 import httpx2
 import numpy as np
 import pytest
-from asking import client_of, refused, resolved
+from asking import OF_ACT, client_of, refused, resolved
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
@@ -48,7 +48,7 @@ def acted(folder, tmp_path, *words, **state):
     file = tmp_path / "state.json"
     file.write_text(json.dumps(state))
     done = CliRunner().invoke(act, [str(folder), str(file), "--json", *words], catch_exceptions=False)
-    return {name: told for name, told in json.loads(done.output).items() if name not in ("policy", "input")}
+    return {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
 
 
 def test_it_says_what_act_says(asked, flat, tmp_path):
@@ -348,7 +348,7 @@ def test_description_and_page_tell_in_words_whatever_is_asked_for_in_the_order_o
 def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
     table = table_paths()[7]
     done = CliRunner().invoke(act, [str(tables), str(table), "--json", "--stage", "2", "--extrapolate"])
-    said = {name: told for name, told in json.loads(done.output).items() if name not in ("policy", "input")}
+    said = {name: told for name, told in json.loads(done.output).items() if name not in OF_ACT}
     with client_of(tables, of_tables=True) as client:
         told = client.post("/decide", files={"cloud": (table.name, table.read_bytes())}, data={"stage": "2"}).json()
         assert {name: told[name] for name in said} == said

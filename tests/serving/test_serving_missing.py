@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
-from asking import client_of, refused
+from asking import OF_ACT, client_of, refused
 from click.testing import CliRunner
 
 from halfseen.cli.act import act
@@ -39,8 +39,8 @@ def test_without_a_history_it_says_what_act_says(state, folder, tmp_path):
     said = acted(folder, {**state, "stage": 2}, tmp_path)
     with client_of(folder) as client:
         told = client.post("/decide", json={**state, "stage": 2}).json()
-    assert {name: told[name] for name in said.keys() - {"policy", "input"}} == {
-        name: value for name, value in said.items() if name not in ("policy", "input")
+    assert {name: told[name] for name in said.keys() - OF_ACT} == {
+        name: value for name, value in said.items() if name not in OF_ACT
     }
     assert told["filled"] == [name for name in ("x", "colour", "is_heavy") if state.get(name) is None]
 
