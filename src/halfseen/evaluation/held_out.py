@@ -31,16 +31,19 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
+from halfseen.evaluation.baselines import LOGGING
 from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
 from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.specification import specification
+from halfseen.evaluation.tabular import gain_of
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.q_space import TabularQ
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 from halfseen.shapes import Float, Int
@@ -242,7 +245,10 @@ def held_out_verdict(
             warnings.simplefilter("ignore", HalfseenWarning)
             with workers.ready_if_worth() as pool:
                 policy = learn_by_folds(learner, logs, num_folds, on_progress, pool)
-            found = _judged(policy, learner, logs, num_folds, against, level, trust, workers)
+            if isinstance(learner.model_.space, TabularQ):
+                found = _of_table(policy, learner, logs, against, level)
+            else:
+                found = _judged(policy, learner, logs, num_folds, against, level, trust, workers)
     except HalfseenError as error:
         return HeldOutVerdict("inconclusive", str(error), num_folds)
     on_progress()
@@ -281,6 +287,9 @@ def learn_by_folds(
     # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen again in each fold.
     composed = learner.compose(logs)
     same = learner.unfitted().set_params(censoring=composed.targets, pessimism=composed.pessimism)
+    if isinstance(composed.space, TabularQ):
+        # A state that one fold alone has seen is one of the others' too.
+        same = same.set_params(q_function=composed.space, actions=learner.model_.task, covariates=())
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
     policies = []
     for policy in pool.in_order(partial(_learned_without, same, logs, fold), range(num_folds)):
@@ -292,6 +301,17 @@ def learn_by_folds(
 def _learned_without(learner: CensoredQLearner, logs: Logs, fold: Int[np.ndarray, " n"], k: int) -> Any:
     """Policy from the trajectories outside a fold."""
     return learner.unfitted().fit(logs.select(logs.trajectory_ids[fold != k])).policy_
+
+
+def _of_table(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, against: Any, level: float) -> HeldOutVerdict:
+    """Judge policies of a table of states by state and action (`tabular`)."""
+    if against not in (None, LOGGING):
+        raise ArgumentError("a policy of a table of states is compared with what made the log alone; leave against out")
+    gain = gain_of(policy, learner.model_, logs, float(learner.q_functions_.reg[-1, 0]), level)
+    verdict: Verdict = "better" if gain.low > 0 else "not better" if gain.high < 0 else "inconclusive"
+    within = f"{level:.0%} interval {gain.low:.3g} to {gain.high:.3g}"
+    reason = f"it earns {gain.value:.3g} more than what made the log ({within})"
+    return HeldOutVerdict(verdict, reason, len(policy.policies))
 
 
 def _judged(

@@ -315,8 +315,8 @@ class CensoredQLearner(Estimator):
                 f"q_function is 'tabular', which pools stages and shrinks what few speak for, but stages is "
                 f"{self.stages!r} and pessimism {self.pessimism!r}; leave them out"
             )
-        why = (f"Q is a table: {', '.join(self.covariates)} names a state",)
         states = with_states(task, logs, targets)
+        why = (f"Q is a table: {states.covariates[0]} names a state",)
         return QModel(
             self.horizon, states, targets, TabularQ(), reg_of(self.reg), "pooled", self.random_state, space_chosen=why
         )
