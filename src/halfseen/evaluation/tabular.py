@@ -8,7 +8,8 @@ completes it, a trajectory adds
 over its completed stages, whose mean is the value of the policy where either Q̂ or ν̂/m̂ is right
 [KallusUehara2020]_; that cuts come sooner in some states is part of m. Q̂, ν̂ and m̂ are of the trajectories outside its
 fold, as is the policy: means of cells, shrunk as those that the policy was learned from (`halfseen.learning.tabular`).
-A policy is judged by what it does with all stages to go.
+What leads from state to state does not depend on the stage, so a completed stage serves each number of stages to go, as
+there; one that the horizon ended the last alone.
 """
 
 from statistics import NormalDist
@@ -22,8 +23,7 @@ from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.logs import Logs
-from halfseen.shapes import Float, Int
-
+from halfseen.shapes import Bool, Float, Int
 
 ROUNDING = 1e-12
 
@@ -45,6 +45,11 @@ class _Rows(NamedTuple):
     successor: Int[np.ndarray, " m"]
     """S after a trajectory's own end."""
     reward: Float[np.ndarray, " m"]
+    stage: Int[np.ndarray, " m"]
+    """From 0."""
+
+    def at(self, rows: Bool[np.ndarray, " m"]) -> "_Rows":
+        return _Rows(*(each[rows] for each in self))
 
 
 def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level: float = 0.95) -> Gain:
@@ -69,14 +74,45 @@ def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level:
     gains = np.zeros(len(first))
     for k, one in enumerate(policy.policies):
         is_in = policy.fold[rows.trajectory] == k
-        others, own = _Rows(*(each[~is_in] for each in rows)), _Rows(*(each[is_in] for each in rows))
-        world = _World(others, first[policy.fold != k], shape, kappa, policy.horizon)
-        ours, theirs = world.added(_choice_of(one), own, first), world.added(None, own, first)
+        world = _World(rows.at(~is_in), first[policy.fold != k], shape, kappa, policy.horizon)
+        ours, theirs = (world.added(which, rows.at(is_in), first) for which in (_choices_of(one), None))
         is_more = np.abs(ours - theirs) > ROUNDING * np.abs(theirs).max()
         gains = np.where(policy.fold == k, np.where(is_more, ours - theirs, 0.0), gains)
     value, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
     reach = NormalDist().inv_cdf((1.0 + level) / 2.0) * error
     return Gain(value, value - reach, value + reach)
+
+
+class _Means:
+    """What some completed stages say of each state, and of each action there."""
+
+    def __init__(self, rows: _Rows, shape: tuple[int, int], num: int, kappa: float) -> None:
+        self.num_actions, (num_states, num_actions) = shape[1], shape
+        cell, size = rows.state * num_actions + rows.action, num_states * num_actions
+        self.reward, self.moves, n = _means(cell, rows, size, num_states)
+        self.reward_of_state, self.moves_of_state, n_of_state = _means(rows.state, rows, num_states, num_states)
+        self.kept = n / np.maximum(n + kappa, np.finfo(float).tiny)
+        self.completed, self.completed_of_state = n / num, n_of_state / num
+
+    def following(self, choice: Int[np.ndarray, " S"] | None) -> tuple[Float[np.ndarray, " S"], Any]:
+        """Reward, and moves from state to state, where this action is taken in each state; None for the log's own."""
+        if choice is None:
+            return self.reward_of_state, self.moves_of_state
+        at = np.arange(len(choice)) * self.num_actions + choice
+        kept = self.kept[at]
+        reward = kept * self.reward[at] + (1.0 - kept) * self.reward_of_state
+        return reward, _scaled(kept, self.moves[at]) + _scaled(1.0 - kept, self.moves_of_state)
+
+    def ratio(
+        self, rows: _Rows, visits: Float[np.ndarray, " S"], choice: Int[np.ndarray, " S"] | None
+    ) -> Float[np.ndarray, " m"]:
+        """ν̂/m̂ of each row."""
+        if choice is None:
+            came, completed = visits[rows.state], self.completed_of_state[rows.state]
+        else:
+            came = np.where(rows.action == choice[rows.state], visits[rows.state], 0.0)
+            completed = self.completed[rows.state * self.num_actions + rows.action]
+        return np.divide(came, completed, out=np.zeros(len(came)), where=completed > 0)
 
 
 class _World:
@@ -85,54 +121,44 @@ class _World:
     def __init__(
         self, rows: _Rows, first: Int[np.ndarray, " n"], shape: tuple[int, int], kappa: float, horizon: int
     ) -> None:
-        num_states, num_actions = shape
-        cell, size, num = rows.state * num_actions + rows.action, num_states * num_actions, max(len(first), 1)
-        self.n = np.bincount(cell, minlength=size)
-        n_of_state = self.n.reshape(shape).sum(axis=1)
-        self.reward, self.moves = _means(cell, rows, size, num_states)
-        self.reward_of_state, self.moves_of_state = _means(rows.state, rows, num_states, num_states)
-        self.kept = self.n / np.maximum(self.n + kappa, 1e-12)
-        self.start, self.horizon, self.shape = np.bincount(first, minlength=num_states) / num, horizon, shape
-        self.completed, self.completed_of_state = self.n / num, n_of_state / num
+        self.every = _Means(rows, shape, len(first), kappa)
+        self.going = _Means(rows.at(rows.stage < horizon - 1), shape, len(first), kappa)
+        self.start, self.horizon = np.bincount(first, minlength=shape[0]) / len(first), horizon
 
-    def added(self, choice: Int[np.ndarray, " S"] | None, rows: _Rows, first: Int[np.ndarray, " n"]) -> np.ndarray:
-        """What each trajectory adds to the value of a policy, by its action in each state; None for the log's own."""
-        reward, moves = self.reward_of_state, self.moves_of_state
-        if choice is not None:
-            at = np.arange(self.shape[0]) * self.shape[1] + choice
-            kept = self.kept[at]
-            reward = kept * self.reward[at] + (1.0 - kept) * reward
-            moves = _scaled(kept, self.moves[at]) + _scaled(1.0 - kept, moves)
-        value, visits = self._solved(reward, moves)
-        target = rows.reward + np.append(value, 0.0)[rows.successor]
-        if choice is None:
-            expected, came, completed = value[rows.state], visits[rows.state], self.completed_of_state[rows.state]
-        else:
-            cell = rows.state * self.shape[1] + rows.action
-            expected = (reward + moves @ value)[rows.state]
-            came = np.where(rows.action == choice[rows.state], visits[rows.state], 0.0)
-            completed = self.completed[cell]
-        ratio = np.divide(came, completed, out=np.zeros(len(came)), where=completed > 0)
-        return value[first] + np.bincount(rows.trajectory, ratio * (target - expected), len(first))
+    def added(
+        self, choices: Int[np.ndarray, "T S"] | None, rows: _Rows, first: Int[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """What each trajectory adds to the value of what acts so in each stage and state; None for the log's own."""
+        chosen = [None if choices is None else choices[t] for t in range(self.horizon)]
+        ways = [(self.every if t == self.horizon - 1 else self.going).following(chosen[t]) for t in range(self.horizon)]
+        value = [np.zeros(len(self.start))]
+        for reward, moves in reversed(ways):
+            value.insert(0, self._known(reward + (moves @ value[0] if len(value) > 1 else 0.0)))
+        total, visits, going = value[0][first], self.start, rows.at(rows.stage < self.horizon - 1)
+        for t, (_, moves) in enumerate(ways):
+            is_last = t == self.horizon - 1
+            some, means = (rows, self.every) if is_last else (going, self.going)
+            follows = 0.0 if is_last else np.append(value[t + 1], 0.0)[some.successor]
+            wrong = some.reward + follows - value[t][some.state]
+            total = total + np.bincount(some.trajectory, means.ratio(some, visits, chosen[t]) * wrong, len(first))
+            visits = moves.T @ visits
+        return total
 
-    def _solved(self, reward: Float[np.ndarray, " S"], moves: Any) -> tuple[np.ndarray, np.ndarray]:
-        """V and ν, over as many stages as a trajectory may have; a state never seen is worth what others are."""
-        value, now, visits = np.zeros(self.shape[0]), self.start, np.zeros(self.shape[0])
-        for _ in range(self.horizon):
-            value, visits, now = reward + moves @ value, visits + now, moves.T @ now
-        is_seen = self.completed_of_state > 0
-        return np.where(is_seen, value, np.average(value, weights=self.completed_of_state)), visits
+    def _known(self, value: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+        """The same; a state that was never seen is worth what others are."""
+        seen = self.every.completed_of_state
+        return np.where(seen > 0, value, np.average(value, weights=seen))
 
 
 def _means(
     group: Int[np.ndarray, " m"], rows: _Rows, size: int, num_states: int
-) -> tuple[Float[np.ndarray, " g"], Any]:
-    """Mean reward, and share of successors, of rows by group; 0 of an empty one."""
-    each = 1.0 / np.maximum(np.bincount(group, minlength=size), 1)
-    goes_on = rows.successor < num_states
+) -> tuple[Float[np.ndarray, " g"], Any, Int[np.ndarray, " g"]]:
+    """Mean reward, share of successors and number of rows by group; 0 of an empty one."""
+    n = np.bincount(group, minlength=size)
+    each, goes_on = 1.0 / np.maximum(n, 1), rows.successor < num_states
     pairs = (group[goes_on], rows.successor[goes_on])
     shares = scipy.sparse.csr_matrix((each[pairs[0]], pairs), shape=(size, num_states))
-    return np.bincount(group, rows.reward, size) * each, shares
+    return np.bincount(group, rows.reward, size) * each, shares, n
 
 
 def _scaled(by: Float[np.ndarray, " S"], moves: Any) -> Any:
@@ -143,12 +169,13 @@ def _rows_of(trajectories: TrajectoryArrays, num_states: int) -> _Rows:
     number = trajectories.features[:, :, 0, 0].astype(np.int64) - 1
     successor = np.where(trajectories.is_last, num_states, np.pad(number[:, 1:], ((0, 0), (0, 1)), constant_values=-1))
     done = trajectories.is_completed & (successor >= 0)
-    who = np.broadcast_to(np.arange(len(number))[:, None], number.shape)
-    return _Rows(*(each[done] for each in (who, number, trajectories.action, successor, trajectories.reward)))
+    who, stage = np.nonzero(done)
+    action, reward = trajectories.action[done], trajectories.reward[done]
+    return _Rows(who, number[done], action, successor[done], reward, stage)
 
 
-def _choice_of(policy: DiscretePolicy) -> Int[np.ndarray, " S"]:
-    """Its action in each state, with all stages to go."""
-    each = policy.coefficients[0]
-    q = np.column_stack([each[:, 0], each[:, :1] + each[:, 1:]])
-    return np.where(policy.is_possible[0][:, None], q, -np.inf).argmax(axis=0)
+def _choices_of(policy: DiscretePolicy) -> Int[np.ndarray, "T S"]:
+    """Its action in each stage and state."""
+    q = policy.coefficients.copy()
+    q[..., 1:] += q[..., :1]
+    return np.argmax(np.where(policy.is_possible[..., None], q, -np.inf), axis=1)
