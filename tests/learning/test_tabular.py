@@ -5,12 +5,15 @@ import pandas as pd
 import pytest
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation import held_out_verdict
+from halfseen.evaluation import evaluate, held_out_verdict
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_space import TabularQ
 from halfseen.learning.rows import Transitions
 from halfseen.learning.tabular import STAGES_OF_VARIANCE, fit_table
 from halfseen.logs.stream import opened
+from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder.promised_parts import promised_parts
+from halfseen.policies.learner_choice import learner_for
 from text_logs import ACTIONS, text_log
 
 COLOURS = (*(f"c{k:02d}" for k in range(29)), "red")
@@ -204,6 +207,31 @@ def test_a_table_needs_one_covariate_and_a_log_in_memory(logs, tmp_path):
 def test_its_verdict_is_better_where_that_is_so_and_says_by_how_much(logs):
     verdict = held_out_verdict(learner_of().fit(logs), logs)
     assert verdict.verdict == "better"
-    assert "more than what made the log (95% interval" in verdict.reason
+    assert "more than what made the log (95% interval 1.7" in verdict.reason
     with_nothing = type(logs)(logs.stages.assign(reward=logs.stages["reward"] * 0.0 + 1.0), logs.trajectories)
     assert held_out_verdict(learner_of().fit(with_nothing), with_nothing).verdict == "inconclusive"
+
+
+def test_a_folder_holds_a_table_and_the_command_line_makes_one_of_a_log_of_nothing_but_states(logs, tmp_path):
+    alone = type(logs)(logs.stages.drop(columns=["x", "is_heavy"]), logs.trajectories)
+    choice = learner_for(alone)
+    assert (list(choice.learner.covariates), choice.notes) == (["colour"], ())
+    learner = choice.learner.fit(alone)
+    write_policy(learner, alone, tmp_path / "policy")
+    frame = pd.DataFrame({"colour": ["red", "c07"]})
+    read = read_policy(tmp_path / "policy").policy
+    np.testing.assert_array_equal(read.q_values(frame, 1), learner.q_values(frame, 1))
+    assert learner_for(logs).learner.covariates == ["x", "is_heavy"]
+
+
+def test_of_a_state_that_is_one_of_hundreds_no_regression_of_what_it_earns_is_kept():
+    names = tuple(f"s{k:03d}" for k in range(250))
+    logs = text_log(1500, colours=names)
+    learner = learner_of().fit(logs)
+    assert promised_parts(logs, learner.policy_)["parts"] == []
+
+
+def test_indicators_that_would_fill_the_memory_are_refused(logs, monkeypatch):
+    monkeypatch.setattr("halfseen.learning.named_task.MOST_MEMORY", 1e5)
+    with pytest.raises(ArgumentError, match="30 features of 2 actions, in 400 trajectories of up to 2 stages, take"):
+        evaluate(learner_of().fit(logs).policy_, logs)

@@ -310,7 +310,8 @@ def _of_table(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, agains
     gain = gain_of(policy, learner.model_, logs, float(learner.q_functions_.reg[-1, 0]), level)
     verdict: Verdict = "better" if gain.low > 0 else "not better" if gain.high < 0 else "inconclusive"
     within = f"{level:.0%} interval {gain.low:.3g} to {gain.high:.3g}"
-    reason = f"it earns {gain.value:.3g} more than what made the log ({within})"
+    more = f"{abs(gain.value):.3g} {'more' if gain.value >= 0 else 'less'}"
+    reason = f"it earns {more} than what made the log ({within} more)"
     return HeldOutVerdict(verdict, reason, len(policy.policies))
 
 

@@ -208,7 +208,7 @@ class NamedActions:
         if needed > MOST_MEMORY:
             raise ArgumentError(
                 f"{num_features} features of {shape[2]} actions, in {shape[0]:,} trajectories of up to {shape[1]} "
-                f"stages, take {needed / 1e9:.0f} GB, and {MOST_MEMORY / 1e9:.0f} GB are allowed; leave covariates "
+                f"stages, take {needed / 1e9:.3g} GB, and {MOST_MEMORY / 1e9:.3g} GB are allowed; leave covariates "
                 "out, or group their categories"
             )
 
