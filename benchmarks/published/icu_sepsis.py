@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from peers.side_by_side import asked, finish, markdown
+from peers.side_by_side import asked, markdown, run
 from peers.tabular import (
     Counts,
     behaviour_cloning,
@@ -175,18 +175,20 @@ def summary(names: list[str], worth: np.ndarray) -> dict[str, Any]:
 
 
 def tables(report: dict[str, Any]) -> str:
+    """Values in one table; errors are in the results."""
     names = ["ours", *PEERS, "told"]
-    head = ["trajectories", *names, "worst 5 % of ours"]
-    parts = [" ".join(f"{name} {value:.4f}" for name, value in report["exact"].items())]
-    for setting in SETTINGS:
-        rows = [row for row in report["rows"] if row["setting"] == setting]
-        cells = [[f"{r['size']:,}", *(cell(r, name) for name in names), f"{r['worst']['ours']:.4f}"] for r in rows]
-        parts += [f"*{setting}*\n\n{markdown(head, cells)}"] if rows else []
-    return "\n\n".join(parts)
-
-
-def cell(row: dict[str, Any], name: str) -> str:
-    return f"{row['mean'][name]:.4f} ± {row['error'][name]:.4f}"
+    head = ["log", *names, "worst 5 % of ours", "of told"]
+    rows = [
+        [
+            f"{row['setting']}, {row['size']:,}",
+            *(f"{row['mean'][name]:.4f}" for name in names),
+            *(f"{row['worst'][name]:.4f}" for name in ("ours", "told")),
+        ]
+        for row in report["rows"]
+    ]
+    exact = ", ".join(f"{name} {value:.4f}" for name, value in report["exact"].items())
+    error = max(row["error"][name] for row in report["rows"] for name in names)
+    return f"*Exact: {exact}; standard errors are at most {error:.4f}*\n\n{markdown(head, rows)}"
 
 
 def main() -> None:
@@ -195,20 +197,17 @@ def main() -> None:
     parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES), help="trajectories of a log")
     parser.add_argument("--tune", action="store_true", help="print what choices earn on random worlds, and stop")
     options = parser.parse_args()
-    with threadpool_limits(1):
-        if options.tune:
+    if options.tune:
+        with threadpool_limits(1):
             tuned(options.repetitions)
-            return
-        world = icu()
-        any_action = np.full(world[1].shape, 1.0 / world[1].shape[1])
-        policies = {"random": any_action, "expert": world[1], "optimal": world[0].best()}
-        exact = {name: round(world[0].worth(policy), 4) for name, policy in policies.items()}
-        cells = [(setting, size) for setting in options.settings for size in options.sizes]
-        rows = [
-            measured(world, setting, size, options.repetitions * (MANY if size == min(SIZES) else 1))
-            for setting, size in tqdm(cells, desc="cells", disable=None, leave=False)
-        ]
-    finish(options.out, {"repetitions": options.repetitions, "exact": exact, "rows": rows}, tables)
+        return
+    world = icu()
+    policies = {"random": np.full(world[1].shape, 1.0 / world[1].shape[1]), "expert": world[1]}
+    policies["optimal"] = world[0].best()
+    exact = {name: round(world[0].worth(policy), 4) for name, policy in policies.items()}
+    times = {size: options.repetitions * (MANY if size == min(SIZES) else 1) for size in options.sizes}
+    cells = [(world, setting, size, times[size]) for setting in options.settings for size in options.sizes]
+    run(options.out, cells, measured, tables, repetitions=options.repetitions, exact=exact)
 
 
 if __name__ == "__main__":

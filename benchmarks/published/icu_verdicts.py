@@ -10,10 +10,8 @@ folds, and the mean of what they gain is known exactly.
 from typing import Any
 
 import numpy as np
-from icu_sepsis import SETTINGS, exploring, icu
-from peers.side_by_side import asked, finish, markdown
-from threadpoolctl import threadpool_limits
-from tqdm import tqdm
+from peers.side_by_side import asked, markdown, run
+from published.icu_sepsis import SETTINGS, exploring, icu
 from worlds.mdp import FiniteWorld, random_world
 
 from halfseen.evaluation.held_out import NUM_FOLDS, held_out_verdict, learn_by_folds
@@ -98,10 +96,7 @@ def tables(report: dict[str, Any]) -> str:
 
 def main() -> None:
     options = asked(__doc__, "icu_verdicts", 10).parse_args()
-    with threadpool_limits(1):
-        cells = tqdm(CELLS, desc="cells", disable=None, leave=False)
-        rows = [measured(*cell, options.repetitions) for cell in cells]
-    finish(options.out, {"rows": rows}, tables)
+    run(options.out, [(*cell, options.repetitions) for cell in CELLS], measured, tables)
 
 
 if __name__ == "__main__":

@@ -23,11 +23,9 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pandas as pd
-from peers.side_by_side import asked, finish, markdown
+from peers.side_by_side import asked, markdown, run
 from scipy.stats import binomtest
 from sklearn.linear_model import LogisticRegression
-from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from halfseen.evaluation import evaluate
 from halfseen.logs import Logs
@@ -125,35 +123,29 @@ def theirs(obp: Any, rounds: dict[str, Any], chance: np.ndarray) -> dict[str, li
     return found
 
 
-def measured(obp: Any, campaign: str) -> list[dict[str, Any]]:
-    """Both policies of a campaign, each told from the other's log."""
-    rounds = {
-        name: obp.dataset.OpenBanditDataset(behavior_policy=name, campaign=campaign).obtain_batch_bandit_feedback()
-        for name in ("random", "bts")
+def measured(obp: Any, campaign: str, policy: str) -> dict[str, Any]:
+    """A policy, told from the other's log."""
+    source, own = (
+        obp.dataset.OpenBanditDataset(behavior_policy=name, campaign=campaign).obtain_batch_bandit_feedback()
+        for name in TOLD[policy]
+    )
+    num_actions, actions = source["n_actions"], [f"item {k:02d}" for k in range(source["n_actions"])]
+    chance = np.full((num_actions, 3), 1.0 / num_actions)
+    if policy == "Thompson":
+        chance = obp.policy.BernoulliTS(
+            n_actions=num_actions, len_list=3, is_zozotown_prior=True, campaign=campaign, random_state=0
+        ).compute_batch_action_dist(n_rounds=1, n_sim=NUM_DRAWS)[0]
+    clicks = int(own["reward"].sum())
+    earned = binomtest(clicks, own["n_rounds"]).proportion_ci(LEVEL, "wilson")
+    ours = evaluate(PositionPolicy(actions, chance), log_of(source, actions), against="logging")
+    value = ours.doubly_robust
+    return {
+        "campaign": campaign,
+        "policy": policy,
+        "earned": [clicks / own["n_rounds"], earned.low, earned.high],
+        "estimates": {"ours": [value.value, value.low, value.high], **theirs(obp, source, chance)},
+        "verdict": ours.verdict,
     }
-    num_actions = rounds["random"]["n_actions"]
-    actions = [f"item {k:02d}" for k in range(num_actions)]
-    thompson = obp.policy.BernoulliTS(
-        n_actions=num_actions, len_list=3, is_zozotown_prior=True, campaign=campaign, random_state=0
-    ).compute_batch_action_dist(n_rounds=1, n_sim=NUM_DRAWS)[0]
-    chances = {"Thompson": thompson, "random": np.full(thompson.shape, 1.0 / num_actions)}
-    rows = []
-    for policy, (source, own) in TOLD.items():
-        clicks = int(rounds[own]["reward"].sum())
-        earned = binomtest(clicks, rounds[own]["n_rounds"]).proportion_ci(LEVEL, "wilson")
-        ours = evaluate(PositionPolicy(actions, chances[policy]), log_of(rounds[source], actions), against="logging")
-        value = ours.doubly_robust
-        estimates = {"ours": [value.value, value.low, value.high], **theirs(obp, rounds[source], chances[policy])}
-        rows.append(
-            {
-                "campaign": campaign,
-                "policy": policy,
-                "earned": [clicks / rounds[own]["n_rounds"], earned.low, earned.high],
-                "estimates": estimates,
-                "verdict": ours.verdict,
-            }
-        )
-    return rows
 
 
 def tables(report: dict[str, Any]) -> str:
@@ -172,7 +164,7 @@ def tables(report: dict[str, Any]) -> str:
 
 
 def cell(estimate: list[float]) -> str:
-    value, low, high = (1000.0 * each for each in estimate)
+    value, low, high = (round(1000.0 * each, 1) + 0.0 for each in estimate)
     return f"{value:.1f} ({low:.1f} to {high:.1f})".replace("-", "−")
 
 
@@ -180,9 +172,8 @@ def main() -> None:
     options = asked(__doc__, "open_bandit", 1).parse_args()
     logging.disable(logging.INFO)
     obp = loaded()
-    with threadpool_limits(1):
-        rows = [row for name in tqdm(CAMPAIGNS, disable=None, leave=False) for row in measured(obp, name)]
-    finish(options.out, {"package": PACKAGE, "rows": rows}, tables)
+    cells = [(obp, campaign, policy) for campaign in CAMPAIGNS for policy in TOLD]
+    run(options.out, cells, measured, tables, package=PACKAGE)
 
 
 if __name__ == "__main__":

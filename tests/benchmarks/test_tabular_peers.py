@@ -1,7 +1,10 @@
 """Finite worlds and tabular peers: exact values by hand and by simulation, and each peer's own rule."""
 
+from importlib.metadata import PackageNotFoundError
+
 import numpy as np
 import pytest
+from peers.side_by_side import stored
 from peers.tabular import (
     behaviour_cloning,
     certainty_equivalence,
@@ -10,6 +13,7 @@ from peers.tabular import (
     discrete_cql,
     pessimistic,
 )
+from published import icu_sepsis, icu_verdicts, open_bandit
 from worlds.mdp import FiniteWorld, Steps, random_world
 
 from halfseen.evaluation.tabular import gain_of
@@ -89,16 +93,57 @@ def test_random_worlds_are_worlds():
     assert world.worth(world.best()) > world.worth(expert)
 
 
+@pytest.mark.parametrize("module", [icu_sepsis, icu_verdicts, open_bandit], ids=lambda module: module.__name__)
+def test_kept_results_make_tables(module):
+    printed = module.tables(stored(module.__name__.removeprefix("published.")))
+    assert printed.count("\n") >= 7
+    assert "nan" not in printed
+
+
+def test_what_is_told_all_of_a_state_but_its_best_action_finds_it_and_a_rule_decides_where_none_knows(world):
+    counts = counted(world, [(0, 0, 1, 40), (1, 0, 2, 36), (1, 0, 3, 14), (1, 1, 3, 9)])
+    policy = icu_sepsis.told(world, counts, EVEN)
+    assert policy[1].tolist() == [1.0, 0.0]
+    nothing = np.zeros_like(policy)
+    assert icu_sepsis.judged(world, nothing, EVEN) == world.worth(EVEN)
+    assert icu_sepsis.judged(world, policy, EVEN) == pytest.approx(0.9)
+
+
+def test_the_learner_as_shipped_finds_the_best_of_a_small_world():
+    world, expert = small()
+    steps = world.simulate(3000, expert, world.hazard(expert, 0.3), np.random.default_rng(0))
+    found = icu_sepsis.ours(world, steps, expert)
+    assert world.worth(np.where(found.sum(axis=1, keepdims=True) > 0, found, expert)) > 0.98 * world.worth(world.best())
+
+
+def test_a_package_that_is_missing_is_named_with_what_installs_it(monkeypatch):
+    monkeypatch.setattr(icu_sepsis, "distribution", lambda name: (_ for _ in ()).throw(PackageNotFoundError(name)))
+    with pytest.raises(SystemExit, match=r"pip install --no-deps icu-sepsis==2\.0\.1"):
+        icu_sepsis.icu()
+    monkeypatch.setattr(open_bandit.importlib, "import_module", lambda name: (_ for _ in ()).throw(missing("obp")))
+    with pytest.raises(SystemExit, match="obp is not installed: pip install --no-deps"):
+        open_bandit.loaded()
+
+
+def missing(name):
+    return ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+
+def small():
+    """Twenty-five states of three actions."""
+    rng = np.random.default_rng(0)
+    chance = np.append(rng.dirichlet(np.full(27, 0.3), size=(25, 3)), np.zeros((2, 3, 27)), axis=0)
+    chance[25:, :, 25:] = np.eye(2)[:, None]
+    is_end, severity = np.arange(27) > 24, rng.normal(size=27)
+    world = FiniteWorld(chance, (np.arange(27) == 25) * 1.0, np.append(np.full(25, 0.04), [0, 0]), is_end, severity)
+    return world, rng.dirichlet(np.full(3, 3.0), size=27)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("share", [0.0, 0.5])
 def test_what_a_policy_earns_more_than_the_log_is_told_without_bias_and_intervals_hold(share):
-    rng = np.random.default_rng(0)
-    chance = np.append(rng.dirichlet(np.ones(27), size=(25, 3)), np.zeros((2, 3, 27)), axis=0)
-    chance[25:, :, 25:] = np.eye(2)[:, None]
-    is_end = np.arange(27) > 24
-    world = FiniteWorld(chance, np.arange(27) == 25, np.append(np.full(25, 0.04), [0, 0]), is_end, rng.normal(size=27))
-    rule = rng.dirichlet(np.full(3, 3.0), size=27)
-    other = np.eye(3)[rng.integers(3, size=27)]
+    world, rule = small()
+    other = np.eye(3)[np.random.default_rng(1).integers(3, size=27)]
     truth, found = world.worth(other) - world.worth(rule), []
     for seed in range(60):
         steps = world.simulate(1000, rule, world.hazard(rule, share), np.random.default_rng([seed, 1]))

@@ -208,7 +208,7 @@ def test_its_verdict_is_better_where_that_is_so_and_says_by_how_much(logs):
     few = held_out_verdict(learner_of().fit(logs), logs)
     assert few.verdict == "inconclusive"
     assert "times a state, and 10 are needed" in few.reason
-    logs = text_log(900, colours=COLOURS)
+    logs = text_log(2500, colours=COLOURS)
     verdict = held_out_verdict(learner_of().fit(logs), logs)
     assert verdict.verdict == "better"
     # B is worth 2 more than A where it is right, and the log chose by a coin, in two stages.
