@@ -42,10 +42,9 @@ class Counts(NamedTuple):
 def counts_of(world: FiniteWorld, steps: Steps) -> Counts:
     done, size = steps.successor >= 0, world.num_states * world.num_actions
     cell = steps.state[done] * world.num_actions + steps.action[done]
-    pairs = scipy.sparse.csr_matrix((np.ones(done.sum()), (cell, steps.successor[done])), (size, world.num_states))
     n = np.bincount(cell, minlength=size)
-    moves = scipy.sparse.diags(1.0 / np.maximum(n, 1)) @ pairs
-    return Counts(n.reshape(world.num_states, -1), moves.tocsr(), world.reward, world.is_end)
+    moves = scipy.sparse.csr_matrix((1.0 / n[cell], (cell, steps.successor[done])), (size, world.num_states))
+    return Counts(n.reshape(world.num_states, -1), moves, world.reward, world.is_end)
 
 
 def iterated(counts: Counts, allowed: np.ndarray, penalty: np.ndarray) -> np.ndarray:

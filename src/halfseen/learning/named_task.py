@@ -18,7 +18,7 @@ from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float, Int
 from halfseen.suggestions import did_you_mean
 
-MOST_MEMORY = 16e9
+MOST_MEMORY = 8e9
 """That the features of all stages and actions of a log may take [bytes]."""
 
 Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]

@@ -38,7 +38,9 @@ from halfseen.logs import Logs, LogStream
 from halfseen.logs.missing import Filling
 from halfseen.shapes import Float, Int
 
-ABIT = 1e-9
+TRAJECTORIES_OF_STATE = 1.25
+"""That come to a state, on average."""
+ROUNDING = 1e-9
 STAGES_OF_VARIANCE = 20.0
 """Stages that the variance of all states counts for, beside those of one state."""
 
@@ -96,11 +98,18 @@ def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
 
 
 def is_state(logs: Any, covariates: Sequence[str]) -> bool:
-    """Whether the only covariate of a log in memory is text of too many categories for an indicator of each."""
+    """Whether the only covariate of a log in memory is text of too many categories for an indicator of each.
+
+    Trajectories have to share them, or it names the trajectory.
+    """
     if not isinstance(logs, Logs) or len(covariates) != 1 or covariates[0] not in logs.stages.columns:
         return False
     (column,) = covariates
-    return not is_numeric(logs.stages, column) and logs.stages[column].nunique() > MOST_CATEGORIES
+    if is_numeric(logs.stages, column):
+        return False
+    num_names = logs.stages[column].nunique()
+    come_to: Any = logs.stages[["trajectory", column]].drop_duplicates()
+    return num_names > MOST_CATEGORIES and len(come_to) >= TRAJECTORIES_OF_STATE * num_names
 
 
 def fit_table(log: Transitions, num_states: int, reg: float | None = None) -> QFunctions:
@@ -194,11 +203,12 @@ class _Cells:
         if reg is not None:
             apart = mean - of_state[self.state]
             return self._filled(of_state[self.state] + apart * self.n / (self.n + reg), 0.0, of_state, reg)
-        variance = self._variance(squares)
+        # Where nothing varies in a cell, what differs is sure, however little it is.
+        variance = np.maximum(self._variance(squares), ROUNDING**2 * (target**2).mean() or 1.0)
         noise = variance[self.state]
-        liking = self._liking(mean - of_state[self.state], noise)
+        liking = self._liking(mean - of_state[self.state], self.n / noise)
         apart = mean - of_state[self.state] - liking
-        kappa = self._kappa(apart**2 * np.divide(self.n, noise, out=np.zeros_like(noise), where=noise > 0))
+        kappa = self._kappa(apart**2 * self.n / noise)
         of_state = self._shrunk(of_state, variance)
         q = of_state[self.state] + liking + apart * self.n / (self.n + kappa)
         return self._filled(q, float(np.sqrt(noise.mean() / max(kappa, 1.0))), of_state, kappa)
@@ -209,11 +219,10 @@ class _Cells:
         own = np.bincount(self.state, squares, self.shape[0])
         return (own + STAGES_OF_VARIANCE * pooled) / (self.freedom + STAGES_OF_VARIANCE)
 
-    def _liking(self, apart: Float[np.ndarray, " c"], noise: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+    def _liking(self, apart: Float[np.ndarray, " c"], weight: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
         """γ·(log n − mean), by weighted least squares within states."""
         log_n = np.log(self.n)
         log_n = log_n - self._within_states(log_n, self.n)[self.state]
-        weight = np.divide(self.n, noise, out=np.zeros_like(noise), where=noise > 0)
         spread = float((weight * log_n**2).sum())
         return log_n * max(float((weight * log_n * apart).sum()) / spread, 0.0) if spread > 0 else 0.0 * log_n
 
@@ -227,9 +236,8 @@ class _Cells:
         """Means of states, those of few stages nearer to the mean of all, which a state never seen has."""
         among, noise = mean[self.is_seen], variance[self.is_seen] / self.n_of_state[self.is_seen]
         spread = max(float(among.var() - noise.mean()), 0.0)
-        total = np.where(spread + noise > 0, spread + noise, 1.0)
         shrunk = np.full(len(mean), among.mean())
-        shrunk[self.is_seen] += (among - among.mean()) * np.where(noise > 0, spread / total, 1.0)
+        shrunk[self.is_seen] += (among - among.mean()) * spread / (spread + noise)
         return shrunk
 
     def _filled(
@@ -238,7 +246,7 @@ class _Cells:
         """Lay cells out as a table; what was not seen lies below the least of its state."""
         least = np.where(self.is_seen, np.inf, of_state)
         np.minimum.at(least, self.state, q)
-        other = np.where(self.is_seen, least - below - ABIT * (1.0 + np.abs(least)), of_state)
+        other = np.where(self.is_seen, least - below - ROUNDING * (1.0 + np.abs(least)), of_state)
         table = np.repeat(other, self.shape[1])
         table[self.id] = q
         return _Table(table.reshape(self.shape), kappa)
