@@ -14,21 +14,21 @@ from peers.side_by_side import asked, markdown, run
 from published.icu_sepsis import SETTINGS, exploring, icu
 from worlds.mdp import FiniteWorld, random_world
 
-from halfseen.evaluation.held_out import NUM_FOLDS, held_out_verdict, learn_by_folds
+from halfseen.evaluation.held_out import NUM_FOLDS, learn_by_folds
 from halfseen.evaluation.tabular import gain_of
 from halfseen.learning import CensoredQLearner
 
 CELLS = [
     ("uncut", 5000),
     ("uncut", 10_000),
-    ("uncut", 20_000),
     ("half cut", 10_000),
-    ("half cut", 20_000),
     ("nothing to gain, uncut", 1000),
     ("nothing to gain, uncut", 10_000),
     ("nothing to gain, half cut", 10_000),
+    ("uncut", 20_000),
+    ("half cut", 20_000),
 ]
-SEEDS_OF_WORLDS = 100
+SEEDS_OF_WORLDS, LEVEL = 100, 0.95
 
 
 def judged(world: FiniteWorld, rule: np.ndarray, cut: float, size: int, seed: int) -> dict[str, Any]:
@@ -36,11 +36,10 @@ def judged(world: FiniteWorld, rule: np.ndarray, cut: float, size: int, seed: in
     steps = world.simulate(size, rule, world.hazard(rule, cut), np.random.default_rng([seed, size, 1]))
     log = world.log(steps, rule)
     learner = CensoredQLearner(log.horizon, world.actions, ["state"]).fit(log)
-    verdict = held_out_verdict(learner, log).verdict
     policy = learn_by_folds(learner, log, NUM_FOLDS)
-    gain = gain_of(policy, learner.model_, log, float(learner.q_functions_.reg[-1, 0]))
+    gain = gain_of(policy, learner.model_, log, float(learner.q_functions_.reg[-1, 0]), LEVEL)
     truth = np.mean([world.worth(choices(world, one, rule)) for one in policy.policies]) - world.worth(rule)
-    return {"verdict": verdict, "truth": float(truth), **gain._asdict()}
+    return {"verdict": gain.verdict(LEVEL)[0], "truth": float(truth), **gain._asdict()}
 
 
 def choices(world: FiniteWorld, policy: Any, rule: np.ndarray) -> np.ndarray:

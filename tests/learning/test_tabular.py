@@ -8,6 +8,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation import evaluate, held_out_verdict
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_space import TabularQ
+from halfseen.learning.resampling import bootstrap
 from halfseen.learning.rows import Transitions
 from halfseen.learning.tabular import STAGES_OF_VARIANCE, fit_table
 from halfseen.logs.stream import opened
@@ -243,3 +244,12 @@ def test_indicators_that_would_fill_the_memory_are_refused(logs, monkeypatch):
     monkeypatch.setattr("halfseen.learning.named_task.MOST_MEMORY", 1e5)
     with pytest.raises(ArgumentError, match="30 features of 2 actions, in 400 trajectories of up to 2 stages, take"):
         evaluate(learner_of().fit(logs).policy_, logs)
+
+
+def test_bootstrap_learns_tables_again_whose_spread_is_that_of_the_mean_of_a_cell():
+    logs = text_log(3000, colours=COLOURS)
+    learner, frame = CensoredQLearner(2, ACTIONS, ["colour"], reg=0.0).fit(logs), pd.DataFrame({"colour": ["red"]})
+    low, high = bootstrap(learner, logs, 60, 0, is_quiet=True).q_interval(frame, 2)
+    cell = logs.stages.query("colour == 'red' and action == 'A' and reward.notna()")["reward"]
+    assert (high - low)[0, 0] == pytest.approx(2 * 1.96 * cell.std() / np.sqrt(len(cell)), rel=0.35)
+    assert low[0, 0] < cell.mean() < high[0, 0]

@@ -38,7 +38,7 @@ from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
 from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.specification import specification
-from halfseen.evaluation.tabular import FEWEST_STAGES, gain_of
+from halfseen.evaluation.tabular import gain_of
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import has_margin
@@ -308,14 +308,7 @@ def _of_table(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, agains
     if against not in (None, LOGGING):
         raise ArgumentError("a policy of a table of states is compared with what made the log alone; leave against out")
     gain = gain_of(policy, learner.model_, logs, float(learner.q_functions_.reg[-1, 0]), level)
-    if gain.num_stages < FEWEST_STAGES:
-        few = f"actions that it takes were completed {gain.num_stages:.1f} times a state, and {FEWEST_STAGES:.0f} are"
-        return HeldOutVerdict("inconclusive", f"{few} needed; record more", len(policy.policies))
-    verdict: Verdict = "better" if gain.low > 0 else "not better" if gain.high < 0 else "inconclusive"
-    within = f"{level:.0%} interval {gain.low:.3g} to {gain.high:.3g} more"
-    more = f"{abs(gain.value):.3g} {'more' if gain.value >= 0 else 'less'}"
-    reason = f"it earns {more} than what made the log ({within})"
-    return HeldOutVerdict(verdict, reason, len(policy.policies))
+    return HeldOutVerdict(*gain.verdict(level), len(policy.policies))
 
 
 def _judged(

@@ -19,6 +19,7 @@ import numpy as np
 import scipy.sparse
 
 from halfseen.evaluation.targets import CrossFitted
+from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_model import QModel
 from halfseen.learning.rows import TrajectoryArrays
@@ -41,6 +42,16 @@ class Gain(NamedTuple):
     high: float
     num_stages: float
     """Completed stages of a cell that the policies come to, on harmonic average, of the fold that has fewest."""
+
+    def verdict(self, level: float) -> tuple[Verdict, str]:
+        """Whether that is better, and why."""
+        if self.num_stages < FEWEST_STAGES:
+            few = f"actions that it takes were completed {self.num_stages:.1f} times a state"
+            return "inconclusive", f"{few}, and {FEWEST_STAGES:.0f} are needed; record more"
+        found: Verdict = "better" if self.low > 0 else "not better" if self.high < 0 else "inconclusive"
+        more = f"{abs(self.value):.3g} {'more' if self.value >= 0 else 'less'}"
+        within = f"{level:.0%} interval {self.low:.3g} to {self.high:.3g} more"
+        return found, f"it earns {more} than what made the log ({within})"
 
 
 class _Rows(NamedTuple):
