@@ -76,7 +76,7 @@ def measured(name: str, size: int, num: int) -> dict[str, Any]:
 
 
 def tables(report: dict[str, Any]) -> str:
-    head = ["log", "trajectories", "stages of a cell", "gain", "told", "intervals that hold", "*better*", "wrong"]
+    head = ["log", "trajectories", "stages of a cell", "gain", "estimate", "intervals that hold", "*better*", "wrong"]
     rows = [
         [
             row["setting"],
