@@ -4,10 +4,10 @@ python benchmarks/published/icu_sepsis.py [--out …/icu_sepsis.json] [--repetit
 
 The dynamics are those of the package `icu-sepsis`, and every value is computed from them exactly. A log is of the
 expert, who at a share ε of decisions takes one of the admissible actions at random. A stage is cut at a rate that
-doubles with every 3 points of SOFA. Peers are tabular (`peers.tabular`); what they can choose was chosen, as our
-method was, on random worlds of the same shape (--tune), never here. In a state that a log never shows the expert
-decides, whoever learned. *Told* is a yardstick: it knows all of each state but which action is best, and looks one
-step ahead.
+doubles with every 3 points of SOFA. Peers are tabular (`peers.tabular`); what they can choose was chosen, as our method
+was, on random worlds of the same shape (--tune), though this world was in view, and ε was chosen by it. In a state that
+a log never shows the expert decides, whoever learned. *Told* is a yardstick: it knows all of each state but which
+action is best, and looks one step ahead.
 """
 
 import sys
