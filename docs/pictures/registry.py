@@ -4,6 +4,7 @@ from pictures.comparison import COMPARISON
 from pictures.decision import DECISION
 from pictures.examples import EXAMPLES
 from pictures.films import FILMS, WATCHED
+from pictures.icu_sepsis import ICU_SEPSIS
 from pictures.intervals import INTERVALS
 from pictures.law import HELD
 from pictures.log_figures import PICTURES as OF_LOGS
@@ -32,4 +33,5 @@ PICTURES = (
     COMPARISON,
     MONITOR,
     WIRE,
+    ICU_SEPSIS,
 )

@@ -55,7 +55,10 @@ class _Learning(NamedTuple):
     "--covariates", "Columns of the stages to look at, as x1,x2; by default numbers and text of few categories."
 )
 @options.word(
-    "--q-function", of=["auto", "linear", "quadratic", "kernel", "smooth"], default="auto", text="What Q may be."
+    "--q-function",
+    of=["auto", "linear", "quadratic", "kernel", "smooth", "tabular"],
+    default="auto",
+    text="What Q may be.",
 )
 @options.word(
     "--censoring",

@@ -31,16 +31,19 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
+from halfseen.evaluation.baselines import LOGGING
 from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
 from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.specification import specification
+from halfseen.evaluation.tabular import gain_of
 from halfseen.evaluation.targets import CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.q_space import TabularQ
 from halfseen.learning.recency import latest
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
@@ -246,7 +249,10 @@ def held_out_verdict(
             # Where later trajectories count more, the question is what the policy is worth now.
             present = latest(logs, learner.model_.half_life, len(learner.weights_))
             policy = replace(policy, fold=policy.fold[-present.num_trajectories :])
-            found = _judged(policy, learner, present, num_folds, against, level, trust, workers)
+            if isinstance(learner.model_.space, TabularQ):
+                found = _of_table(policy, learner, present, against, level)
+            else:
+                found = _judged(policy, learner, present, num_folds, against, level, trust, workers)
     except HalfseenError as error:
         return HeldOutVerdict("inconclusive", str(error), num_folds)
     on_progress()
@@ -290,6 +296,9 @@ def learn_by_folds(
         # Of fewer trajectories it has to be shorter.
         num_learned = logs.num_trajectories * (1.0 - 1.0 / num_folds)
         same.set_params(half_life=half_life * num_learned / len(learner.weights_))
+    if isinstance(composed.space, TabularQ):
+        # A state that one fold alone has seen is one of the others' too.
+        same = same.set_params(q_function=composed.space, actions=learner.model_.task, covariates=())
     fold = np.random.default_rng([learner.random_state, 3]).permutation(logs.num_trajectories) % num_folds
     policies = []
     for policy in pool.in_order(partial(_learned_without, same, logs, fold), range(num_folds)):
@@ -301,6 +310,14 @@ def learn_by_folds(
 def _learned_without(learner: CensoredQLearner, logs: Logs, fold: Int[np.ndarray, " n"], k: int) -> Any:
     """Policy from the trajectories outside a fold."""
     return learner.unfitted().fit(logs.select(logs.trajectory_ids[fold != k])).policy_
+
+
+def _of_table(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, against: Any, level: float) -> HeldOutVerdict:
+    """Judge policies of a table of states by state and action (`tabular`)."""
+    if against not in (None, LOGGING):
+        raise ArgumentError("a policy of a table of states is compared with what made the log alone; leave against out")
+    gain = gain_of(policy, learner.model_, logs, float(learner.q_functions_.reg[-1, 0]), level)
+    return HeldOutVerdict(*gain.verdict(level), len(policy.policies))
 
 
 def _judged(

@@ -7,6 +7,7 @@ so that each of them may bend, and stages can share one Q.
 from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
+from math import comb
 from typing import Any, Literal
 
 import numpy as np
@@ -96,7 +97,9 @@ TRAJECTORIES_PER_TERM = 10
 def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Logs]:
     """Add the stage and second-order terms to what a task looks at, and columns of them to its log."""
     fitted = task.fitted(logs, logs.horizon)
-    terms = _terms(fitted.looks_at, logs.stages)
+    num_features = fitted.looks_at.num_features - ("stage" in task.covariates)
+    has_few = comb(num_features, 2) * TRAJECTORIES_PER_TERM <= logs.num_trajectories
+    terms = _terms(fitted.looks_at, logs.stages) if has_few else {}
     if len(terms) * TRAJECTORIES_PER_TERM > logs.num_trajectories:
         terms = {}
     names = list(dict.fromkeys([*task.covariates, "stage", *terms]))

@@ -101,7 +101,7 @@ class Covariates:
         for name in self.columns:
             if name in self.categories:
                 indicated = np.arange(1, len(self.categories[name]))
-                features[:, source == name] = self._codes(frame, name)[:, None] == indicated
+                features[:, source == name] = self.codes(frame, name)[:, None] == indicated
         return features
 
     def encode_known(self, rows: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, "m F"]:
@@ -129,7 +129,14 @@ class Covariates:
         """For each column the categories that have an indicator; None for a column of numbers."""
         return [self.categories[name][1:] if name in self.categories else (None,) for name in self.columns]
 
-    def _codes(self, frame: Frame, column: str) -> np.ndarray:
+    def codes(self, frame: Frame, column: str) -> np.ndarray:
+        """Number the category of each row, from 0.
+
+        Raises
+        ------
+        LogError
+            A value is null or of an unknown category; the place is named.
+        """
         import pandas as pd
 
         from halfseen.logs.columns import value_at

@@ -18,6 +18,9 @@ from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float, Int
 from halfseen.suggestions import did_you_mean
 
+MOST_MEMORY = 8e9
+"""That the features of all stages and actions of a log may take [bytes]."""
+
 Actions = Sequence[Hashable] | Mapping[int, Sequence[Hashable]]
 
 
@@ -106,6 +109,7 @@ class NamedActions:
     def encode(self, logs: Logs, horizon: int) -> Encoded:
         """Encode every stage of a log of named actions."""
         shape = (logs.num_trajectories, horizon, len(self.names))
+        self._refuse_too_large(shape)
         at = stage_places(logs)
         values = self.looks_at.encode(logs.stages)
         features = np.zeros((*shape, values.shape[1]))
@@ -197,6 +201,16 @@ class NamedActions:
             frame: Any = logs.stages[rows]
             probabilities[trajectory[rows][:, None], stage - 1, column] = policy.probabilities(frame, stage)
         return probabilities
+
+    def _refuse_too_large(self, shape: tuple[int, int, int]) -> None:
+        num_features = self.looks_at.num_features
+        needed = 8.0 * num_features * float(np.prod(shape))
+        if needed > MOST_MEMORY:
+            raise ArgumentError(
+                f"{num_features} features of {shape[2]} actions, in {shape[0]:,} trajectories of up to {shape[1]} "
+                f"stages, take {needed / 1e9:.3g} GB, and {MOST_MEMORY / 1e9:.3g} GB are allowed; leave covariates "
+                "out, or group their categories"
+            )
 
     def _possible_by_stage(self, horizon: int) -> Bool[np.ndarray, "T A"]:
         return np.stack([self.possible(stage) for stage in range(1, horizon + 1)])

@@ -25,6 +25,7 @@ from halfseen.learning.q_space import (
     LinearQ,
     QSpace,
     StageMode,
+    TabularQ,
     pessimism_of,
     q_space_of,
     reg_of,
@@ -34,6 +35,7 @@ from halfseen.learning.recency import half_life_of
 from halfseen.learning.recursion import QFunctions
 from halfseen.learning.rows import unseen_in_words
 from halfseen.learning.streaming import learned_from
+from halfseen.learning.tabular import is_state, with_states
 from halfseen.learning.targets import BuckleyJames, Targets, Weighted, targets_of
 from halfseen.learning.task import AUTO, Task, learner_of, named_task
 from halfseen.logs import Logs, LogStream
@@ -64,12 +66,14 @@ class CensoredQLearner(Estimator):
         tables (see `for_table`).
     covariates
         Columns of the stages that Q looks at, for named actions: numbers, or text of at most 20 categories, each of
-        which but the first has an indicator (`covariates`).
+        which but the first has an indicator (`covariates`). Text of more is a state, and then the only covariate.
     q_function
         ``"linear"``: Q is linear in the covariates (for another task, in its features); ``"quadratic"``: in them and
         their products; ``"kernel"`` or ``KernelQ(…)``: Q is in the RKHS of a Gaussian kernel on them; ``"smooth"``: a
         quadratic and such a function; ``"auto"``: smooth, but linear where a task makes features of its own, or
-        covariates and actions are so many that it would take minutes.
+        covariates and actions are so many that it would take minutes, and tabular where the one covariate is text
+        of more than 20 categories; ``"tabular"``: a value for each action in each state that a column names, partially
+        pooled (`tabular`).
     censoring
         What stands for what cuts took away: ``"kaplan-meier"``, ``"cox"``, ``"kernel"`` or a `CensoringModel`: weights
         by that model of the cuts, or ``Weighted(…)`` with its clock and covariates; ``DoublyRobust(…)``:
@@ -134,7 +138,7 @@ class CensoredQLearner(Estimator):
     actions: Sequence[Hashable] | Mapping[int, Sequence[Hashable]] | Task
     covariates: Sequence[str] = ()
     _: KW_ONLY
-    q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth"] | str = AUTO
+    q_function: QSpace | Literal["auto", "linear", "quadratic", "kernel", "smooth", "tabular"] | str = AUTO
     censoring: Targets | CensoringModel | str = AUTO
     stages: StageMode | str = AUTO
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
@@ -255,7 +259,9 @@ class CensoredQLearner(Estimator):
         PositivityError
             All trajectories were cut, or a weight is not identified.
         """
-        found = learned_from(logs, self.compose(logs), _is_auto(self.stages), workers)
+        model = self.compose(logs)
+        has_choice = _is_auto(self.stages) and not isinstance(model.space, TabularQ)
+        found = learned_from(logs, model, has_choice, workers)
         self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
         self.weights_, self.diagnostics_ = found.weights, found.diagnostics
         self.policy_ = self.model_.policy(self.q_functions_)
@@ -284,11 +290,14 @@ class CensoredQLearner(Estimator):
         is_of_policy = bool(getattr(task, "is_of_policy", False))
         by_itself = BuckleyJames() if logs is None or is_fixed or logs.has_all_actions else Weighted()
         plain = SMOOTH if task.is_shared else LinearQ()
+        space = q_space_of(self.q_function) if not _is_auto(self.q_function) else plain
+        if isinstance(space, TabularQ) or (_is_auto(self.q_function) and is_state(logs, self.covariates)):
+            return self._of_table(task, logs, targets_of(self.censoring) if is_fixed else Weighted())
         model = QModel(
             horizon=self.horizon,
             task=task,
             targets=targets_of(self.censoring) if is_fixed else by_itself,
-            space=plain if _is_auto(self.q_function) else q_space_of(self.q_function),
+            space=space,
             reg=reg_of(self.reg),
             stages="pooled" if _is_auto(self.stages) else stage_mode_of(self.stages),
             pessimism=0.0 if _is_auto(self.pessimism) else pessimism_of(self.pessimism),
@@ -305,6 +314,24 @@ class CensoredQLearner(Estimator):
             model = replace(model, pessimism=PESSIMISM / self.horizon**0.5)
         has_many_actions = model.pessimism > 0 and task.is_shared and model.num_blocks >= MANY_ACTIONS
         return replace(model, has_many_actions=has_many_actions)
+
+    def _of_table(self, task: Task, logs: Logs | LogStream | None, targets: Targets) -> QModel:
+        """Compose a tabular Q: pooled stages, and cells that are shrunk in place of pessimism."""
+        if self.stages not in (AUTO, "pooled") or self.pessimism not in (AUTO, 0):
+            raise ArgumentError(
+                f"q_function is 'tabular', which pools stages and shrinks what few speak for, but stages is "
+                f"{self.stages!r} and pessimism {self.pessimism!r}; leave them out"
+            )
+        if self.half_life is not None:
+            raise ArgumentError(
+                f"q_function is 'tabular', which counts all trajectories alike, but half_life is {self.half_life!r}; "
+                "select those since a change instead (--since)"
+            )
+        states = with_states(task, logs, targets)
+        why = (f"Q is a table: {states.covariates[0]} names a state",)
+        return QModel(
+            self.horizon, states, targets, TabularQ(), reg_of(self.reg), "pooled", self.random_state, space_chosen=why
+        )
 
     def q_values(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """Q̂ of every action in a stage (from 1), for each row of covariates; named actions only."""

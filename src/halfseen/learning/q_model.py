@@ -27,6 +27,7 @@ from halfseen.learning.q_space import (
     QSpace,
     Reg,
     StageMode,
+    TabularQ,
     is_affordable,
     num_features_of,
     refuse_too_large,
@@ -45,6 +46,7 @@ from halfseen.learning.rows import (
     trajectory_arrays,
 )
 from halfseen.learning.sums import Regression
+from halfseen.learning.tabular import StateActions, fit_table
 from halfseen.learning.targets import Targets, Weighted
 from halfseen.learning.task import LearnedQ, RewardedStages, Task
 from halfseen.logs import Logs
@@ -333,6 +335,10 @@ class QModel:
         num_trajectories, _, num_actions = log.is_possible.shape
         if isinstance(self.reg, CrossValidation):
             refuse_too_few(int((log.weight > 0).any(axis=-1).sum()), num_trajectories)
+        if isinstance(self.space, TabularQ):
+            if not isinstance(self.task, StateActions):
+                raise ArgumentError("q_function is 'tabular', which learns of named actions; choose another")
+            return fit_table(log, self.task.num_states, None if isinstance(self.reg, CrossValidation) else self.reg)
         with one_thread():
             return fit_q(log, self.regression(num_trajectories, num_actions))
 

@@ -205,13 +205,30 @@ class KernelQ:
         return fit_kernel_map(rows, self.num_landmarks, self.gamma, rng, self.trend)
 
 
-QSpace = LinearQ | QuadraticQ | KernelQ
+@dataclass(frozen=True)
+class TabularQ:
+    """Q has a value for each action in each state, of a state that one column names (`tabular`)."""
+
+    regs = REGS
+    is_scaled = True
+
+    def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> None:
+        """A state is its number."""
+
+
+QSpace = LinearQ | QuadraticQ | KernelQ | TabularQ
 
 SMOOTH = KernelQ(num_landmarks=48, trend=(3.0, 1.5))
 """A quadratic and a smooth remainder. Its numbers were chosen on logs of the pick cell, of kin of the clinical trial
 and of a world of 20 covariates, all of seeds below 1000; `benchmarks/learners.py` judges by others."""
 
-Q_SPACES: dict[str, QSpace] = {"linear": LinearQ(), "quadratic": QuadraticQ(), "kernel": KernelQ(), "smooth": SMOOTH}
+Q_SPACES: dict[str, QSpace] = {
+    "linear": LinearQ(),
+    "quadratic": QuadraticQ(),
+    "kernel": KernelQ(),
+    "smooth": SMOOTH,
+    "tabular": TabularQ(),
+}
 
 
 MOST_WORK = 1e8
@@ -275,7 +292,7 @@ Reg = CrossValidation | float
 """How λ is chosen, or λ ≥ 0."""
 
 
-def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth"] | str) -> QSpace:
+def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth", "tabular"] | str) -> QSpace:
     """Read what a user says of 𝒬: a name, or the space itself.
 
     Raises
@@ -287,7 +304,9 @@ def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "sm
         return Q_SPACES[q_function]
     if not isinstance(q_function, QSpace):
         names = ", ".join(map(repr, Q_SPACES))
-        raise ArgumentError(f"q_function is {q_function!r}; it is {names}, LinearQ(), QuadraticQ() or KernelQ(…)")
+        raise ArgumentError(
+            f"q_function is {q_function!r}; it is {names}, LinearQ(), QuadraticQ(), KernelQ(…) or TabularQ()"
+        )
     return q_function
 
 
@@ -295,7 +314,8 @@ def name_of(space: QSpace) -> str:
     """Name the kind of a 𝒬."""
     if isinstance(space, KernelQ):
         return "kernel" if space.trend is None else "smooth"
-    return "quadratic" if isinstance(space, QuadraticQ) else "linear"
+    names = {QuadraticQ: "quadratic", TabularQ: "tabular"}
+    return names.get(type(space), "linear")
 
 
 def stage_mode_of(stages: StageMode | str) -> StageMode:

@@ -16,6 +16,7 @@ from halfseen.errors import ArgumentError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_model import QModel
+from halfseen.learning.q_space import TabularQ
 from halfseen.learning.recursion import QFunctions, fit_q, stack_q
 from halfseen.learning.rows import TrajectoryArrays, Transitions
 from halfseen.logs import Logs
@@ -141,8 +142,17 @@ def _learned_again(
     model: QModel, trajectories: TrajectoryArrays, log: Transitions, counts: Int[np.ndarray, "B n"]
 ) -> list[QFunctions]:
     """Learn from some draws, in which each trajectory counts so often."""
+    if isinstance(model.space, TabularQ):
+        return [_table_again(model, trajectories, each) for each in counts]
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
     return [fit_q(model.recent(_redrawn(model, trajectories, log, each)), regression) for each in counts]
+
+
+def _table_again(model: QModel, trajectories: TrajectoryArrays, counts: Int[np.ndarray, " n"]) -> QFunctions:
+    """Learn a table from a draw, whose trajectories are repeated."""
+    drawn = trajectories.take(np.repeat(np.arange(trajectories.num_trajectories), counts))
+    again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
+    return again.fit(again.transitions(drawn))
 
 
 def _redrawn(

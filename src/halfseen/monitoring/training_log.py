@@ -25,7 +25,7 @@ from halfseen.monitoring.change_point import change_point
 from halfseen.monitoring.diagnosis import part_words
 from halfseen.monitoring.monitor import looks_at_of
 from halfseen.monitoring.streams import LEAST_DEVIATION
-from halfseen.policies.folder.promised_parts import FEWEST, WHATS, part_of, residuals
+from halfseen.policies.folder.promised_parts import FEWEST, MOST_FEATURES, WHATS, part_of, residuals
 from halfseen.shapes import Float, Int
 
 ALPHA, NUM_ORDERS = 0.02, 199
@@ -79,11 +79,14 @@ def changes_in(logs: Logs, policy: Any, seed: int = 0) -> list[Change]:
     logs
         The log.
     policy
-        What was learned from it, which tells the covariates that matter; of tables no states are compared.
+        What was learned from it, which tells the covariates that matter; of tables, and where states have more than
+        `MOST_FEATURES`, no states are compared.
     seed
         Of the random orders.
     """
     looks_at = looks_at_of(policy)
+    if looks_at.num_features > MOST_FEATURES:
+        looks_at = Covariates(())
     watched = [*_first_states(logs, looks_at), *_parts(logs, looks_at), _cuts(logs)]
     scores = np.column_stack([each.scores for each in watched])
     least, rng = np.array([each.least for each in watched]), np.random.default_rng([seed, 6])

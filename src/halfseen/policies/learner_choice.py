@@ -7,6 +7,7 @@ from typing import Any
 from halfseen.errors import ArgumentError
 from halfseen.learning.covariates import unfit_covariates
 from halfseen.learning.q_learner import CensoredQLearner
+from halfseen.learning.tabular import is_state
 from halfseen.learning.task import AUTO
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
@@ -139,6 +140,8 @@ def _columns(logs: Logs | LogStream, wanted: Sequence[str] | None) -> tuple[list
         flags = {} if logs.filling is None else logs.filling.flags
         return [*wanted, *(flag for flag, name in flags.items() if name in wanted and flag not in wanted)], filled
     unfit = unfit_covariates(parts_of(logs))
+    if len(there) == 1 and is_state(logs, there):
+        return there, filled
     notes = tuple(f"it does not look at {name}, which {trouble}" for name, trouble in unfit.items())
     return [name for name in there if name not in unfit], (*filled, *notes)
 

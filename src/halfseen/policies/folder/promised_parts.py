@@ -25,6 +25,8 @@ MOST_STATES = 200
 STATES_PER_TERM = 10
 FEWEST = 10
 """Stages without which an action is not described."""
+MOST_FEATURES = 200
+"""Where there are more, as of a state that is one of many names, no action is."""
 WHATS = ("reward", "duration")
 DECIMALS = 9
 
@@ -52,7 +54,7 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
     looks_at = Covariates(tuple(named.covariates), named.categories)
     rows, parts = outcome_rows(logs), []
     for action, some in rows.groupby("action", observed=True, sort=True):
-        if len(some) >= FEWEST:
+        if len(some) >= FEWEST and looks_at.num_features <= MOST_FEATURES:
             features = looks_at.encode(some)
             parts += [part_of(str(action), what, features, some[what].to_numpy(float)) for what in WHATS]
     first: Any = logs.stages[logs.stages["stage"] == 1]

@@ -1,0 +1,210 @@
+"""Whether policies of a table of states beat what made the log: doubly robust by state and action, cross-fitted.
+
+With ν(s, a) how often a policy comes to a cell in a trajectory, if nothing is cut, and m(s, a) how often the log
+completes it, a trajectory adds
+
+    V̂(S₁) + Σ_t ν̂(S_t, A_t)/m̂(S_t, A_t) · (R_t + V̂(S_{t+1}) − Q̂(S_t, A_t))
+
+over its completed stages, whose mean is the value of the policy where either Q̂ or ν̂/m̂ is right
+[KallusUehara2020]_; that cuts come sooner in some states is part of m. Q̂, ν̂ and m̂ are of the trajectories outside its
+fold, as is the policy: means of cells, shrunk as those that the policy was learned from (`halfseen.learning.tabular`).
+What leads from state to state does not depend on the stage, so a completed stage serves each number of stages to go, as
+there; one that the horizon ended the last alone.
+"""
+
+from statistics import NormalDist
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.sparse
+
+from halfseen.evaluation.targets import CrossFitted
+from halfseen.evaluation.verdict import Verdict
+from halfseen.learning.discrete_policy import DiscretePolicy
+from halfseen.learning.q_model import QModel
+from halfseen.learning.rows import TrajectoryArrays
+from halfseen.logs import Logs
+from halfseen.shapes import Bool, Float, Int
+
+FEWEST_STAGES = 10.0
+"""Of a cell that policies come to, on harmonic average; with fewer, no interval is believed."""
+WIDER = 3.0
+"""Over these stages, what the means of few stages add to the variance: our choice, made on random worlds whose actions
+all do the same (`benchmarks/published/icu_verdicts.py` judges by others)."""
+ROUNDING = 1e-12
+
+
+class Gain(NamedTuple):
+    """What policies earn more than what made the log."""
+
+    value: float
+    low: float
+    high: float
+    num_stages: float
+    """Completed stages of a cell that the policies come to, on harmonic average, of the fold that has fewest."""
+
+    def verdict(self, level: float) -> tuple[Verdict, str]:
+        """Whether that is better, and why."""
+        if self.num_stages < FEWEST_STAGES:
+            few = f"actions that it takes were completed {self.num_stages:.1f} times a state"
+            return "inconclusive", f"{few}, and {FEWEST_STAGES:.0f} are needed; record more"
+        found: Verdict = "better" if self.low > 0 else "not better" if self.high < 0 else "inconclusive"
+        more = f"{abs(self.value):.3g} {'more' if self.value >= 0 else 'less'}"
+        within = f"{level:.0%} interval {self.low:.3g} to {self.high:.3g} more"
+        return found, f"it earns {more} than what made the log ({within})"
+
+
+class _Rows(NamedTuple):
+    """Completed stages."""
+
+    trajectory: Int[np.ndarray, " m"]
+    state: Int[np.ndarray, " m"]
+    action: Int[np.ndarray, " m"]
+    successor: Int[np.ndarray, " m"]
+    """S after a trajectory's own end."""
+    reward: Float[np.ndarray, " m"]
+    stage: Int[np.ndarray, " m"]
+    """From 0."""
+
+    def at(self, rows: Bool[np.ndarray, " m"]) -> "_Rows":
+        return _Rows(*(each[rows] for each in self))
+
+
+def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level: float = 0.95) -> Gain:
+    """Estimate what policies that were learned without each fold earn more than the logging policy.
+
+    Parameters
+    ----------
+    policy
+        They; each a `DiscretePolicy` of one covariate, the name of the state.
+    model
+        Whose task numbers the states.
+    logs
+        The log.
+    kappa
+        Stages that the mean of a state counts for.
+    level
+        Of the interval.
+    """
+    trajectories = model.lay_out(logs)
+    shape = len(policy.policies[0].coefficients[0, 0]), trajectories.is_possible.shape[-1]
+    rows, first = _rows_of(trajectories, shape[0]), trajectories.features[:, 0, 0, 0].astype(np.int64) - 1
+    gains, num_stages = np.zeros(len(first)), []
+    for k, one in enumerate(policy.policies):
+        is_in = policy.fold[rows.trajectory] == k
+        world = _World(rows.at(~is_in), first[policy.fold != k], shape, kappa, policy.horizon)
+        choices = _choices_of(one)
+        ours, theirs = (world.added(which, rows.at(is_in), first) for which in (choices, None))
+        num_stages.append(world.num_stages(choices))
+        is_more = np.abs(ours - theirs) > ROUNDING * np.abs(theirs).max()
+        gains = np.where(policy.fold == k, np.where(is_more, ours - theirs, 0.0), gains)
+    value, error, fewest = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains))), min(num_stages)
+    reach = NormalDist().inv_cdf((1.0 + level) / 2.0) * error * (1.0 + WIDER / fewest) ** 0.5
+    return Gain(value, value - reach, value + reach, fewest)
+
+
+class _Means:
+    """What some completed stages say of each state, and of each action there."""
+
+    def __init__(self, rows: _Rows, shape: tuple[int, int], num: int, kappa: float) -> None:
+        self.num_actions, (num_states, num_actions) = shape[1], shape
+        cell, size = rows.state * num_actions + rows.action, num_states * num_actions
+        self.reward, self.moves, n = _means(cell, rows, size, num_states)
+        self.reward_of_state, self.moves_of_state, n_of_state = _means(rows.state, rows, num_states, num_states)
+        self.n, self.kept = n, n / np.maximum(n + kappa, np.finfo(float).tiny)
+        self.completed, self.completed_of_state = n / num, n_of_state / num
+
+    def following(self, choice: Int[np.ndarray, " S"] | None) -> tuple[Float[np.ndarray, " S"], Any]:
+        """Reward, and moves from state to state, where this action is taken in each state; None for the log's own."""
+        if choice is None:
+            return self.reward_of_state, self.moves_of_state
+        at = np.arange(len(choice)) * self.num_actions + choice
+        kept = self.kept[at]
+        reward = kept * self.reward[at] + (1.0 - kept) * self.reward_of_state
+        return reward, _scaled(kept, self.moves[at]) + _scaled(1.0 - kept, self.moves_of_state)
+
+    def ratio(
+        self, rows: _Rows, visits: Float[np.ndarray, " S"], choice: Int[np.ndarray, " S"] | None
+    ) -> Float[np.ndarray, " m"]:
+        """ν̂/m̂ of each row."""
+        if choice is None:
+            came, completed = visits[rows.state], self.completed_of_state[rows.state]
+        else:
+            came = np.where(rows.action == choice[rows.state], visits[rows.state], 0.0)
+            completed = self.completed[rows.state * self.num_actions + rows.action]
+        return np.divide(came, completed, out=np.zeros(len(came)), where=completed > 0)
+
+
+class _World:
+    """What trajectories outside a fold tell of the world, and of policies in it."""
+
+    def __init__(
+        self, rows: _Rows, first: Int[np.ndarray, " n"], shape: tuple[int, int], kappa: float, horizon: int
+    ) -> None:
+        self.every = _Means(rows, shape, len(first), kappa)
+        self.going = _Means(rows.at(rows.stage < horizon - 1), shape, len(first), kappa)
+        self.start, self.horizon = np.bincount(first, minlength=shape[0]) / len(first), horizon
+
+    def added(
+        self, choices: Int[np.ndarray, "T S"] | None, rows: _Rows, first: Int[np.ndarray, " n"]
+    ) -> Float[np.ndarray, " n"]:
+        """What each trajectory adds to the value of what acts so in each stage and state; None for the log's own."""
+        chosen = [None if choices is None else choices[t] for t in range(self.horizon)]
+        ways = [(self.every if t == self.horizon - 1 else self.going).following(chosen[t]) for t in range(self.horizon)]
+        value = [np.zeros(len(self.start))]
+        for reward, moves in reversed(ways):
+            value.insert(0, self._known(reward + (moves @ value[0] if len(value) > 1 else 0.0)))
+        total, visits, going = value[0][first], self.start, rows.at(rows.stage < self.horizon - 1)
+        for t, (_, moves) in enumerate(ways):
+            is_last = t == self.horizon - 1
+            some, means = (rows, self.every) if is_last else (going, self.going)
+            follows = 0.0 if is_last else np.append(value[t + 1], 0.0)[some.successor]
+            wrong = some.reward + follows - value[t][some.state]
+            total = total + np.bincount(some.trajectory, means.ratio(some, visits, chosen[t]) * wrong, len(first))
+            visits = moves.T @ visits
+        return total
+
+    def num_stages(self, choices: Int[np.ndarray, "T S"]) -> float:
+        """Completed stages of a cell that a policy comes to, on harmonic average."""
+        visits, inverse, total = self.start, 0.0, 0.0
+        for choice in choices[:-1]:
+            n = self.going.n[np.arange(len(choice)) * self.going.num_actions + choice]
+            inverse, total = inverse + float((visits / np.maximum(n, 0.5)).sum()), total + float(visits.sum())
+            visits = self.going.following(choice)[1].T @ visits
+        return total / inverse if inverse > 0 else np.inf
+
+    def _known(self, value: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+        """The same; a state that was never seen is worth what others are."""
+        seen = self.every.completed_of_state
+        return np.where(seen > 0, value, np.average(value, weights=seen))
+
+
+def _means(
+    group: Int[np.ndarray, " m"], rows: _Rows, size: int, num_states: int
+) -> tuple[Float[np.ndarray, " g"], Any, Int[np.ndarray, " g"]]:
+    """Mean reward, share of successors and number of rows by group; 0 of an empty one."""
+    n = np.bincount(group, minlength=size)
+    each, goes_on = 1.0 / np.maximum(n, 1), rows.successor < num_states
+    pairs = (group[goes_on], rows.successor[goes_on])
+    shares = scipy.sparse.csr_matrix((each[pairs[0]], pairs), shape=(size, num_states))
+    return np.bincount(group, rows.reward, size) * each, shares, n
+
+
+def _scaled(by: Float[np.ndarray, " S"], moves: Any) -> Any:
+    return scipy.sparse.diags(by) @ moves
+
+
+def _rows_of(trajectories: TrajectoryArrays, num_states: int) -> _Rows:
+    number = trajectories.features[:, :, 0, 0].astype(np.int64) - 1
+    successor = np.where(trajectories.is_last, num_states, np.pad(number[:, 1:], ((0, 0), (0, 1)), constant_values=-1))
+    done = trajectories.is_completed & (successor >= 0)
+    who, stage = np.nonzero(done)
+    action, reward = trajectories.action[done], trajectories.reward[done]
+    return _Rows(who, number[done], action, successor[done], reward, stage)
+
+
+def _choices_of(policy: DiscretePolicy) -> Int[np.ndarray, "T S"]:
+    """Its action in each stage and state."""
+    q = policy.coefficients.copy()
+    q[..., 1:] += q[..., :1]
+    return np.argmax(np.where(policy.is_possible[..., None], q, -np.inf), axis=1)

@@ -1,0 +1,260 @@
+"""Q of a state that is one of many names: a table of states by actions, its cells partially pooled.
+
+A covariate of some hundred categories, such as the cluster of a patient or the cell of a map, tells all that is known
+of a state, and nothing says which states are alike. So each step of eq. 3 is a mean for each state s and action a,
+
+    X = R + V̂(S′),   m_sa = Σ w X / Σ w   over the n_sa completed stages,
+
+and most of these means are of few stages: to take the largest is to take the luckiest. They are pooled as in a
+random-effects model [GelmanHill2007]_ whose numbers are found by moments [DerSimonianLaird1986]_:
+
+    Q(s, a) = μ_s + γ·(log n_sa − mean) + u_sa,   u_sa ~ N(0, σ_s²/κ),   m_sa | Q ~ N(Q(s, a), σ_s²/n_sa).
+
+- *κ* is how many stages the mean of a state counts for: a cell of n stages keeps n/(n + κ) of what it differs. The
+  variance of u is taken to be at least one standard error of its estimate. A log that is too small to tell whether
+  actions differ then still tells which seems best.
+- *γ* ≥ 0 is what is gained by doing as the log does: whoever made it knew something, or it is 0.
+- *μ_s* is shrunk towards the mean of all states, for a state may have been seen once.
+
+An action that was never completed in a state is valued below all that were, and so never taken there.
+
+A stage weighs 1/K̂, the chance that it is not cut while it lasts: in one state all trajectories have the same future, so
+what was cut before does not matter. Stages are pooled; a row that the horizon ended serves Q_1 alone (`recursion`).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from halfseen.errors import ArgumentError
+from halfseen.learning.covariates import MOST_CATEGORIES, is_numeric
+from halfseen.learning.named_task import NamedActions
+from halfseen.learning.recursion import QFunctions
+from halfseen.learning.rows import Transitions, stage_places
+from halfseen.learning.task import Encoded
+from halfseen.logs import Logs, LogStream
+from halfseen.logs.missing import Filling
+from halfseen.shapes import Float, Int
+
+TRAJECTORIES_OF_STATE = 1.25
+"""That come to a state, on average."""
+ROUNDING = 1e-9
+STAGES_OF_VARIANCE = 20.0
+"""Stages that the variance of all states counts for, beside those of one state."""
+
+
+@dataclass(frozen=True)
+class StateActions(NamedActions):
+    """Named actions in a state that one column names (a `Task` of `TabularQ`)."""
+
+    @property
+    def num_states(self) -> int:
+        """S."""
+        return len(self.categories[self.covariates[0]])
+
+    def fitted_to_parts(self, parts: Iterable[Logs], filling: Filling | None) -> "StateActions":
+        """Learn the names of all states."""
+        (column,) = self.covariates
+        if column in self.categories:
+            return replace(self, filling=filling)
+        known = {name for part in parts for name in part.stages[column].dropna().map(str).unique()}
+        return replace(self, categories={**self.categories, column: tuple(sorted(known))}, filling=filling)
+
+    def encode(self, logs: Logs, horizon: int) -> Encoded:
+        """Encode a state as its number, from 1; 0 where no stage began."""
+        (column,), shape = self.covariates, (logs.num_trajectories, horizon)
+        number, action = np.zeros(shape), np.zeros(shape, dtype=np.int64)
+        at, is_possible = (
+            stage_places(logs),
+            np.broadcast_to(self._possible_by_stage(horizon), (*shape, len(self.names))),
+        )
+        number[at] = 1 + self.looks_at.codes(logs.stages, column)
+        action[at] = self._codes(logs, is_possible)
+        return Encoded(np.broadcast_to(number[..., None, None], (*is_possible.shape, 1)), is_possible, action)
+
+
+def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
+    """Make a task of named actions one of a table.
+
+    Raises
+    ------
+    ArgumentError
+        The task is another, or looks at none or several columns; the log is read in passes; or targets are imputed,
+        which takes a regression.
+    """
+    if not isinstance(task, NamedActions) or len(task.covariates) != 1:
+        raise ArgumentError(
+            "q_function is 'tabular', which takes named actions and one covariate, the name of the state"
+        )
+    if isinstance(logs, LogStream):
+        raise ArgumentError("q_function is 'tabular', which is learned in memory; leave --streaming out")
+    if targets.is_imputed:
+        raise ArgumentError(
+            f"q_function is 'tabular', and censoring {targets.name!r} imputes; choose 'kaplan-meier', 'cox' or 'none'"
+        )
+    return StateActions(task.actions, task.covariates, task.categories, task.filling)
+
+
+def is_state(logs: Any, covariates: Sequence[str]) -> bool:
+    """Whether the only covariate of a log in memory is text of too many categories for an indicator of each.
+
+    Trajectories have to share them, or it names the trajectory.
+    """
+    if not isinstance(logs, Logs) or len(covariates) != 1 or covariates[0] not in logs.stages.columns:
+        return False
+    (column,) = covariates
+    if is_numeric(logs.stages, column):
+        return False
+    num_names = logs.stages[column].nunique()
+    come_to: Any = logs.stages[["trajectory", column]].drop_duplicates()
+    return num_names > MOST_CATEGORIES and len(come_to) >= TRAJECTORIES_OF_STATE * num_names
+
+
+def fit_table(log: Transitions, num_states: int, reg: float | None = None) -> QFunctions:
+    """Run eq. 3 on a table.
+
+    Parameters
+    ----------
+    log
+        Whose one feature is the number of the state, from 1.
+    num_states
+        S.
+    reg
+        κ; with 0 every cell is its own mean. None to find κ and γ in the log, and to shrink the means of states.
+
+    Returns
+    -------
+    QFunctions
+        By steps to go, one first; coefficients are Q of the first state and how far each other state lies from it.
+
+    Raises
+    ------
+    ArgumentError
+        No stage was completed whose outcome is known.
+    """
+    rows, horizon = _rows_of(log), log.action.shape[1]
+    if not len(rows.cell):
+        raise ArgumentError("no stage was completed whose next state is known; record more trajectories")
+    shape = (num_states, log.is_possible.shape[-1])
+    every, going = _Cells(rows, shape), _Cells(rows.at(~rows.is_at_horizon), shape)
+    value, each = np.zeros(num_states), []
+    for to_go in range(horizon):
+        table = (going if to_go and len(going.id) else every).table(value, reg)
+        value = table.q.max(axis=1)
+        each.append(table)
+    q = np.stack([table.q for table in each]).swapaxes(-1, -2)
+    q[..., 1:] -= q[..., :1]
+    return QFunctions(q, np.repeat([[table.kappa] for table in each], shape[1], axis=1))
+
+
+class _Rows(NamedTuple):
+    """Completed stages whose successor is known."""
+
+    cell: Int[np.ndarray, " m"]
+    """s·A + a."""
+    successor: Int[np.ndarray, " m"]
+    """Next state, from 1; 0 after a trajectory's own end."""
+    reward: Float[np.ndarray, " m"]
+    weight: Float[np.ndarray, " m"]
+    is_at_horizon: np.ndarray
+
+    def at(self, rows: np.ndarray) -> "_Rows":
+        return _Rows(*(column[rows] for column in self))
+
+
+def _rows_of(log: Transitions) -> _Rows:
+    number = log.features[:, :, 0, 0].astype(np.int64)
+    successor = np.where(log.is_last, 0, np.pad(number[:, 1:], ((0, 0), (0, 1))))
+    before = np.pad(log.weight[:, :-1], ((0, 0), (1, 0)), constant_values=1.0)
+    done = (log.weight > 0) & (number > 0) & (log.is_last | (successor > 0))
+    own = log.weight / np.where(before > 0, before, 1.0)
+    stage = np.broadcast_to(np.arange(number.shape[1]), number.shape)
+    cell = (number - 1) * log.is_possible.shape[-1] + log.action
+    return _Rows(cell[done], successor[done], log.reward[done], own[done], stage[done] == number.shape[1] - 1)
+
+
+class _Table(NamedTuple):
+    q: Float[np.ndarray, "S A"]
+    kappa: float
+
+
+class _Cells:
+    """Rows by cell, and what is the same at every step."""
+
+    def __init__(self, rows: _Rows, shape: tuple[int, int]) -> None:
+        self.id, self.of_row = np.unique(rows.cell, return_inverse=True)
+        self.rows, self.shape, self.state = rows, shape, self.id // shape[1]
+        self.weight = self._sum(rows.weight)
+        self.n = self.weight**2 / self._sum(rows.weight**2)
+        self.n_of_state = np.bincount(self.state, self.n, shape[0])
+        self.is_seen = self.n_of_state > 0
+        # What is left of a cell's own variance where the mean of its state is taken out.
+        self.rest = 1.0 - self.n / self.n_of_state[self.state]
+        self.freedom = np.bincount(self.state, self.n - 1.0, shape[0])
+
+    def table(self, value: Float[np.ndarray, " S"], reg: float | None) -> _Table:
+        """Q of each state and action, given V̂ of what follows."""
+        target = self.rows.reward + np.append(0.0, value)[self.rows.successor]
+        mean = self._sum(self.rows.weight * target) / self.weight
+        squares = self._sum(self.rows.weight * (target - mean[self.of_row]) ** 2) / self.weight * self.n
+        of_state = self._within_states(mean, self.n)
+        if reg is not None:
+            apart = mean - of_state[self.state]
+            return self._filled(of_state[self.state] + apart * self.n / (self.n + reg), 0.0, of_state, reg)
+        # Where nothing varies in a cell, what differs is sure, however little it is.
+        variance = np.maximum(self._variance(squares), ROUNDING**2 * (target**2).mean() or 1.0)
+        noise = variance[self.state]
+        liking = self._liking(mean - of_state[self.state], self.n / noise)
+        apart = mean - of_state[self.state] - liking
+        kappa = self._kappa(apart**2 * self.n / noise)
+        of_state = self._shrunk(of_state, variance)
+        q = of_state[self.state] + liking + apart * self.n / (self.n + kappa)
+        return self._filled(q, float(np.sqrt(noise.mean() / max(kappa, 1.0))), of_state, kappa)
+
+    def _variance(self, squares: Float[np.ndarray, " c"]) -> Float[np.ndarray, " S"]:
+        """σ_s² of X in one cell of each state, shrunk towards that of all."""
+        pooled = squares.sum() / max(self.freedom.sum(), 1.0)
+        own = np.bincount(self.state, squares, self.shape[0])
+        return (own + STAGES_OF_VARIANCE * pooled) / (self.freedom + STAGES_OF_VARIANCE)
+
+    def _liking(self, apart: Float[np.ndarray, " c"], weight: Float[np.ndarray, " c"]) -> Float[np.ndarray, " c"]:
+        """γ·(log n − mean), by weighted least squares within states."""
+        log_n = np.log(self.n)
+        log_n = log_n - self._within_states(log_n, self.n)[self.state]
+        spread = float((weight * log_n**2).sum())
+        return log_n * max(float((weight * log_n * apart).sum()) / spread, 0.0) if spread > 0 else 0.0 * log_n
+
+    def _kappa(self, squares: Float[np.ndarray, " c"]) -> float:
+        """κ by moments: Σ n (m − μ)²/σ² is Σ rest + Σ n·rest/κ on average."""
+        by_chance = float(self.rest.sum())
+        excess = max(float(squares.sum()) - by_chance, float(np.sqrt(2.0 * by_chance)))
+        return float((self.n * self.rest).sum()) / excess if excess > 0 else 0.0
+
+    def _shrunk(self, mean: Float[np.ndarray, " S"], variance: Float[np.ndarray, " S"]) -> Float[np.ndarray, " S"]:
+        """Means of states, those of few stages nearer to the mean of all, which a state never seen has."""
+        among, noise = mean[self.is_seen], variance[self.is_seen] / self.n_of_state[self.is_seen]
+        spread = max(float(among.var() - noise.mean()), 0.0)
+        shrunk = np.full(len(mean), among.mean())
+        shrunk[self.is_seen] += (among - among.mean()) * spread / (spread + noise)
+        return shrunk
+
+    def _filled(
+        self, q: Float[np.ndarray, " c"], below: float, of_state: Float[np.ndarray, " S"], kappa: float
+    ) -> _Table:
+        """Lay cells out as a table; what was not seen lies below the least of its state."""
+        least = np.where(self.is_seen, np.inf, of_state)
+        np.minimum.at(least, self.state, q)
+        other = np.where(self.is_seen, least - below - ROUNDING * (1.0 + np.abs(least)), of_state)
+        table = np.repeat(other, self.shape[1])
+        table[self.id] = q
+        return _Table(table.reshape(self.shape), kappa)
+
+    def _sum(self, of_row: Float[np.ndarray, " m"]) -> Float[np.ndarray, " c"]:
+        return np.bincount(self.of_row, of_row, len(self.id))
+
+    def _within_states(self, each: Float[np.ndarray, " c"], weight: Float[np.ndarray, " c"]) -> Float[np.ndarray, " S"]:
+        """Weighted mean over the cells of each state; of one never seen that of all."""
+        total = np.bincount(self.state, weight * each, self.shape[0])
+        return np.where(self.is_seen, total / np.where(self.is_seen, self.n_of_state, 1.0), float(np.average(each)))
