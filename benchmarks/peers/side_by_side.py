@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 from jaxtyping import Float
+from threadpoolctl import threadpool_limits
+from tqdm import tqdm
 
 from halfseen.writing import write_file
 
@@ -24,10 +26,19 @@ def asked(doc: str | None, name: str, repetitions: int) -> argparse.ArgumentPars
     return parser
 
 
-def finish(out: Path, found: Mapping[str, Any], tables: Callable[[Any], str]) -> None:
-    """Store results with the versions that made them, and print their tables."""
-    report = {**found, "versions": {name: version(name) for name in VERSIONS}}
-    write_file(out, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
+def run(
+    out: Path,
+    cells: Sequence[Any],
+    measured: Callable[..., Mapping[str, Any]],
+    tables: Callable[[Any], str],
+    **facts: Any,
+) -> None:
+    """Measure cell by cell, store what was found so far with the versions that made it, and print its tables."""
+    report = {**facts, "versions": {name: version(name) for name in VERSIONS}, "rows": []}
+    with threadpool_limits(1):
+        for cell in tqdm(cells, desc="cells", disable=None, leave=False):
+            report["rows"].append(measured(*cell))
+            write_file(out, json.dumps(report, indent=1, ensure_ascii=False) + "\n")
     print(tables(report))
 
 

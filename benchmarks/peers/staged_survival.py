@@ -16,6 +16,9 @@ from peers.weighted_survival import blip
 
 from halfseen.logs import Logs
 
+LONGEST_GAIN = 5.0
+"""Of log time by another treatment; what few patients and many covariates say beyond is not believed."""
+
 
 class StageTimes(NamedTuple):
     """Who began a stage."""
@@ -54,7 +57,7 @@ Rule = Callable[[Float[np.ndarray, "m p"]], Bool[np.ndarray, " m"]]
 """Whether each state is treated."""
 
 
-def forest_rules(stages: list[StageTimes], seed: int = 0, num_trees: int = 50) -> list[Rule]:
+def forest_rules(stages: list[StageTimes], seed: int = 0, num_trees: int = 30) -> list[Rule]:
     """Learn the rule of each stage by survival forests."""
     from sksurv.ensemble import RandomSurvivalForest
     from sksurv.util import Surv
@@ -119,6 +122,6 @@ def dwsurv_rules(stages: list[StageTimes]) -> list[Rule]:
         if number:
             before = stages[number - 1]
             rows = pd.Index(stage.who).get_indexer(before.who[before.moved])
-            best = time * np.exp(np.clip(((gain > 0) - stage.treated) * gain, 0, 20))
+            best = time * np.exp(np.clip(((gain > 0) - stage.treated) * gain, 0.0, LONGEST_GAIN))
             later = np.where(is_seen, best, np.nan)[rows]
     return rules

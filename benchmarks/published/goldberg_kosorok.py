@@ -1,7 +1,7 @@
 """The simulated trial of the paper that eq. 3 comes from [Goldberg, Kosorok, Annals of Statistics 40:529, 2012].
 
 PYTHONPATH=benchmarks python benchmarks/published/goldberg_kosorok.py [--out …/goldberg_kosorok.json] [--sizes N …]
-                                                                      [--repetitions 25] [--shares SHARE …]
+                                                                      [--repetitions 20] [--shares SHARE …]
 
 Wellness W is uniform on [½, 1]; the tumour has size 1 at each of at most three decisions in three years. Treatment A
 leaves W⁺ = W − ½ and M⁺ = 1/(10 W), B leaves W − ¼ and 2/(10 W). Then W(u) = W⁺ + (1 − W⁺)(1 − 2^(−u/2)), and the
@@ -20,10 +20,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 from jaxtyping import Bool, Float, Int
-from peers.side_by_side import asked, finish, markdown, told
+from peers.side_by_side import asked, markdown, run, told
 from scipy.optimize import brentq
-from threadpoolctl import threadpool_limits
-from tqdm import tqdm
 
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
@@ -177,14 +175,12 @@ def tables(report: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = asked(__doc__, "goldberg_kosorok", 25)
+    parser = asked(__doc__, "goldberg_kosorok", 20)
     parser.add_argument("--sizes", type=int, nargs="+", default=[50, 100, 200, 400, 1000], help="patients of a log")
     parser.add_argument("--shares", type=float, nargs="+", default=[0.0, 0.1, 0.2, 0.3, 0.5], help="of patients cut")
     options = parser.parse_args()
-    cells = [(size, share) for share in options.shares for size in options.sizes]
-    with threadpool_limits(1):
-        rows = [measured(*cell, options.repetitions) for cell in tqdm(cells, desc="cells", disable=None, leave=False)]
-    finish(options.out, {"repetitions": options.repetitions, "plain": plain(), "rows": rows}, tables)
+    cells = [(size, share, options.repetitions) for share in options.shares for size in options.sizes]
+    run(options.out, cells, measured, tables, repetitions=options.repetitions, plain=plain())
 
 
 if __name__ == "__main__":
