@@ -265,13 +265,12 @@ def measured(cell: str, size: int, repetitions: int, num_judged: int = NUM_JUDGE
     return {"cell": cell, "size": size, "values": found}
 
 
-def lead(row: dict[str, Any], criterion: str) -> str:
-    """The default less the best of the peers, log by log."""
+def lead(row: dict[str, Any], criterion: str) -> tuple[float, float]:
+    """The default less the best of the peers, log by log: mean and standard error."""
     values = {name: np.array(of_method[criterion]) for name, of_method in row["values"].items() if name != SIMPLER}
     ours = values.pop("default")
     best = max(values, key=lambda name: values[name].mean())
-    mean, error = mean_and_error(ours - values[best])
-    return f"{mean:+.3f} ± {error:.3f}".replace("-", "−")
+    return mean_and_error(ours - values[best])
 
 
 def tables(report: dict[str, Any]) -> str:
@@ -282,7 +281,7 @@ def tables(report: dict[str, Any]) -> str:
             [
                 f"{row['cell']}, n = {row['size']:,}",
                 *(told(row["values"][name][criterion]) for name in METHODS),
-                lead(row, criterion),
+                "{:+.3f} ± {:.3f}".format(*lead(row, criterion)).replace("-", "−"),
             ]
             for row in report["rows"]
         ]

@@ -22,6 +22,7 @@ def draw_goldberg_kosorok() -> Figure:
     for axes, (method, title) in zip(panels, SHOWN.items(), strict=True):
         draw_grid(axes)
         axes.set_title(title, loc="left", fontsize=9.5)
+        axes.set_xlabel("patients")
         for share in dict.fromkeys(row["share"] for row in found["rows"]):
             rows = [row for row in found["rows"] if row["share"] == share]
             values = np.array([row["values"][method] for row in rows])
@@ -34,7 +35,6 @@ def draw_goldberg_kosorok() -> Figure:
             axes.text(sizes[0], found["plain"][name], name, fontsize=8.0, va="bottom")
         mark_sizes(axes, sizes[::2])
     panels[0].set_ylabel("expected survival [months]")
-    made.supxlabel("patients", fontsize=9.5)
     made.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, **LEGEND)
     return made
 

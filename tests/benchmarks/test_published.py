@@ -2,6 +2,7 @@
 
 import json
 from itertools import product
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -179,3 +180,12 @@ def test_a_benchmark_stores_and_prints_what_it_found(words, tmp_path, monkeypatc
     found = json.loads(out.read_text(encoding="utf-8"))
     assert (len(found["rows"]), found["repetitions"]) == (1, 2)
     assert capsys.readouterr().out == module.tables(found) + "\n"
+
+
+def test_the_page_counts_cells_of_cho_as_the_results_do():
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "published.md").read_text(encoding="utf-8")
+    leads = {name: [cho.lead(row, name) for row in stored("cho")["rows"]] for name in cho.CRITERIA}
+    behind = {name: sum(mean < -2.0 * error for mean, error in each) for name, each in leads.items()}
+    assert behind == {"years": 1, "five": 3}
+    assert "15 of 16 cells" in page
+    assert "behind in three cells" in page
