@@ -1,6 +1,6 @@
 """Two stages and log survival [Simoneau, Moodie, Nijjar, Platt, JASA 2019]: blips, ours beside those of DWSurv.
 
-PYTHONPATH=benchmarks python benchmarks/published/dwsurv.py [--out …/dwsurv.json] [--repetitions 100] [--cells NAME …]
+PYTHONPATH=benchmarks python benchmarks/published/dwsurv.py [--out …/dwsurv.json] [--repetitions 40] [--cells NAME …]
                                                             [--sizes 500 1000]
 
 Settings are those of the paper's simulation; its numbers here come from its 1,000 stored repetitions of n = 500. The
@@ -287,7 +287,7 @@ def _right(both: Sequence[float]) -> str:
 
 
 def main() -> None:
-    parser = asked(__doc__, "dwsurv", 100)
+    parser = asked(__doc__, "dwsurv", 40)
     parser.add_argument("--cells", nargs="+", choices=CELLS, default=list(CELLS))
     parser.add_argument("--sizes", nargs="+", type=int, default=[500, 1000], help="patients of a trial")
     options = parser.parse_args()

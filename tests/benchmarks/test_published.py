@@ -189,3 +189,10 @@ def test_the_page_counts_cells_of_cho_as_the_results_do():
     assert behind == {"years": 1, "five": 3}
     assert "15 of 16 cells" in page
     assert "behind in three cells" in page
+
+
+def test_the_page_tells_how_many_outlive_their_own_time_and_how_precise_weights_are():
+    rows = stored("dwsurv")["rows"]
+    assert (round(4 * min(row["outlives"] for row in rows)), round(5 * max(row["outlives"] for row in rows))) == (1, 2)
+    spreads = [np.divide(row["methods"]["weighted"]["sd"], row["methods"]["DWSurv"]["sd"]) for row in rows]
+    assert (np.min(spreads).round(1), np.max(spreads).round(1)) == (0.8, 1.2)
