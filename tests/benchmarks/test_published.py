@@ -196,3 +196,14 @@ def test_the_page_tells_how_many_outlive_their_own_time_and_how_precise_weights_
     assert (round(4 * min(row["outlives"] for row in rows)), round(5 * max(row["outlives"] for row in rows))) == (1, 2)
     spreads = [np.divide(row["methods"]["weighted"]["sd"], row["methods"]["DWSurv"]["sd"]) for row in rows]
     assert (np.min(spreads).round(1), np.max(spreads).round(1)) == (0.8, 1.2)
+
+
+@pytest.mark.slow
+def test_the_first_log_of_kept_results_comes_out_again():
+    kept = next(row for row in stored("cho")["rows"] if (row["cell"], row["size"]) == ("d = 2, trial", 300))
+    again = cho.measured("d = 2, trial", 300, 1)["values"]
+    for name, found in again.items():
+        assert found["years"][0] == pytest.approx(kept["values"][name]["years"][0], abs=0.02), name
+    kept = next(row for row in stored("goldberg_kosorok")["rows"] if (row["size"], row["share"]) == (200, 0.3))
+    for name, found in goldberg_kosorok.measured(200, 0.3, 1)["values"].items():
+        assert found[0] == pytest.approx(kept["values"][name][0], abs=0.02), name
