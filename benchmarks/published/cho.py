@@ -1,6 +1,6 @@
 """Three stages, ten years: cuts depend on covariates and action [Cho, Holloway, Couper, Kosorok, Biometrika 2023].
 
-PYTHONPATH=benchmarks python benchmarks/published/cho.py [--out …/cho.json] [--repetitions 10] [--cells NAME …]
+PYTHONPATH=benchmarks python benchmarks/published/cho.py [--out …/cho.json] [--repetitions 20] [--cells NAME …]
                                                          [--sizes 300 1000]
 
 Dynamics and coefficients are those of the paper's simulation (arXiv 2012.03294); its results are box plots without a
@@ -290,7 +290,7 @@ def tables(report: dict[str, Any]) -> str:
 
 
 def main() -> None:
-    parser = asked(__doc__, "cho", 10)
+    parser = asked(__doc__, "cho", 20)
     parser.add_argument("--cells", nargs="+", choices=WORLDS, default=list(WORLDS))
     parser.add_argument("--sizes", nargs="+", type=int, default=[300, 1000], help="patients of a log")
     options = parser.parse_args()
