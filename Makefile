@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 PARALLEL := -n auto --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 
-.PHONY: study test test-slow check docs pictures clouds benchmarks fuzz wheel-test newest release audit image clean
+.PHONY: study test test-slow check docs pictures clouds benchmarks published fuzz wheel-test newest release audit image clean
 
 study: .venv/.installed
 	$(BIN)/halfseen study --out runs/study
@@ -37,6 +37,13 @@ fuzz: .venv/.installed
 
 benchmarks: .venv/.installed
 	for benchmark in benchmarks/*.py; do $(BIN)/python $$benchmark || exit 1; done
+
+# What papers have printed beside ours and peers', all of them or ONLY=name, with as many REPETITIONS of each cell as wanted: half
+# an hour on an idle core. The page of the docs shows what it stores.
+published: .venv/.installed
+	for benchmark in benchmarks/published/$(or $(ONLY),*).py; do \
+		PYTHONPATH=benchmarks $(BIN)/python $$benchmark $(if $(REPETITIONS),--repetitions $(REPETITIONS)) || exit 1; \
+	done
 
 # The wheel in a bare environment of PYTHON, away from the clone: the way of the README in five commands, and each verb without extras.
 wheel-test:

@@ -27,7 +27,7 @@ version = release = __version__
 language = "en-GB"
 
 extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "numpydoc"]
-extensions += ["citations", "public_names", "read_aloud", "timings_table", "verbs"]
+extensions += ["citations", "public_names", "published_tables", "read_aloud", "timings_table", "verbs"]
 exclude_patterns = ["extensions", "pictures", "_build"]
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3

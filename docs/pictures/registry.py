@@ -14,6 +14,7 @@ from pictures.memory import MEMORY
 from pictures.monitor import MONITOR
 from pictures.page_figures import PICTURES as OF_PAGES
 from pictures.pick_cell_learners import PICK_CELL_LEARNERS
+from pictures.published import PUBLISHED
 from pictures.report_values import REPORT_VALUES
 from pictures.study_figure import FIGURE1, OPENING
 from pictures.tiger_doors import TIGER
@@ -34,4 +35,5 @@ PICTURES = (
     MONITOR,
     WIRE,
     ICU_SEPSIS,
+    PUBLISHED,
 )
