@@ -11,6 +11,7 @@ from halfseen.learning.q_space import TabularQ
 from halfseen.learning.resampling import bootstrap
 from halfseen.learning.rows import Transitions
 from halfseen.learning.tabular import STAGES_OF_VARIANCE, fit_table
+from halfseen.logs import Logs
 from halfseen.logs.stream import opened
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.promised_parts import promised_parts
@@ -193,6 +194,7 @@ def test_the_order_of_trajectories_does_not_matter(logs):
         ({"pessimism": 1.0}, "pessimism 1.0; leave them out"),
         ({"stages": "separate"}, "stages is 'separate'"),
         ({"censoring": "buckley-james"}, "'buckley-james' imputes"),
+        ({"half_life": 100.0}, "half_life is 100.0; select those since a change"),
     ],
 )
 def test_what_a_table_cannot_do_is_refused(logs, changed, message):
@@ -206,6 +208,15 @@ def test_a_table_needs_one_covariate_and_a_log_in_memory(logs, tmp_path):
     logs.write(tmp_path / "log")
     with pytest.raises(ArgumentError, match="leave --streaming out"):
         learner_of(q_function="tabular").fit(opened(tmp_path / "log", True))
+
+
+def test_states_are_names_or_numbers(logs):
+    states = logs.stages["colour"]
+    structs = Logs(logs.stages.assign(colour=[{"is": each} for each in states]), logs.trajectories)
+    with pytest.raises(ArgumentError, match="'tabular', and colour holds mixed; give states names or numbers"):
+        learner_of(q_function="tabular").fit(structs)
+    with pytest.raises(LogError, match="holds mixed, neither numbers nor text"):
+        learner_of(q_function="linear").fit(structs)
 
 
 def test_its_verdict_is_better_where_that_is_so_and_says_by_how_much(logs):

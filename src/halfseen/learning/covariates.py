@@ -185,6 +185,14 @@ def is_numeric(frame: Frame, column: str) -> bool:
     return is_numeric_dtype(frame[column].dtype)
 
 
+def kind_of(frame: Frame, column: str) -> str | None:
+    """What a column holds in place of numbers or text; None where it holds these."""
+    from pandas.api.types import infer_dtype
+
+    kind = None if is_numeric(frame, column) else infer_dtype(frame[column], skipna=True)
+    return None if kind in _TEXT else kind
+
+
 def _place(frame: Frame, row: int) -> str:
     """Trajectory and stage of a row, where the frame has them."""
     from halfseen.logs.columns import place
@@ -252,11 +260,9 @@ def _surveyed(parts: "Iterable[Logs]", known: Categories) -> dict[str, _Seen]:
 
 
 def _look(logs: "Logs", column: str) -> _Seen:
-    from pandas.api.types import infer_dtype
-
     values: Any = logs.stages[column]
-    kind = infer_dtype(values, skipna=True)
-    if kind not in _TEXT:
+    kind = kind_of(logs.stages, column)
+    if kind is not None:
         return f"holds {kind}, neither numbers nor text; give one of these, or leave it out"
     is_null = values.isna().to_numpy()
     if is_null.any():

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.covariates import MOST_CATEGORIES, is_numeric
+from halfseen.learning.covariates import MOST_CATEGORIES, is_numeric, kind_of
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.recursion import QFunctions
 from halfseen.learning.rows import Transitions, stage_places
@@ -81,8 +81,8 @@ def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
     Raises
     ------
     ArgumentError
-        The task is another, or looks at none or several columns; the log is read in passes; or targets are imputed,
-        which takes a regression.
+        The task is another, or looks at none or several columns, or at one that holds neither names nor numbers; the
+        log is read in passes; or targets are imputed, which takes a regression.
     """
     if not isinstance(task, NamedActions) or len(task.covariates) != 1:
         raise ArgumentError(
@@ -94,6 +94,10 @@ def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
         raise ArgumentError(
             f"q_function is 'tabular', and censoring {targets.name!r} imputes; choose 'kaplan-meier', 'cox' or 'none'"
         )
+    (column,) = task.covariates
+    kind = kind_of(logs.stages, column) if isinstance(logs, Logs) and column in logs.stages.columns else None
+    if kind is not None:
+        raise ArgumentError(f"q_function is 'tabular', and {column} holds {kind}; give states names or numbers")
     return StateActions(task.actions, task.covariates, task.categories, task.filling)
 
 
@@ -105,7 +109,7 @@ def is_state(logs: Any, covariates: Sequence[str]) -> bool:
     if not isinstance(logs, Logs) or len(covariates) != 1 or covariates[0] not in logs.stages.columns:
         return False
     (column,) = covariates
-    if is_numeric(logs.stages, column):
+    if is_numeric(logs.stages, column) or kind_of(logs.stages, column) is not None:
         return False
     num_names = logs.stages[column].nunique()
     come_to: Any = logs.stages[["trajectory", column]].drop_duplicates()
