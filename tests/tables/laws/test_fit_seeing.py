@@ -42,23 +42,27 @@ def some_labels(num=80, num_objects=15, seed=0):
 
 def looks(num_objects, law, seed=0, num_looks=4, recorder=None):
     """Looks at objects one by one, as a law has them; those that show nothing new leave no label."""
-    rng = np.random.default_rng(seed)
-    rows = []
-    for target in range(num_objects):
-        is_dirty, seen, shown = rng.random() < SHARE, 0.0, rng.integers(3)
-        for _ in range(num_looks):
-            is_held = rng.random() < 0.15
-            occlusion = 0.0 if is_held or rng.random() < 0.2 else rng.random()
-            chance = law.positive(np.float64(occlusion), seen, is_held)[0 if is_dirty else 1]
-            says_dirty = bool(rng.random() < chance)
-            after = float(law.after(np.float64(occlusion), seen, says_dirty, is_held))
-            if chance > 0.0:
-                truth = shown == 1 and is_dirty, shown == 1 and not is_dirty
-                view = np.float64(occlusion), seen, is_held
-                moved = float(label_evidence(*(recorder or law).positive(*view), says_dirty))
-                rows.append((target // 3, target, occlusion, is_held, seen, after, says_dirty, *truth, moved))
-            seen = after
-    return Labels(*(np.array(column) for column in zip(*rows, strict=True)))
+    rng, target = np.random.default_rng(seed), np.arange(num_objects)
+    is_dirty, shown, seen, each = (
+        rng.random(num_objects) < SHARE,
+        rng.integers(3, size=num_objects),
+        np.zeros(num_objects),
+        [],
+    )
+    truth = (shown == 1) & is_dirty, (shown == 1) & ~is_dirty
+    for _ in range(num_looks):
+        is_held = rng.random(num_objects) < 0.15
+        occlusion = np.where(is_held | (rng.random(num_objects) < 0.2), 0.0, rng.random(num_objects))
+        chance = np.where(is_dirty, *law.positive(occlusion, seen, is_held))
+        says_dirty = rng.random(num_objects) < chance
+        after = law.after(occlusion, seen, says_dirty, is_held)
+        moved = label_evidence(*(recorder or law).positive(occlusion, seen, is_held), says_dirty)
+        labels = Labels(target // 3, target, occlusion, is_held, seen, after, says_dirty, *truth, moved)
+        each.append([values[chance > 0.0] for values in labels])
+        seen = after
+    told = Labels(*map(np.concatenate, zip(*each, strict=True)))
+    by_object = np.argsort(told.object, kind="stable")
+    return Labels(*(values[by_object] for values in told))
 
 
 def persistent_law(theta):
