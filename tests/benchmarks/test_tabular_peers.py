@@ -154,6 +154,6 @@ def test_what_a_policy_earns_more_than_the_log_is_told_without_bias_and_interval
         policy = type(learner.policy_)(**{**vars(learner.policy_), "coefficients": coefficients})
         fold = np.arange(log.num_trajectories) % 2
         found.append(gain_of(CrossFitted((policy, policy), fold, log.horizon), learner.model_, log, 20.0))
-    value, low, high = np.array(found).T
+    value, low, high, _ = np.array(found).T
     assert abs(value.mean() - truth) < 4.0 * value.std() / np.sqrt(len(value))
     assert np.mean((low <= truth) & (truth <= high)) >= 0.85
