@@ -145,7 +145,7 @@ def draw_teams() -> Figure:
         points, error = numbers_in(row[2])
         axes.barh(place, points, 0.62, color=BLUE if "learned" in name else SOFT)
         axes.plot([points - 1.96 * error, points + 1.96 * error], [place, place], color=INK, lw=1.2)
-        axes.text(0.3, place, f"{name}, {round(numbers_in(row[4])[0])} s", va="center", color="white", fontsize=9.0)
+        axes.text(0.3, place, f"{name}, {round(numbers_in(row[3])[0])} s", va="center", color="white", fontsize=9.0)
     axes.set_yticks([])
     axes.invert_yaxis()
     return made
