@@ -27,8 +27,8 @@ def sentences(results):
         kept, _ = slope_of(results, recipe)
         forgotten, _ = slope_of(results, recipe, is_kept=False)
         told.append(
-            f"By {name} it takes {1e6 * kept:.1f} µs of a core, {hours(kept):.1f} hours in all; read anew in each pass, "
-            f"{1e6 * forgotten:.1f} µs and {hours(forgotten):.1f} hours."
+            f"By {name} it takes {1e6 * kept:.1f} µs of a core, {hours(kept):.1f} hours in all; read anew in each "
+            f"pass, {1e6 * forgotten:.1f} µs and {hours(forgotten):.1f} hours."
         )
     return told
 
