@@ -1,7 +1,6 @@
 """Figures of the numbers that pages of the guide print, which other tests hold against what made them."""
 
 import re
-from itertools import product
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -20,13 +19,13 @@ SITUATIONS = {
 
 
 def draw_bias() -> Figure:
-    """Draw the bias of each weighting where half of the attempts are cut, from the page's four tables."""
+    """Draw the bias of each weighting where half of the attempts are cut, from the page's table."""
+    head, *rows = table_of("which-censoring-model", "<!-- benchmarks/dependent_cuts.py -->")
+    models = [row[0] for row in rows]
     made = figure(4.3)
     panels = made.subplots(2, 2, sharex=True, sharey=True)
     for axes, (name, told) in zip(panels.flat, SITUATIONS.items(), strict=True):
-        rows = [row for row in table_of("which-censoring-model", f"dependent_cuts.py: {name} -->\n") if row[0] == "1/2"]
-        models = [row[1] for row in rows]
-        bias, error = np.array([numbers_in(row[3]) for row in rows]).T
+        bias, error, _ = np.array([numbers_in(row[head.index(name)]) for row in rows]).T
         colours = [RED if abs(one) > 3 * width else BLUE for one, width in zip(bias, error, strict=True)]
         for row, (one, width, colour) in enumerate(zip(bias, error, colours, strict=True)):
             axes.barh(row, one, 0.62, color=colour)
@@ -129,11 +128,11 @@ def draw_extras() -> Figure:
 
 
 SHOWN_OF_TEAMS = {
-    ("1", "rule, reserving"): "one robot: rule",
-    ("1", "learned, one Q"): "one robot: learned",
-    ("2", "rule, reserving"): "two: rule",
-    ("2", "learned, one Q"): "two: learned, one Q",
-    ("2", "learned, each alone"): "two: learned, each alone",
+    ("1", "rule"): "one robot: rule",
+    ("1", "one Q"): "one robot: learned",
+    ("2", "rule"): "two: rule",
+    ("2", "one Q"): "two: learned, one Q",
+    ("2", "each alone"): "two: learned, each alone",
 }
 
 
@@ -142,11 +141,11 @@ def draw_teams() -> Figure:
     _, *rows = table_of("several-robots", "<!-- teams.py -->")
     made, axes = panel(2.3, "points above leaving the table, price of seconds included")
     for place, (key, name) in enumerate(SHOWN_OF_TEAMS.items()):
-        (row,) = (each for each in rows if (each[0], each[2]) == key and each[1] != "0")
-        points, error = numbers_in(row[3])
+        (row,) = (each for each in rows if (each[0], each[1]) == key)
+        points, error = numbers_in(row[2])
         axes.barh(place, points, 0.62, color=BLUE if "learned" in name else SOFT)
         axes.plot([points - 1.96 * error, points + 1.96 * error], [place, place], color=INK, lw=1.2)
-        axes.text(0.3, place, f"{name}, {round(numbers_in(row[5])[0])} s", va="center", color="white", fontsize=9.0)
+        axes.text(0.3, place, f"{name}, {round(numbers_in(row[3])[0])} s", va="center", color="white", fontsize=9.0)
     axes.set_yticks([])
     axes.invert_yaxis()
     return made
@@ -159,17 +158,17 @@ TEAM_COLOURS = {"1": SOFT, "2": BLUE, "3": GREEN}
 def draw_team_study() -> Figure:
     """Draw what one to three robots earn, and their share of one robot's seconds, by the size of the log."""
     head, *rows = table_of("several-robots", "<!-- teams.py, the study -->")
+    sizes = [int(numbers_in(name)[0]) for name in head[2:]]
     made = figure(3.8)
-    panels = dict(zip(("one Q", "of its seconds"), made.subplots(1, 2), strict=True))
-    for name, axes in panels.items():
-        for (robots, colour), (cut, style) in product(TEAM_COLOURS.items(), {"0": "-", "1/2": "--"}.items()):
-            mine = [row for row in rows if (row[head.index("robots")], row[head.index("cut")]) == (robots, cut)]
-            sizes, values = ([numbers_in(row[head.index(key)])[0] for row in mine] for key in ("trajectories", name))
-            label = f"{robots} robot{'s' if robots != '1' else ''}{', half cut' if cut != '0' else ''}"
-            axes.plot(sizes, values, style, color=colour, marker="o", ms=3.5, lw=1.6, label=label)
-        mark_sizes(axes, sorted({int(row[head.index("trajectories")]) for row in rows}))
+    earned, took = panels = made.subplots(1, 2)
+    for robots, cut, *cells in rows:
+        label = f"{robots} robot{'s' if robots != '1' else ''}{', half cut' if cut != '0' else ''}"
+        for axes, values in zip(panels, np.transpose([numbers_in(cell) for cell in cells]), strict=True):
+            style = "-" if cut == "0" else "--"
+            axes.plot(sizes, values, style, color=TEAM_COLOURS[robots], marker="o", ms=3.5, lw=1.6, label=label)
+    for axes in panels:
+        mark_sizes(axes, sizes)
         axes.set_xlabel("trajectories of the log")
-    earned, took = panels.values()
     earned.set_ylabel("points above leaving the table")
     took.set_ylabel("share of one robot’s seconds")
     took.set_ylim(0.0, 1.1)

@@ -11,6 +11,7 @@ import pytest
 from halfseen.cell.calibration.law_folder import ATTEMPTS, VISIBLE_ONLY, read_law, shipped_law
 from halfseen.cli.cell import calibrate
 from halfseen.logs import read_logs
+from pictures.guide_pages import numbers_in, table_of
 from pictures.intervals import INTERVALS
 from pictures.picture import NUMBERS, ROOT
 
@@ -146,19 +147,14 @@ def test_the_page_of_the_cell_tells_the_law_that_comes_with_the_package(law):
 
 
 def biases(situation):
-    """Bias [s], its standard error [s] and coverage [%] in the guide, by share of cuts and model."""
-    page = (ROOT / "docs/guide/which-censoring-model.md").read_text(encoding="utf-8")
-    table = page.split(f"<!-- benchmarks/dependent_cuts.py: {situation} -->\n")[1].split("\n\n")[0]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines()[2:]]
-    return {
-        (cut, model): [float(each.replace("−", "-")) for each in re.findall(r"[+−]?\d+\.\d+", f"{bias} {covers}")]
-        for cut, model, _, bias, covers in cells
-    }
+    """Bias [s], its standard error [s] and coverage [%] in the guide, by model."""
+    head, *rows = table_of("which-censoring-model", "<!-- benchmarks/dependent_cuts.py -->")
+    return {row[0]: numbers_in(row[head.index(situation)]) for row in rows}
 
 
 def test_kaplan_meier_is_biased_where_cuts_depend_on_covariates_and_cox_is_not():
-    biased, biased_error, biased_covers = biases("linear")["1/2", "kaplan-meier"]
-    bias, error, covers = biases("linear")["1/2", "cox"]
+    biased, biased_error, biased_covers = biases("linear")["kaplan-meier"]
+    bias, error, covers = biases("linear")["cox"]
     assert abs(biased) > 10 * biased_error
     assert abs(bias) < 2 * error
     assert biased_covers < 80 < 95 <= covers
@@ -172,7 +168,7 @@ def test_the_table_of_biases_is_what_the_benchmark_prints(situation):
     rows = [row for row in measured(situation, 200, models) if row["share"] == "1/2"]
     assert len(rows) == len(models)
     for row in rows:
-        bias, error, covers = printed[row["share"], row["model"]]
+        bias, error, covers = printed[row["model"]]
         assert [row["bias_s"], row["bias_error_s"]] == pytest.approx([bias, error], abs=1e-3)
         # One interval of 200 may end so near the truth that rounding decides.
         assert 100 * row["coverage"] == pytest.approx(covers, abs=0.51)
