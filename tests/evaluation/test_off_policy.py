@@ -163,6 +163,21 @@ def test_an_action_that_a_stage_never_saw_is_named():
     assert "the policy takes B in stage 2, which no trajectory" in found.reason
 
 
+def test_where_a_log_never_explored_q_alone_makes_nothing_better():
+    whole = trial(15, num_trajectories=1500)
+    is_rule = whole.stages["action"] == np.where(whole.stages["x"] == 0, "A", "B")
+    followed = is_rule.groupby(whole.stages["trajectory"]).all()
+    kept = whole.select(followed.index[followed].to_numpy())
+    logs = Logs(kept.stages.assign(probability=1.0), kept.trajectories)
+    other = found_of(StatePolicy((0.0, 0.0)), logs)
+    assert other.verdict == "inconclusive"
+    share = (logs.stages["x"] == 1)[logs.stages["elapsed_s"].notna()].mean()
+    assert f"in {share:.0%} of the stages the policy does something else where the log took" in other.reason
+    # As the log does, but in one stage of a hundred.
+    assert found_of(StatePolicy((0.0, 0.99)), logs).verdict != "inconclusive"
+    assert "something else" not in found_of(StatePolicy((0.0, 1.0)), logs).reason
+
+
 def test_a_fixed_sequence_is_worth_what_enumeration_says():
     found = found_of(FixedSequence(("B", "B")), trial(10, num_trajectories=2000))
     assert is_within(found.doubly_robust, truth((1.0, 1.0)), 3.0)

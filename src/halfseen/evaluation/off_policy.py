@@ -222,6 +222,7 @@ def _case(name: str, problem: Problem, nuisances: Sequence[Nuisances]) -> Case:
         settled.trajectories.num_trajectories,
         settled.trajectories_for_one,
         FEWEST_TRAJECTORIES if settled.marginal is None else FEWEST_BY_STATES,
+        settled.unexplored,
     )
     return Case(settled, judged, found._replace(why_unknown=why))
 

@@ -40,6 +40,9 @@ from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
 from halfseen.workers import Pool
 
+SURE = 1.0 - 1e-9
+"""From this probability on a log takes no other action."""
+
 
 class Problem(NamedTuple):
     """A log, the probabilities of a policy in it, and all that is fitted before Q."""
@@ -60,6 +63,8 @@ class Problem(NamedTuple):
     """Covariates that Q does not look at."""
     unseen: str | None
     """An action that the policy takes and that the log never saw completed, in words."""
+    unexplored: float = 0.0
+    """Share of the stages in which the policy does something else where the log was sure to do what it did."""
     squared_ratio: float = 1.0
     """E[ρ²] of whole trajectories."""
     is_revealed: bool = False
@@ -224,6 +229,7 @@ def following(
         squared_ratio=mean_squared_ratio(single, trajectories),
         support=_support(followed, trajectories)[: problem.logs.horizon],
         unseen=_unseen(probabilities, trajectories, problem.model),
+        unexplored=_unexplored(followed, problem.likely, trajectories),
         is_revealed=is_taken is not None,
         marginal=marginal,
         has_history=False,
@@ -269,6 +275,16 @@ def _support(probabilities: Float[np.ndarray, "n T A"], trajectories: Trajectory
     known = trajectories.is_begun & trajectories.has_action
     taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0] > 0
     return np.where(known.any(axis=0), (known & taken).sum(axis=0) / np.maximum(known.sum(axis=0), 1), 1.0)
+
+
+def _unexplored(
+    probabilities: Float[np.ndarray, "n T A"], likely: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays
+) -> float:
+    """Share of the completed stages in which the policy would take another action, though the log could not."""
+    known = trajectories.is_completed & trajectories.has_action
+    taken = np.take_along_axis(probabilities, trajectories.action[..., None], axis=2)[..., 0]
+    other = np.where(known & (likely >= SURE), 1.0 - taken, 0.0)
+    return float(other.sum() / max(int(known.sum()), 1))
 
 
 def _unseen(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays, model: QModel) -> str | None:

@@ -46,6 +46,9 @@ FEWEST_TRAJECTORIES = 10.0
 FEWEST_BY_STATES = 2.0
 """The same where states weigh, whose spread is known from more trajectories than the one that leads to them."""
 
+MOST_UNEXPLORED = 0.02
+"""Share of the stages from which on Q alone would speak for the policy."""
+
 LEVEL = 0.95
 """Where nothing else is said."""
 
@@ -104,6 +107,7 @@ def why_unknown(
     num_trajectories: int = 0,
     trajectories_for_one: float = np.inf,
     fewest: float = FEWEST_TRAJECTORIES,
+    unexplored: float = 0.0,
 ) -> str | None:
     """Say why a log tells nothing of what a policy earns; None if it does.
 
@@ -123,6 +127,8 @@ def why_unknown(
         How many trajectories like those of the log are worth one that follows it.
     fewest
         The least effective sample size that is believed.
+    unexplored
+        Share of the stages in which it does something else where the log was sure to do what it did.
     """
     if unseen is not None:
         return (
@@ -134,6 +140,12 @@ def why_unknown(
         return (
             f"no logged action of stage {lacking[0] + 1} is one that {who} would take; log some trajectories that take "
             "them, uniformly at random now and then"
+        )
+    if unexplored > MOST_UNEXPLORED:
+        return (
+            f"in {unexplored:.0%} of the stages {who} does something else where the log took its action with "
+            "probability 1, so nothing is known of what that brings; explore there now and then, as halfseen serve "
+            "--explore does"
         )
     if effective_sample_size < fewest:
         return (

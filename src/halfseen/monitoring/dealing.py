@@ -52,7 +52,7 @@ class Standing:
     Parameters
     ----------
     num, num_policy
-        Trajectories that were dealt, and to the policy.
+        Trajectories that were dealt until the verdict, and to the policy.
     gain
         What the policy earns more a trajectory than the rule [reward]; None where nothing is known.
     low, high
@@ -117,7 +117,10 @@ def standing(courses: Courses, terms: Terms, of: Counted | None = None, kept: Ke
     gain = float(of.bet_on @ of.excess / (of.bet_on @ of.share)) if len(of.excess) else np.nan
     more = _more(of) if verdict == "going on" else None
     known = [_finite(each) for each in (gain, low, high, worst)]
-    return Standing(courses.num, num_policy, known[0], known[1], known[2], known[3], share, verdict, more)
+    # Once the verdict is there, trajectories are no longer dealt.
+    is_dealt = (courses.chance > 0.0) & (courses.chance < 1.0)
+    dealt = int(is_dealt.sum()), int(courses.is_policy[is_dealt].sum())
+    return Standing(*dealt, known[0], known[1], known[2], known[3], share, verdict, more)
 
 
 def _finite(number: float) -> float | None:

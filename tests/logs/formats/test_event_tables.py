@@ -32,8 +32,13 @@ def test_a_historians_events_across_the_change_of_clocks(read_table, encoding):
 
 def test_rows_may_stand_newest_first_or_mixed(read_table):
     heading, *rows = GERMAN.splitlines(keepends=True)
-    for order in (rows[::-1], rows[::2] + rows[1::2]):
-        assert stages(read_table(heading + "".join(order), HISTORIAN), "weight") == GERMAN_STAGES
+    assert stages(read_table(heading + "".join(rows[::-1]), HISTORIAN), "weight") == GERMAN_STAGES
+    mixed = (
+        r"events\.csv, line \d+: the time is before that of the row above; so it is in \d rows; rows are put in order"
+    )
+    with pytest.warns(HalfseenWarning, match=mixed):
+        found = read_table(heading + "".join(rows[::2] + rows[1::2]), HISTORIAN)
+    assert stages(found, "weight") == GERMAN_STAGES
 
 
 def test_a_zone_gives_its_offset_to_times_that_have_none(read_table):

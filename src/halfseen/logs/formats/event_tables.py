@@ -7,7 +7,7 @@ A trajectory without an ending was cut: "log ended".
 """
 
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -34,6 +34,7 @@ from halfseen.logs.formats.table_times import Stamps, stamps_ns
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
+from halfseen.wording import counted
 
 LOG_ENDED = "log ended"
 """Cause of a trajectory that has no ending."""
@@ -142,7 +143,9 @@ def _trajectories(
     stamps, begins = _times(cells, mapping, marks, named.file)
     values_of = _values(cells, mapping, marks)
     has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
-    for name, unordered in _groups(cells, mapping, values_of, stamps).items():
+    groups = _groups(cells, mapping, values_of, stamps)
+    _warn_of_reordered(cells, groups.values(), stamps, mapping)
+    for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)
         events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), _BEGIN, None)]
         for row, time in zip(rows, times.tolist(), strict=True):
@@ -259,6 +262,17 @@ def _in_order(rows: list[int], stamps: Stamps, mapping: EventMapping) -> tuple[l
         return rows, np.cumsum(times)
     order = np.argsort(times, kind="stable") if since is None or not mapping.has_begins else np.arange(len(rows))
     return [rows[k] for k in order.tolist()], times[order]
+
+
+def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps, mapping: EventMapping) -> None:
+    if mapping.clock.since == "stage" or (mapping.clock.since is not None and mapping.has_begins):
+        return
+    late = [rows[k + 1] for rows in groups for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
+    if late:
+        rest = f"; so it is in {counted(len(late), 'row')}" if len(late) > 1 else ""
+        early = f"{cells.place(late[0])}: the time is before that of the row above{rest}"
+        message = f"{early}; rows are put in order of time"
+        warnings.warn(message, HalfseenWarning, stacklevel=5)
 
 
 def _warn_of_early(cells: Cells, events: list[Event]) -> None:
