@@ -236,7 +236,7 @@ def learn(
             notes += _write_exploration(exploration, judged)
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record}
     report["actions"] = plain(shares.reset_index().to_dict("records"))
-    report["relearn"] = _again(logs, out, changes)
+    report["relearn"] = _again(logs, out, [] if learner.model_.half_life else changes)
     report["notes"] = [*choice.notes, *notes, *learner.unseen_, *of_library]
     say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, judged)))
 
