@@ -34,7 +34,6 @@ from halfseen.logs.formats.table_times import Stamps, stamps_ns
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
-from halfseen.wording import counted
 
 LOG_ENDED = "log ended"
 """Cause of a trajectory that has no ending."""
@@ -269,7 +268,7 @@ def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps
         return
     late = [rows[k + 1] for rows in groups for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
     if late:
-        rest = f"; so it is in {counted(len(late), 'row')}" if len(late) > 1 else ""
+        rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
         early = f"{cells.place(late[0])}: the time is before that of the row above{rest}"
         message = f"{early}; rows are put in order of time"
         warnings.warn(message, HalfseenWarning, stacklevel=5)
