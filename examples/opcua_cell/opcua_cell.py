@@ -207,7 +207,7 @@ async def main(args: argparse.Namespace) -> None:
 def _arguments() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--url", default="opc.tcp://127.0.0.1:4840", help="where to serve; port 0 for any")
-    parser.add_argument("--trajectories", type=int, default=20)
+    parser.add_argument("--trajectories", type=int, default=1000)
     parser.add_argument("--memory", type=Path, help="file that keeps what stands")
     parser.add_argument("--faster", type=float, default=100.0, help="than in the cell")
     parser.add_argument(

@@ -34,7 +34,9 @@ def policy(tmp_path):
 @contextmanager
 def served(*words, **environment):
     """A server in a process of its own, and who asks it."""
-    command = [sys.executable, "-m", "halfseen.cli", "serve", *map(str, words), "--port", "0"]
+    # A monitor would outlive a server that is killed, and speak in between.
+    alone = ("--monitor-every", "0", "--port", "0")
+    command = [sys.executable, "-m", "halfseen.cli", "serve", *alone, *map(str, words)]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     with subprocess.Popen(command, env=os.environ | environment, **pipes) as process:
         try:
@@ -82,6 +84,20 @@ def test_a_token_comes_from_the_environment_what_is_no_http_harms_nobody_and_ctr
         process.send_signal(signal.SIGINT)
         assert process.wait(120) == 0
         assert set(process.stderr.read().splitlines()) == {"WARNING:  Invalid HTTP request received."}
+
+
+@pytest.mark.slow
+def test_a_server_that_begins_again_has_its_log_watched_at_once(policy, tmp_path):
+    words = (policy, "--record", tmp_path / "logs", "--monitor-every", "3600")
+    with served(*words, "--monitor-every", "0") as (process, client):
+        client.post("/decide", json=SEEN)
+        client.post("/reward", json={"reward": 2, "elapsed_s": 1.0})
+        client.post("/end", json={"ending": "finished", "elapsed_s": 1.0})
+        process.send_signal(signal.SIGINT)
+        process.wait(120)
+    with served(*words) as (_, client):
+        while client.get("/state").json()["monitor"] is None:
+            time.sleep(0.01)
 
 
 def test_a_comparison_survives_kill_9_and_says_when_its_verdict_changes(policy, tmp_path):

@@ -80,6 +80,7 @@ def test_swapped_columns_that_are_distributed_alike_are_named_by_what_actions_br
     found = monitored(stored, cell(400, 1, policy=stored.policy, swaps=True, are_alike=True))
     assert found.alarm_at < 150
     assert "x and z swapped" in {each.name for each in found.findings}
+    assert found.relearning.startswith("Mend what is recorded before you learn again")
 
 
 def test_a_swap_is_asked_of_states_where_it_would_matter(stored):

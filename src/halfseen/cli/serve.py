@@ -178,6 +178,7 @@ def serve(
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
+    goes_on = record is not None and record.exists()
     kinds = {"is_of_tables": served.service.stored.is_table, "resumes": wire is not None}
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
@@ -192,7 +193,13 @@ def serve(
             served.answering = replace(served.answering, comparison=held)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
-        answer(app_of(served, token, wire=wire), at, lambda: click.echo(f"{url}  (Ctrl+C ends)"))
+
+        def begun() -> None:
+            click.echo(f"{url}  (Ctrl+C ends)")
+            if watch is not None and goes_on:
+                watch.ended()
+
+        answer(app_of(served, token, wire=wire), at, begun)
 
 
 def _served(

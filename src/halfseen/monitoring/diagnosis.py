@@ -16,12 +16,14 @@ from halfseen.policies.folder.promised_parts import outcome_rows
 
 CLEARLY = 4.0
 """Standard errors from which on a part is named."""
+SWAPPED, OTHER_UNIT = "look swapped", "as if in another"
+"""What causes say of columns that hold something else than they held."""
 
 
 def differs(part: Stream, at: int) -> str:
     """Say by how much an action differs from what the log says, from one trajectory on."""
     if part.kind == "swap":
-        return f"covariates {part.about} look swapped"
+        return f"covariates {part.about} {SWAPPED}"
     return part_words(part.kind, part.about, float(part.residuals[part.trajectory >= at].mean()))
 
 
@@ -67,6 +69,11 @@ def input_words(promise: Any, logs: Logs, since: int) -> tuple[str, ...]:
     first = [each for each in promise["stages"] if each["stage"] == 1]
     units, drifts = drifts_of(_without_nulls(first), logs.select(logs.trajectory_ids[since - 1 :]))
     return (*units, *drifts)
+
+
+def is_misrecorded(causes: tuple[str, ...]) -> bool:
+    """Whether columns, rather than the cell, have changed."""
+    return any(words in cause for cause in causes for words in (SWAPPED, OTHER_UNIT))
 
 
 def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> tuple[str, ...]:
@@ -121,7 +128,7 @@ def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
             drifts = drifts_of(first, Logs(logs.stages.assign(**turned), logs.trajectories))
             found += [] if any(drifts) else [(squares, one, other)]
     return tuple(
-        f"covariates {one} and {other} look swapped: the log's models fit better the other way round"
+        f"covariates {one} and {other} {SWAPPED}: the log's models fit better the other way round"
         for _, one, other in sorted(found)[:1]
     )
 

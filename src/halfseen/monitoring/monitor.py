@@ -22,10 +22,10 @@ from halfseen.monitoring.answer import Finding, Monitored
 from halfseen.monitoring.change_point import ChangePoint, change_point
 from halfseen.monitoring.confidence_sequences import BettingBounds, Course
 from halfseen.monitoring.dealing import ARM, RULE
-from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, moved
+from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, is_misrecorded, moved
 from halfseen.monitoring.joint import pair_payoffs
 from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
-from halfseen.monitoring.relearning import num_needed, relearning
+from halfseen.monitoring.relearning import MEND_FIRST, num_needed, relearning
 from halfseen.monitoring.streams import Stream, input_streams, own_alone, part_streams, swap_streams, whole_stream
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.folder.promised_parts import own_stages
@@ -152,7 +152,9 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     course, earned = (None, None) if outcomes is None else _earned(outcomes, promise["brings"], since)
     promised = {name: promise["value"][name] for name in ("value", "low", "high")} if promise.get("value") else None
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
-    pays = _pays(stored, logs, since, earned) if findings else ""
+    pays = ""
+    if findings:
+        pays = MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
     rest: Any = (outcomes, course, smallest, pays)
     return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
 

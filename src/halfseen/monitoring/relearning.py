@@ -16,6 +16,7 @@ CLEARLY = 2.0
 FEWEST = 200
 """Trajectories; where nothing changes, a policy of the bin from 100 earns a fifth less than one from 500, and one from
 200 a twentieth less than one from 600 (`benchmarks/relearning.py`)."""
+MEND_FIRST = "Mend what is recorded before you learn again: columns have changed, and perhaps not the cell."
 OWN = 0.98
 """Share of the actions that are the policy's, from which on the log says too little of all others."""
 

@@ -122,7 +122,7 @@ class Wire:
             except Exception as error:
                 if not isinstance(error, (*LOST, HalfseenError)):
                     traceback.print_exc(file=sys.stderr)
-                self._note("Preoperational", f"{type(error).__name__}: {error}")
+                self._note("Preoperational", ": ".join(filter(None, (type(error).__name__, str(error)))))
             except asyncio.CancelledError:
                 # So asyncua tells of a session that is lost, too.
                 task = asyncio.current_task()
