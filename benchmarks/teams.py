@@ -15,10 +15,10 @@ the middle; a third stands behind. Each log is played by the team's rule of thum
 uniformly at random. What is learned from each log plays the same episodes as all others; intervals are over logs, and
 for who learns nothing over episodes. Points are counted above leaving the table as it is.
 
-What coordination buys is told in pairs, log by log: the points of one Q less those of each alone, and of the best rule,
-which knows the true laws and the price; and less those of the same log before it was cut. Seconds are told as a share
-of those that one robot takes by the same way, to be held beside 1/K; and the least share that was to be had without
-doing less: the seconds that all robots were at work, shared evenly.
+What coordination buys is told in pairs, log by log: the points of what is learned with laws, or of one Q without them,
+less those of each alone, and of the best rule, which knows the true laws and the price; and less those of the same log
+before it was cut. Seconds are told as a share of those that one robot takes by the same way, to be held beside 1/K; and
+the least share that was to be had without doing less: the seconds that all robots were at work, shared evenly.
 """
 
 import argparse
@@ -160,9 +160,10 @@ def interval(differences):
 BOUGHT = (
     "robots",
     "price",
+    "policy",
     "trajectories",
     "cut",
-    "one Q",
+    "points",
     "less each alone",
     "less the best rule",
     "less none cut",
@@ -174,10 +175,10 @@ BOUGHT = (
 
 
 def what_coordination_buys(rows):
-    """One Q less each alone, the best rule and none cut, log by log; reward and seconds beside those of one robot."""
+    """Points less each alone, the best rule and none cut, log by log; reward and seconds beside those of one robot."""
     groups = by_place(rows)
     for (num_robots, price, policy, size, cut), members in groups.items():
-        if policy != ONE_Q:
+        if policy not in (WITH_LAWS, ONE_Q):
             continue
         points = np.array([row["points"] for row in members])
         best = max(
@@ -187,12 +188,13 @@ def what_coordination_buys(rows):
         )
         alone, uncut = (
             groups.get((num_robots, price, *place))
-            for place in ((ALONE, size, cut), (ONE_Q, size, 0.0 if cut else None))
+            for place in ((ALONE, size, cut), (policy, size, 0.0 if cut else None))
         )
         paired = [interval(points - [row["points"] for row in others]) if others else "" for others in (alone, uncut)]
-        told = [num_robots, price, size, cut, f"{points.mean():.2f}", paired[0], interval(points - best), paired[1]]
-        told.append(f"{np.mean([row['seconds'] for row in members]):.1f}")
-        yield [*told, *beside_one(members, groups.get((1, price, ONE_Q, size, cut)))]
+        differences = [paired[0], interval(points - best), paired[1]]
+        seconds = f"{np.mean([row['seconds'] for row in members]):.1f}"
+        told = [num_robots, price, policy, size, cut, f"{points.mean():.2f}", *differences, seconds]
+        yield [*told, *beside_one(members, groups.get((1, price, policy, size, cut)))]
 
 
 def beside_one(members, of_one):
