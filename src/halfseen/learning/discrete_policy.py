@@ -10,7 +10,7 @@ their advantage is largest, as in safe policy improvement [LarocheTrichelairTach
 import copy
 from collections.abc import Hashable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, NamedTuple, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
@@ -22,8 +22,8 @@ from halfseen.learning.q_space import KernelMap
 from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float
 
-if TYPE_CHECKING:
-    from halfseen.learning.q_learner import CensoredQLearner
+Fitted = TypeVar("Fitted")
+"""A learner with `policy_` and `model_`."""
 
 
 @runtime_checkable
@@ -200,9 +200,9 @@ def more_cautious(policy: Any, times: float) -> Any:
     return replace(policy, **changed)
 
 
-def more_cautious_learner(learner: "CensoredQLearner", times: float) -> "CensoredQLearner":
+def more_cautious_learner(learner: Fitted, times: float) -> Fitted:
     """A learner whose policy is more cautious; the one given stays as it is."""
-    cautious = copy.copy(learner)
-    cautious.policy_ = more_cautious(learner.policy_, times)
-    cautious.model_ = replace(learner.model_, pessimism=times * learner.model_.pessimism)
+    cautious: Any = copy.copy(learner)
+    cautious.policy_ = more_cautious(cautious.policy_, times)
+    cautious.model_ = replace(cautious.model_, pessimism=times * cautious.model_.pessimism)
     return cautious

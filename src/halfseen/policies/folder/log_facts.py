@@ -13,7 +13,7 @@ import pyarrow as pa
 
 from halfseen.logs import Logs, LogsSummary
 from halfseen.logs.logs import SummaryTally
-from halfseen.policies.folder.kinds import PolicyKind
+from halfseen.policies.folder.arrays import PolicyKind
 from halfseen.policies.folder.stored import TABLE_RANGES
 from halfseen.shapes import Float, Int
 

@@ -10,8 +10,9 @@ import safetensors.numpy
 
 from halfseen.errors import PolicyError, within
 from halfseen.policies.certainty import LASTING_ERROR, QError
+from halfseen.policies.folder.arrays import laid_out
 from halfseen.policies.folder.files import ARRAYS, RECORD, read_files
-from halfseen.policies.folder.kinds import kind_named, laid_out
+from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.record import from_json
 from halfseen.policies.ranges import Range
 
