@@ -206,6 +206,8 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("team_regret.py", "--horizon", "1", "--futures", "4"),
         ("teams.py", "--robots", "2", "--price", "-0.05", "--trajectories", "60", "--logs", "1", "--episodes", "50"),
         ("recorder.py", "--trajectories", "3"),
+        ("sqlite_journal.py", "--events", "300"),
+        ("against_planner.py", "--sizes", "25", "--logs", "1"),
         ("lies.py", "--logs", "1", "--trajectories", "60"),
         ("wrong_laws.py", "--cases", "news", "stick", "--sizes", "30", "--logs", "1"),
         ("many_actions.py", "--sizes", "50", "--logs", "1"),
