@@ -207,6 +207,7 @@ BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
         ("teams.py", "--robots", "2", "--price", "-0.05", "--trajectories", "60", "--logs", "1", "--episodes", "50"),
         ("recorder.py", "--trajectories", "3"),
         ("sqlite_journal.py", "--events", "300"),
+        ("control_variate.py", "--blocks", "1"),
         ("against_planner.py", "--sizes", "25", "--logs", "1"),
         ("lies.py", "--logs", "1", "--trajectories", "60"),
         ("wrong_laws.py", "--cases", "news", "stick", "--sizes", "30", "--logs", "1"),
