@@ -129,21 +129,22 @@ def draw_extras() -> Figure:
 
 SHOWN_OF_TEAMS = {
     ("1", "rule"): "one robot: rule",
-    ("1", "one Q"): "one robot: learned",
+    ("1", "with laws"): "one robot: learned",
     ("2", "rule"): "two: rule",
-    ("2", "one Q"): "two: learned, one Q",
-    ("2", "each alone"): "two: learned, each alone",
+    ("2", "with laws"): "two: learned",
+    ("2", "one Q"): "two: one Q, without laws",
+    ("2", "each alone"): "two: each alone, without laws",
 }
 
 
 def draw_teams() -> Figure:
     """Draw what one and two robots earn where a second costs .05, and the seconds that they take."""
     _, *rows = table_of("several-robots", "<!-- teams.py -->")
-    made, axes = panel(2.3, "points above leaving the table, price of seconds included")
+    made, axes = panel(2.7, "points above leaving the table, price of seconds included")
     for place, (key, name) in enumerate(SHOWN_OF_TEAMS.items()):
         (row,) = (each for each in rows if (each[0], each[1]) == key)
         points, error = numbers_in(row[2])
-        axes.barh(place, points, 0.62, color=BLUE if "learned" in name else SOFT)
+        axes.barh(place, points, 0.62, color=SOFT if "rule" in name else BLUE)
         axes.plot([points - 1.96 * error, points + 1.96 * error], [place, place], color=INK, lw=1.2)
         axes.text(0.3, place, f"{name}, {round(numbers_in(row[3])[0])} s", va="center", color="white", fontsize=9.0)
     axes.set_yticks([])
