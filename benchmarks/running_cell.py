@@ -38,8 +38,8 @@ from worlds.examples import EXAMPLES, bin_cell
 from halfseen.errors import NothingRecordedError
 from halfseen.logs import Logs, read_logs
 from halfseen.monitoring.dealing import Terms, standing
-from halfseen.serving.answering import taken_into_service
 from halfseen.serving.comparing import ARM, CHANCE, Comparison, courses_of
+from halfseen.serving.in_service import taken_into_service
 
 HERE = "127.0.0.1"
 MEAN_UNTIL_CUT_S = 60.0

@@ -16,8 +16,8 @@ from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms
 from halfseen.policies.folder import read_policy, write_policy
-from halfseen.serving.answering import taken_into_service
 from halfseen.serving.comparing import Comparison
+from halfseen.serving.in_service import taken_into_service
 from halfseen.serving.recent import MOST_TRAJECTORIES, Recent
 from halfseen.serving.watching import Watch, found_of
 from small_logs import flat_log

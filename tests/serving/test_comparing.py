@@ -18,8 +18,8 @@ from halfseen.monitoring.dealing import Terms, standing
 from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy
 from halfseen.serving import comparing
-from halfseen.serving.answering import taken_into_service
 from halfseen.serving.comparing import Comparison, courses_of
+from halfseen.serving.in_service import taken_into_service
 from small_logs import flat_log
 
 RULE = "stage,x1,action\n1,> 0,A\n1,,B\n,,A\n"

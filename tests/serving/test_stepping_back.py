@@ -167,7 +167,7 @@ def test_a_folder_of_before_refuses_what_it_did(flat, monkeypatch):
     stored = read_policy(flat)
     record = {name: each for name, each in stored.record.items() if name != "actions_taken"}
     assert fall_back_of(replace(stored, record=record)) is None
-    monkeypatch.setattr("halfseen.serving.answering.fall_back_of", lambda *_: None)
+    monkeypatch.setattr("halfseen.serving.in_service.fall_back_of", lambda *_: None)
     with client_of(flat) as client:
         line = refused(client.post("/decide", json={**WITHIN, "x1": 800}), 422)
     assert line.startswith("x1 is 800, outside the logs (")

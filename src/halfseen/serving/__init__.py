@@ -2,9 +2,10 @@
 
 Read down: `models` (what is asked and answered) → `limits` (who may ask, how much and how slowly; the server) →
 `recording` (what was decided becomes the next log, and now and then it is another action, with its probability) →
-`table_state` (the objects of a table, as a log has them) → `stepping_back` (where a rule decides) → `comparing` (which
-trajectories are the policy's) → `answering` (a question, an answer) → `served` (one at a time, whatever the door) →
-`openapi` → `app` (the door of HTTP) and `opcua` (that of OPC UA).
+`table_state` (the objects of a table, as a log has them) → `stepping_back` (where a rule decides) → `in_service` (a
+policy that was read, checked and warmed) → `comparing` (which trajectories are the policy's) → `answering` (a question,
+an answer) → `served` (one at a time, whatever the door) → `openapi` → `app` (the door of HTTP) and `opcua` (that of OPC
+UA).
 """
 
 from typing import TYPE_CHECKING

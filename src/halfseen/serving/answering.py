@@ -3,11 +3,9 @@
 A policy that is warm is asked about covariates, the objects of a table as a log has them, or a cloud in a form.
 """
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import msgspec
@@ -16,16 +14,11 @@ from msgspec import UNSET
 
 from halfseen.errors import HalfseenError, OutOfRangeError
 from halfseen.monitoring.dealing import POLICY, RULE
-from halfseen.policies import decider_of, read_policy
-from halfseen.policies.decision import Decider, Decision
+from halfseen.policies.decision import Decision
 from halfseen.policies.exploration_table import ExplorationTable
-from halfseen.policies.fall_back import FallBack, fall_back_of
-from halfseen.policies.folder.kinds import kind_named
-from halfseen.policies.folder.record import as_json
-from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
 from halfseen.policies.named_decider import NamedDecider, checked_stage, completed, known_covariates
-from halfseen.policies.ranges import middle_of
 from halfseen.serving.comparing import Comparison
+from halfseen.serving.in_service import InService
 from halfseen.serving.models import BODY, Cloud, Decided, Refusal, Table, model_of
 from halfseen.serving.recent import Recent
 from halfseen.serving.recording import Begun, RecordedTrajectories, Taken, chance_of, taken, uniform_shares
@@ -40,88 +33,6 @@ NOBODY = (
 )
 LATEST_STAGE = 10_000
 """What is later is no stage."""
-MOST_WARMED = 12
-"""Objects of the largest table that is compiled for before the first request; a larger one is when it comes."""
-
-
-@dataclass(frozen=True, eq=False)
-class InService:
-    """A policy that answers; it never changes.
-
-    Parameters
-    ----------
-    stored
-        The policy.
-    decider
-        The same behind the port.
-    digest
-        What tells it from others: the first 12 digits of the SHA-256 of its record and its numbers.
-    fall_back
-        What decides where the policy does not; None if nobody knows.
-    """
-
-    stored: StoredPolicy
-    decider: Decider
-    digest: str
-    fall_back: FallBack | None = None
-
-    @property
-    def counts_views(self) -> bool:
-        """Whether it learned from logs that count what has been in view, so that a cell's law tells what labels do."""
-        return self.stored.is_table and self.stored.record["schema"].get("counts_views", False)
-
-
-def taken_into_service(
-    folder: Path, *, extrapolates: bool = False, stays_within: bool = False, rule: Path | None = None
-) -> InService:
-    """Read a policy, check all of it, and let it decide once, so that no request waits for what loads late.
-
-    Parameters
-    ----------
-    folder
-        As `read_policy` takes it.
-    extrapolates, stays_within
-        As `decider_of` takes them.
-    rule
-        A file that `fall_back_of` takes; None for what the log did most.
-
-    Raises
-    ------
-    ArgumentError
-        The rule is none for this policy.
-    PolicyError
-        It cannot be read, or decides for a team.
-    """
-    stored = read_policy(folder)
-    refuse_team(stored, UNDECIDED, folder)
-    fall_back = fall_back_of(stored, rule)
-    decider = decider_of(stored, extrapolates=extrapolates, stays_within=stays_within)
-    _warm(stored, decider)
-    return InService(stored, decider, _digest(stored), fall_back)
-
-
-def _warm(stored: StoredPolicy, decider: Decider) -> None:
-    """Decide once at each stage, or, of tables, for each number of objects in the logs: it is compiled then."""
-    if isinstance(decider, NamedDecider):
-        for stage in range(1, stored.horizon + 1):
-            ranges = stored.ranges(stage)
-            if ranges is not None:
-                decider.decide_known({name: middle_of(seen) for name, seen in ranges.items()}, stage)
-        return
-    from halfseen.tables.present import first_state
-    from halfseen.world.scene import Scene
-
-    fewest, most = (stored.ranges(1) or {}).get("num_objects", (1, 0))
-    for number in range(max(1, int(fewest)), min(int(most), MOST_WARMED) + 1):
-        nothing_hidden = Scene(np.zeros((number, number)))
-        decider.decide(first_state(nothing_hidden, stored.horizon, stored.record["schema"]["dirty_share"]))
-
-
-def _digest(stored: StoredPolicy) -> str:
-    digest = hashlib.sha256(as_json(stored.record))
-    for name, array in sorted(kind_named(stored.record["kind"]).arrays_of(stored.policy).items()):
-        digest.update(name.encode() + array.tobytes())
-    return digest.hexdigest()[:12]
 
 
 @dataclass(frozen=True, eq=False)

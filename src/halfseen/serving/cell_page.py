@@ -8,7 +8,8 @@ from zlib import crc32
 import msgspec
 from msgspec import UNSET
 
-from halfseen.serving.answering import Answering, InService
+from halfseen.serving.answering import Answering
+from halfseen.serving.in_service import InService
 from halfseen.serving.models import Cell, Decided, Progress
 from halfseen.serving.watching import FIGURES
 from halfseen.view.templates import rendered, template, text_of

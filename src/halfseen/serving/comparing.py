@@ -30,7 +30,7 @@ from halfseen.serving.models import Compared
 from halfseen.shapes import Float
 
 if TYPE_CHECKING:
-    from halfseen.serving.answering import InService
+    from halfseen.serving.in_service import InService
 
 CHANCE, COMPARISON = "policy_chance", "comparison"
 

@@ -12,7 +12,7 @@ import halfseen
 from halfseen.logs.missing import Filling
 from halfseen.policies.ranges import middle_of
 from halfseen.serving import models
-from halfseen.serving.answering import InService
+from halfseen.serving.in_service import InService
 from halfseen.serving.models import Schema
 
 JSON, FORM = "application/json", "multipart/form-data"

@@ -11,7 +11,8 @@ from anyio import move_on_after, to_thread
 from msgspec import UNSET
 
 from halfseen.policies.decision import Decision
-from halfseen.serving.answering import Answering, InService, Seen, taken_into_service
+from halfseen.serving.answering import Answering, Seen
+from halfseen.serving.in_service import InService, taken_into_service
 from halfseen.serving.models import Decided, Ended, Health, Progress, Refusal
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.stepping_back import SteppedBack, asked, late
