@@ -31,11 +31,12 @@ from halfseen.logs.formats.steps import (
     Columns,
     Ending,
     StepRules,
-    Steps,
+    StepTable,
+    actions_of,
     begins_of,
     flags_of,
-    logs_of_episodes,
     numbers_of,
+    observed_columns,
     refuse_early,
     require,
     warn,
@@ -90,12 +91,17 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
     tasks = folder / "meta" / "tasks.parquet"
     if TASK_INDEX in columns and tasks.exists():
         seen["task"] = _tasks(tasks, columns[TASK_INDEX])
-    steps = Steps(place, columns, seen, action, reward)
-    endings = _endings(place, columns, rules, begins)
-    ends_s = _ends(place, columns, float(info["fps"]), rules, begins)
-    rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
-    each = zip(episode[begins[:-1]].tolist(), rows, ends_s, endings, strict=True)
-    return logs_of_episodes(place, [steps.episode(*one) for one in each])
+    steps = StepTable(
+        names=episode[begins[:-1]].tolist(),
+        begins=begins,
+        is_step=np.ones(len(episode), dtype=bool),
+        observed=observed_columns(place, seen),
+        actions=actions_of(place, action, columns[action]),
+        rewards=numbers_of(place, reward, columns[reward], "reward"),
+        ends_s=_ends(place, columns, float(info["fps"]), rules, begins),
+        endings=_endings(place, columns, rules, begins),
+    )
+    return steps.logs(place)
 
 
 def _info(file: Path) -> dict[str, Any]:

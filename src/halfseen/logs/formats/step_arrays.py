@@ -21,9 +21,9 @@ from halfseen.logs.formats.clocks import ends_by_steps, even_ends
 from halfseen.logs.formats.steps import (
     Columns,
     StepRules,
-    Steps,
+    StepTable,
+    actions_of,
     flags_of,
-    logs_of_episodes,
     numbers_of,
     observed_columns,
     require,
@@ -71,17 +71,28 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     columns = _arrays(file, named)
     is_terminal = flags_of(place, named["done"], columns[named["done"]])
     is_timeout = _timeouts(place, columns, len(is_terminal))
-    steps = Steps(place, columns, _below(columns, SEEN), named["action"], named["reward"])
-    following = _following(place, columns, steps.observed)
-    ends = np.flatnonzero(is_terminal | is_timeout) + 1
-    bounds = list(pairwise(sorted({0, *ends.tolist(), len(is_terminal)})))
-    episodes = []
-    for name, ((begin, end), ends_s) in enumerate(zip(bounds, _ends(place, columns, rules, bounds), strict=True)):
-        ending = rules.of_truncated if is_timeout[end - 1] else (CUT, END_OF_DATA)
-        ending = (FINISHED, None) if is_terminal[end - 1] else ending
-        after = None if following is None else {column: values[end - 1] for column, values in following.items()}
-        episodes.append(steps.episode(name, slice(begin, end), ends_s, ending, after))
-    return logs_of_episodes(place, episodes)
+    observed = observed_columns(place, _below(columns, SEEN))
+    following = _following(place, columns, observed)
+    ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
+    begins = np.append(0, ends).astype(np.int64)
+    rows = np.arange(len(is_terminal))
+    if following is not None:  # below each episode what was observed after its last step
+        rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
+        observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
+    steps = StepTable(
+        names=range(len(ends)),
+        begins=begins,
+        is_step=rows < len(is_terminal),
+        observed=observed,
+        actions=actions_of(place, named["action"], columns[named["action"]]),
+        rewards=numbers_of(place, named["reward"], columns[named["reward"]], "reward"),
+        ends_s=_ends(place, columns, rules, list(pairwise([0, *ends.tolist()]))),
+        endings=[
+            (FINISHED, None) if is_terminal[last] else rules.of_truncated if is_timeout[last] else (CUT, END_OF_DATA)
+            for last in ends - 1
+        ],
+    )
+    return steps.logs(place)
 
 
 def _ends(

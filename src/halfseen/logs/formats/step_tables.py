@@ -26,13 +26,15 @@ from halfseen.logs.folder import check_unpacked_table
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.csv_folder import from_list_texts
 from halfseen.logs.formats.steps import (
+    Columns,
     Ending,
     StepRules,
-    Steps,
+    StepTable,
+    actions_of,
     begins_of,
     flags_of,
-    logs_of_episodes,
     numbers_of,
+    observed_columns,
     refuse_early,
     require,
     warn,
@@ -83,29 +85,47 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     columns = {name: as_array(place, table, name) for name in (*named.values(), LAST)}
     is_last, is_terminal = (flags_of(place, name, columns[name]) for name in (LAST, named["done"]))
     names, begins = _episodes(place, table)
-    ends = begins[1:] - 1
     is_step = np.ones(len(is_last), dtype=bool)
-    is_step[ends] = ~is_last[ends]
-    if is_step.any():  # rows in which nothing was done decide nothing about what actions are
-        columns[named["action"]] = columns[named["action"]].copy()
-        columns[named["action"]][~is_step] = columns[named["action"]][int(np.argmax(is_step))]
+    is_step[begins[1:] - 1] = ~is_last[begins[1:] - 1]
+    rewards = numbers_of(place, named["reward"], columns[named["reward"]], "reward")
     seen = {name: as_array(place, table, name) for name in table.column_names if name.startswith(SEEN)}
-    steps = Steps(place, columns, seen, named["action"], named["reward"])
-    _warn_of_unread(place, table, {*named.values()}, steps.rewards[~is_step])
+    _warn_of_unread(place, table, {*named.values()}, rewards[~is_step])
+    rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
+    steps = StepTable(
+        names=names,
+        begins=begins,
+        is_step=is_step,
+        observed=observed_columns(place, seen),
+        actions=actions_of(place, named["action"], columns[named["action"]][is_step]),
+        rewards=rewards[is_step],
+        ends_s=_ends(place, columns, rules, [is_step[each] for each in rows], begins),
+        endings=[
+            _ending(place, name, is_last[each], is_terminal[each], rules)
+            for name, each in zip(names, rows, strict=True)
+        ],
+    )
+    return steps.logs(place)
+
+
+def _ends(
+    place: str,
+    columns: Columns,
+    rules: StepRules,
+    is_step: list[Bool[np.ndarray, " _"]],
+    begins: Int[np.ndarray, " E1"],
+) -> list[Float[np.ndarray, " _"]]:
+    """Time from the beginning of its episode to the end of each step [s]; a last one ends, at the latest, as it began.
+
+    When the last step ended is known where a row follows it.
+    """
     step_s = rules.step_in(place)
-    times_s = None if rules.clock is None else numbers_of(place, rules.clock, columns[rules.clock])
-    episodes = []
-    for name, (begin, end) in zip(names, pairwise(begins.tolist()), strict=True):
-        has_last = not is_step[end - 1]
-        stop = end - has_last
-        ending = _ending(place, name, is_last[begin:end], is_terminal[begin:end], rules)
-        ends_s = even_ends(stop - begin, step_s)
-        if times_s is not None:  # that the last step ended is known where a row follows it
-            stamps = times_s[begin:end]
-            ends_s = ends_by_observations(stamps if has_last else np.append(stamps, stamps[-1:]))
-        after = {column: values[end - 1] for column, values in steps.observed.items()} if has_last else None
-        episodes.append(steps.episode(name, slice(begin, stop), ends_s, ending, after))
-    return logs_of_episodes(place, episodes)
+    if rules.clock is None:
+        return [even_ends(np.count_nonzero(each), step_s) for each in is_step]
+    times_s = np.split(numbers_of(place, rules.clock, columns[rules.clock]), begins[1:-1])
+    return [
+        ends_by_observations(np.append(times, times[-1:]) if steps[-1] else times)
+        for times, steps in zip(times_s, is_step, strict=True)
+    ]
 
 
 def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
