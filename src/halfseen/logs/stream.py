@@ -4,7 +4,6 @@ A shard is whole trajectories that stand one after another, which any process ca
 """
 
 from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,7 +27,6 @@ from halfseen.logs.columns import (
 )
 from halfseen.logs.folder import (
     MANIFEST,
-    ROWS_IN_GROUP,
     Folder,
     Place,
     broken_table,
@@ -105,14 +103,28 @@ class ShardReader:
         kept
             Numbers of the trajectories to keep, counted from the beginning of the part; None for all.
         """
-        tables = {
-            name: self._tables[name].rows(*ends)
-            for name, ends in {**part.rows, "trajectories": part.trajectories}.items()
-        }
+        ends = {**part.rows, "trajectories": part.trajectories}
+        tables = {name: self._tables[name].rows(*rows) for name, rows in ends.items()}
+        names = tables["trajectories"]["trajectory"]
+        for name, table in tables.items():
+            _refuse_others(self._folder.place / f"{name}.parquet", table["trajectory"], names.to_pylist())
         if kept is None:
             return tables
-        names = tables["trajectories"]["trajectory"].take(kept)
-        return {name: table.filter(compute.is_in(table["trajectory"], names)) for name, table in tables.items()}
+        kept_names = names.take(kept)
+        return {name: table.filter(compute.is_in(table["trajectory"], kept_names)) for name, table in tables.items()}
+
+
+_REMEDY = "write the logs by Logs.write or write_stream, which sort them"
+
+
+def _refuse_others(file: Place, trajectories: pa.ChunkedArray, names: list[Any]) -> None:
+    """Refuse rows of other trajectories than those that stand there."""
+    for found, name in zip(trajectories.unique().to_pylist(), names, strict=True):
+        if found != name:
+            raise LogError(
+                f"{file}: rows of trajectory {shown(found)} stand where trajectories.parquet has trajectory "
+                f"{shown(name)}; {_REMEDY}"
+            )
 
 
 def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
@@ -193,22 +205,9 @@ def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
     if num_trajectories != folder.num_rows["trajectories"]:
         raise LogError(
             f"{folder.place / name}.parquet: the rows of its trajectories do not stand together, or a trajectory has "
-            "none; write the logs by Logs.write or write_stream, which sort them"
+            f"none; {_REMEDY}"
         )
     return np.concatenate([*found, [num_rows]])
-
-
-def tables_of_size(batches: Iterable[pa.RecordBatch], size: int) -> Iterator[pa.Table]:
-    """Put batches together, and cut them into tables of as many rows each, but for the last one."""
-    held: list[pa.RecordBatch] = []
-    for batch in batches:
-        held.append(batch)
-        while sum(map(len, held)) >= size:
-            table = pa.Table.from_batches(held)
-            yield table.slice(0, size)
-            held = table.slice(size).to_batches()
-    if held:
-        yield pa.Table.from_batches(held)
 
 
 TRAJECTORIES_AT_ONCE = 2_000
@@ -306,13 +305,7 @@ class LogStream:
         LogError
             Stages or objects are not sorted by trajectory.
         """
-        try:
-            return shards_of(self.as_folder, self.trajectories_at_once)
-        except LogError:
-            # Anyone who reads them one after the other can tell which trajectory is out of place.
-            for _ in self:
-                pass
-            raise
+        return shards_of(self.as_folder, self.trajectories_at_once)
 
     @property
     def horizon(self) -> int:
@@ -359,31 +352,19 @@ class LogStream:
 
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
-        readers = {
-            name: _TrajectoryReader(self.as_folder, name) for name in self.as_folder.num_rows if name != "trajectories"
-        }
-        for part in self._trajectory_tables(self.trajectories_at_once):
-            names: Any = part["trajectory"]
-            tables: dict[str, Any] = {name: reader.upto(names) for name, reader in readers.items()}
-            with within(self.folder):
-                logs = Logs(trajectories=part, **tables, reward_unit=self.reward_unit, missing=self.filling)
-            yield logs
-        for reader in readers.values():
-            reader.refuse_leftover()
+        reader = ShardReader(self.as_folder)
+        return (reader.read(part) for shard in self.shards() for part in shard.parts)
 
-    def _trajectory_tables(self, size: int = ROWS_IN_GROUP) -> Iterator[pd.DataFrame]:
-        """Read the table of trajectories in parts of a size, each checked, and sorted after the one before."""
+    def _trajectory_tables(self) -> Iterator[pd.DataFrame]:
+        """Read the table of trajectories in parts, each checked, and sorted after the one before."""
         last: Any = None
-        for table in tables_of_size(self.as_folder.batches("trajectories"), size):
+        for batch in self.as_folder.batches("trajectories"):
             with within(self.folder):
-                frame = as_frame("trajectories", table)
+                frame = as_frame("trajectories", pa.Table.from_batches([batch]))
                 trajectories = checked_trajectories(frame)
                 names = trajectories["trajectory"].to_numpy()
                 if not (names == frame["trajectory"].to_numpy()).all() or (last is not None and not names[0] > last):
-                    raise LogError(
-                        "trajectories.parquet is not sorted by trajectory, or has one twice; write the logs by "
-                        "Logs.write or write_stream, which sort them"
-                    )
+                    raise LogError(f"trajectories.parquet is not sorted by trajectory, or has one twice; {_REMEDY}")
             last = names[-1]
             yield trajectories
 
@@ -451,43 +432,3 @@ def opened(folder: str | Place, streaming: bool | None = None, *, missing: Missi
 def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
     """Parts of a log, which is one in memory."""
     return [log] if isinstance(log, Logs) else log
-
-
-class _TrajectoryReader:
-    """Hands out a table's rows by trajectory; those of one stand together, in the order of trajectories."""
-
-    def __init__(self, folder: Folder, name: str) -> None:
-        self._file = folder.place / f"{name}.parquet"
-        self._batches = folder.batches(name)
-        self._held: list[pa.RecordBatch] = []
-
-    def upto(self, trajectories: pd.Series) -> pa.Table:
-        """Take the rows of these trajectories, which are the next ones."""
-        taken = []
-        while self._is_left():
-            batch = self._held.pop()
-            others = np.flatnonzero(~batch["trajectory"].to_pandas().isin(trajectories).to_numpy())
-            end = int(others[0]) if len(others) else len(batch)
-            taken += [batch.slice(0, end)] if end else []
-            if end < len(batch):
-                self._held.append(batch.slice(end))
-                break
-        if not taken:
-            raise LogError(
-                f"{self._file}: no row of trajectory {shown(trajectories.iloc[0])} comes next, as trajectories.parquet "
-                "has it; write the logs by Logs.write or write_stream, which sort them"
-            )
-        return pa.Table.from_batches(taken)
-
-    def refuse_leftover(self) -> None:
-        """Refuse rows that belong to no trajectory, or stand out of order."""
-        if self._is_left():
-            trajectory = self._held[0]["trajectory"][0].as_py()
-            raise LogError(
-                f"{self._file}: rows of trajectory {shown(trajectory)} stand where trajectories.parquet has none; "
-                "write the logs by Logs.write or write_stream, which sort them"
-            )
-
-    def _is_left(self) -> bool:
-        self._held = self._held or list(islice(self._batches, 1))
-        return bool(self._held)

@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs.columns import shown
-from halfseen.logs.formats.bag_messages import BagMapping, Event, Source
+from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.event_mapping import NUMBERS, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
@@ -37,7 +37,6 @@ from halfseen.shapes import Int
 
 LOG_ENDED = "log ended"
 """Cause of a trajectory that has no ending."""
-_ROW, _BEGIN = Source("row", "", None), Source("begin", "", None)
 
 
 def read_event_table(
@@ -72,19 +71,14 @@ def read_event_table(
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
     _check_columns(cells, wanted, file)
     cells = cells if wanted.topic is None else _without_repeats(cells)
-    sources = {key: Source(key, f"column {wanted.column(key)!r}", None) for key in wanted.entries}
-    plain: Any = {
-        key: one for key, one in sources.items() if "." not in key and (key != "trajectory" or wanted.has_begins)
-    }
-    seen = {name: sources[f"covariates.{name}"] for name in wanted.covariates}
-    named = BagMapping(file=file, finished=tuple(wanted.ending.finished), covariates=seen, **plain)
+    needed = {name: f"column {wanted.column(f'covariates.{name}')!r}" for name in wanted.covariates}
     found = []
-    for number, (name, events) in enumerate(_trajectories(cells, wanted, named, sources), start=1):
-        trajectory = Trajectory(number if name is None else name, named, cause=LOG_ENDED)
+    for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
+        trajectory = Trajectory(number if name is None else name, needed, wanted.ending.finished, cause=LOG_ENDED)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
-    return logs_of(cells.file, named, found, missing=missing)
+    return logs_of(cells.file, file, found, missing=missing)
 
 
 def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> Cells:
@@ -134,32 +128,30 @@ def _without_repeats(cells: Cells) -> Cells:
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
 
 
-def _trajectories(
-    cells: Cells, mapping: EventMapping, named: BagMapping, sources: dict[str, Source]
-) -> Iterator[tuple[Any, list[Event]]]:
+def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tuple[Any, list[Event]]]:
     """Name and events of each trajectory."""
     marks = marks_of(cells, _columns_of_numbers(mapping))
-    stamps, begins = _times(cells, mapping, marks, named.file)
+    stamps, begins = _times(cells, mapping, marks, file)
     values_of = _values(cells, mapping, marks)
     has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
     _warn_of_reordered(cells, groups.values(), stamps, mapping)
     for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)
-        events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), _BEGIN, None)]
+        events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), "begin", None)]
         for row, time in zip(rows, times.tolist(), strict=True):
             place = f"{cells.place(row)}: "
             # An empty cell tells only in the last row that nothing ended a trajectory.
             is_blank = not mapping.ending.topics and not ending_texts[row] and row != rows[-1]
             here = [pair for pair in values_of[row] if not (is_blank and pair[0] == "ending")]
-            events += [Event(time, sources[key], value, place) for key, value in here]
-            events += [] if has_begins else [Event(time, _ROW, None, place)]
+            events += [Event(time, key, value, place) for key, value in here]
+            events += [] if has_begins else [Event(time, "row", None, place)]
         if not has_begins:
             yield name, events
             continue
         _warn_of_early(cells, events)
-        for begun, following in split(Path(cells.file), [events], named):
-            yield begun, following if since is None else [Event(0, _BEGIN, None), *following]
+        for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file):
+            yield begun, following if since is None else [Event(0, "begin", None), *following]
 
 
 def _columns_of_numbers(mapping: EventMapping) -> list[str]:
@@ -275,7 +267,7 @@ def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps
 
 
 def _warn_of_early(cells: Cells, events: list[Event]) -> None:
-    num_early = next((k for k, event in enumerate(events) if event.source.key == "trajectory"), 0)
+    num_early = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
     if num_early:
         message = f"{cells.file}: {num_early} values come before the first beginning of a trajectory; they are left out"
         warnings.warn(message, HalfseenWarning, stacklevel=5)

@@ -106,7 +106,8 @@ def write_minari(logs: Logs, dataset_id: str) -> None:
     target, types, observed = _target(dataset_id), column_types(logs.tables), _observed(logs)
     notes = _notes(logs, types)
     taken = texts(logs.stages["action"], types["stages"]["action"])
-    completed: Any = logs.stages["action"][logs.stages["elapsed_s"].notna()].unique()
+    stages: Any = logs.stages
+    completed = stages["action"][stages["elapsed_s"].notna()].unique()
     actions = texts(pd.Series(sorted(completed), dtype=completed.dtype), types["stages"]["action"])
     index_of = {name: index for index, name in enumerate(actions)}
     arrays = list(_steps(logs, observed, [index_of.get(name, -1) for name in taken]))

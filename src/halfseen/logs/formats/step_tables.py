@@ -120,7 +120,7 @@ def _ends(
     """
     step_s = rules.step_in(place)
     if rules.clock is None:
-        return [even_ends(np.count_nonzero(each), step_s) for each in is_step]
+        return [even_ends(int(np.count_nonzero(each)), step_s) for each in is_step]
     times_s = np.split(numbers_of(place, rules.clock, columns[rules.clock]), begins[1:-1])
     return [
         ends_by_observations(np.append(times, times[-1:]) if steps[-1] else times)

@@ -146,7 +146,7 @@ class StepTable:
         with within(place):
             return Logs(self._stages(np.array([ending == CUT for ending in ends["ending"]])), pd.DataFrame(ends))
 
-    def _stages(self, is_cut: Bool[np.ndarray, " E"]) -> pd.DataFrame:
+    def _stages(self, is_cut: Bool[np.ndarray, " E"]) -> Any:
         """A cut falls into the last row of its episode, whose reward is passed over."""
         last, sizes = self.begins[1:] - 1, np.diff(self.begins)
         episode = np.repeat(np.arange(len(sizes)), sizes)
