@@ -71,7 +71,7 @@ def test_rows_that_are_out_of_place_are_told(folder):
 
     broken = r"logs: trajectory 7, stage 2: the stage is completed, yet its reward is nan"
     for name, rows, told in (
-        ("stages", [*range(10, 20), *range(10)], {streamed: r"stages\.parquet: rows of trajectory 5 stand where .* 0;"}),
+        ("stages", [*range(10, 20), *range(10)], {streamed: r"rows of trajectory 5 stand where .* trajectory 0;"}),
         ("stages", [*range(18), 0, 1], {
             streamed: "rows of trajectory 0 stand where .* has trajectory 9",
             read_all: "rows of trajectory 0 stand where .* has trajectory 9",

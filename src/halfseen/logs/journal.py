@@ -43,7 +43,6 @@ import os
 import re
 import sys
 import time
-import warnings
 import zlib
 from collections.abc import Callable, Container, Iterator
 from contextlib import contextmanager, suppress
@@ -52,7 +51,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.locks import is_locked
 from halfseen.logs.columns import common_unit, converting
 from halfseen.reading import TABLE, opened, reason_of
@@ -171,11 +170,10 @@ class JournalEvents:
         )
         more = ", …" if len(self.holes) > MOST_TOLD else ""
         num_lost = sum(last - first + 1 for first, last in self.holes)
-        warnings.warn(
-            f"{self.file}: {num_lost} of {self.num_lines} lines do not check and are left out ({lost}{more}), as after "
+        warn(
+            self.file,
+            f"{num_lost} of {self.num_lines} lines do not check and are left out ({lost}{more}), as after "
             "a loss of power; all others are kept, and a trajectory in progress there counts as cut by a crash",
-            HalfseenWarning,
-            stacklevel=3,
         )
 
     def refusal(self, trouble: str) -> LogError:
@@ -252,11 +250,10 @@ def tell_missing(parts: list[Path]) -> None:
     numbers = [_number(part) for part in parts if part.stat().st_size > 0]
     missing = [part_after(parts[0].with_name(f"journal-{a}.jsonl")).name for a, b in pairwise(numbers) if b > a + 1]
     if missing:
-        warnings.warn(
-            f"{parts[0].parent}: the journal has no {missing[0]}, though later parts are there: what was recorded in "
+        warn(
+            parts[0].parent,
+            f"the journal has no {missing[0]}, though later parts are there: what was recorded in "
             "it is left out; copy it there if it was not moved away on purpose",
-            HalfseenWarning,
-            stacklevel=3,
         )
 
 

@@ -18,7 +18,6 @@ How messages become stages:
 - A trajectory that was cut before anything of it was seen has no stage; it is left out with a warning.
 """
 
-import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
@@ -28,7 +27,7 @@ from typing import Any, NoReturn, TypeAlias
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
 from halfseen.logs.formats.bag_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, read_clouds, read_events
@@ -178,8 +177,7 @@ def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
     if not topics and trajectory.end_s != 0:
         return True
     trouble = f"before any message of {', '.join(topics)} came" if topics else "as it began"
-    message = f"{bag}: trajectory {shown(trajectory.name)} was cut {trouble}; it is left out"
-    warnings.warn(message, HalfseenWarning, stacklevel=3)
+    warn(bag, f"trajectory {shown(trajectory.name)} was cut {trouble}; it is left out")
     return False
 
 

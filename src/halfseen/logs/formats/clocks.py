@@ -4,13 +4,12 @@ The times of T + 1 observations say when an episode began. The times at which it
 begins at 0 in each episode, or it runs on over episodes, and each begins when the one before ended.
 """
 
-import warnings
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from halfseen.errors import HalfseenWarning, LogError
+from halfseen.errors import LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.shapes import Bool, Float
 
@@ -58,11 +57,10 @@ def ends_by_steps(
         if is_on
         else "counts from its own beginning, as others do"
     )
-    warnings.warn(
-        f"{place}: {clock} is later in the first step of an episode than at the end of the one before, {count} times: "
+    warn(
+        place,
+        f"{clock} is later in the first step of an episode than at the end of the one before, {count} times: "
         f"each {how}; the first steps last up to {first_s.max():g} s",
-        HalfseenWarning,
-        stacklevel=3,
     )
     return [one - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)]
 

@@ -38,7 +38,7 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 
 from halfseen.errors import ArgumentError, LogError, within
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, converting, shown
+from halfseen.logs.columns import OWN_NAMES, converting, refuse_repeated, shown
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing, missing_in, share_of
 from halfseen.reading import MOST_LEVELS, TABLE, check_levels, json_of, opened_text, read_text, reason_of
@@ -304,7 +304,6 @@ UNIT = "reward_unit"
 
 _KNOWN_TYPES = {"stage": "int64", "ending": "string", "cause": "string"}
 _KNOWN_TYPES |= dict.fromkeys(("elapsed_s", "reward", "probability", "end_s"), "double")
-_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 
 _WRONG = (ValueError, TypeError, KeyError, AttributeError, pa.ArrowException)
 _INTEGER = r"-?(0|[1-9][0-9]{0,17})"
@@ -415,9 +414,7 @@ def _read_cells(file: Path) -> pa.Table:
         broken = [name for name in header if len(name.splitlines()) > 1]
         if broken:
             raise LogError(f"{file}: the column {broken[0]!r} has a name of two lines; give it one")
-        repeated = [name for i, name in enumerate(header) if name in header[:i]]
-        if repeated:
-            raise LogError(f"{file}: there are two columns {repeated[0]!r}; drop or rename one")
+        refuse_repeated(file, header)
         return arrow_csv.read_csv(
             file,
             read_options=arrow_csv.ReadOptions(use_threads=False),  # with threads, errors do not tell the row
@@ -464,11 +461,11 @@ def _guessed_type(file: Path, name: str, cells: Any) -> ColumnType:
         return "null"
     different = there.unique().to_pylist()
     for kind, shape in _SHAPES.items():
-        if all(re.fullmatch(shape, cell) for cell in different) and (kind == "int64" or name not in _NAMES):
+        if all(re.fullmatch(shape, cell) for cell in different) and (kind == "int64" or name not in OWN_NAMES):
             return kind
     if all(cell.startswith("[") for cell in different):
         return list_type(different) or "string"
-    if name not in _NAMES and re.fullmatch(_NUMBER, different[0]):
+    if name not in OWN_NAMES and re.fullmatch(_NUMBER, different[0]):
         wrong = next(cell for cell in different if not re.fullmatch(_NUMBER, cell))
         raise LogError(
             f"{_place(file, name, cells.to_pylist().index(wrong))}: {shown(wrong)} is no number, though the column "

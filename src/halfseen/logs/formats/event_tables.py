@@ -6,7 +6,6 @@ and an empty cell says nothing. Where trajectories have a column, each of their 
 A trajectory without an ending was cut: "log ended".
 """
 
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
@@ -111,8 +110,7 @@ def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
         trouble = f"no event of {cells.file} is {' or '.join(map(shown, entry.topics))}"
         if key != "ending":
             raise ArgumentError(f"{file}, {key}.topic: {trouble}; there are {', '.join(sorted(there)[:20])}")
-        message = f"{file}, ending.topic: {trouble}, so that every trajectory counts as cut by {LOG_ENDED!r}"
-        warnings.warn(message, HalfseenWarning, stacklevel=4)
+        warn(f"{file}, ending.topic", f"{trouble}, so that every trajectory counts as cut by {LOG_ENDED!r}")
 
 
 def _without_repeats(cells: Cells) -> Cells:
@@ -122,8 +120,8 @@ def _without_repeats(cells: Cells) -> Cells:
     if len(kept) == len(whole):
         return cells
     first = next(row for row, texts in enumerate(whole[1:], start=1) if texts == whole[row - 1])
-    message = f"{cells.place(first)}: it repeats the one before it; such rows are left out: {len(whole) - len(kept)}"
-    warnings.warn(message, HalfseenWarning, stacklevel=3)
+    num_repeats = len(whole) - len(kept)
+    warn(cells.place(first), f"it repeats the one before it; such rows are left out: {num_repeats}")
     columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
 
@@ -261,13 +259,11 @@ def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps
     late = [rows[k + 1] for rows in groups for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
     if late:
         rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
-        early = f"{cells.place(late[0])}: the time is before that of the row above{rest}"
-        message = f"{early}; rows are put in order of time"
-        warnings.warn(message, HalfseenWarning, stacklevel=5)
+        early = f"the time is before that of the row above{rest}"
+        warn(cells.place(late[0]), f"{early}; rows are put in order of time")
 
 
 def _warn_of_early(cells: Cells, events: list[Event]) -> None:
     num_early = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
     if num_early:
-        message = f"{cells.file}: {num_early} values come before the first beginning of a trajectory; they are left out"
-        warnings.warn(message, HalfseenWarning, stacklevel=5)
+        warn(cells.file, f"{num_early} values come before the first beginning of a trajectory; they are left out")

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, warn
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.step_tables import as_array, parquet_file, read_tables, whole_table
@@ -39,7 +39,6 @@ from halfseen.logs.formats.steps import (
     observed_columns,
     refuse_early,
     require,
-    warn,
 )
 from halfseen.logs.logs import Logs
 from halfseen.reading import json_of, read_text, reason_of

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT, FINISHED
 from halfseen.logs.formats.clocks import ends_by_steps, even_ends
@@ -27,7 +27,6 @@ from halfseen.logs.formats.steps import (
     numbers_of,
     observed_columns,
     require,
-    warn,
 )
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused

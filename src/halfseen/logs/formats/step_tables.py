@@ -9,7 +9,6 @@ nothing, and are not read. An episode whose last row is not ``is_last`` broke of
 import mmap
 import re
 import struct
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,8 +19,8 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 import pyarrow.parquet as pq
 
-from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
+from halfseen.errors import LogError, warn
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, refuse_repeated, shown
 from halfseen.logs.folder import check_unpacked_table
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.csv_folder import from_list_texts
@@ -37,7 +36,6 @@ from halfseen.logs.formats.steps import (
     observed_columns,
     refuse_early,
     require,
-    warn,
 )
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
@@ -246,7 +244,7 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
         raise LogError(
             f"{file}: there is no column {missing[0]!r} among {', '.join(table.column_names)}; copy it again"
         )
-    _refuse_repeated(str(file), table.column_names)
+    refuse_repeated(file, table.column_names)
     return table.replace_schema_metadata(None)
 
 
@@ -287,14 +285,8 @@ def _flattened(place: str, table: pa.Table) -> pa.Table:
         if not any(pa.types.is_struct(kind) for kind in table.schema.types):
             break
         table = table.flatten()
-    _refuse_repeated(place, table.column_names)
+    refuse_repeated(place, table.column_names)
     return table
-
-
-def _refuse_repeated(place: str, names: list[str]) -> None:
-    counted = Counter(names)
-    if len(counted) < len(names):
-        raise LogError(f"{place}: there are two columns {shown(counted.most_common(1)[0][0])}; drop or rename one")
 
 
 def _array(place: str, name: str, values: Any) -> np.ndarray:

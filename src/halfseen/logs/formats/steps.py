@@ -8,7 +8,6 @@ Columns have one row a step. What is observed may be whole arrays, of which colu
 step.
 """
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, shown
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Bool, Float, Int, Shaped
@@ -269,11 +268,6 @@ def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy:
                 f"{place}: there is no {name!r} for the {role} among {', '.join(there[:40]) or 'none'}; "
                 f"{remedy or f'name another as {role}'}"
             )
-
-
-def warn(place: str, trouble: str) -> None:
-    """Tell what is read otherwise than somebody may think."""
-    warnings.warn(f"{place}: {trouble}", HalfseenWarning, stacklevel=4)
 
 
 def actions_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Shaped[np.ndarray, " N"]:

@@ -2,7 +2,6 @@
 
 import json
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from decimal import Decimal
@@ -12,7 +11,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import ArgumentError, HalfseenWarning
+from halfseen.errors import ArgumentError, warn
 from halfseen.logs.columns import shown
 from halfseen.logs.formats.event_mapping import Clock
 from halfseen.logs.formats.table_cells import Cells
@@ -63,7 +62,7 @@ def stamps_ns(cells: Cells, columns: Sequence[str], clock: Clock, marks: Marks) 
         raise ArgumentError("clock: the format has no day, which zone and begin need; name the column of dates, too")
     message = _doubt(cells, column, is_of_day) if is_of_day or not (is_zoned.any() or clock.zone) else ""
     if message:
-        warnings.warn(f"{cells.file}, column {column!r}: {message}", HalfseenWarning, stacklevel=5)
+        warn(f"{cells.file}, column {column!r}", message)
     stamps = _dates(cells, column, written, clock, bool(is_zoned.all()))
     return _over_midnight(cells, column, stamps) if is_of_day else stamps
 
