@@ -15,9 +15,10 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.logs.joining import Compacted, compact, write_stream
-    from halfseen.logs.logs import Logs, LogsSummary
+    from halfseen.logs.logs import Logs
     from halfseen.logs.recorder import CAUSES, LogRecorder, TrajectoryRecorder
     from halfseen.logs.stream import LogStream, read_logs
+    from halfseen.logs.summary import LogsSummary
 
 __all__ = [
     "CAUSES",
@@ -40,7 +41,7 @@ __getattr__ = lazy_names(
         "LogRecorder": "recorder",
         "LogStream": "stream",
         "Logs": "logs",
-        "LogsSummary": "logs",
+        "LogsSummary": "summary",
         "TrajectoryRecorder": "recorder",
         "compact": "joining",
         "read_logs": "stream",

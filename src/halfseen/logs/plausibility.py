@@ -30,7 +30,7 @@ import pandas as pd
 
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.logs.grouping import Grouped, coded, grouped_covariates, rows_with
-from halfseen.logs.logs import Logs, durations_s
+from halfseen.logs.logs import Logs
 from halfseen.shapes import Float
 
 LEVEL = 1e-3
@@ -250,7 +250,7 @@ def _before(stages: Any, each: Grouped) -> Float[np.ndarray, "m k"]:
 def cuts_called_finished(logs: Logs) -> Iterator[str]:
     """Find finished trajectories that look as if they had been cut."""
     stages: Any = logs.stages
-    lasted_s: Any = pd.Series(durations_s(logs))
+    lasted_s: Any = pd.Series(logs.durations_s())
     is_last = ~stages.duplicated("trajectory", keep="last")
     finished = logs.trajectory_ids[logs.is_finished]
     is_end = is_last & stages["trajectory"].isin(finished) & (stages["stage"] < logs.horizon)
