@@ -22,21 +22,10 @@ import pyarrow.parquet as pq
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, refuse_repeated, shown
 from halfseen.logs.folder import check_unpacked_table
+from halfseen.logs.formats import steps
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.csv_folder import from_list_texts
-from halfseen.logs.formats.steps import (
-    Columns,
-    Ending,
-    StepRules,
-    StepTable,
-    actions_of,
-    begins_of,
-    flags_of,
-    numbers_of,
-    observed_columns,
-    refuse_early,
-    require,
-)
+from halfseen.logs.formats.steps import Columns, Ending, StepRules, StepTable
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
@@ -78,23 +67,23 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     place = ", ".join(map(str, paths[:3])) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")
     table = _flattened(place, read_tables(paths))
     named = {"action": "action", "reward": "reward", "done": TERMINAL} | rules.named
-    require(place, table.column_names, {"end of an episode": LAST}, "add it")
-    require(place, table.column_names, named)
+    steps.require(place, table.column_names, {"end of an episode": LAST}, "add it")
+    steps.require(place, table.column_names, named)
     columns = {name: as_array(place, table, name) for name in (*named.values(), LAST)}
-    is_last, is_terminal = (flags_of(place, name, columns[name]) for name in (LAST, named["done"]))
+    is_last, is_terminal = (steps.flags_of(place, name, columns[name]) for name in (LAST, named["done"]))
     names, begins = _episodes(place, table)
     is_step = np.ones(len(is_last), dtype=bool)
     is_step[begins[1:] - 1] = ~is_last[begins[1:] - 1]
-    rewards = numbers_of(place, named["reward"], columns[named["reward"]], "reward")
+    rewards = steps.numbers_of(place, named["reward"], columns[named["reward"]], "reward")
     seen = {name: as_array(place, table, name) for name in table.column_names if name.startswith(SEEN)}
     _warn_of_unread(place, table, {*named.values()}, rewards[~is_step])
     rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
-    steps = StepTable(
+    found = StepTable(
         names=names,
         begins=begins,
         is_step=is_step,
-        observed=observed_columns(place, seen),
-        actions=actions_of(place, named["action"], columns[named["action"]][is_step]),
+        observed=steps.observed_columns(place, seen),
+        actions=steps.actions_of(place, named["action"], columns[named["action"]][is_step]),
         rewards=rewards[is_step],
         ends_s=_ends(place, columns, rules, [is_step[each] for each in rows], begins),
         endings=[
@@ -102,7 +91,7 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
             for name, each in zip(names, rows, strict=True)
         ],
     )
-    return steps.logs(place)
+    return found.logs(place)
 
 
 def _ends(
@@ -119,7 +108,7 @@ def _ends(
     step_s = rules.step_in(place)
     if rules.clock is None:
         return [even_ends(int(np.count_nonzero(each)), step_s) for each in is_step]
-    times_s = np.split(numbers_of(place, rules.clock, columns[rules.clock]), begins[1:-1])
+    times_s = np.split(steps.numbers_of(place, rules.clock, columns[rules.clock]), begins[1:-1])
     return [
         ends_by_observations(np.append(times, times[-1:]) if steps[-1] else times)
         for times, steps in zip(times_s, is_step, strict=True)
@@ -128,10 +117,10 @@ def _ends(
 
 def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
     """Names of the episodes, the rows in which they begin, and the number of rows."""
-    is_first = flags_of(place, FIRST, as_array(place, table, FIRST)) if FIRST in table.column_names else None
+    is_first = steps.flags_of(place, FIRST, as_array(place, table, FIRST)) if FIRST in table.column_names else None
     column = next((name for name in EPISODES if name in table.column_names), None)
     if column is None and is_first is None:
-        require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
+        steps.require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
     if column is None and is_first is not None:
         if len(is_first) and not is_first[0]:
             raise LogError(f"{place}, row 0: {FIRST} is false, so that it belongs to no episode; mend it")
@@ -147,7 +136,7 @@ def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndar
             f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {column} is {shown(labels[row])}; mend one of "
             "the two"
         )
-    begins = begins_of(place, "rows", labels, "sort them")
+    begins = steps.begins_of(place, "rows", labels, "sort them")
     return labels[begins[:-1]].tolist(), begins
 
 
@@ -166,9 +155,13 @@ def _warn_of_unread(place: str, table: pa.Table, read: set[str], last_rewards: F
 
 
 def _ending(
-    place: str, name: int | str, is_last: Bool[np.ndarray, " O"], is_terminal: Bool[np.ndarray, " O"], rules: StepRules
+    place: str,
+    name: int | str,
+    is_last: Bool[np.ndarray, " O"],
+    is_terminal: Bool[np.ndarray, " O"],
+    rules: StepRules,
 ) -> Ending:
-    refuse_early(place, name, is_last | is_terminal)
+    steps.refuse_early(place, name, is_last | is_terminal)
     if is_terminal[-1] and not is_last[-1]:
         raise LogError(
             f"{place}, episode {shown(name)}: its last row terminates it and is not {LAST}; mend one of the two"
