@@ -25,15 +25,7 @@ from halfseen.logs.columns import (
     require_columns,
     shown,
 )
-from halfseen.logs.folder import (
-    MANIFEST,
-    Folder,
-    Place,
-    broken_table,
-    place_of,
-    read_folder,
-    read_manifest,
-)
+from halfseen.logs.folder import MANIFEST, Folder, Place, broken_table, place_of, read_folder, read_manifest
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Filling, Missing, learned_filling
 

@@ -155,11 +155,7 @@ def _warn_of_unread(place: str, table: pa.Table, read: set[str], last_rewards: F
 
 
 def _ending(
-    place: str,
-    name: int | str,
-    is_last: Bool[np.ndarray, " O"],
-    is_terminal: Bool[np.ndarray, " O"],
-    rules: StepRules,
+    place: str, name: int | str, is_last: Bool[np.ndarray, " O"], is_terminal: Bool[np.ndarray, " O"], rules: StepRules
 ) -> Ending:
     steps.refuse_early(place, name, is_last | is_terminal)
     if is_terminal[-1] and not is_last[-1]:
