@@ -25,7 +25,7 @@ from halfseen.logs.columns import (
     require_columns,
     shown,
 )
-from halfseen.logs.folder import MANIFEST, Folder, Place, broken_table, place_of, read_folder, read_manifest
+from halfseen.logs.folder import MANIFEST, Folder, Place, place_of, read_folder, read_manifest, whole_table
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Filling, Missing, learned_filling
 
@@ -148,10 +148,8 @@ class _Table:
 
     def _group(self, group: int) -> pa.Table:
         if self._held is None or self._held[0] != group:
-            try:
+            with whole_table(self._file_name):
                 self._held = group, self._file.read_row_group(group)
-            except (OSError, pa.ArrowException) as error:
-                raise broken_table(self._file_name, error) from error
         return self._held[1]
 
 

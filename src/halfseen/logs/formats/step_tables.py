@@ -21,12 +21,12 @@ import pyarrow.parquet as pq
 
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, refuse_repeated, shown
-from halfseen.logs.folder import check_unpacked_table
 from halfseen.logs.formats import steps
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.csv_folder import from_list_texts
 from halfseen.logs.formats.steps import Columns, Ending, StepRules, StepTable
 from halfseen.logs.logs import Logs
+from halfseen.logs.parquet_footer import check_unpacked_table
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
 
