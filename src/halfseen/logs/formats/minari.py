@@ -35,7 +35,7 @@ import pandas as pd
 from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.installation import command_for, extra
 from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.formats.csv_folder import MINARI, ColumnType, column_types, from_texts, refuse_lost, texts
+from halfseen.logs.formats.as_text import MINARI, ColumnType, column_types, from_texts, refuse_lost, texts
 from halfseen.logs.formats.minari_foreign import read_foreign
 from halfseen.logs.formats.steps import StepRules
 from halfseen.logs.logs import Logs

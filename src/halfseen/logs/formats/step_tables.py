@@ -22,8 +22,9 @@ import pyarrow.parquet as pq
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, refuse_repeated, shown
 from halfseen.logs.formats import steps
+from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
-from halfseen.logs.formats.csv_folder import from_list_texts
+from halfseen.logs.formats.csv_folder import read_cells
 from halfseen.logs.formats.steps import Columns, Ending, StepRules, StepTable
 from halfseen.logs.logs import Logs
 from halfseen.logs.parquet_footer import check_unpacked_table
@@ -239,14 +240,8 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
 
 def _csv(file: Path) -> pa.Table:
     with opened(file, TABLE) as bytes_in:
-        table = arrow_csv.read_csv(
-            bytes_in,
-            read_options=arrow_csv.ReadOptions(use_threads=False),
-            parse_options=arrow_csv.ParseOptions(newlines_in_values=True),
-            convert_options=arrow_csv.ConvertOptions(
-                null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False
-            ),
-        )
+        convert = arrow_csv.ConvertOptions(null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False)
+        table = read_cells(bytes_in, convert)
     lists = {name: from_list_texts(table[name]) for name in table.column_names}
     return pa.table({name: table[name] if lists[name] is None else lists[name] for name in table.column_names})
 
