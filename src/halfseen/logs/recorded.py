@@ -18,7 +18,7 @@ in five crash, by up to 7 %. Call `TrajectoryRecorder.still_running` from the co
 a second; the same weights are then within 1 %. Where crashes are few, neither matters.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -268,3 +268,12 @@ def _column(name: str, values: list[Any]) -> pa.Array:
         raise LogError(
             f"what it holds of {shown(name)} makes no column ({reason_of(error)}); record one kind of value in it"
         ) from error
+
+
+def followed(events: Sequence[dict[str, Any]]) -> RecordedTrajectory:
+    """Follow the events of one trajectory, the beginning of its first stage first."""
+    first, *others = events
+    trajectory = RecordedTrajectory(first)
+    for event in others:
+        trajectory.add(event)
+    return trajectory
