@@ -162,8 +162,6 @@ UNKNOWN_CAUSE = "unknown"
 
 MOST_SHOWN = 200
 """Characters of a value that a message shows."""
-MOST_UNIT_CHARS = 24
-_UNIT_REMEDY = f"give a text of one line and at most {MOST_UNIT_CHARS} characters, such as 'parts', or leave it out"
 
 
 # Refusals.
@@ -348,38 +346,3 @@ def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:
 
 def _holds_numbers(kind: pa.DataType) -> bool:
     return pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)
-
-
-# The unit of rewards.
-
-
-def checked_unit(unit: Any) -> str | None:
-    """Take a unit of rewards without the blanks around it; None where there is none.
-
-    Raises
-    ------
-    LogError
-        It is no short text.
-    """
-    if unit is None:
-        return None
-    if not isinstance(unit, str):
-        raise LogError(f"reward_unit is {shown(unit)}, which is no text; {_UNIT_REMEDY}")
-    stripped = unit.strip()
-    if not stripped or len(stripped) > MOST_UNIT_CHARS or not stripped.isprintable():
-        raise LogError(f"reward_unit is {shown(unit)}, which is no short text; {_UNIT_REMEDY}")
-    return stripped
-
-
-def common_unit(units: Iterable[str | None]) -> str | None:
-    """The one unit of several logs; those that name none go with the others.
-
-    Raises
-    ------
-    LogError
-        Two are in different ones.
-    """
-    known = list(dict.fromkeys(unit for unit in units if unit is not None))
-    if len(known) > 1:
-        raise LogError(f"rewards are in {known[0]!r} and in {known[1]!r}; bring the logs to one unit before they join")
-    return known[0] if known else None

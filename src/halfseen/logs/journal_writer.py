@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.locks import is_locked
-from halfseen.logs.columns import common_unit
 from halfseen.logs.journal import (
     HEADER,
     JOURNAL,
@@ -27,6 +26,7 @@ from halfseen.logs.journal import (
     part_after,
     tell_missing,
 )
+from halfseen.logs.units import common_unit
 
 FSYNC: dict[str, Container[str]] = {
     "never": (),

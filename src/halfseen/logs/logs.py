@@ -9,7 +9,7 @@ import pandas as pd
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
-from halfseen.logs.checks import checked_objects, checked_stages, checked_trajectories, complete_stages
+from halfseen.logs.checked_tables import checked_objects, checked_stages, checked_trajectories, complete_stages
 from halfseen.logs.columns import (
     FINISHED,
     OBJECT_COLUMNS,
@@ -17,7 +17,6 @@ from halfseen.logs.columns import (
     TRAJECTORY_COLUMNS,
     FrameLike,
     as_frame,
-    checked_unit,
     is_stage_covariate,
     require_columns,
     shown,
@@ -26,6 +25,7 @@ from halfseen.logs.columns import (
 from halfseen.logs.folder import write_tables
 from halfseen.logs.missing import KEEP, Filling, Missing
 from halfseen.logs.summary import LogsSummary, SummaryTally
+from halfseen.logs.units import checked_unit
 from halfseen.shapes import Float
 
 

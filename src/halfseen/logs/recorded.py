@@ -25,8 +25,9 @@ from typing import Any
 import pyarrow as pa
 
 from halfseen.errors import LogError, NothingRecordedError, within
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, common_unit, is_own_reward, shown
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_own_reward, shown
 from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
+from halfseen.logs.units import common_unit
 from halfseen.reading import reason_of
 
 JUST_BEFORE = 0.01

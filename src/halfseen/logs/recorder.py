@@ -28,7 +28,7 @@ from types import TracebackType
 from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import UNKNOWN_CAUSE, checked_unit, shown
+from halfseen.logs.columns import UNKNOWN_CAUSE, shown
 from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal import PART_BYTES
 from halfseen.logs.journal_writer import JournalWriter, synced_events
@@ -36,6 +36,7 @@ from halfseen.logs.logs import Logs
 from halfseen.logs.recorded import CRASH, RESUMED
 from halfseen.logs.recording_state import Recorded, TrajectoryState, torn_by
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
+from halfseen.logs.units import checked_unit
 
 
 class LogRecorder:

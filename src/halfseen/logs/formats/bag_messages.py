@@ -12,8 +12,8 @@ import numpy as np
 from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.installation import extra
 from halfseen.logs.formats.bag_mapping import BagMapping, Source
+from halfseen.logs.formats.clocks import runs_of
 from halfseen.logs.formats.mcap_files import Channel, McapFiles, Recorded
-from halfseen.logs.formats.resets import runs_of
 from halfseen.reading import TABLE, check_file, refused
 from halfseen.shapes import Float
 

@@ -20,16 +20,17 @@ from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.event_mapping import NUMBERS, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
-from halfseen.logs.formats.table_numbers import (
+from halfseen.logs.formats.table_values import (
     WHOLE,
     Marks,
+    Stamps,
     is_numeric,
     marks_of,
     number_at,
     plain_number,
     refuse_most_numbers,
+    stamps_ns,
 )
-from halfseen.logs.formats.table_times import Stamps, stamps_ns
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int

@@ -1,7 +1,7 @@
 """Cells of any table as text, with the line of each row.
 
 Read down: bytes → text (encoding) → cells (separator), or typed columns → the same cells. What text means is read in
-`halfseen.logs.formats.table_numbers` and `table_times`.
+`halfseen.logs.formats.table_values`.
 """
 
 import csv
