@@ -8,20 +8,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import LogError
-from halfseen.logs.checks import (
-    COLUMN_TYPES,
-    COMPLETION_RULES,
-    OBJECT_RULES,
-    ORDER_RULES,
-    ROBOT_RULE,
-    TRAJECTORY_RULES,
-    Rule,
-    drop_out_rules,
-    out_cause_rule,
-    own_reward_rule,
-    thousandfold,
-    type_of,
-)
+from halfseen.logs import checks
 from halfseen.logs.columns import (
     CUT,
     FINISHED,
@@ -82,9 +69,12 @@ def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
     words = trajectories["ending"].map(lambda ending: ending if isinstance(ending, str) else "").astype(object)
     is_cut, is_finished = (words.eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
     values = _values(trajectories, is_cut=is_cut, is_finished=is_finished)
-    _enforce(trajectories, values, TRAJECTORY_RULES, ("trajectory",))
+    _enforce(trajectories, values, checks.TRAJECTORY_RULES, ("trajectory",))
     causes = [column for column in trajectories.columns if is_of_one_robot(column) and column.endswith("_cause")]
-    rules = [*map(out_cause_rule, causes), *(drop_out_rules(k)[0] for k in robots_that_may_drop_out(trajectories))]
+    rules = [
+        *map(checks.out_cause_rule, causes),
+        *(checks.drop_out_rules(k)[0] for k in robots_that_may_drop_out(trajectories)),
+    ]
     _enforce(trajectories, values, rules, ("trajectory",))
     causes = trajectories["cause"].astype(object)
     trajectories["cause"] = causes.mask(causes.isna() & is_cut, UNKNOWN_CAUSE)
@@ -125,10 +115,13 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
             "not completed"
         )
     values = _stage_values(stages, trajectories, trajectory_row, num_stages)
-    rules = [*map(own_reward_rule, filter(is_own_reward, stages.columns)), *COMPLETION_RULES]
+    rules = [*map(checks.own_reward_rule, filter(is_own_reward, stages.columns)), *checks.COMPLETION_RULES]
     if values.may_stand:
-        rules[:0] = [ROBOT_RULE, *(drop_out_rules(robot)[1] for robot in robots_that_may_drop_out(trajectories))]
-    _enforce(stages, values, ORDER_RULES)
+        rules[:0] = [
+            checks.ROBOT_RULE,
+            *(checks.drop_out_rules(robot)[1] for robot in robots_that_may_drop_out(trajectories)),
+        ]
+    _enforce(stages, values, checks.ORDER_RULES)
     if values.may_stand:
         _find_two_at_one(stages, values, trajectory_row)
     _enforce(stages, values, rules)
@@ -186,7 +179,7 @@ def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.
     trajectory_row = pd.Index(trajectories["trajectory"]).get_indexer(pd.Index(objects["trajectory"]))
     stage = objects["stage"].to_numpy()
     values = _values(objects, stage=stage, trajectory_row=trajectory_row, last=last[trajectory_row])
-    _enforce(objects, values, OBJECT_RULES, OBJECT_COLUMNS)
+    _enforce(objects, values, checks.OBJECT_RULES, OBJECT_COLUMNS)
     stage_row = first_row[trajectory_row] + stage - 1
     names = pd.Index(objects["object"]).unique().sort_values()
     name = names.get_indexer(pd.Index(objects["object"]))
@@ -218,7 +211,7 @@ def _typed(name: str, frame: pd.DataFrame, optional: str | None = None) -> pd.Da
     table = frame.copy(deep=False)
     if optional is not None and optional not in table.columns:
         table[optional] = pd.Series(None, index=table.index, dtype=object)
-    kinds = {column: type_of(name, column) for column in (*COLUMN_TYPES[name], *table.columns)}
+    kinds = {column: checks.type_of(name, column) for column in (*checks.COLUMN_TYPES[name], *table.columns)}
     for column, kind in kinds.items():
         if kind is not None and column in table.columns:
             table[column] = _TYPES[kind](name, table, column)
@@ -261,7 +254,7 @@ def _stage_values(stages: pd.DataFrame, trajectories: pd.DataFrame, row: Any, nu
         before_s=before_s,
         begin_s=np.where(is_first, 0.0, before_s),
         end_s=end_s,
-        times=thousandfold(end_s, elapsed_s),
+        times=checks.thousandfold(end_s, elapsed_s),
     )
 
 
@@ -297,7 +290,7 @@ class _RowOf(dict):
 def _enforce(
     table: pd.DataFrame,
     values: SimpleNamespace,
-    rules: Iterable[Rule],
+    rules: Iterable[checks.Rule],
     names: tuple[str, ...] = ("trajectory", "stage"),
 ) -> None:
     for rule in rules:

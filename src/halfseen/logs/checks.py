@@ -13,14 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.logs.columns import (
-    CUT,
-    FINISHED,
-    ROBOT,
-    STEPPED_BACK,
-    is_of_one_robot,
-    is_own_reward,
-)
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_of_one_robot, is_own_reward
 from halfseen.shapes import Bool
 
 EARLIEST_DATE_S = 1e9

@@ -176,23 +176,20 @@ def compact(
     _refuse_repeated(runs)
     refuse_taken(Path(out), overwrite, "logs.json", "logs")
     schemas: dict[str, pa.Schema] = {}
-    counts, units = Compacted(len(runs), 0, 0, 0), []
+    units, num_trajectories, num_stages, num_running = [], 0, 0, 0
     for run in runs:
-        found, num_running = _ended(read_logs(run, missing=KEEP))
-        counts = counts._replace(num_running=counts.num_running + num_running)
+        found, num_here = _ended(read_logs(run, missing=KEEP))
+        num_running += num_here
         if found is not None:
             units.append(found.reward_unit)
-            schemas = _agreed(schemas, run, runs[0], _named(found, run, counts.num_trajectories))
-            counts = counts._replace(
-                num_trajectories=counts.num_trajectories + found.num_trajectories,
-                num_stages=counts.num_stages + found.num_stages,
-            )
+            schemas = _agreed(schemas, run, runs[0], _named(found, run, num_trajectories))
+            num_trajectories, num_stages = num_trajectories + found.num_trajectories, num_stages + found.num_stages
         on_progress()
-    if not counts.num_trajectories:
+    if not num_trajectories:
         raise LogError(f"none of the {len(runs)} folders has a trajectory that ended; record some")
     common_unit(units)
     write_stream(_parts(runs, on_progress), out, overwrite=overwrite, schemas=schemas)
-    return counts
+    return Compacted(len(runs), num_trajectories, num_stages, num_running)
 
 
 def _refuse_repeated(runs: Sequence[Place]) -> None:

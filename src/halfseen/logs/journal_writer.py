@@ -15,17 +15,7 @@ from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.locks import is_locked
-from halfseen.logs.journal import (
-    HEADER,
-    JOURNAL,
-    PART_BYTES,
-    JournalEvents,
-    following,
-    journal_line,
-    journal_parts,
-    part_after,
-    tell_missing,
-)
+from halfseen.logs import journal
 from halfseen.logs.units import common_unit
 
 FSYNC: dict[str, Container[str]] = {
@@ -130,19 +120,19 @@ class JournalWriter:
         synced: Container[str],
         restore: Callable[[dict[str, Any]], None],
         reward_unit: str | None = None,
-        part_bytes: int = PART_BYTES,
+        part_bytes: int = journal.PART_BYTES,
     ) -> None:
         self._synced = synced
         self._part_bytes = part_bytes
         self._process = os.getpid()
         self._is_torn = False
         folders = unsynced_folders(folder) if synced else []
-        first = folder / JOURNAL
+        first = folder / journal.JOURNAL
         self._lock: int | None = _locked(folder, first)
         self._held = _Held(first, self._lock, 0, 0, None)
         try:
-            parts = journal_parts(folder)
-            tell_missing(parts)
+            parts = journal.journal_parts(folder)
+            journal.tell_missing(parts)
             read = [_restored(part, restore) for part in parts]
             with within(folder):
                 self._reward_unit = common_unit([*(events.reward_unit for events in read), reward_unit])
@@ -197,7 +187,7 @@ class JournalWriter:
             if self._held.num_bytes >= self._part_bytes and event["event"] == "stage" and event["stage"] == 1:
                 self._begin_part()
             part, descriptor, num_bytes, checksum, _ = self._held
-            line, checksum = journal_line(event, checksum)
+            line, checksum = journal.journal_line(event, checksum)
             self._is_torn = True
             _write(descriptor, line, event["event"] in self._synced)
         self._held = _Held(part, descriptor, num_bytes + len(line), checksum, known)
@@ -219,8 +209,8 @@ class JournalWriter:
         """Begin a session below what a part holds so far, and take it for the one that is written."""
         session = {"event": "session"} | ({} if self._reward_unit is None else {"reward_unit": self._reward_unit})
         lines = b""
-        for event in (session,) if num_bytes else (HEADER, session):
-            line, checksum = journal_line(event, checksum)
+        for event in (session,) if num_bytes else (journal.HEADER, session):
+            line, checksum = journal.journal_line(event, checksum)
             lines += line
         os.ftruncate(descriptor, num_bytes)  # what a kill tore
         _write(descriptor, lines, bool(self._synced))
@@ -228,7 +218,7 @@ class JournalWriter:
 
     def _begin_part(self) -> None:
         """Go on in the part that follows; until that is there whole, the one before is the one that is written."""
-        before, part = self._held.descriptor, part_after(self._held.part)
+        before, part = self._held.descriptor, journal.part_after(self._held.part)
         descriptor = os.open(part, _FLAGS)
         try:
             self._begin(part, descriptor, 0, 0)
@@ -259,11 +249,11 @@ class JournalWriter:
             ) from error
 
 
-def _restored(part: Path, restore: Callable[[dict[str, Any]], None]) -> JournalEvents:
+def _restored(part: Path, restore: Callable[[dict[str, Any]], None]) -> journal.JournalEvents:
     """Read a part to its end, an event at a time."""
-    events = JournalEvents(part)
+    events = journal.JournalEvents(part)
     for event in events:
-        with following(events):
+        with journal.following(events):
             restore(event)
     events.tell_holes()
     return events

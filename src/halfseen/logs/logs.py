@@ -98,8 +98,8 @@ class Logs:
         self._reward_unit = checked_unit(reward_unit)
         ends = checked_trajectories(as_frame("trajectories", trajectories, TRAJECTORY_COLUMNS))
         rows = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), ends)
-        rows, self._filling = complete_stages(rows, missing)
-        self._keeps_null = missing == KEEP
+        rows, filling = complete_stages(rows, missing)
+        self._missing = KEEP if missing == KEEP else filling
         self._objects = None
         if objects is not None:
             there = checked_objects(as_frame("objects", objects, OBJECT_COLUMNS), rows, ends)
@@ -132,12 +132,12 @@ class Logs:
     @property
     def filling(self) -> Filling | None:
         """What stands for covariates that were null; None where null is refused, or stands."""
-        return self._filling
+        return self._missing if isinstance(self._missing, Filling) else None
 
     @property
     def missing(self) -> Filling | str | None:
         """What was said of null, and learned: what a part of this log, or the like of it, is made with."""
-        return KEEP if self._keeps_null else self._filling
+        return self._missing
 
     def in_unit(self, reward_unit: str | None) -> "Logs":
         """The same log with rewards that are said to be counted in this unit; no number changes.

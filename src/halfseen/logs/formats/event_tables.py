@@ -16,21 +16,12 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
+from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.event_mapping import NUMBERS, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
-from halfseen.logs.formats.table_values import (
-    WHOLE,
-    Marks,
-    Stamps,
-    is_numeric,
-    marks_of,
-    number_at,
-    plain_number,
-    refuse_most_numbers,
-    stamps_ns,
-)
+from halfseen.logs.formats.table_values import Marks, Stamps
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
@@ -129,7 +120,7 @@ def _without_repeats(cells: Cells) -> Cells:
 
 def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tuple[Any, list[Event]]]:
     """Name and events of each trajectory."""
-    marks = marks_of(cells, _columns_of_numbers(mapping))
+    marks = table_values.marks_of(cells, _columns_of_numbers(mapping))
     stamps, begins = _times(cells, mapping, marks, file)
     values_of = _values(cells, mapping, marks)
     has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
@@ -163,8 +154,8 @@ def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tupl
     """Times of the rows, and of the beginning of what each row tells, where that is known [ns]."""
     clock = mapping.clock
     try:
-        stamps = stamps_ns(cells, clock.fields, clock, marks)
-        begins = stamps_ns(cells, clock.begins, clock, marks) if clock.begins else None
+        stamps = table_values.stamps_ns(cells, clock.fields, clock, marks)
+        begins = table_values.stamps_ns(cells, clock.begins, clock, marks) if clock.begins else None
     except ArgumentError as error:
         raise ArgumentError(f"{file}, {error}") from error
     if clock.since is not None:
@@ -204,26 +195,28 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
     """Read the cells of one column: numbers, or names, which are whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
-    has_text = any(isinstance(value, str) and plain_number(value, marks) is None for value in known.values())
-    has_text |= isinstance(first, str) and not is_numeric(first)
+    has_text = any(
+        isinstance(value, str) and table_values.plain_number(value, marks) is None for value in known.values()
+    )
+    has_text |= isinstance(first, str) and not table_values.is_numeric(first)
     if key in NUMBERS or (is_covariate and (entry.type or ("text" if has_text else "number")) == "number"):
         return [
             float(known[text])
             if (text := texts[row]) in known
             else float("nan")
             if not text and is_covariate
-            else number_at(cells, row, column, marks)
+            else table_values.number_at(cells, row, column, marks)
             for row in rows
         ]
     for row in rows:
         if not texts[row] and "" not in known and key != "ending" and not is_covariate:
             cells.refuse(row, column, f"is no {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
-        refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
+        table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
     if is_covariate:
         return [str(known[text]) if (text := texts[row]) in known else text or None for row in rows]
     names = [str(known.get(texts[row], texts[row])) for row in rows]
-    are_whole = key != "ending" and all(map(WHOLE.fullmatch, names))
+    are_whole = key != "ending" and all(map(table_values.WHOLE.fullmatch, names))
     return list(map(int, names)) if are_whole else names
 
 

@@ -147,7 +147,8 @@ def _connected(url: str, place: str) -> Iterator[Any]:
         ) from None
     try:
         with engine.connect() as connection:
-            connection = connection.execution_options(no_parameters=True, stream_results=True, **_read_only(engine))
+            options = {"postgresql_readonly": True} if engine.dialect.name == "postgresql" else {}
+            connection = connection.execution_options(no_parameters=True, stream_results=True, **options)
             if engine.dialect.name in ("mysql", "mariadb"):
                 connection.exec_driver_sql("SET SESSION TRANSACTION READ ONLY")
             yield connection
@@ -182,10 +183,6 @@ def _check_file_of(url: Any) -> Path:
         raise ArgumentError(f"{shown_url(str(url))}: it names no file; give {url.get_backend_name()}:///FILE")
     check_file(file, TABLE)
     return file
-
-
-def _read_only(engine: Any) -> dict[str, Any]:
-    return {"postgresql_readonly": True} if engine.dialect.name == "postgresql" else {}
 
 
 def _rows(connection: Any, place: str, query: str) -> pa.Table:
