@@ -84,13 +84,6 @@ def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
 def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFrame:
     """Bring the stages into order and check them against their trajectories.
 
-    Parameters
-    ----------
-    frame
-        Columns as in `STAGE_COLUMNS`, plus covariates.
-    trajectories
-        Checked trajectories.
-
     Returns
     -------
     DataFrame
@@ -131,13 +124,6 @@ def checked_stages(frame: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFr
 def complete_stages(stages: pd.DataFrame, missing: Missing) -> tuple[pd.DataFrame, Filling | None]:
     """Fill in the covariates of checked stages that are null, and check them all.
 
-    Parameters
-    ----------
-    stages
-        Checked stages.
-    missing
-        As `halfseen.logs.missing` describes it; ``"keep"`` to let null stand.
-
     Raises
     ------
     ArgumentError
@@ -155,13 +141,6 @@ def complete_stages(stages: pd.DataFrame, missing: Missing) -> tuple[pd.DataFram
 
 def checked_objects(frame: pd.DataFrame, stages: pd.DataFrame, trajectories: pd.DataFrame) -> pd.DataFrame:
     """Bring the objects into order and check them against their stages.
-
-    Parameters
-    ----------
-    frame
-        Columns trajectory, stage, object, plus covariates of each object.
-    stages, trajectories
-        Checked.
 
     Returns
     -------

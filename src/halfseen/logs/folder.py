@@ -37,11 +37,6 @@ Place = Any
 def place_of(address: str | Path | Place) -> Place:
     """Find a folder by its path or its address.
 
-    Parameters
-    ----------
-    address
-        A path, or an address that ``fsspec`` knows how to open.
-
     Raises
     ------
     LogError
@@ -168,17 +163,6 @@ def write_tables(
     folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite: bool, reward_unit: str | None = None
 ) -> None:
     """Write tables beside `folder`, then put them in its place by renaming.
-
-    Parameters
-    ----------
-    folder
-        Where to.
-    tables
-        The tables by name.
-    overwrite
-        Replace logs that are already there.
-    reward_unit
-        What rewards are counted in; None if nobody has said.
 
     Raises
     ------

@@ -68,14 +68,7 @@ _CHECKSUM, _EVENT = slice(2, 10), slice(12, -2)
 
 
 def journal_line(event: dict[str, Any], checksum: int) -> tuple[bytes, int]:
-    """Write an event as a line.
-
-    Parameters
-    ----------
-    event
-        The event.
-    checksum
-        The checksum of the line above; 0 for the first.
+    """Write an event as a line, by the checksum of the line above, 0 for the first.
 
     Returns
     -------

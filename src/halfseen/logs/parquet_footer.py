@@ -34,11 +34,6 @@ class Chunk(NamedTuple):
 def chunks_of(file: Path) -> list[list[Chunk]]:
     """Give the chunks of each row group, in the order of the columns.
 
-    Parameters
-    ----------
-    file
-        A Parquet file.
-
     Raises
     ------
     OSError
@@ -145,13 +140,6 @@ compute: Any = pyarrow.compute
 
 def check_unpacked_table(file: Path, num_bytes: int, opened: pq.ParquetFile) -> None:
     """Refuse a Parquet file that would take far more memory than its size tells.
-
-    Parameters
-    ----------
-    file, num_bytes
-        The file, and its size [B].
-    opened
-        The same, opened.
 
     Raises
     ------

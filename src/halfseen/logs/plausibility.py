@@ -132,15 +132,7 @@ def _too_few_others(probability: Rows) -> Iterator[str]:
 
 
 def leaks(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
-    """Find covariates that depend on the action of their own stage, so that they were written down after it.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    of
-        Names of covariates; None for all.
-    """
+    """Find covariates, of all or those named, that depend on their own stage's action: written down after it."""
     stages, probability = _with_probability(logs)
     if len(stages) < FEWEST or logs.has_objects or any(untrue_probabilities(logs)):
         return
@@ -178,15 +170,7 @@ def _with_probability(logs: Logs) -> tuple[Any, Rows]:
 
 
 def outcomes_among_covariates(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
-    """Find covariates that repeat the outcome of their stage.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    of
-        Names of covariates; None for all.
-    """
+    """Find covariates, of all or those named, that repeat the outcome of their stage."""
     stages = rows_with(logs.stages, "reward", "action", most=MOST_REWARDS)
     if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
         return

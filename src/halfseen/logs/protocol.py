@@ -61,15 +61,6 @@ CALLS = {"begin_trajectory": {"name": False, "columns": False}} | {name: _takes(
 def record_lines(recorder: LogRecorder, lines: Lines, answer: Callable[[str], object]) -> None:
     """Record what lines say until they end, and then cut the trajectory in progress.
 
-    Parameters
-    ----------
-    recorder
-        Where to.
-    lines
-        The calls.
-    answer
-        Takes the answer to each, a line without its end.
-
     Raises
     ------
     LogError
@@ -212,17 +203,7 @@ def _remove_left(file: Path) -> None:
 def record_clients(
     recorder: LogRecorder, listener: socket.socket, on_gone: Callable[[], object] = lambda: None
 ) -> None:
-    """Record what clients say, one after the other, for ever; a trajectory that one leaves in progress is cut.
-
-    Parameters
-    ----------
-    recorder
-        Where to.
-    listener
-        Where they come.
-    on_gone
-        Called when one has gone.
-    """
+    """Record what clients say, one after the other, for ever; a trajectory that one leaves in progress is cut."""
     while True:
         connection, _ = listener.accept()
         with connection, connection.makefile("rb") as lines:

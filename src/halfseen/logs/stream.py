@@ -155,13 +155,6 @@ class _Table:
 def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
     """Deal the parts of a folder into shards, by its size alone.
 
-    Parameters
-    ----------
-    folder
-        The folder, whose tables are sorted by trajectory.
-    trajectories_at_once
-        Trajectories of a part.
-
     Raises
     ------
     LogError

@@ -24,11 +24,6 @@ STILL_RUNNING_EVERY_S = 0.5
 def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
     """Give the log of one trajectory in progress, cut at its last event.
 
-    Parameters
-    ----------
-    events
-        Of the trajectory, as a journal has them, the beginning of its first stage first.
-
     Raises
     ------
     LogError

@@ -162,13 +162,7 @@ def list_of(cell: str) -> Any:
 
 
 def from_list_texts(cells: Any) -> pa.Array | None:
-    """Read a column of text whose every cell is a JSON list; None where it is none.
-
-    Parameters
-    ----------
-    cells
-        A column of Arrow; null stays null.
-    """
+    """Read a column of text whose every cell is a JSON list; None where it is none."""
     kind = list_type(cells.drop_null().unique().to_pylist()) if pa.types.is_string(cells.type) else None
     return None if kind is None else _parsed(cells, arrow_type(kind))
 
@@ -210,13 +204,6 @@ class Loss:
 
 def losses(logs: Logs, form: str) -> list[Loss]:
     """Find out what of a log does not come back from a form.
-
-    Parameters
-    ----------
-    logs
-        What would be written.
-    form
-        "parquet", "csv" or "minari".
 
     Raises
     ------

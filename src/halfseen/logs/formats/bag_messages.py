@@ -79,13 +79,6 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
 
     Each is in the order of the clock; equal stamps keep the order of the recording.
 
-    Parameters
-    ----------
-    bag
-        Folder or storage file of a bag.
-    mapping
-        Which topic carries what.
-
     Raises
     ------
     ArgumentError

@@ -112,21 +112,6 @@ def logs_of(
 ) -> Logs:
     """Put trajectories that were followed into one log.
 
-    Parameters
-    ----------
-    place
-        Where they were found, for messages.
-    mapping
-        Its file, for messages.
-    found
-        The trajectories.
-    objects
-        Of their stages.
-    missing
-        What stands for covariates that are null, as `Logs` takes it.
-    **known
-        What else is known of each trajectory, by column.
-
     Raises
     ------
     LogError

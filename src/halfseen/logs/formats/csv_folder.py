@@ -56,13 +56,6 @@ _SHAPES = {"int64": _INTEGER, "double": _NUMBER, "bool": r"true|false"}
 def write_csv(logs: Logs, folder: str | Path) -> None:
     """Write logs as CSV files, all or nothing; `read_csv` gives them back to the last bit.
 
-    Parameters
-    ----------
-    logs
-        What to write.
-    folder
-        Where to; nothing may be there yet.
-
     Raises
     ------
     ArgumentError
