@@ -26,7 +26,6 @@ from halfseen.shapes import Bool, Float
 
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"
-SUFFIXES = (".h5", ".hdf5")
 MOST_GROUPS = 1000
 """Side by side, as groups may hold one another."""
 
