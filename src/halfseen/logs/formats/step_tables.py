@@ -102,10 +102,7 @@ def _ends(
     is_step: list[Bool[np.ndarray, " _"]],
     begins: Int[np.ndarray, " E1"],
 ) -> list[Float[np.ndarray, " _"]]:
-    """Time from the beginning of its episode to the end of each step [s]; a last one ends, at the latest, as it began.
-
-    When the last step ended is known where a row follows it.
-    """
+    """Time from the beginning of its episode to the end of each step [s]; one that no row follows counts as none."""
     step_s = rules.step_in(place)
     if rules.clock is None:
         return [even_ends(int(np.count_nonzero(each)), step_s) for each in is_step]
