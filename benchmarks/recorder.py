@@ -17,7 +17,7 @@ import numpy as np
 import timings
 
 from halfseen.logs import LogRecorder
-from halfseen.logs.journal import FSYNC
+from halfseen.logs.journal_writer import FSYNC
 from halfseen.writing import write_file
 
 OUT = Path("runs/benchmarks/recorder.json")

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from halfseen.figures import BLUE, GREEN, INK, ORANGE, PINK, RED, SKY, SOFT
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import CUT
-from halfseen.logs.formats.steps import TRUNCATED, Episode, logs_of_episodes
+from halfseen.logs.formats.steps import TRUNCATED, StepTable
 from pictures.guide_pages import names_after
 from pictures.picture import ROOT, plot
 from pictures.style import LEGEND, panel
@@ -69,8 +69,9 @@ def draw_steps() -> Figure:
     actions, rewards = np.array(["look", "pick", "look"]), np.array([-0.1, 5.0, -0.1])
     for row, has_last in enumerate((True, False)):
         seen = np.arange(1.0, 4.0 + has_last)
-        episode = Episode(0, {"x": seen}, actions, rewards, np.arange(1.0, 4.0), (CUT, TRUNCATED), has_last)
-        stages = logs_of_episodes("three steps", [episode]).stages
+        is_step, begins, ends_s = np.arange(len(seen)) < 3, np.array([0, len(seen)]), [np.arange(1.0, 4.0)]
+        steps = StepTable([0], begins, is_step, {"x": seen}, actions, rewards, ends_s, [(CUT, TRUNCATED)])
+        stages = steps.logs("three steps").stages
         top = 2.6 * row
         for number, x in enumerate(seen.tolist()):
             told = f"saw {x:g}\ndid {actions[number]}" if number < len(actions) else f"saw {x:g}"

@@ -70,6 +70,11 @@ class HalfseenWarning(UserWarning):
     """Something is legal and probably not meant."""
 
 
+def warn(source: object, trouble: str) -> None:
+    """Warn of what is read otherwise than somebody may think, with the folder or file that it is in."""
+    warnings.warn(f"{source}: {trouble}", HalfseenWarning, stacklevel=3)
+
+
 @contextmanager
 def within(source: object) -> Iterator[None]:
     """Put the folder or file that something comes from before what is wrong with it."""

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 from halfseen.errors import LogError
 from halfseen.logs import Logs
-from halfseen.logs.logs import begun_s, durations_s
 from refusals import refused
 from valid_logs import assert_same, small_tables, valid_tables
 
@@ -120,8 +119,8 @@ def test_a_stage_begins_when_the_one_before_it_was_completed(tables):
         began_s.append(before.get(stage.trajectory, 0.0))
         lasted_s.append(stage.elapsed_s - began_s[-1])
         before[stage.trajectory] = stage.elapsed_s
-    np.testing.assert_array_equal(begun_s(log), began_s)
-    np.testing.assert_array_equal(durations_s(log), lasted_s)
+    np.testing.assert_array_equal(log.begun_s(), began_s)
+    np.testing.assert_array_equal(log.durations_s(), lasted_s)
 
 
 def test_does_not_touch_what_it_is_given():

@@ -5,7 +5,7 @@ from datetime import datetime
 import pandas as pd
 import pytest
 
-from halfseen.logs.since import since
+from halfseen.logs.joining import since
 from refusals import refused
 from small_logs import log_of
 

@@ -8,7 +8,7 @@ from PIL import Image
 
 from drawn_tables import Can, draw
 from halfseen.perception import XTION, Cloud, DepthSensor, perceive
-from halfseen.perception.colours import pixel_colours
+from halfseen.perception.labels import pixel_colours
 from halfseen.perception.picture import COLOURS, DOTS_PER_INCH, THUMBNAIL_INCHES, thumbnail
 from halfseen.perception.range_image import VIRTUAL_PIXEL_SCALE, range_image
 

@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from halfseen.scene import Camera, Pose
-from halfseen.scene.scanlines import RowRays, first_met
-from halfseen.scene.windows import projector_columns_px, shaded_within, shown_within
+from halfseen.scene.moving import projector_columns_px, shaded_within, shown_within
+from halfseen.scene.rays import RowRays, first_met
 
 INTRINSICS = np.array([[50.0, 0.0, 30.0], [0.0, 52.0, 20.0], [0.0, 0.0, 1.0]])
 TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])

@@ -18,15 +18,12 @@ from halfseen.scene import Camera, Cup, Pose, Table, capture, random_table, read
 from halfseen.scene.__main__ import main
 from halfseen.scene.camera import look_at
 from halfseen.scene.cups import NUM_AROUND, body_mesh, handle_mesh
-from halfseen.scene.draw import MAX_OCCLUSION, MIN_RETURNS_PX, num_cups_of
-from halfseen.scene.layout import GAP_M
+from halfseen.scene.draw import GAP_M, MAX_OCCLUSION, MIN_RETURNS_PX, num_cups_of, settle, smallest_gap_m
 from halfseen.scene.poses import about_axis, compose
 from halfseen.scene.rays import cast
 from halfseen.scene.room import TIMESTEP_S, cup_name, lone_cup_model, room_model
-from halfseen.scene.settle import settle, smallest_gap_m
 from halfseen.scene.shipped import KEPT_WITHIN_M, NUM_TABLES, SEEDS, cloud_path, made_with, truth_path, versions
-from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M
-from halfseen.scene.truth import truth_of
+from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, truth_of
 from halfseen.scene.view import ideal_view, lone_depths_m, table_view
 from halfseen.scene.xtion import XTION, xtion_at
 

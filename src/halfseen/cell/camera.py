@@ -19,8 +19,7 @@ from halfseen.perception.clouds import Cloud, Picture
 from halfseen.perception.view import View, perceive
 from halfseen.scene.camera import Camera
 from halfseen.scene.colours import colours
-from halfseen.scene.facets import Facets, mesh_facets
-from halfseen.scene.moving import Sight, with_facets, with_rays
+from halfseen.scene.moving import Facets, Sight, mesh_facets, with_facets, with_rays
 from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_TOP_M

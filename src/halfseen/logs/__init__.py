@@ -3,10 +3,11 @@
 A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
 Read down: `missing` (what stands for null in covariates) → `columns` (what is accepted, names, types, refusals) →
-`checks` (the rules, and who asks them) → `logs` (the record, its summary and breakdown). On disk: `folder` (Parquet) →
-`stream` (a log that need not fit in memory) → `joining` (many as one). While a robot runs: `journal` (lines, chained by
-checksums, and who writes them) → `recorded` (from events to tables) → `values` → `recorder` → `protocol` (without
-Python). What `halfseen inspect` finds: `plausibility`, `data_quality`. Other forms: `formats`.
+`checks` (the rules) → `checked_tables` → `logs` (the record) → `summary`. On disk: `folder` (Parquet) → `stream` (a log
+that need not fit in memory) → `opening` (either) → `joining` (many as one). While a robot runs: `journal` (lines,
+chained by checksums) → `journal_writer` → `recorded` (from events to tables) → `values` → `recording_state` →
+`trajectory_recorder` → `recorder` → `protocol` (without Python). What `halfseen inspect` finds: `plausibility`,
+`data_quality`. Other forms: `formats`.
 """
 
 from typing import TYPE_CHECKING
@@ -15,9 +16,12 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.logs.joining import Compacted, compact, write_stream
-    from halfseen.logs.logs import Logs, LogsSummary
-    from halfseen.logs.recorder import CAUSES, LogRecorder, TrajectoryRecorder
-    from halfseen.logs.stream import LogStream, read_logs
+    from halfseen.logs.logs import Logs
+    from halfseen.logs.opening import read_logs
+    from halfseen.logs.recorder import LogRecorder
+    from halfseen.logs.stream import LogStream
+    from halfseen.logs.summary import LogsSummary
+    from halfseen.logs.trajectory_recorder import CAUSES, TrajectoryRecorder
 
 __all__ = [
     "CAUSES",
@@ -35,15 +39,15 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "CAUSES": "recorder",
+        "CAUSES": "trajectory_recorder",
         "Compacted": "joining",
         "LogRecorder": "recorder",
         "LogStream": "stream",
         "Logs": "logs",
-        "LogsSummary": "logs",
-        "TrajectoryRecorder": "recorder",
+        "LogsSummary": "summary",
+        "TrajectoryRecorder": "trajectory_recorder",
         "compact": "joining",
-        "read_logs": "stream",
+        "read_logs": "opening",
         "write_stream": "joining",
     },
 )

@@ -4,7 +4,7 @@ A table is kept as a pandas frame that survives Parquet unchanged. A refusal say
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
@@ -64,9 +64,7 @@ def as_frame(name: str, data: object, own_columns: Collection[str] = ()) -> pd.D
     labels = [label for label in frame.columns if not isinstance(label, str)]
     if labels:
         raise LogError(f"{name}: column {labels[0]!r} has a name that is not text; rename it")
-    repeated = frame.columns[frame.columns.duplicated()]
-    if len(repeated):
-        raise LogError(f"{name}: there are two columns {repeated[0]!r}; drop or rename one")
+    refuse_repeated(name, list(frame.columns))
     return through_arrow(name, _with_categories_of_text(frame, own_columns).copy())
 
 
@@ -148,6 +146,7 @@ STAGE_COLUMNS = ("trajectory", "stage", "elapsed_s", "action", "object", "reward
 TRAJECTORY_COLUMNS = ("trajectory", "end_s", "ending", "cause")
 OBJECT_COLUMNS = ("trajectory", "stage", "object")
 _OWN = {"stages": STAGE_COLUMNS, "trajectories": TRAJECTORY_COLUMNS, "objects": OBJECT_COLUMNS}
+OWN_NAMES = frozenset((*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS))
 
 NEEDED = {
     "stages": ("trajectory", "stage", "elapsed_s", "action", "reward"),
@@ -163,8 +162,6 @@ UNKNOWN_CAUSE = "unknown"
 
 MOST_SHOWN = 200
 """Characters of a value that a message shows."""
-MOST_UNIT_CHARS = 24
-_UNIT_REMEDY = f"give a text of one line and at most {MOST_UNIT_CHARS} characters, such as 'parts', or leave it out"
 
 
 # Refusals.
@@ -237,6 +234,13 @@ def require_columns(name: str, frame: pd.DataFrame, needed: Iterable[str]) -> No
             close = closest(column, there)
             remedy = f"rename {close!r}?" if close else "add it"
             raise LogError(f"{name}: there is no column {column!r} among {', '.join(there) or 'none'}; {remedy}")
+
+
+def refuse_repeated(place: object, names: Sequence[str], remedy: str = "drop or rename one") -> None:
+    """Refuse a table with two columns of one name."""
+    repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
+    if repeated is not None:
+        raise LogError(f"{place}: there are two columns {repeated!r}; {remedy}")
 
 
 def refuse_misnamed(name: str, frame: pd.DataFrame) -> None:
@@ -342,38 +346,3 @@ def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:
 
 def _holds_numbers(kind: pa.DataType) -> bool:
     return pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)
-
-
-# The unit of rewards.
-
-
-def checked_unit(unit: Any) -> str | None:
-    """Take a unit of rewards without the blanks around it; None where there is none.
-
-    Raises
-    ------
-    LogError
-        It is no short text.
-    """
-    if unit is None:
-        return None
-    if not isinstance(unit, str):
-        raise LogError(f"reward_unit is {shown(unit)}, which is no text; {_UNIT_REMEDY}")
-    stripped = unit.strip()
-    if not stripped or len(stripped) > MOST_UNIT_CHARS or not stripped.isprintable():
-        raise LogError(f"reward_unit is {shown(unit)}, which is no short text; {_UNIT_REMEDY}")
-    return stripped
-
-
-def common_unit(units: Iterable[str | None]) -> str | None:
-    """The one unit of several logs; those that name none go with the others.
-
-    Raises
-    ------
-    LogError
-        Two are in different ones.
-    """
-    known = list(dict.fromkeys(unit for unit in units if unit is not None))
-    if len(known) > 1:
-        raise LogError(f"rewards are in {known[0]!r} and in {known[1]!r}; bring the logs to one unit before they join")
-    return known[0] if known else None

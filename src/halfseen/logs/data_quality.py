@@ -18,7 +18,7 @@ from pandas.util import hash_pandas_object
 from halfseen.arrays import Rows
 from halfseen.logs.columns import OBJECT_COLUMNS, shown
 from halfseen.logs.grouping import can_be_counted, coded, far_apart, grouped_covariates, is_one_kind, rows_with
-from halfseen.logs.logs import Logs, begun_s, durations_s
+from halfseen.logs.logs import Logs
 from halfseen.logs.plausibility import cuts_called_finished, leaks, outcomes_among_covariates, untrue_probabilities
 from halfseen.logs.spelling import alike, spelled_out
 
@@ -101,7 +101,7 @@ def _mixed_clocks(logs: Logs) -> Iterator[str]:
 
 
 def _long_clocks(logs: Logs) -> Iterator[str]:
-    lasted_s = durations_s(logs)
+    lasted_s = logs.durations_s()
     middle_s = 0.0 if np.isnan(lasted_s).all() else float(np.nanmedian(lasted_s))
     if LONG_S[0] < middle_s < LONG_S[1]:
         hours = middle_s / 3600.0
@@ -150,7 +150,7 @@ def _identifiers(logs: Logs) -> Iterator[str]:
     if logs.num_trajectories < FEWEST_TRAJECTORIES:
         return
     stages: Any = logs.stages
-    is_first, began_s = stages["stage"].to_numpy() == 1, begun_s(logs)
+    is_first, began_s = stages["stage"].to_numpy() == 1, logs.begun_s()
     row = np.cumsum(is_first) - 1
     for name in logs.stage_covariates:
         if not _is_number(stages[name]) or stages[name].isna().any():
@@ -272,7 +272,7 @@ def _duplicates(logs: Logs) -> Iterator[str]:
     prints = prints[prints.duplicated(keep=False)]
     if len(prints):
         rows = stages["trajectory"].isin(prints.index).to_numpy()
-        part = (pd.Series(durations_s(logs)[rows]) % 1.0).round(6) % 1.0
+        part = (pd.Series(logs.durations_s()[rows]) % 1.0).round(6) % 1.0
         num_measured = part.where(part > 0).groupby(stages["trajectory"].to_numpy()[rows]).nunique()
         prints = prints[(num_measured >= 2).reindex(prints.index).to_numpy()]
     repeated = prints[prints.duplicated(keep=False)]

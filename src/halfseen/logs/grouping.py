@@ -1,4 +1,4 @@
-"""Columns of a log in groups: numbers by fifths, names by name."""
+"""A log in groups: by cause, action, robot and stage; its columns, numbers by fifths and names by name."""
 
 from collections.abc import Iterator
 from itertools import pairwise
@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import RowIds, RowMask, Rows
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import ROBOT, shown
 from halfseen.logs.logs import Logs
 
 NUM_GROUPS, MOST_CATEGORIES = 5, 12
@@ -106,3 +106,87 @@ def far_apart(sizes: Rows) -> RowMask | None:
     if gaps.max() < np.log(GAP) or ratio < np.log(RATIO):
         return None
     return usable & (sizes >= np.exp((logs[split] + logs[split - 1]) / 2))
+
+
+def by_cause(logs: Logs) -> list[dict[str, Any]]:
+    """Describe each cause of a cut, the most frequent first: its trajectories, when they were cut, in which stages.
+
+    Returns
+    -------
+    list of dict
+        cause, num_trajectories, share (proportion of the cuts), earliest, median and latest end [s], first and last
+        stage.
+    """
+    last_stage: Any = logs.stages.groupby("trajectory")["stage"].max()
+    cut: Any = logs.trajectories[~logs.is_finished]
+    cut = cut.assign(stage=last_stage.reindex(cut["trajectory"]).to_numpy())
+    table = cut.groupby("cause").agg(
+        num_trajectories=("end_s", "size"),
+        earliest_s=("end_s", "min"),
+        median_s=("end_s", "median"),
+        latest_s=("end_s", "max"),
+        first_stage=("stage", "min"),
+        last_stage=("stage", "max"),
+    )
+    return _ranked_rows(table)
+
+
+def by_action(logs: Logs) -> list[dict[str, Any]]:
+    """Describe each action that was completed, the most frequent first: its stages, durations and rewards.
+
+    Returns
+    -------
+    list of dict
+        action, num_stages, share (a proportion of the completed stages), the median duration [s], the mean reward, and
+        the mean and the smallest probability with which it was taken, None where that was not logged.
+    """
+    stages: Any = logs.stages.assign(duration_s=logs.durations_s())[logs.stages["elapsed_s"].notna()]
+    table = stages.groupby("action", observed=True).agg(
+        num_stages=("reward", "size"), median_s=("duration_s", "median"), mean_reward=("reward", "mean")
+    )
+    chance: Any = stages.groupby("action", observed=True)["probability"] if "probability" in stages.columns else None
+    table["mean_probability"] = None if chance is None else chance.mean()
+    table["smallest_probability"] = None if chance is None else chance.min()
+    return _ranked_rows(table)
+
+
+def _ranked_rows(table: Any) -> list[dict[str, Any]]:
+    """Rows with their share, the most frequent first; equal ones stand in the order of the names."""
+    count = table.columns[0]
+    table.insert(1, "share", table[count] / table[count].sum())
+    rows = table.set_axis(table.index.map(str)).reset_index().to_dict("records")
+    return sorted(rows, key=lambda row: (-row[count], row[table.index.name]))
+
+
+def by_robot(logs: Logs) -> list[dict[str, Any]]:
+    """Count the decisions of each robot of a log of several, in the order of their names.
+
+    Returns
+    -------
+    list of dict
+        robot, num_decisions, share (a proportion of the stages); none where stages do not say which robot decided.
+    """
+    made = logs.stages[ROBOT].value_counts().sort_index() if ROBOT in logs.stages.columns else pd.Series(dtype=int)
+    return [
+        {"robot": str(robot), "num_decisions": int(number), "share": int(number) / len(logs.stages)}
+        for robot, number in made.items()
+    ]
+
+
+def by_stage(logs: Logs) -> list[dict[str, Any]]:
+    """Describe each stage: how many trajectories began and completed it, were cut in it, and how long it took.
+
+    Returns
+    -------
+    list of dict
+        stage, num_begun, num_completed, num_cut, and quantiles (5 %, 50 %, 95 %) of its duration [s], None where no
+        trajectory completed it.
+    """
+    table: list[dict[str, Any]] = []
+    stage: Any
+    for stage, duration_s in pd.Series(logs.durations_s()).groupby(logs.stages["stage"].to_numpy()):
+        took_s: Any = duration_s.dropna()
+        low, middle, high = took_s.quantile([0.05, 0.5, 0.95]).tolist() if len(took_s) else (None, None, None)
+        counts = {"num_begun": len(duration_s), "num_completed": len(took_s), "num_cut": len(duration_s) - len(took_s)}
+        table.append({"stage": int(stage), **counts, "duration_5_s": low, "median_s": middle, "duration_95_s": high})
+    return table

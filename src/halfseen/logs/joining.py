@@ -1,4 +1,4 @@
-"""Several logs as one: in memory, part by part on disk, and many folders of a fleet in one folder of Parquet files.
+"""The later part of a log; and several logs as one: in memory, part by part on disk, and many folders of a fleet.
 
 Folders are read twice, one after the other: for the types of their columns, which must agree, and to be written. No
 more than some thousand trajectories are in memory.
@@ -7,6 +7,7 @@ more than some thousand trajectories are in memory.
 import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
+from datetime import datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -15,12 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import common_unit, shown
+from halfseen.logs.columns import shown
 from halfseen.logs.folder import MANIFEST, Folder, Place, place_of, write_manifest
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import KEEP
+from halfseen.logs.opening import read_logs
 from halfseen.logs.recorded import STILL_RUNNING
-from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
+from halfseen.logs.stream import TRAJECTORIES_AT_ONCE
+from halfseen.logs.units import common_unit
 from halfseen.writing import placed, refuse_taken
 
 
@@ -173,23 +176,20 @@ def compact(
     _refuse_repeated(runs)
     refuse_taken(Path(out), overwrite, "logs.json", "logs")
     schemas: dict[str, pa.Schema] = {}
-    counts, units = Compacted(len(runs), 0, 0, 0), []
+    units, num_trajectories, num_stages, num_running = [], 0, 0, 0
     for run in runs:
-        found, num_running = _ended(read_logs(run, missing=KEEP))
-        counts = counts._replace(num_running=counts.num_running + num_running)
+        found, num_here = _ended(read_logs(run, missing=KEEP))
+        num_running += num_here
         if found is not None:
             units.append(found.reward_unit)
-            schemas = _agreed(schemas, run, runs[0], _named(found, run, counts.num_trajectories))
-            counts = counts._replace(
-                num_trajectories=counts.num_trajectories + found.num_trajectories,
-                num_stages=counts.num_stages + found.num_stages,
-            )
+            schemas = _agreed(schemas, run, runs[0], _named(found, run, num_trajectories))
+            num_trajectories, num_stages = num_trajectories + found.num_trajectories, num_stages + found.num_stages
         on_progress()
-    if not counts.num_trajectories:
+    if not num_trajectories:
         raise LogError(f"none of the {len(runs)} folders has a trajectory that ended; record some")
     common_unit(units)
     write_stream(_parts(runs, on_progress), out, overwrite=overwrite, schemas=schemas)
-    return counts
+    return Compacted(len(runs), num_trajectories, num_stages, num_running)
 
 
 def _refuse_repeated(runs: Sequence[Place]) -> None:
@@ -278,3 +278,44 @@ def _unified(table: str, before: pa.Schema, here: pa.Schema, run: Place, first: 
                 f"{before.field(column).type} in those before it; give it one type"
             ) from error
     return pa.unify_schemas([before.remove_metadata(), here.remove_metadata()], promote_options="permissive")
+
+
+def since(logs: Logs, when: str | int | datetime) -> Logs:
+    """Keep the trajectories from one on, in the order of their names; or from a date on.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    when
+        Name of the first one that is kept; or a date, where the trajectories have a column of dates.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such trajectory, and no such date.
+    """
+    dates = [name for name in logs.trajectory_columns if pd.api.types.is_datetime64_any_dtype(logs.trajectories[name])]
+    is_kept = _from_name(logs, when) if not isinstance(when, datetime) else None
+    if is_kept is None and dates:
+        is_kept = _from_date(logs.trajectories[dates[0]], when)
+    if is_kept is None or not is_kept.any():
+        there = " to ".join(shown(logs.trajectory_ids[k]) for k in (0, -1))
+        there += f", or a date by its column {dates[0]!r}" if dates else ""
+        raise ArgumentError(f"since is {when!s:.80}, and the log has no such trajectory; give the name of one, {there}")
+    return logs if is_kept.all() else logs.select(logs.trajectory_ids[is_kept])
+
+
+def _from_name(logs: Logs, when: Any) -> Any:
+    names = pd.Index(logs.trajectory_ids)
+    at = names.map(str).get_indexer([str(when)])[0]
+    return None if at < 0 else pd.RangeIndex(len(names)) >= at
+
+
+def _from_date(dates: Any, when: Any) -> Any:
+    date: Any = pd.to_datetime(when, errors="coerce") if isinstance(when, str | datetime) else pd.NaT
+    if pd.isna(date):
+        return None
+    if (date.tzinfo is None) != (dates.dt.tz is None):
+        date = date.tz_localize(None) if dates.dt.tz is None else date.tz_localize(dates.dt.tz)
+    return (dates >= date).to_numpy()

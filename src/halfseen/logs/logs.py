@@ -1,9 +1,6 @@
-"""The record of what happened: trajectories, their stages, the objects that stood there; its summary and breakdown."""
+"""The record of what happened: trajectories, their stages, the objects that stood there."""
 
-import math
-from collections import Counter
 from copy import copy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +9,14 @@ import pandas as pd
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
-from halfseen.logs.checks import checked_objects, checked_stages, checked_trajectories, complete_stages
+from halfseen.logs.checked_tables import checked_objects, checked_stages, checked_trajectories, complete_stages
 from halfseen.logs.columns import (
     FINISHED,
     OBJECT_COLUMNS,
-    ROBOT,
     STAGE_COLUMNS,
     TRAJECTORY_COLUMNS,
     FrameLike,
     as_frame,
-    checked_unit,
     is_stage_covariate,
     require_columns,
     shown,
@@ -29,103 +24,9 @@ from halfseen.logs.columns import (
 )
 from halfseen.logs.folder import write_tables
 from halfseen.logs.missing import KEEP, Filling, Missing
+from halfseen.logs.summary import LogsSummary, SummaryTally
+from halfseen.logs.units import checked_unit
 from halfseen.shapes import Float
-
-
-@dataclass(frozen=True)
-class LogsSummary:
-    """Counts of a log.
-
-    Parameters
-    ----------
-    num_trajectories, num_finished, num_cut
-        Trajectories, and how they ended.
-    cut_share
-        Proportion of the trajectories that were cut, in [0, 1].
-    causes
-        Number of trajectories for each cause of a cut, the most frequent first.
-    num_stages, num_completed
-        Stages of all trajectories, and those that were completed.
-    horizon
-        Stages of the longest trajectory.
-    shortest_s, longest_s
-        The earliest and the latest observed end of a trajectory [s].
-    actions
-        Number of completed stages for each action, the most frequent first.
-    num_objects
-        Number of different objects' names; 0 where the stages have none.
-    """
-
-    num_trajectories: int
-    num_finished: int
-    num_cut: int
-    cut_share: float
-    causes: dict[str, int]
-    num_stages: int
-    num_completed: int
-    horizon: int
-    shortest_s: float
-    longest_s: float
-    actions: dict[str, int]
-    num_objects: int
-
-    def __str__(self) -> str:
-        trajectories = "trajectory" if self.num_trajectories == 1 else "trajectories"
-        stages = "1 stage" if self.horizon == 1 else f"{self.horizon} stages"
-        return (
-            f"{self.num_trajectories} {trajectories} of up to {stages} and {self.longest_s:.4g} s: {self.num_finished} "
-            f"finished, {self.num_cut} cut ({self.cut_share:.0%})."
-        )
-
-
-class SummaryTally:
-    """Counts a log that comes in parts."""
-
-    def __init__(self) -> None:
-        self._count: Counter[str] = Counter()
-        self._horizon, self._shortest_s, self._longest_s = 0, math.inf, -math.inf
-        self._causes: Counter[str] = Counter()
-        self._actions: Counter[str] = Counter()
-        self._objects: set[Any] = set()
-
-    def add(self, trajectories: pd.DataFrame, stages: pd.DataFrame, objects: pd.DataFrame | None) -> None:
-        """Count the checked tables of a part."""
-        actions = stages["action"][stages["elapsed_s"].notna()]
-        self._count["num_trajectories"] += len(trajectories)
-        self._count["num_finished"] += int((trajectories["ending"] == FINISHED).sum())
-        self._count["num_stages"] += len(stages)
-        self._count["num_completed"] += len(actions)
-        self._horizon = max(self._horizon, int(stages["stage"].max()))
-        self._shortest_s = min(self._shortest_s, float(trajectories["end_s"].min()))
-        self._longest_s = max(self._longest_s, float(trajectories["end_s"].max()))
-        self._causes += _counts(trajectories["cause"])
-        self._actions += _counts(actions)
-        if objects is not None:
-            self._objects.update(objects["object"].unique())
-
-    def summary(self) -> LogsSummary:
-        """What was counted."""
-        num_cut = self._count["num_trajectories"] - self._count["num_finished"]
-        return LogsSummary(
-            **self._count,
-            num_cut=num_cut,
-            cut_share=1.0 - self._count["num_finished"] / self._count["num_trajectories"],
-            causes=_ranked(self._causes),
-            horizon=self._horizon,
-            shortest_s=self._shortest_s,
-            longest_s=self._longest_s,
-            actions=_ranked(self._actions),
-            num_objects=len(self._objects),
-        )
-
-
-def _counts(values: Any) -> Counter[str]:
-    return Counter({str(value): int(count) for value, count in values.value_counts(sort=False).items() if count})
-
-
-def _ranked(counts: Counter[str]) -> dict[str, int]:
-    """Put the most frequent first; equal counts stand in the order of the names, so the same log reads the same."""
-    return dict(sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 class Logs:
@@ -197,8 +98,8 @@ class Logs:
         self._reward_unit = checked_unit(reward_unit)
         ends = checked_trajectories(as_frame("trajectories", trajectories, TRAJECTORY_COLUMNS))
         rows = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), ends)
-        rows, self._filling = complete_stages(rows, missing)
-        self._keeps_null = missing == KEEP
+        rows, filling = complete_stages(rows, missing)
+        self._missing = KEEP if missing == KEEP else filling
         self._objects = None
         if objects is not None:
             there = checked_objects(as_frame("objects", objects, OBJECT_COLUMNS), rows, ends)
@@ -231,12 +132,12 @@ class Logs:
     @property
     def filling(self) -> Filling | None:
         """What stands for covariates that were null; None where null is refused, or stands."""
-        return self._filling
+        return self._missing if isinstance(self._missing, Filling) else None
 
     @property
     def missing(self) -> Filling | str | None:
         """What was said of null, and learned: what a part of this log, or the like of it, is made with."""
-        return KEEP if self._keeps_null else self._filling
+        return self._missing
 
     def in_unit(self, reward_unit: str | None) -> "Logs":
         """The same log with rewards that are said to be counted in this unit; no number changes.
@@ -321,6 +222,15 @@ class Logs:
         values[np.cumsum(stage == 1) - 1, stage - 1] = self._stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
         return values
 
+    def durations_s(self) -> Float[np.ndarray, " rows"]:
+        """Duration of each stage [s]; NaN where it was not completed."""
+        return self._stages["elapsed_s"].to_numpy(dtype=np.float64) - self.begun_s()
+
+    def begun_s(self) -> Float[np.ndarray, " rows"]:
+        """Clock at which each stage began [s]."""
+        elapsed_s = self._stages["elapsed_s"].to_numpy(dtype=np.float64)
+        return np.where(self._stages["stage"].to_numpy() == 1, 0.0, np.append(0.0, elapsed_s[:-1]))
+
     @property
     def has_objects(self) -> bool:
         """Whether the stages have objects."""
@@ -374,103 +284,3 @@ class Logs:
             The folder exists, or cannot be written.
         """
         write_tables(Path(folder), self.tables, overwrite=overwrite, reward_unit=self._reward_unit)
-
-
-def by_cause(logs: Logs) -> list[dict[str, Any]]:
-    """Describe each cause of a cut, the most frequent first: its trajectories, when they were cut, in which stages.
-
-    Returns
-    -------
-    list of dict
-        cause, num_trajectories, share (proportion of the cuts), earliest, median and latest end [s], first and last
-        stage.
-    """
-    last_stage: Any = logs.stages.groupby("trajectory")["stage"].max()
-    cut: Any = logs.trajectories[~logs.is_finished]
-    cut = cut.assign(stage=last_stage.reindex(cut["trajectory"]).to_numpy())
-    rows = [
-        {
-            "cause": str(cause),
-            "num_trajectories": len(rows),
-            "share": len(rows) / len(cut),
-            "earliest_s": float(rows["end_s"].min()),
-            "median_s": float(rows["end_s"].median()),
-            "latest_s": float(rows["end_s"].max()),
-            "first_stage": int(rows["stage"].min()),
-            "last_stage": int(rows["stage"].max()),
-        }
-        for cause, rows in cut.groupby("cause")
-    ]
-    return sorted(rows, key=lambda row: (-row["num_trajectories"], row["cause"]))
-
-
-def by_action(logs: Logs) -> list[dict[str, Any]]:
-    """Describe each action that was completed, the most frequent first: its stages, durations and rewards.
-
-    Returns
-    -------
-    list of dict
-        action, num_stages, share (a proportion of the completed stages), the median duration [s], the mean reward, and
-        the mean and the smallest probability with which it was taken, None where that was not logged.
-    """
-    columns = logs.stages.columns.intersection(["action", "reward", "probability"])
-    stages: Any = logs.stages[columns].assign(duration_s=durations_s(logs))
-    stages = stages[logs.stages["elapsed_s"].notna()]
-    rows = [
-        {
-            "action": str(action),
-            "num_stages": len(rows),
-            "share": len(rows) / len(stages),
-            "median_s": float(rows["duration_s"].median()),
-            "mean_reward": float(rows["reward"].mean()),
-            "mean_probability": float(rows["probability"].mean()) if "probability" in rows else None,
-            "smallest_probability": float(rows["probability"].min()) if "probability" in rows else None,
-        }
-        for action, rows in stages.groupby("action", observed=True)
-    ]
-    return sorted(rows, key=lambda row: (-row["num_stages"], row["action"]))
-
-
-def by_robot(logs: Logs) -> list[dict[str, Any]]:
-    """Count the decisions of each robot of a log of several, in the order of their names.
-
-    Returns
-    -------
-    list of dict
-        robot, num_decisions, share (a proportion of the stages); none where stages do not say which robot decided.
-    """
-    made = logs.stages[ROBOT].value_counts().sort_index() if ROBOT in logs.stages.columns else pd.Series(dtype=int)
-    return [
-        {"robot": str(robot), "num_decisions": int(number), "share": int(number) / len(logs.stages)}
-        for robot, number in made.items()
-    ]
-
-
-def by_stage(logs: Logs) -> list[dict[str, Any]]:
-    """Describe each stage: how many trajectories began and completed it, were cut in it, and how long it took.
-
-    Returns
-    -------
-    list of dict
-        stage, num_begun, num_completed, num_cut, and quantiles (5 %, 50 %, 95 %) of its duration [s], None where no
-        trajectory completed it.
-    """
-    table: list[dict[str, Any]] = []
-    stage: Any
-    for stage, duration_s in pd.Series(durations_s(logs)).groupby(logs.stages["stage"].to_numpy()):
-        took_s: Any = duration_s.dropna()
-        low, middle, high = took_s.quantile([0.05, 0.5, 0.95]).tolist() if len(took_s) else (None, None, None)
-        counts = {"num_begun": len(duration_s), "num_completed": len(took_s), "num_cut": len(duration_s) - len(took_s)}
-        table.append({"stage": int(stage), **counts, "duration_5_s": low, "median_s": middle, "duration_95_s": high})
-    return table
-
-
-def durations_s(logs: Logs) -> np.ndarray:
-    """Duration of each stage [s], shape (rows of stages,); NaN where it was not completed."""
-    return logs.stages["elapsed_s"].to_numpy(dtype=np.float64) - begun_s(logs)
-
-
-def begun_s(logs: Logs) -> np.ndarray:
-    """Clock at which each stage began [s], shape (rows of stages,)."""
-    elapsed_s = logs.stages["elapsed_s"].to_numpy(dtype=np.float64)
-    return np.where(logs.stages["stage"].to_numpy() == 1, 0.0, np.append(0.0, elapsed_s[:-1]))

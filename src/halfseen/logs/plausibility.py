@@ -30,7 +30,7 @@ import pandas as pd
 
 from halfseen.arrays import RowIds, RowMask, Rows
 from halfseen.logs.grouping import Grouped, coded, grouped_covariates, rows_with
-from halfseen.logs.logs import Logs, durations_s
+from halfseen.logs.logs import Logs
 from halfseen.shapes import Float
 
 LEVEL = 1e-3
@@ -132,15 +132,7 @@ def _too_few_others(probability: Rows) -> Iterator[str]:
 
 
 def leaks(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
-    """Find covariates that depend on the action of their own stage, so that they were written down after it.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    of
-        Names of covariates; None for all.
-    """
+    """Find covariates, of all or those named, that depend on their own stage's action: written down after it."""
     stages, probability = _with_probability(logs)
     if len(stages) < FEWEST or logs.has_objects or any(untrue_probabilities(logs)):
         return
@@ -178,15 +170,7 @@ def _with_probability(logs: Logs) -> tuple[Any, Rows]:
 
 
 def outcomes_among_covariates(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
-    """Find covariates that repeat the outcome of their stage.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    of
-        Names of covariates; None for all.
-    """
+    """Find covariates, of all or those named, that repeat the outcome of their stage."""
     stages = rows_with(logs.stages, "reward", "action", most=MOST_REWARDS)
     if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
         return
@@ -250,7 +234,7 @@ def _before(stages: Any, each: Grouped) -> Float[np.ndarray, "m k"]:
 def cuts_called_finished(logs: Logs) -> Iterator[str]:
     """Find finished trajectories that look as if they had been cut."""
     stages: Any = logs.stages
-    lasted_s: Any = pd.Series(durations_s(logs))
+    lasted_s: Any = pd.Series(logs.durations_s())
     is_last = ~stages.duplicated("trajectory", keep="last")
     finished = logs.trajectory_ids[logs.is_finished]
     is_end = is_last & stages["trajectory"].isin(finished) & (stages["stage"] < logs.horizon)

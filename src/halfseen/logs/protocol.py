@@ -22,11 +22,13 @@ import socket
 import stat
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
+from inspect import signature
 from pathlib import Path
-from typing import Any, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Protocol, runtime_checkable
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.logs.recorder import LogRecorder
+from halfseen.logs.trajectory_recorder import TrajectoryRecorder
 from halfseen.suggestions import did_you_mean
 
 MOST_BYTES = 1_000_000
@@ -45,36 +47,19 @@ class Lines(Protocol):
         ...
 
 
-class Call(NamedTuple):
-    """What a call takes."""
-
-    names: tuple[str, ...]
-    num_needed: int = 0
-    """How many of them cannot be left out."""
+def _takes(name: str) -> dict[str, bool]:
+    """What a call takes, and whether it cannot be left out."""
+    _, *takes = signature(getattr(TrajectoryRecorder, name)).parameters.values()
+    return {each.name: each.default is each.empty for each in takes}
 
 
-CALLS = {
-    "begin_trajectory": Call(("name", "columns")),
-    "begin_stage": Call(("covariates", "objects", "action", "object", "probability", "robot", "stepped_back")),
-    "complete_stage": Call(("reward", "elapsed_s", "own_rewards"), 1),
-    "drop_out": Call(("robot", "cause", "elapsed_s"), 2),
-    "still_running": Call(("elapsed_s",)),
-    "finish": Call(("elapsed_s",)),
-    "cut": Call(("cause", "elapsed_s"), 1),
-}
+_NAMES = ("begin_stage", "complete_stage", "drop_out", "still_running", "finish", "cut")
+CALLS = {"begin_trajectory": {"name": False, "columns": False}} | {name: _takes(name) for name in _NAMES}
+"""What each call takes, and whether it cannot be left out."""
 
 
 def record_lines(recorder: LogRecorder, lines: Lines, answer: Callable[[str], object]) -> None:
     """Record what lines say until they end, and then cut the trajectory in progress.
-
-    Parameters
-    ----------
-    recorder
-        Where to.
-    lines
-        The calls.
-    answer
-        Takes the answer to each, a line without its end.
 
     Raises
     ------
@@ -122,11 +107,11 @@ def call_of(line: bytes) -> tuple[str, dict[str, Any]]:
         )
     takes = CALLS[name]
     for key in given:
-        if key not in takes.names:
-            raise LogError(f"{name} takes no {key[:40]!r}; it takes {', '.join(takes.names)}")
+        if key not in takes:
+            raise LogError(f"{name} takes no {key[:40]!r}; it takes {', '.join(takes)}")
     given = {key: value for key, value in given.items() if value is not None}
-    for key in takes.names[: takes.num_needed]:
-        if key not in given:
+    for key, is_needed in takes.items():
+        if is_needed and key not in given:
             raise LogError(f"{name} needs {key}; give it")
     return name, given
 
@@ -218,17 +203,7 @@ def _remove_left(file: Path) -> None:
 def record_clients(
     recorder: LogRecorder, listener: socket.socket, on_gone: Callable[[], object] = lambda: None
 ) -> None:
-    """Record what clients say, one after the other, for ever; a trajectory that one leaves in progress is cut.
-
-    Parameters
-    ----------
-    recorder
-        Where to.
-    listener
-        Where they come.
-    on_gone
-        Called when one has gone.
-    """
+    """Record what clients say, one after the other, for ever; a trajectory that one leaves in progress is cut."""
     while True:
         connection, _ = listener.accept()
         with connection, connection.makefile("rb") as lines:

@@ -18,15 +18,16 @@ in five crash, by up to 7 %. Call `TrajectoryRecorder.still_running` from the co
 a second; the same weights are then within 1 %. Where crashes are few, neither matters.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 
 from halfseen.errors import LogError, NothingRecordedError, within
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, common_unit, is_own_reward, shown
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_own_reward, shown
 from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
+from halfseen.logs.units import common_unit
 from halfseen.reading import reason_of
 
 JUST_BEFORE = 0.01
@@ -268,3 +269,12 @@ def _column(name: str, values: list[Any]) -> pa.Array:
         raise LogError(
             f"what it holds of {shown(name)} makes no column ({reason_of(error)}); record one kind of value in it"
         ) from error
+
+
+def followed(events: Sequence[dict[str, Any]]) -> RecordedTrajectory:
+    """Follow the events of one trajectory, the beginning of its first stage first."""
+    first, *others = events
+    trajectory = RecordedTrajectory(first)
+    for event in others:
+        trajectory.add(event)
+    return trajectory

@@ -3,9 +3,7 @@
 A shard is whole trajectories that stand one after another, which any process can read alone.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from itertools import islice
-from pathlib import Path
+from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +13,7 @@ import pyarrow.compute
 
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import ArgumentError, LogError, within
-from halfseen.logs.checks import checked_trajectories
+from halfseen.logs.checked_tables import checked_trajectories
 from halfseen.logs.columns import (
     FINISHED,
     NEEDED,
@@ -26,16 +24,7 @@ from halfseen.logs.columns import (
     require_columns,
     shown,
 )
-from halfseen.logs.folder import (
-    MANIFEST,
-    ROWS_IN_GROUP,
-    Folder,
-    Place,
-    broken_table,
-    place_of,
-    read_folder,
-    read_manifest,
-)
+from halfseen.logs.folder import Folder, Place, place_of, read_manifest, whole_table
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Filling, Missing, learned_filling
 
@@ -105,14 +94,28 @@ class ShardReader:
         kept
             Numbers of the trajectories to keep, counted from the beginning of the part; None for all.
         """
-        tables = {
-            name: self._tables[name].rows(*ends)
-            for name, ends in {**part.rows, "trajectories": part.trajectories}.items()
-        }
+        ends = {**part.rows, "trajectories": part.trajectories}
+        tables = {name: self._tables[name].rows(*rows) for name, rows in ends.items()}
+        names = tables["trajectories"]["trajectory"]
+        for name, table in tables.items():
+            _refuse_others(self._folder.place / f"{name}.parquet", table["trajectory"], names.to_pylist())
         if kept is None:
             return tables
-        names = tables["trajectories"]["trajectory"].take(kept)
-        return {name: table.filter(compute.is_in(table["trajectory"], names)) for name, table in tables.items()}
+        kept_names = names.take(kept)
+        return {name: table.filter(compute.is_in(table["trajectory"], kept_names)) for name, table in tables.items()}
+
+
+_REMEDY = "write the logs by Logs.write or write_stream, which sort them"
+
+
+def _refuse_others(file: Place, trajectories: pa.ChunkedArray, names: list[Any]) -> None:
+    """Refuse rows of other trajectories than those that stand there."""
+    for found, name in zip(trajectories.unique().to_pylist(), names, strict=True):
+        if found != name:
+            raise LogError(
+                f"{file}: rows of trajectory {shown(found)} stand where trajectories.parquet has trajectory "
+                f"{shown(name)}; {_REMEDY}"
+            )
 
 
 def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
@@ -144,22 +147,13 @@ class _Table:
 
     def _group(self, group: int) -> pa.Table:
         if self._held is None or self._held[0] != group:
-            try:
+            with whole_table(self._file_name):
                 self._held = group, self._file.read_row_group(group)
-            except (OSError, pa.ArrowException) as error:
-                raise broken_table(self._file_name, error) from error
         return self._held[1]
 
 
 def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
     """Deal the parts of a folder into shards, by its size alone.
-
-    Parameters
-    ----------
-    folder
-        The folder, whose tables are sorted by trajectory.
-    trajectories_at_once
-        Trajectories of a part.
 
     Raises
     ------
@@ -193,29 +187,13 @@ def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
     if num_trajectories != folder.num_rows["trajectories"]:
         raise LogError(
             f"{folder.place / name}.parquet: the rows of its trajectories do not stand together, or a trajectory has "
-            "none; write the logs by Logs.write or write_stream, which sort them"
+            f"none; {_REMEDY}"
         )
     return np.concatenate([*found, [num_rows]])
 
 
-def tables_of_size(batches: Iterable[pa.RecordBatch], size: int) -> Iterator[pa.Table]:
-    """Put batches together, and cut them into tables of as many rows each, but for the last one."""
-    held: list[pa.RecordBatch] = []
-    for batch in batches:
-        held.append(batch)
-        while sum(map(len, held)) >= size:
-            table = pa.Table.from_batches(held)
-            yield table.slice(0, size)
-            held = table.slice(size).to_batches()
-    if held:
-        yield pa.Table.from_batches(held)
-
-
 TRAJECTORIES_AT_ONCE = 2_000
 """Trajectories that are held in memory at once."""
-
-MOST_STAGES_IN_MEMORY = 500_000
-"""A log of more is read in passes where nothing else is said (`opened`)."""
 
 
 class LogStream:
@@ -306,13 +284,7 @@ class LogStream:
         LogError
             Stages or objects are not sorted by trajectory.
         """
-        try:
-            return shards_of(self.as_folder, self.trajectories_at_once)
-        except LogError:
-            # Anyone who reads them one after the other can tell which trajectory is out of place.
-            for _ in self:
-                pass
-            raise
+        return shards_of(self.as_folder, self.trajectories_at_once)
 
     @property
     def horizon(self) -> int:
@@ -359,135 +331,18 @@ class LogStream:
 
     def __iter__(self) -> Iterator[Logs]:
         """Read the parts, one after the other, from the beginning."""
-        readers = {
-            name: _TrajectoryReader(self.as_folder, name) for name in self.as_folder.num_rows if name != "trajectories"
-        }
-        for part in self._trajectory_tables(self.trajectories_at_once):
-            names: Any = part["trajectory"]
-            tables: dict[str, Any] = {name: reader.upto(names) for name, reader in readers.items()}
-            with within(self.folder):
-                logs = Logs(trajectories=part, **tables, reward_unit=self.reward_unit, missing=self.filling)
-            yield logs
-        for reader in readers.values():
-            reader.refuse_leftover()
+        reader = ShardReader(self.as_folder)
+        return (reader.read(part) for shard in self.shards() for part in shard.parts)
 
-    def _trajectory_tables(self, size: int = ROWS_IN_GROUP) -> Iterator[pd.DataFrame]:
-        """Read the table of trajectories in parts of a size, each checked, and sorted after the one before."""
+    def _trajectory_tables(self) -> Iterator[pd.DataFrame]:
+        """Read the table of trajectories in parts, each checked, and sorted after the one before."""
         last: Any = None
-        for table in tables_of_size(self.as_folder.batches("trajectories"), size):
+        for batch in self.as_folder.batches("trajectories"):
             with within(self.folder):
-                frame = as_frame("trajectories", table)
+                frame = as_frame("trajectories", pa.Table.from_batches([batch]))
                 trajectories = checked_trajectories(frame)
                 names = trajectories["trajectory"].to_numpy()
                 if not (names == frame["trajectory"].to_numpy()).all() or (last is not None and not names[0] > last):
-                    raise LogError(
-                        "trajectories.parquet is not sorted by trajectory, or has one twice; write the logs by "
-                        "Logs.write or write_stream, which sort them"
-                    )
+                    raise LogError(f"trajectories.parquet is not sorted by trajectory, or has one twice; {_REMEDY}")
             last = names[-1]
             yield trajectories
-
-
-def read_logs(folder: str | Place, *, missing: Missing = None) -> Logs:
-    """Read a folder that `Logs.write` or a `LogRecorder` wrote, or one of CSV files, and check it again.
-
-    A recorder's folder can be read at any time. A trajectory that a crash tore has the cause "crash"; one that is being
-    recorded has the cause "still-running".
-
-    Parameters
-    ----------
-    folder
-        The folder; its address, where it lies in an object store, as Parquet files.
-    missing
-        What stands for covariates of the stages that are null, as `Logs` takes it.
-
-    Raises
-    ------
-    LogError
-        The folder or one of its files is missing, broken or of another version, or the tables break an invariant.
-    """
-    folder = place_of(folder)
-    is_here = isinstance(folder, Path)
-    if is_here and (folder / "stages.csv").is_file() and not (folder / MANIFEST).exists():
-        # Formats know logs, not the other way round.
-        from halfseen.logs.formats.csv_folder import read_csv
-
-        return read_csv(folder, missing=missing)
-    tables = read_folder(folder)
-    with within(folder):
-        return Logs(**tables, missing=missing)
-
-
-def opened(folder: str | Place, streaming: bool | None = None, *, missing: Missing = None) -> Logs | LogStream:
-    """Read a log, or, if it is one of many stages, open it to be read in passes.
-
-    Parameters
-    ----------
-    folder
-        A log of any form, or the address of one of Parquet files in an object store.
-    streaming
-        Whether it is to be read in passes; None for what suits its size.
-    missing
-        What stands for covariates of the stages that are null, as `Logs` takes it.
-
-    Raises
-    ------
-    LogError
-        The folder or one of its files is missing or broken, or it is to be read in passes and its form cannot.
-    """
-    folder = place_of(folder)
-    # In a store there is no other form.
-    is_parquet = not isinstance(folder, Path) or (folder / MANIFEST).is_file()
-    if streaming and not is_parquet:
-        raise LogError(
-            f"{folder}: only folders of Parquet files are read in passes; make one of it: halfseen convert {folder} "
-            "--out FOLDER"
-        )
-    if streaming is None:
-        streaming = is_parquet and read_manifest(folder).num_rows["stages"] > MOST_STAGES_IN_MEMORY
-    return LogStream(folder, missing=missing) if streaming else read_logs(folder, missing=missing)
-
-
-def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
-    """Parts of a log, which is one in memory."""
-    return [log] if isinstance(log, Logs) else log
-
-
-class _TrajectoryReader:
-    """Hands out a table's rows by trajectory; those of one stand together, in the order of trajectories."""
-
-    def __init__(self, folder: Folder, name: str) -> None:
-        self._file = folder.place / f"{name}.parquet"
-        self._batches = folder.batches(name)
-        self._held: list[pa.RecordBatch] = []
-
-    def upto(self, trajectories: pd.Series) -> pa.Table:
-        """Take the rows of these trajectories, which are the next ones."""
-        taken = []
-        while self._is_left():
-            batch = self._held.pop()
-            others = np.flatnonzero(~batch["trajectory"].to_pandas().isin(trajectories).to_numpy())
-            end = int(others[0]) if len(others) else len(batch)
-            taken += [batch.slice(0, end)] if end else []
-            if end < len(batch):
-                self._held.append(batch.slice(end))
-                break
-        if not taken:
-            raise LogError(
-                f"{self._file}: no row of trajectory {shown(trajectories.iloc[0])} comes next, as trajectories.parquet "
-                "has it; write the logs by Logs.write or write_stream, which sort them"
-            )
-        return pa.Table.from_batches(taken)
-
-    def refuse_leftover(self) -> None:
-        """Refuse rows that belong to no trajectory, or stand out of order."""
-        if self._is_left():
-            trajectory = self._held[0]["trajectory"][0].as_py()
-            raise LogError(
-                f"{self._file}: rows of trajectory {shown(trajectory)} stand where trajectories.parquet has none; "
-                "write the logs by Logs.write or write_stream, which sort them"
-            )
-
-    def _is_left(self) -> bool:
-        self._held = self._held or list(islice(self._batches, 1))
-        return bool(self._held)

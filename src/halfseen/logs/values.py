@@ -12,17 +12,8 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.columns import (
-    LARGEST_FRACTION,
-    OBJECT_COLUMNS,
-    STAGE_COLUMNS,
-    STEPPED_BACK,
-    TRAJECTORY_COLUMNS,
-    is_of_one_robot,
-    shown,
-)
+from halfseen.logs.columns import LARGEST_FRACTION, OWN_NAMES, STEPPED_BACK, is_of_one_robot, shown
 
-_OWN_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 _LARGEST_WHOLE = 2**63
 
 _NUMBER, _FRACTION, _HUGE, _TEXT, _TRUTH = "number", "fraction", "whole number beyond 2^53", "text", "truth value"
@@ -215,7 +206,7 @@ def _row(
         if not isinstance(name, str):
             raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
         is_new, what = known is None or name not in known, f"{word} {_written(name)}"
-        if is_new and (name.strip().lower() in _OWN_NAMES or is_of_one_robot(name)):
+        if is_new and (name.strip().lower() in OWN_NAMES or is_of_one_robot(name)):
             raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
         if value is None and word == "column":
             continue

@@ -20,7 +20,6 @@ from halfseen.censoring import KaplanMeier
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.logs.logs import durations_s
 from halfseen.monitoring.change_point import change_point
 from halfseen.monitoring.diagnosis import part_words
 from halfseen.monitoring.monitor import looks_at_of
@@ -151,7 +150,7 @@ def _outcomes(
     goes_on = np.append(place[1:] == place[:-1], False)
     after = np.where(goes_on[:, None], np.roll(states, -1, axis=0), np.nan)
     reward = logs.stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)
-    values = [reward, np.log(np.maximum(durations_s(logs), 1e-9)), *after.T]
+    values = [reward, np.log(np.maximum(logs.durations_s(), 1e-9)), *after.T]
     return dict(zip((*WHATS, *looks_at.names), values, strict=True))
 
 

@@ -1,11 +1,11 @@
 """What a depth camera sees on a table: cloud → table plane → objects → who hides whom.
 
-Read down: `clouds` (what a camera returned), `pinhole` (which camera a pixel grid shows), `frames` (which frame points
-are in), `formats` (the files that hold them), `sensor` (how far it errs) → `range_image` → `plane` (the table) →
-`objects` (sheets above it) → `solids` (what completes them), `walls` (by how much points miss them), `marquardt`
-(making that small), `vessel_fits` → `polygons`, `silhouette` → `splitting`, `grouping` (sheets → objects) → `extension`
-(hidden ends) → `occlusion` (who hides whom) → `view` (all of it) → `picture`, `tracking` (which object is which of the
-look before); `colours` (of its pixels) → `labels` (what looks dirty), `label_files`; `kind` (are these cups at all).
+Read down: `clouds` (what a camera returned), `sensor` (how far it errs, and which camera a pixel grid shows), `frames`
+(which frame points are in), `formats` (the files that hold them) → `range_image` → `plane` (the table) → `objects`
+(sheets above it) → `solids` (what completes them), `walls` (by how much points miss them), `marquardt` (making that
+small), `vessel_fits` → `silhouette` → `splitting`, `grouping` (sheets → objects) → `occlusion` (hidden ends, and who
+hides whom) → `view` (all of it) → `picture`, `tracking` (which object is which of the look before); `labels` (what
+looks dirty), `label_files`; `kind` (are these cups at all).
 """
 
 from halfseen.perception.clouds import Cloud

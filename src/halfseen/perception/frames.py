@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation as Turn
 from halfseen.arrays import Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Rotation, Vector, returned
-from halfseen.perception.pinhole import NUM_ASKED, aligned_pinhole, pixels_of_returns, turned_pinhole
+from halfseen.perception.sensor import NUM_ASKED, aligned_pinhole, pixels_of_returns, turned_pinhole
 
 # What moves no point by more is none [m].
 LEAST_MOVE_M = 1e-3

@@ -9,17 +9,18 @@ from scipy.spatial import KDTree
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Vector
-from halfseen.perception.pinhole import (
+from halfseen.perception.sensor import (
     FEWEST_RETURNS,
     LARGEST_REPROJECTION_PX,
     NUM_ASKED,
+    XTION,
+    DepthSensor,
     Pinhole,
     aligned_pinhole,
     misfit_px,
     pixels_of_returns,
     turned_pinhole,
 )
-from halfseen.perception.sensor import XTION, DepthSensor
 from halfseen.shapes import Bool, Float, Int
 
 # A virtual pixel is this much wider than the median distance between neighbouring rays, so that few stay empty.

@@ -9,10 +9,9 @@ from scipy.spatial import QhullError
 from halfseen.arrays import Hides, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Vector
-from halfseen.perception.extension import extended
 from halfseen.perception.grouping import objects_of_sheets
 from halfseen.perception.objects import Labels, pixels_of, sheets_on_table
-from halfseen.perception.occlusion import Occlusion, occlusions
+from halfseen.perception.occlusion import Occlusion, extended, occlusions
 from halfseen.perception.plane import Plane, find_table
 from halfseen.perception.range_image import Pixels, RangeImage, range_image
 from halfseen.perception.sensor import XTION, DepthSensor

@@ -1,6 +1,6 @@
 """The physical table: cups that stand or lie, and the depth camera that half sees them.
 
-Data go this way: `cups` (shapes) → `layout` (where they start) → `settle` (physics) → `draw` (which tables are kept) →
+Data go this way: `cups` (shapes) → `draw` (where they start, physics, which tables are kept) →
 `view` (what an ideal camera sees) → `xtion` (what the sensor makes of it) → `stains` (what is on the walls of cups) →
 `colours` (what a colour camera sees of it) → `record` (cloud and truth) → `shipped` (the ten tables that come with the
 package).
@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from halfseen.scene.record import Capture, capture
     from halfseen.scene.shipped import read_table, read_truth, table_paths
     from halfseen.scene.stains import Stain, Surface, draw_surface
-    from halfseen.scene.table import Table
-    from halfseen.scene.truth import Truth
+    from halfseen.scene.table import Table, Truth
 
 __all__ = [
     "Camera",
@@ -50,7 +49,7 @@ __getattr__ = lazy_names(
         "Stain": "stains",
         "Surface": "stains",
         "Table": "table",
-        "Truth": "truth",
+        "Truth": "table",
         "capture": "record",
         "draw_surface": "stains",
         "random_table": "draw",

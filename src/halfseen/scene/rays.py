@@ -1,4 +1,8 @@
-"""Ray casting: what a ray from one point meets first."""
+"""What rays from one point meet first: those of MuJoCo, and of facets by rays that lie in the rows of a picture.
+
+Rays from one point meet a facet where it covers the picture. A row crosses it in one span, between whose ends every ray
+meets it, at a depth whose inverse is linear in row and column. So a facet costs as much as the rows that it covers.
+"""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
@@ -8,6 +12,7 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from halfseen.arrays import Intrinsics
 from halfseen.shapes import Float, Int
 
 Directions = Float[np.ndarray, "rays 3"]
@@ -81,3 +86,152 @@ def cast(
     body = np.where(is_hit, model.geom_bodyid[np.maximum(geom, 0)], -1).astype(np.int64)
     normal = normal.reshape(-1, 3)
     return Hits(np.where(is_hit, distance_m, np.nan), body, np.where(is_hit[:, None], normal, np.nan))
+
+
+Corners = Float[np.ndarray, "facets 3 3"]
+
+
+@dataclass(frozen=True)
+class RowRays:
+    """Rays from the origin of a camera's frame, in any order.
+
+    Parameters
+    ----------
+    row
+        Whole number [px].
+    column
+        Anywhere, also beside the picture [px].
+    """
+
+    row: Int[np.ndarray, " rays"]
+    column: Float[np.ndarray, " rays"]
+
+
+@dataclass(frozen=True)
+class Met:
+    """What each ray met first.
+
+    Parameters
+    ----------
+    depth_m
+        Along the camera's z axis [m]; infinite where nothing was met.
+    facet
+        Which facet; −1 where none was.
+    """
+
+    depth_m: Float[np.ndarray, " rays"]
+    facet: Int[np.ndarray, " rays"]
+
+
+@dataclass(frozen=True)
+class _Facing:
+    """Facets that show their outer side, in homogeneous pixels; rows and columns of numbers are (column, row, 1).
+
+    `edges` are the lines through their sides, not negative within; `inverse_depth` is 1/z [1/m]; they cover
+    `num_rows` rows from `top` on.
+    """
+
+    facet: Int[np.ndarray, " facing"]
+    edges: Float[np.ndarray, "facing 3 3"]
+    inverse_depth: Float[np.ndarray, "facing 3"]
+    top: Int[np.ndarray, " facing"]
+    num_rows: Int[np.ndarray, " facing"]
+
+
+@dataclass(frozen=True)
+class _Spans:
+    """Where rows cross facets: from `left` to `right` [px]; `facing` counts through `_Facing`."""
+
+    facing: Int[np.ndarray, " spans"]
+    row: Int[np.ndarray, " spans"]
+    left: Float[np.ndarray, " spans"]
+    right: Float[np.ndarray, " spans"]
+
+
+def first_met(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> Met:
+    """Find the first facet that each ray meets.
+
+    Parameters
+    ----------
+    corners_m
+        Corners of facets in the camera's frame, counterclockwise as seen from outside [m]. They may lie behind the
+        camera. The facets bound solids, none of which holds the camera: inner sides are not met.
+    intrinsics
+        Of the picture whose rows and columns the rays name [px].
+    rays
+        The rays.
+    """
+    num_rays = len(rays.row)
+    inverse_depth, facet = np.zeros(num_rays), np.full(num_rays, -1)
+    if num_rays:
+        facing = _facing(corners_m, intrinsics, rays)
+        which, ray = _meetings(_spans(facing, rays), rays)
+        a, b, c = facing.inverse_depth[which].T
+        each = a * rays.column[ray] + b * rays.row[ray] + c
+        np.maximum.at(inverse_depth, ray, each)
+        is_first = each == inverse_depth[ray]
+        facet[ray[is_first]] = facing.facet[which[is_first]]
+    with np.errstate(divide="ignore"):
+        return Met(1.0 / inverse_depth, facet)
+
+
+def _facing(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> _Facing:
+    """Facets that show their outer side among the rays' rows and columns."""
+    corners = corners_m @ intrinsics.T
+    top, bottom, is_beside = _extent(corners, rays)
+    edges = -np.cross(np.roll(corners, -1, axis=1), np.roll(corners, 1, axis=1))
+    volume = np.einsum("fi,fi->f", edges[:, 0], corners[:, 0])
+    facet = np.flatnonzero((volume > 0) & (bottom >= top) & ~is_beside)
+    inverse_depth = edges[facet].sum(axis=1) / volume[facet, None]
+    return _Facing(facet, edges[facet], inverse_depth, top[facet], (bottom - top)[facet] + 1)
+
+
+def _extent(
+    corners: Corners, rays: RowRays
+) -> tuple[Int[np.ndarray, " facets"], Int[np.ndarray, " facets"], np.ndarray]:
+    """First and last row of each facet among those of the rays, and whether it lies beside all their columns."""
+    is_before = corners[..., 2] > 0
+    # What reaches behind the camera may cover any row; the spans tell.
+    is_whole = is_before.all(axis=1)
+    column, row = np.moveaxis(corners[..., :2] / np.where(is_before, corners[..., 2], 1.0)[..., None], -1, 0)
+    first, last = int(rays.row.min()), int(rays.row.max())
+    top = np.clip(np.where(is_whole, np.ceil(row.min(axis=1)), first), first, last + 1).astype(int)
+    bottom = np.clip(np.where(is_whole, np.floor(row.max(axis=1)), last), first - 1, last).astype(int)
+    is_beside = (column.max(axis=1) < rays.column.min()) | (column.min(axis=1) > rays.column.max())
+    return top, bottom, (is_whole & is_beside) | ~is_before.any(axis=1)
+
+
+def _spans(facing: _Facing, rays: RowRays) -> _Spans:
+    which, within = _counted(facing.num_rows)
+    row = facing.top[which] + within
+    left = np.full(len(which), float(rays.column.min()))
+    right = np.full(len(which), float(rays.column.max()))
+    for edge in np.moveaxis(facing.edges, 1, 0):
+        # A level side bounds no column: where it is passed at all, this moves the bound beyond all of them.
+        slope = np.where(edge[:, 0] == 0, np.finfo(float).tiny, edge[:, 0])[which]
+        with np.errstate(over="ignore"):
+            bound = -(edge[which, 1] * row + edge[which, 2]) / slope
+        np.maximum(left, bound, out=left, where=slope > 0)
+        np.minimum(right, bound, out=right, where=slope < 0)
+    is_open = left <= right
+    return _Spans(which[is_open], row[is_open], left[is_open], right[is_open])
+
+
+def _meetings(spans: _Spans, rays: RowRays) -> tuple[Int[np.ndarray, " met"], Int[np.ndarray, " met"]]:
+    """Facet, counted through `_Facing`, and ray of every meeting."""
+    low = rays.column.min()
+    # One number orders rays by row, then column.
+    width = rays.column.max() - low + 1.0
+    place = rays.row * width + (rays.column - low)
+    order = np.argsort(place, kind="stable")
+    place = place[order]
+    begin = np.searchsorted(place, spans.row * width + (spans.left - low))
+    end = np.searchsorted(place, spans.row * width + (spans.right - low), side="right")
+    which, within = _counted(end - begin)
+    return spans.facing[which], order[begin[which] + within]
+
+
+def _counted(numbers: Int[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " total"], Int[np.ndarray, " total"]]:
+    """Count through each number: whose count it is, and the count from 0."""
+    which = np.repeat(np.arange(len(numbers)), numbers)
+    return which, np.arange(len(which)) - (np.cumsum(numbers) - numbers)[which]

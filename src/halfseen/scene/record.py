@@ -9,8 +9,7 @@ from halfseen.arrays import Image
 from halfseen.perception.clouds import Cloud
 from halfseen.scene.colours import colours
 from halfseen.scene.stains import Surface
-from halfseen.scene.table import Table
-from halfseen.scene.truth import Truth, truth_of
+from halfseen.scene.table import Table, Truth, truth_of
 from halfseen.scene.view import lone_depths_m, table_view
 from halfseen.scene.xtion import XTION, StructuredLight, sense
 

@@ -21,8 +21,7 @@ from halfseen.perception.formats import write_pcd
 from halfseen.scene.camera import Camera
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
-from halfseen.scene.table import Table
-from halfseen.scene.truth import Truth
+from halfseen.scene.table import Table, Truth
 from halfseen.shapes import Int
 from halfseen.writing import write_file
 

@@ -1,14 +1,18 @@
-"""A table with cups at rest, and the camera that looks at it."""
+"""A table with cups at rest, the camera that looks at it, and what is true of it: labels, who hides whom, places.
+
+Geometry only, without sensor noise.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from halfseen.arrays import ObjectMask, PerObject, Points
+from halfseen.arrays import Hides, ObjectMask, PerObject, Points
 from halfseen.errors import SceneError
 from halfseen.scene.camera import Camera
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
+from halfseen.shapes import Bool, Float, Int
 
 TABLE_TOP_M = 0.72
 TABLE_SIZE_M = (1.0, 0.7)
@@ -80,3 +84,89 @@ class Table:
                 for cup, pose in zip(self.cups, self.world_from_cup, strict=True)
             ]
         ).reshape(-1, 3)
+
+
+Depths = Float[np.ndarray, "N H W"]
+
+
+@dataclass(frozen=True, eq=False)
+class Truth:
+    """What a perfect observer knows of a table with N cups.
+
+    Only cups hide cups here: the table top, into which contact lets a cup sink by some 0.01 mm, hides nothing. Parts of
+    a silhouette that only the sensor loses (shadow, grazing angles) are not hidden.
+
+    Parameters
+    ----------
+    labels
+        Cup that each pixel shows; −1 where it shows none.
+    occlusion
+        Hidden share of each cup's silhouette while all cups stand there, in [0, 1].
+    hides
+        ``hides[i, j]`` is the share of cup i's silhouette (i alone) that j covers if only i and j are there.
+    silhouette_px
+        Size of each cup's silhouette when it is alone [px].
+    centroid_m
+        Middle of each cup's axis in the camera's frame [m].
+    is_fallen
+        Which cups lie on their side.
+    height_m
+        Height of each cup as it was made, underside to rim, whether it stands or lies [m].
+    """
+
+    labels: Int[np.ndarray, "H W"]
+    occlusion: PerObject
+    hides: Hides
+    silhouette_px: Int[np.ndarray, " N"]
+    centroid_m: Points
+    is_fallen: ObjectMask
+    height_m: PerObject
+
+    @property
+    def num_cups(self) -> int:
+        """Number of cups on the table."""
+        return len(self.occlusion)
+
+
+def truth_of(table: Table, lone_depths_m: Depths) -> Truth:
+    """Work out the truth from the picture of each cup alone.
+
+    Parameters
+    ----------
+    table
+        The table.
+    lone_depths_m
+        Depth image of each cup alone [m]; infinite where the cup is not.
+
+    Returns
+    -------
+    Truth
+        Exact to the pixel: the nearest cup of a pixel hides the others.
+    """
+    silhouettes = np.isfinite(lone_depths_m)
+    labels = np.where(silhouettes.any(axis=0), lone_depths_m.argmin(axis=0), -1)
+    size_px = silhouettes.sum(axis=(1, 2))
+    seen_px = np.array([np.sum(labels == index) for index in range(table.num_cups)])
+    return Truth(
+        labels=labels,
+        occlusion=1.0 - seen_px / size_px,
+        hides=_hides(lone_depths_m, silhouettes),
+        silhouette_px=size_px,
+        # To the nanometre: the last bits depend on the processor.
+        centroid_m=np.round(table.camera.world_from_camera.apply_inverse(table.centroid_m), 9),
+        is_fallen=table.is_fallen,
+        height_m=table.height_m,
+    )
+
+
+def _hides(lone_depths_m: Depths, silhouettes: Bool[np.ndarray, "N H W"]) -> Hides:
+    """Share of i's silhouette where j is nearer, for all pairs."""
+    num_cups = len(lone_depths_m)
+    hides = np.zeros((num_cups, num_cups))
+    for i, silhouette in enumerate(silhouettes):
+        depths_m = lone_depths_m[:, silhouette]
+        # At equal depths the earlier cup is the one that labels show.
+        is_nearer = depths_m < depths_m[i]
+        is_nearer[:i] |= depths_m[:i] == depths_m[i]
+        hides[i] = is_nearer.mean(axis=1)
+    return hides

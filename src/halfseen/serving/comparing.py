@@ -20,8 +20,7 @@ from halfseen.errors import NothingRecordedError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import FINISHED
-from halfseen.logs.recorded import STILL_RUNNING
-from halfseen.logs.recorder import ended_rows
+from halfseen.logs.recorded import STILL_RUNNING, followed
 from halfseen.monitoring.comparison import Courses, Kept, counted
 from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
 from halfseen.policies.fall_back import FallBack, fall_back_of
@@ -145,7 +144,7 @@ class Comparison:
     def ended(self, events: Sequence[dict[str, Any]]) -> None:
         """Count a trajectory that is over, as the log has it."""
         self.deal = None
-        rows = ended_rows(events)
+        rows = followed(events).rows
         if rows["trajectories"][0].get(COMPARISON) != self.name:
             return
         before, self.courses = self.standing.verdict, joined(self.courses, course_of(rows, self.policy))
@@ -222,7 +221,7 @@ def course_of(rows: Mapping[str, Sequence[Mapping[str, Any]]], policy: DiscreteP
     Parameters
     ----------
     rows
-        As `ended_rows` gives them.
+        As `halfseen.logs.recorded.RecordedTrajectory` has them.
     policy
         Whose covariates count.
     """

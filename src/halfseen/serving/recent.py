@@ -9,7 +9,7 @@ from typing import Any
 from msgspec import UNSET
 
 from halfseen.logs.columns import STEPPED_BACK
-from halfseen.logs.recorder import ended_rows
+from halfseen.logs.recorded import followed
 from halfseen.monitoring.dealing import ARM
 from halfseen.serving.models import Decided, Recorded
 from halfseen.serving.watching import Watch
@@ -44,7 +44,7 @@ class Recent:
 
     def ended(self, events: Sequence[dict[str, Any]]) -> None:
         """Keep a trajectory that is over, and have the log watched again."""
-        rows = ended_rows(events)
+        rows = followed(events).rows
         (trajectory,), stages = rows["trajectories"], rows["stages"]
         recorded = Recorded(
             trajectory=trajectory["trajectory"],

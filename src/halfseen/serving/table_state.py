@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import Points, mapped
-from halfseen.logs.recorder import log_so_far
+from halfseen.logs.trajectory_recorder import log_so_far
 from halfseen.logs.values import Schema
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.tables.present import Present

@@ -11,7 +11,7 @@ from halfseen.censoring import KaplanMeier, positivity_report, stage_weights, we
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
-from halfseen.logs.logs import by_action, by_cause, by_robot, by_stage
+from halfseen.logs.grouping import by_action, by_cause, by_robot, by_stage
 from halfseen.shapes import Float, Int
 
 NUM_RISK_TIMES = 7

@@ -32,30 +32,30 @@ in_each_storage = pytest.mark.parametrize("storage", ["sqlite3", "mcap"])
 def test_the_template_is_a_whole_mapping_and_the_example_of_the_documentation_is_the_template(mapping, tmp_path):
     told = read_mapping(mapping(MAPPING_TEMPLATE))
     keys = ["trajectory", "covariates.occlusion", "cloud", "action", "object", "probability", "reward", "ending"]
-    assert [source.key for source in told.sources] == keys
-    assert (told.action.topic, told.action.field, told.finished) == ("/pick/action", "data", ("finished",))
+    assert list(told.sources) == keys
+    assert (told.action.topic, told.action.field, told.ending.finished) == ("/pick/action", "data", ["finished"])
     example = inspect.cleandoc(read_mapping.__doc__ or "").partition("are needed::")[2]
     assert read_mapping(mapping(example)) == told
     small = read_mapping(mapping(SMALL))
-    assert ([source.topic for source in small.sources], small.clock) == (["/action", "/reward", "/end"], "log")
+    assert ([source.topic for source in small.sources.values()], small.clock) == (["/action", "/reward", "/end"], "log")
     with refused(r"none\.toml: it cannot be read .*--mapping-template", ArgumentError):
         read_mapping(tmp_path / "none.toml")
 
 
 BROKEN = [
-    ("[reward]", "[rewards]", r"rewards: it is unknown; there are clock, trajectory, .*reward"),
-    ('[reward]\ntopic = "/reward"\nfield = "data"\n', "", r"reward: it is missing; say which topic"),
+    ("[reward]", "[rewards]", r"rewards: it is unknown; .*--mapping-template` prints one"),
+    ('[reward]\ntopic = "/reward"\nfield = "data"\n', "", r"reward: it is missing; add it"),
     ('topic = "/reward"\n', "", r"reward\.topic: it is missing"),
-    ('topic = "/reward"', "topic = 3", r"reward\.topic: 3 is no text"),
-    ('topic = "/reward"', 'topic = ""', r"reward\.topic: '' is no text"),
-    ('topic = "/reward"', 'topic = "/r"\ntype = "x"', r"reward\.type: it is unknown; there are topic, field"),
+    ('topic = "/reward"', "topic = 3", r"reward\.topic: expected `str`, got `int`"),
+    ('topic = "/reward"', 'topic = ""', r"reward\.topic: it is missing"),
+    ('topic = "/reward"', 'topic = "/r"\ntype = "x"', r"reward\.type: it is unknown"),
     ("[action]", 'clock = "sim"\n[action]', r"clock: 'sim' is none of 'log', 'publish', 'header'"),
-    ("[action]", "covariates = 1\n[action]", r"covariates: 1 is no table"),
-    ("[action]", "trajectory = 1\n[action]", r"trajectory: 1 is no table"),
+    ("[action]", "covariates = 1\n[action]", r"covariates: expected `object`, got `int`"),
+    ("[action]", "trajectory = 1\n[action]", r"trajectory: expected `object.*`, got `int`"),
     ("[action]", "[covariates.reward]\ntopic='/x'\nfield='data'\n[action]", "covariates.reward: stages have such"),
     ("[action]", "[covariates.x]\ntopic='/x'\n[action]", r"covariates\.x\.field: it is missing"),
-    ('topic = "/end"', 'topic = "/end"\nfinished = []', r"ending\.finished: \[\] is no list of values"),
-    ('topic = "/end"', 'topic = "/end"\nfinished = "done"', r"ending\.finished: 'done' is no list of values"),
+    ('topic = "/end"', 'topic = "/end"\nfinished = []', r"ending\.finished: expected `array` of length >= 1"),
+    ('topic = "/end"', 'topic = "/end"\nfinished = "done"', r"ending\.finished: expected `array`, got `str`"),
     ("[action]", "[action", r".*it is no TOML .*line 1"),
     # Those that do not fit the bag.
     ("/reward", "/rewrd", r"reward\.topic: there is no topic '/rewrd' in .*; there are /action, /end, /joints, /rew"),

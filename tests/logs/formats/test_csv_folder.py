@@ -61,13 +61,13 @@ WRONG = [
 ]
 """File, what stands in it, what is put there, and what is told."""
 TYPES = [
-    ("{", "it cannot be read"),
+    ("{", "it is not of format .*Expecting property name"),
     ("[]", "it is not of format"),
     ('{"format": "halfseen-csv", "version": 1}', "it is not of format 'halfseen-csv', version 2"),
     *(
         (f'{{"format": "halfseen-csv", "version": 2, "tables": {tables}}}', told)
         for tables, told in (
-            ("[]", "tables does not name"),
+            ("[]", r"it is not of format .*`\$\.tables`"),
             ('{"trajectories": {"end_s": "metres"}}', "'metres' is unknown"),
             ('{"trajectories": {"end_s": 3}}', "tables.trajectories.end_s is 3, which is no type"),
             ('{"trajectories": {"end_s": {"type": 1}}}', "which is no type"),

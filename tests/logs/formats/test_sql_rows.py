@@ -143,9 +143,9 @@ def test_queries_come_from_a_file(tmp_path):
     assert read_queries(file) == Queries("SELECT 1", "SELECT 2", "SELECT 3")
     for content, told in (
         ('stages = "SELECT 1"', "trajectories: it is missing"),
-        ("stages = 1\ntrajectories = 2", "stages: 1 is no text"),
+        ("stages = 1\ntrajectories = 2", "stages: expected `str`, got `int`"),
         ('stages = "DROP x"\ntrajectories = "SELECT 1"', "stages 'DROP x': it is not one SELECT"),
-        ('other = "SELECT 1"', "other: it is unknown; there are stages, trajectories, objects"),
+        ('other = "SELECT 1"', "other: it is unknown; give a SELECT for stages and trajectories, and objects"),
         ("stages =", "it is no TOML"),
     ):
         file.write_text(content)

@@ -50,7 +50,7 @@ class FailingDisk:
 
 def failing(monkeypatch, seed, share=0.3):
     disk = FailingDisk(seed, share)
-    monkeypatch.setattr("halfseen.logs.journal.os", disk)
+    monkeypatch.setattr("halfseen.logs.journal_writer.os", disk)
     return disk
 
 

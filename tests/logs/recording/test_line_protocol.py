@@ -108,7 +108,7 @@ JSON = st.recursive(
     max_leaves=5,
 )
 CALL = st.sampled_from(sorted(CALLS)).flatmap(
-    lambda name: st.fixed_dictionaries({"call": st.just(name)}, optional=dict.fromkeys(CALLS[name].names, JSON))
+    lambda name: st.fixed_dictionaries({"call": st.just(name)}, optional=dict.fromkeys(CALLS[name], JSON))
 )
 ODD = st.binary(max_size=9).map(lambda odd: odd.replace(b"\n", b"") + b"\n")
 

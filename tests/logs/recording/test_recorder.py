@@ -14,7 +14,7 @@ from halfseen.censoring import stage_weights
 from halfseen.errors import ArgumentError, HalfseenWarning, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.journal import JOURNAL, PART_BYTES, journal_parts
-from halfseen.logs.recorder import ended_rows
+from halfseen.logs.recorded import followed
 from refusals import refused
 from valid_logs import assert_same, small_tables, valid_tables
 
@@ -364,7 +364,7 @@ def test_why_a_rule_decided_is_read_back_and_is_no_covariate(tmp_path):
             with pytest.raises(LogError, match="stepped_back is 3; say why the rule decided, or leave it out"):
                 trajectory.begin_stage({"x": 1.0}, action="A", stepped_back=3)
             trajectory.finish(elapsed_s=1.5)
-            last = ended_rows(trajectory.events)
+            last = followed(trajectory.events).rows
             assert last["trajectories"][0]["end_s"] == 1.5
     logs = read_logs(tmp_path / "logs")
     assert logs.stages["stepped_back"].fillna("").tolist() == ["", "out-of-range", ""]

@@ -1,225 +1,21 @@
-"""Messages of bags by a mapping file: which topic carries what, in the order of a clock, their fields read by path."""
+"""Messages of bags by a mapping: in the order of a clock, their fields read by path."""
 
 import re
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.installation import extra
-from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
+from halfseen.logs.formats.bag_mapping import BagMapping, Source
+from halfseen.logs.formats.clocks import runs_of
 from halfseen.logs.formats.mcap_files import Channel, McapFiles, Recorded
-from halfseen.logs.formats.resets import runs_of
-from halfseen.reading import TABLE, check_file, read_text, refused, toml_of
+from halfseen.reading import TABLE, check_file, refused
 from halfseen.shapes import Float
-
-MAPPING_TEMPLATE = """\
-# Which topic of a bag carries what, for `halfseen convert BAG --mapping THIS --out LOGS`.
-# A field is a path into the message: "data", "pose.position.x", "data.2" (the third number of an array).
-# [action], [reward] and [ending] are needed; leave out what you do not record.
-
-# "log": the time at which the recorder got a message. "publish": that at which it was sent, which MCAP alone knows.
-# "header": header.stamp, which every topic below must then have. Where it falls back by more than 1 s, and does not go
-# on as before within 5 s, a simulation was reset: a trajectory ends there.
-clock = "log"
-
-# A message that begins a trajectory, and its name (leave field out to number the trajectories). Without this table a
-# bag is one trajectory that begins with its first message.
-[trajectory]
-topic = "/episode/begin"
-field = "data"
-
-# What the policy saw: the last value before the action. One table a covariate.
-[covariates.occlusion]
-topic = "/camera/occlusion"
-field = "data"
-
-# The action of a stage, as text or a whole number; then what it acted on and how probable it was, which may come at
-# any time between the previous reward and this one.
-[action]
-topic = "/pick/action"
-field = "data"
-
-[object]
-topic = "/pick/object"
-field = "data"
-
-[probability]
-topic = "/pick/probability"
-field = "data"
-
-# A reward completes the stage: its time is the clock of the stage.
-[reward]
-topic = "/pick/reward"
-field = "data"
-
-# How a trajectory ended: one of the values in finished, or else the cause of a cut, such as "operator" or "battery".
-# A trajectory without such a message was cut by "crash" when its last message came.
-[ending]
-topic = "/episode/end"
-field = "data"
-finished = ["finished"]
-
-# sensor_msgs/PointCloud2 in the camera frame [m]: the last cloud before the action belongs to the stage.
-[cloud]
-topic = "/camera/points"
-"""
-"""A whole mapping file, with comments."""
-
-_CLOCKS = ("log", "publish", "header")
-_NEEDED = ("action", "reward", "ending")
-_FIELDS = ("object", "probability")
-
-
-@dataclass(frozen=True)
-class Source:
-    """Where a value comes from.
-
-    Parameters
-    ----------
-    key
-        Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``.
-    topic
-        Topic of the messages.
-    field
-        Path into the message; None where the message itself is meant.
-    """
-
-    key: str
-    topic: str
-    field: str | None
-
-
-@dataclass(frozen=True)
-class BagMapping:
-    """Which topic carries what; made by `read_mapping`.
-
-    Parameters
-    ----------
-    file
-        Where it was read, for messages.
-    action, reward, ending
-        What every bag has.
-    finished
-        Values of the ending that mean finished.
-    clock
-        "log", "publish" or "header".
-    trajectory, object, probability, cloud
-        What a bag may have.
-    covariates
-        Source of each covariate of the stages.
-    """
-
-    file: str
-    action: Source
-    reward: Source
-    ending: Source
-    finished: tuple[Any, ...] = (FINISHED,)
-    clock: str = "log"
-    trajectory: Source | None = None
-    object: Source | None = None
-    probability: Source | None = None
-    cloud: Source | None = None
-    covariates: Mapping[str, Source] = field(default_factory=dict)
-
-    @property
-    def sources(self) -> list[Source]:
-        """All that is mapped."""
-        named = [self.trajectory, *self.covariates.values(), self.cloud, self.action, self.object, self.probability]
-        return [source for source in (*named, self.reward, self.ending) if source is not None]
-
-
-def read_mapping(file: str | Path) -> BagMapping:
-    """Read a mapping file (TOML); `MAPPING_TEMPLATE` is one, and says what each table means.
-
-    Parameters
-    ----------
-    file
-        The file.
-
-    Raises
-    ------
-    ArgumentError
-        It is missing or no TOML, a table is missing, or something in it is unknown or of the wrong type; the file and
-        the key are named.
-
-    Examples
-    --------
-    All that a mapping may hold; the first three tables are needed::
-
-        action = {topic = "/pick/action", field = "data"}
-        reward = {topic = "/pick/reward", field = "data"}
-        ending = {topic = "/episode/end", field = "data", finished = ["finished"]}
-
-        clock = "log"
-        trajectory = {topic = "/episode/begin", field = "data"}
-        object = {topic = "/pick/object", field = "data"}
-        probability = {topic = "/pick/probability", field = "data"}
-        cloud = {topic = "/camera/points"}
-
-        [covariates]
-        occlusion = {topic = "/camera/occlusion", field = "data"}
-    """
-    try:
-        tables = toml_of(read_text(Path(file)))
-    except OSError as error:
-        raise ArgumentError(
-            f"{file}: it cannot be read ({error.strerror}); `halfseen convert --mapping-template` prints one"
-        ) from error
-    except ValueError as error:
-        raise ArgumentError(f"{file}: it is no TOML ({error}); mend it") from error
-    return _mapping(str(file), tables)
-
-
-def _mapping(file: str, tables: dict[str, Any]) -> BagMapping:
-    _check_keys(file, "", tables, ("clock", "trajectory", "covariates", "cloud", *_NEEDED, *_FIELDS))
-    for key in _NEEDED:
-        if key not in tables:
-            _refuse(file, key, "it is missing; say which topic and field carry it")
-    clock, covariates = tables.pop("clock", "log"), tables.pop("covariates", {})
-    if clock not in _CLOCKS:
-        _refuse(file, "clock", f"{clock!r} is none of {', '.join(map(repr, _CLOCKS))}; choose one")
-    if not isinstance(covariates, dict):
-        _refuse(file, "covariates", f"{covariates!r} is no table; give each covariate a table [covariates.NAME]")
-    for name in covariates:
-        if name in (*STAGE_COLUMNS, "cloud"):
-            _refuse(file, f"covariates.{name}", "stages have such a column already; give the covariate another name")
-    sources = {key: _source(file, key, table) for key, table in tables.items()}
-    seen = {name: _source(file, f"covariates.{name}", table) for name, table in covariates.items()}
-    finished = tables["ending"].get("finished", [FINISHED])
-    if not (isinstance(finished, list) and finished and all(isinstance(value, str | int | bool) for value in finished)):
-        _refuse(file, "ending.finished", f"{finished!r} is no list of values; say for example ['finished']")
-    return BagMapping(file=file, clock=clock, finished=tuple(finished), covariates=seen, **sources)
-
-
-def _source(file: str, key: str, table: Any) -> Source:
-    if not isinstance(table, dict):
-        _refuse(file, key, f"{table!r} is no table; write [{key}] with topic and field below it")
-    known = {"cloud": ("topic",), "ending": ("topic", "field", "finished")}
-    _check_keys(file, f"{key}.", table, known.get(key, ("topic", "field")))
-    for entry in ("topic", "field"):
-        value = table.get(entry)
-        if value is None and (entry == "topic" or key not in ("trajectory", "cloud")):
-            _refuse(file, f"{key}.{entry}", "it is missing; add it")
-        if value is not None and not (isinstance(value, str) and value):
-            _refuse(file, f"{key}.{entry}", f"{value!r} is no text; give the {entry}'s name")
-    return Source(key, table["topic"], table.get("field"))
-
-
-def _check_keys(file: str, prefix: str, table: dict[str, Any], known: tuple[str, ...]) -> None:
-    for key in table:
-        if key not in known:
-            _refuse(file, f"{prefix}{key}", f"it is unknown; there are {', '.join(known)}")
-
-
-def _refuse(file: str, key: str, trouble: str) -> NoReturn:
-    raise ArgumentError(f"{file}, {key}: {trouble}")
-
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 STORAGES = (".mcap", ".db3", ".bag")
@@ -229,16 +25,15 @@ _SECONDS, _NANOSECONDS = ("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos"
 _FLOATS = {7: "f4", 8: "f8"}
 
 
-@dataclass(frozen=True)
-class Event:
-    """One value that a message carries.
+class Event(NamedTuple):
+    """One value that a message, or a row of a table, carries.
 
     Parameters
     ----------
     stamp_ns
         When, on the clock of the mapping [ns].
-    source
-        What the mapping says of it.
+    key
+        Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``.
     value
         Text, a number or a boolean; of a cloud its number among the bag's clouds, to be read by `read_clouds`.
     place
@@ -246,7 +41,7 @@ class Event:
     """
 
     stamp_ns: int
-    source: Source
+    key: str
     value: Any
     place: str = ""
 
@@ -265,11 +60,11 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
     for bag in bags:
         with _opened(bag) as reader:
             types |= {channel.topic: channel.kind for channel in reader.channels}
-    for source in mapping.sources:
+    for key, source in mapping.sources.items():
         if source.topic not in types:
             there = ", ".join(topic[:80] for topic in sorted(types)[:20]) or "none"
             raise ArgumentError(
-                f"{mapping.file}, {source.key}.topic: there is no topic {source.topic!r} in "
+                f"{mapping.file}, {key}.topic: there is no topic {source.topic!r} in "
                 f"{', '.join(map(str, bags))}; there are {there}; give a bag that broke off early together with others"
             )
     cloud = mapping.cloud
@@ -284,13 +79,6 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
 
     Each is in the order of the clock; equal stamps keep the order of the recording.
 
-    Parameters
-    ----------
-    bag
-        Folder or storage file of a bag.
-    mapping
-        Which topic carries what.
-
     Raises
     ------
     ArgumentError
@@ -298,9 +86,9 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
     LogError
         The bag is missing or broken.
     """
-    by_topic: dict[str, list[Source]] = {}
-    for source in mapping.sources:
-        by_topic.setdefault(source.topic, []).append(source)
+    by_topic: dict[str, list[tuple[str, Source]]] = {}
+    for key, source in mapping.sources.items():
+        by_topic.setdefault(source.topic, []).append((key, source))
     events: list[tuple[int, Event]] = []
     with _opened(bag) as reader:
         wanted = [channel for channel in reader.channels if channel.topic in by_topic]
@@ -308,12 +96,14 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
         for recorded in _messages(bag, reader, wanted):
             message, channel = _decoded(bag, recorded), recorded.channel
             stamp_ns = _stamp(message, recorded, mapping)
-            for source in by_topic[channel.topic]:
-                if source.key == "cloud":
+            for key, source in by_topic[channel.topic]:
+                if key == "cloud":
                     value, num_clouds = num_clouds, num_clouds + 1
                 else:
-                    value = _value(message, channel.kind, source, mapping)
-                events.append((recorded.log_ns, Event(stamp_ns, source, value)))
+                    value = _value(
+                        message, key, source, f"{mapping.file}, {key}.field: {source.topic} ({channel.kind})"
+                    )
+                events.append((recorded.log_ns, Event(stamp_ns, key, value)))
     events.sort(key=lambda entry: entry[0])
     numbers = runs_of([event.stamp_ns for _, event in events], [log_ns for log_ns, _ in events])
     runs: list[list[Event]] = [[] for _ in range(max(numbers, default=-1) + 1)]
@@ -469,17 +259,16 @@ def _part(value: Any, name: str) -> Any:
     return value.get(name) if isinstance(value, Mapping) else getattr(value, name, None)
 
 
-def _value(message: Any, msgtype: str, source: Source, mapping: BagMapping) -> Any:
+def _value(message: Any, key: str, source: Source, where: str) -> Any:
     if source.field is None:  # a trajectory's beginning without a name
         return None
-    where = f"{mapping.file}, {source.key}.field: {source.topic} ({msgtype})"
     value = message
     for step in source.field.split("."):
         value = _entered(value, step, source.field, where)
     value = value.item() if isinstance(value, np.generic) else value
     if not isinstance(value, str | bool | int | float):
         raise ArgumentError(f"{where}, field {source.field!r} is no single value; name {_inside(value, source.field)}")
-    _check_kind(value, source, where)
+    _check_kind(value, key, f"{where}, field {source.field!r} is {value!r}")
     return value
 
 
@@ -508,12 +297,10 @@ def _inside(value: Any, path: str) -> str:
     return ", ".join(prefix + name for name in _fields(value)[:40]) or "a field above it"
 
 
-def _check_kind(value: Any, source: Source, where: str) -> None:
+def _check_kind(value: Any, key: str, what: str) -> None:
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if source.key in ("reward", "probability") and not is_number:
-        raise ArgumentError(f"{where}, field {source.field!r} is {value!r}, no number; name another field")
-    is_name = isinstance(value, str) or (isinstance(value, int) and not isinstance(value, bool))
-    if source.key in ("action", "object", "trajectory") and not is_name:
-        raise ArgumentError(
-            f"{where}, field {source.field!r} is {value!r}, neither text nor a whole number; name another field"
-        )
+    if key in ("reward", "probability") and not is_number:
+        raise ArgumentError(f"{what}, no number; name another field")
+    is_name = isinstance(value, str) or (isinstance(value, int) and is_number)
+    if key in ("action", "object", "trajectory") and not is_name:
+        raise ArgumentError(f"{what}, neither text nor a whole number; name another field")

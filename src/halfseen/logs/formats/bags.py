@@ -1,6 +1,6 @@
 """Logs from ROS 2 bags (SQLite or MCAP storage) and ROS 1 bags, by a mapping file.
 
-Read down: `bag_messages` (which topic carries what; values in the order of time) → here.
+Read down: `bag_mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
 Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
 ``sensor_msgs/PointCloud2`` for clouds.
 
@@ -18,8 +18,7 @@ How messages become stages:
 - A trajectory that was cut before anything of it was seen has no stage; it is left out with a warning.
 """
 
-import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -28,17 +27,10 @@ from typing import Any, NoReturn, TypeAlias
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.bag_messages import (
-    BagMapping,
-    Event,
-    check_topics,
-    points_of,
-    read_clouds,
-    read_events,
-    read_mapping,
-)
+from halfseen.logs.formats.bag_mapping import BagMapping, read_mapping
+from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, read_clouds, read_events
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 
@@ -89,28 +81,30 @@ def read_bag(
         raise ArgumentError(f"{mapping.file}, cloud: it is missing, so that no cloud is seen or kept; name its topic")
     files = [Path(bags)] if isinstance(bags, str | Path) else [Path(bag) for bag in bags]
     check_topics(files, mapping)
+    needed = {name: source.topic for name, source in mapping.covariates.items()}
+    needed |= {} if mapping.cloud is None else {"cloud": mapping.cloud.topic}
+    begin = None if mapping.trajectory is None else mapping.trajectory.topic
     found: list[tuple[Trajectory, str]] = []
     objects: list[pd.DataFrame] = []
     num_begun = 0
     for bag in files:
         of_bag = []
-        for name, events in split(bag, read_events(bag, mapping), mapping):
+        for name, events in split(bag, read_events(bag, mapping), begin, mapping.file):
             num_begun += 1
-            trajectory = Trajectory(num_begun if name is None else name, mapping)
+            trajectory = Trajectory(num_begun if name is None else name, needed, mapping.ending.finished)
             trajectory.follow(events)
             if is_seen(bag, trajectory):
                 of_bag.append(trajectory)
         if see is not None or keep is not None:
             objects += _objects(bag, of_bag, mapping, see, keep)
         found += [(trajectory, bag.name) for trajectory in of_bag]
-    return logs_of(
-        ", ".join(map(str, files)), mapping, [each for each, _ in found], objects, bag=[bag for _, bag in found]
-    )
+    place, trajectories = ", ".join(map(str, files)), [each for each, _ in found]
+    return logs_of(place, mapping.file, trajectories, objects, bag=[bag for _, bag in found])
 
 
 def logs_of(
     place: str,
-    mapping: BagMapping,
+    mapping: str,
     found: "Sequence[Trajectory]",
     objects: Sequence[pd.DataFrame] = (),
     missing: Missing = None,
@@ -118,28 +112,13 @@ def logs_of(
 ) -> Logs:
     """Put trajectories that were followed into one log.
 
-    Parameters
-    ----------
-    place
-        Where they were found, for messages.
-    mapping
-        Which topic carries what.
-    found
-        The trajectories.
-    objects
-        Of their stages.
-    missing
-        What stands for covariates that are null, as `Logs` takes it.
-    **known
-        What else is known of each trajectory, by column.
-
     Raises
     ------
     LogError
         There is none, or they break an invariant.
     """
     if not found:
-        raise LogError(f"{place}: no trajectory with a stage was found; look at [trajectory] in {mapping.file}")
+        raise LogError(f"{place}: no trajectory with a stage was found; look at [trajectory] in {mapping}")
     ends = {key: [getattr(each, key) for each in found] for key in ("end_s", "ending", "cause")}
     trajectories = {"trajectory": [each.name for each in found], **ends, **known}
     stages = [
@@ -150,18 +129,22 @@ def logs_of(
         return Logs(pd.DataFrame(stages), pd.DataFrame(trajectories), seen, missing=missing)
 
 
-def split(bag: Path, runs: list[list[Event]], mapping: BagMapping) -> Iterator[tuple[Any, list[Event]]]:
-    """Split the runs of a recording's clock where a trajectory begins: name (None without one) and messages of each."""
-    if mapping.trajectory is None:  # what only lets something be seen, between two resets, is no trajectory
+def split(
+    bag: Path, runs: list[list[Event]], begin_topic: str | None, mapping: str
+) -> Iterator[tuple[Any, list[Event]]]:
+    """Split the runs of a recording's clock where a trajectory begins: name (None without one) and messages of each.
+
+    It begins with a message of a topic, or, without that, with a run; the mapping's file is for messages.
+    """
+    if begin_topic is None:  # what only lets something be seen, between two resets, is no trajectory
         yield from ((None, events) for events in list(filter(_deeds, runs)) or runs[:1])
         return
-    begins = [[i for i, event in enumerate(events) if event.source.key == "trajectory"] for events in runs]
+    begins = [[i for i, event in enumerate(events) if event.key == "trajectory"] for events in runs]
     for events, at in list(zip(runs, begins, strict=True))[1:]:
         for event in _deeds(events[: min(at, default=len(events))]):
             raise LogError(
-                f"{bag}: {event.source.key} {shown(event.value)} comes after the clock was reset and before a message "
-                f"of {mapping.trajectory.topic}; record the beginning after the reset, or say clock = 'log' in "
-                f"{mapping.file}"
+                f"{bag}: {event.key} {shown(event.value)} comes after the clock was reset and before a message of "
+                f"{begin_topic}; record the beginning after the reset, or say clock = 'log' in {mapping}"
             )
     for events, at in zip(runs, begins, strict=True):
         for begin, end in pairwise([*at, len(events)]):
@@ -170,7 +153,7 @@ def split(bag: Path, runs: list[list[Event]], mapping: BagMapping) -> Iterator[t
 
 def _deeds(events: list[Event]) -> list[Event]:
     """Messages of what was done, and how it ended."""
-    return [event for event in events if event.source.key in ("action", "reward", "ending")]
+    return [event for event in events if event.key in ("action", "reward", "ending")]
 
 
 def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
@@ -179,8 +162,7 @@ def is_seen(bag: Path, trajectory: "Trajectory") -> bool:
     if not topics and trajectory.end_s != 0:
         return True
     trouble = f"before any message of {', '.join(topics)} came" if topics else "as it began"
-    message = f"{bag}: trajectory {shown(trajectory.name)} was cut {trouble}; it is left out"
-    warnings.warn(message, HalfseenWarning, stacklevel=3)
+    warn(bag, f"trajectory {shown(trajectory.name)} was cut {trouble}; it is left out")
     return False
 
 
@@ -214,8 +196,10 @@ class Trajectory:
     ----------
     name
         What it is called.
-    mapping
-        Which topic carries what.
+    needed
+        What must have been seen before an action, and where it comes from: covariates, and "cloud".
+    finished
+        Endings that are no cause of a cut.
     end_s
         When it ended, or its last message came [s].
     ending, cause
@@ -229,7 +213,8 @@ class Trajectory:
     """
 
     name: Any
-    mapping: BagMapping
+    needed: Mapping[str, str]
+    finished: Collection[Any]
     end_s: float = 0.0
     ending: str | None = None
     cause: str | None = CRASH
@@ -240,9 +225,8 @@ class Trajectory:
     @property
     def missing(self) -> list[str]:
         """What had not been seen yet in its first stage: topics of covariates and clouds."""
-        topics = [source.topic for name, source in self.mapping.covariates.items() if name not in self.stages[0]]
-        no_cloud = self.mapping.cloud is not None and self.clouds[0] is None
-        return [*topics, self.mapping.cloud.topic] if no_cloud and self.mapping.cloud else topics
+        is_there = {**dict.fromkeys(self.stages[0], True), "cloud": self.clouds[0] is not None}
+        return [topic for name, topic in self.needed.items() if not is_there.get(name)]
 
     def follow(self, events: list[Event]) -> None:
         """Follow it from its first message, where its clock is 0, to its last.
@@ -255,7 +239,7 @@ class Trajectory:
         stage: dict[str, Any] = {}
         seen: dict[str, Any] = {}
         for event in events:
-            key, clock_s = event.source.key, (event.stamp_ns - events[0].stamp_ns) / 1e9
+            key, clock_s = event.key, (event.stamp_ns - events[0].stamp_ns) / 1e9
             self.place = event.place
             if self.ending is not None:
                 self._check_after(key, clock_s)
@@ -297,7 +281,7 @@ class Trajectory:
             )
 
     def _end(self, stage: dict[str, Any], event: Event) -> None:
-        if event.value not in self.mapping.finished:
+        if event.value not in self.finished:
             self.ending, self.cause = CUT, str(event.value) or UNKNOWN_CAUSE
             return
         if "action" in stage or not self.stages:

@@ -1,16 +1,21 @@
-"""Seconds since an episode began, whatever a source's clock counts from.
+"""What a source's clock counts from: seconds since an episode began, and the runs of a simulation that is reset.
 
 The times of T + 1 observations say when an episode began. The times at which its T steps ended do not: such a clock
 begins at 0 in each episode, or it runs on over episodes, and each begins when the one before ended.
+
+A simulation's clock falls back when it is reset, and what follows is of another run. Messages of several topics come a
+little out of order, so that a small fall is none. Nor is one of some seconds where the clock goes on as before: that
+message was late. Just after a reset some messages may still be of the run before. When each was recorded tells all
+these apart.
 """
 
-import warnings
+from bisect import bisect_right
 from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
 
-from halfseen.errors import HalfseenWarning, LogError
+from halfseen.errors import LogError, warn
 from halfseen.logs.columns import shown
 from halfseen.shapes import Bool, Float
 
@@ -58,11 +63,10 @@ def ends_by_steps(
         if is_on
         else "counts from its own beginning, as others do"
     )
-    warnings.warn(
-        f"{place}: {clock} is later in the first step of an episode than at the end of the one before, {count} times: "
+    warn(
+        place,
+        f"{clock} is later in the first step of an episode than at the end of the one before, {count} times: "
         f"each {how}; the first steps last up to {first_s.max():g} s",
-        HalfseenWarning,
-        stacklevel=3,
     )
     return [one - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)]
 
@@ -84,3 +88,45 @@ def _refuse_unlikely(
             f"step lasts more than {later_s.max():g} s; let {clock} begin at 0 in each episode, name a clock of the "
             "observations, or give step_s"
         )
+
+
+JITTER_NS = 10**9
+"""How far stamps fall at most without a reset, and how long after one messages of the run before still come [ns]."""
+MOST_LATE_NS = 5 * 10**9
+"""How late a message may be of which the clock goes on as before [ns]."""
+
+
+def runs_of(stamps_ns: Sequence[int], recorded_ns: Sequence[int]) -> list[int]:
+    """Number the run, from 0, of each of N messages.
+
+    Parameters
+    ----------
+    stamps_ns
+        Clock of each message [ns].
+    recorded_ns
+        When it was recorded [ns]; never falls.
+    """
+    # Of Python's own: a broken stamp may have any number of digits.
+    ahead_ns = [stamp_ns - at_ns for stamp_ns, at_ns in zip(stamps_ns, recorded_ns, strict=True)]
+    runs: list[int] = []
+    run = reset_ns = highest_ns = 0
+    now = before = 0  # how far ahead of the recorder's the clock is, in this run and in the one before
+    for k, (stamp_ns, offset) in enumerate(zip(stamps_ns, ahead_ns, strict=True)):
+        if run and recorded_ns[k] - reset_ns <= JITTER_NS and abs(offset - before) < abs(offset - now):
+            runs.append(run - 1)
+            continue
+        is_fall = bool(runs) and stamp_ns < highest_ns - JITTER_NS
+        if is_fall and not (now - offset <= MOST_LATE_NS and _goes_on(k, now, ahead_ns, recorded_ns)):
+            run, reset_ns, before = run + 1, recorded_ns[k], now
+            highest_ns, now = stamp_ns, offset
+        elif not runs or stamp_ns > highest_ns:
+            highest_ns, now = stamp_ns, offset
+        runs.append(run)
+    return runs
+
+
+def _goes_on(k: int, now: int, ahead_ns: Sequence[int], recorded_ns: Sequence[int]) -> bool:
+    """Whether the clock goes on after message k as if that had not come, rather than from there."""
+    begin = bisect_right(recorded_ns, recorded_ns[k] + JITTER_NS)
+    end = bisect_right(recorded_ns, recorded_ns[k] + 2 * JITTER_NS)
+    return any(abs(each - now) < abs(each - ahead_ns[k]) for each in ahead_ns[begin : max(end, begin + 1)])

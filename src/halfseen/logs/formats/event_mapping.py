@@ -205,12 +205,12 @@ def is_event_mapping(file: str | Path) -> bool:
 def _reworded(trouble: str) -> str:
     """Begin with the key what msgspec ends with."""
     words, _, place = trouble.partition(" - at `$")
-    key = re.sub(r"\[\.\.\.\]", "", place.strip("`.")) or "top"
-    name = re.search(r"(?:required|unknown) field `(\w+)`", words)
-    if name is None:
-        return f"{key}: {words[:1].lower()}{words[1:]}"
-    where = name[1] if key == "top" else f"{key}.{name[1]}"
-    return f"{where}: it is {'missing; add it' if 'required' in words else 'unknown'}"
+    key = re.sub(r"\[\.\.\.\]", "", place.strip("`."))
+    name = re.search(r"Object (?:missing required|contains unknown) field `(\w+)`", words)
+    if name is not None:
+        trouble = "missing; add it" if "required" in words else "unknown"
+        return f"{key}.{name[1]}: it is {trouble}".removeprefix(".")
+    return f"{key}: {words[:1].lower()}{words[1:]}".removeprefix(": ")
 
 
 def _troubles(mapping: EventMapping) -> Iterator[tuple[str, str]]:

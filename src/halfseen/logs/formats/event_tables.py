@@ -6,7 +6,6 @@ and an empty cell says nothing. Where trajectories have a column, each of their 
 A trajectory without an ending was cut: "log ended".
 """
 
-import warnings
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -15,29 +14,20 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError
+from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.logs.columns import shown
-from halfseen.logs.formats.bag_messages import BagMapping, Event, Source
+from halfseen.logs.formats import table_values
+from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.event_mapping import NUMBERS, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
-from halfseen.logs.formats.table_numbers import (
-    WHOLE,
-    Marks,
-    is_numeric,
-    marks_of,
-    number_at,
-    plain_number,
-    refuse_most_numbers,
-)
-from halfseen.logs.formats.table_times import Stamps, stamps_ns
+from halfseen.logs.formats.table_values import Marks, Stamps
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
 LOG_ENDED = "log ended"
 """Cause of a trajectory that has no ending."""
-_ROW, _BEGIN = Source("row", "", None), Source("begin", "", None)
 
 
 def read_event_table(
@@ -72,19 +62,14 @@ def read_event_table(
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
     _check_columns(cells, wanted, file)
     cells = cells if wanted.topic is None else _without_repeats(cells)
-    sources = {key: Source(key, f"column {wanted.column(key)!r}", None) for key in wanted.entries}
-    plain: Any = {
-        key: one for key, one in sources.items() if "." not in key and (key != "trajectory" or wanted.has_begins)
-    }
-    seen = {name: sources[f"covariates.{name}"] for name in wanted.covariates}
-    named = BagMapping(file=file, finished=tuple(wanted.ending.finished), covariates=seen, **plain)
+    needed = {name: f"column {wanted.column(f'covariates.{name}')!r}" for name in wanted.covariates}
     found = []
-    for number, (name, events) in enumerate(_trajectories(cells, wanted, named, sources), start=1):
-        trajectory = Trajectory(number if name is None else name, named, cause=LOG_ENDED)
+    for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
+        trajectory = Trajectory(number if name is None else name, needed, wanted.ending.finished, cause=LOG_ENDED)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
-    return logs_of(cells.file, named, found, missing=missing)
+    return logs_of(cells.file, file, found, missing=missing)
 
 
 def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> Cells:
@@ -117,8 +102,7 @@ def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
         trouble = f"no event of {cells.file} is {' or '.join(map(shown, entry.topics))}"
         if key != "ending":
             raise ArgumentError(f"{file}, {key}.topic: {trouble}; there are {', '.join(sorted(there)[:20])}")
-        message = f"{file}, ending.topic: {trouble}, so that every trajectory counts as cut by {LOG_ENDED!r}"
-        warnings.warn(message, HalfseenWarning, stacklevel=4)
+        warn(f"{file}, ending.topic", f"{trouble}, so that every trajectory counts as cut by {LOG_ENDED!r}")
 
 
 def _without_repeats(cells: Cells) -> Cells:
@@ -128,38 +112,36 @@ def _without_repeats(cells: Cells) -> Cells:
     if len(kept) == len(whole):
         return cells
     first = next(row for row, texts in enumerate(whole[1:], start=1) if texts == whole[row - 1])
-    message = f"{cells.place(first)}: it repeats the one before it; such rows are left out: {len(whole) - len(kept)}"
-    warnings.warn(message, HalfseenWarning, stacklevel=3)
+    num_repeats = len(whole) - len(kept)
+    warn(cells.place(first), f"it repeats the one before it; such rows are left out: {num_repeats}")
     columns = {name: [texts[row] for row in kept] for name, texts in cells.columns.items()}
     return replace(cells, columns=columns, rows=[cells.rows[row] for row in kept])
 
 
-def _trajectories(
-    cells: Cells, mapping: EventMapping, named: BagMapping, sources: dict[str, Source]
-) -> Iterator[tuple[Any, list[Event]]]:
+def _trajectories(cells: Cells, mapping: EventMapping, file: str) -> Iterator[tuple[Any, list[Event]]]:
     """Name and events of each trajectory."""
-    marks = marks_of(cells, _columns_of_numbers(mapping))
-    stamps, begins = _times(cells, mapping, marks, named.file)
+    marks = table_values.marks_of(cells, _columns_of_numbers(mapping))
+    stamps, begins = _times(cells, mapping, marks, file)
     values_of = _values(cells, mapping, marks)
     has_begins, since, ending_texts = mapping.has_begins, mapping.clock.since, cells.columns[mapping.column("ending")]
     groups = _groups(cells, mapping, values_of, stamps)
     _warn_of_reordered(cells, groups.values(), stamps, mapping)
     for name, unordered in groups.items():
         rows, times = _in_order(unordered, stamps, mapping)
-        events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), _BEGIN, None)]
+        events = [] if begins is None or has_begins else [Event(int(begins[rows[0]]), "begin", None)]
         for row, time in zip(rows, times.tolist(), strict=True):
             place = f"{cells.place(row)}: "
             # An empty cell tells only in the last row that nothing ended a trajectory.
             is_blank = not mapping.ending.topics and not ending_texts[row] and row != rows[-1]
             here = [pair for pair in values_of[row] if not (is_blank and pair[0] == "ending")]
-            events += [Event(time, sources[key], value, place) for key, value in here]
-            events += [] if has_begins else [Event(time, _ROW, None, place)]
+            events += [Event(time, key, value, place) for key, value in here]
+            events += [] if has_begins else [Event(time, "row", None, place)]
         if not has_begins:
             yield name, events
             continue
         _warn_of_early(cells, events)
-        for begun, following in split(Path(cells.file), [events], named):
-            yield begun, following if since is None else [Event(0, _BEGIN, None), *following]
+        for begun, following in split(Path(cells.file), [events], mapping.column("trajectory"), file):
+            yield begun, following if since is None else [Event(0, "begin", None), *following]
 
 
 def _columns_of_numbers(mapping: EventMapping) -> list[str]:
@@ -172,8 +154,8 @@ def _times(cells: Cells, mapping: EventMapping, marks: Marks, file: str) -> tupl
     """Times of the rows, and of the beginning of what each row tells, where that is known [ns]."""
     clock = mapping.clock
     try:
-        stamps = stamps_ns(cells, clock.fields, clock, marks)
-        begins = stamps_ns(cells, clock.begins, clock, marks) if clock.begins else None
+        stamps = table_values.stamps_ns(cells, clock.fields, clock, marks)
+        begins = table_values.stamps_ns(cells, clock.begins, clock, marks) if clock.begins else None
     except ArgumentError as error:
         raise ArgumentError(f"{file}, {error}") from error
     if clock.since is not None:
@@ -213,26 +195,28 @@ def _read(cells: Cells, key: str, entry: Entry, column: str, rows: Sequence[int]
     """Read the cells of one column: numbers, or names, which are whole numbers if all are; a covariate may be null."""
     texts, known, is_covariate = cells.columns[column], entry.values, "." in key
     first = next((known.get(texts[row], texts[row]) for row in rows if texts[row]), "")
-    has_text = any(isinstance(value, str) and plain_number(value, marks) is None for value in known.values())
-    has_text |= isinstance(first, str) and not is_numeric(first)
+    has_text = any(
+        isinstance(value, str) and table_values.plain_number(value, marks) is None for value in known.values()
+    )
+    has_text |= isinstance(first, str) and not table_values.is_numeric(first)
     if key in NUMBERS or (is_covariate and (entry.type or ("text" if has_text else "number")) == "number"):
         return [
             float(known[text])
             if (text := texts[row]) in known
             else float("nan")
             if not text and is_covariate
-            else number_at(cells, row, column, marks)
+            else table_values.number_at(cells, row, column, marks)
             for row in rows
         ]
     for row in rows:
         if not texts[row] and "" not in known and key != "ending" and not is_covariate:
             cells.refuse(row, column, f"is no {key}; give one, or leave the row out")
     if is_covariate and entry.type is None:
-        refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
+        table_values.refuse_most_numbers(cells, [row for row in rows if texts[row] not in known], column)
     if is_covariate:
         return [str(known[text]) if (text := texts[row]) in known else text or None for row in rows]
     names = [str(known.get(texts[row], texts[row])) for row in rows]
-    are_whole = key != "ending" and all(map(WHOLE.fullmatch, names))
+    are_whole = key != "ending" and all(map(table_values.WHOLE.fullmatch, names))
     return list(map(int, names)) if are_whole else names
 
 
@@ -269,13 +253,11 @@ def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps
     late = [rows[k + 1] for rows in groups for k in np.flatnonzero(np.diff(stamps[rows]) < 0).tolist()]
     if late:
         rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
-        early = f"{cells.place(late[0])}: the time is before that of the row above{rest}"
-        message = f"{early}; rows are put in order of time"
-        warnings.warn(message, HalfseenWarning, stacklevel=5)
+        early = f"the time is before that of the row above{rest}"
+        warn(cells.place(late[0]), f"{early}; rows are put in order of time")
 
 
 def _warn_of_early(cells: Cells, events: list[Event]) -> None:
-    num_early = next((k for k, event in enumerate(events) if event.source.key == "trajectory"), 0)
+    num_early = next((k for k, event in enumerate(events) if event.key == "trajectory"), 0)
     if num_early:
-        message = f"{cells.file}: {num_early} values come before the first beginning of a trajectory; they are left out"
-        warnings.warn(message, HalfseenWarning, stacklevel=5)
+        warn(cells.file, f"{num_early} values come before the first beginning of a trajectory; they are left out")

@@ -14,8 +14,15 @@ from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
 from halfseen.logs.formats.event_mapping import Layout
 from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
-from halfseen.logs.formats.table_numbers import is_numeric, marks_of, thousands_mark
-from halfseen.logs.formats.table_times import ISO, TIME_OF_DAY, dates_and_times, joined
+from halfseen.logs.formats.table_values import (
+    ISO,
+    TIME_OF_DAY,
+    dates_and_times,
+    is_numeric,
+    joined,
+    marks_of,
+    thousands_mark,
+)
 
 _LIKE = {
     "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"

@@ -18,28 +18,18 @@ last frame is ``next.terminated`` or ``next.success``, or ``next.done`` and not 
 
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, warn
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
+from halfseen.logs.formats import steps
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.step_tables import as_array, parquet_file, read_tables, whole_table
-from halfseen.logs.formats.steps import (
-    Columns,
-    Ending,
-    StepRules,
-    Steps,
-    begins_of,
-    flags_of,
-    logs_of_episodes,
-    numbers_of,
-    refuse_early,
-    require,
-    warn,
-)
+from halfseen.logs.formats.steps import Columns, Ending, StepRules, StepTable
 from halfseen.logs.logs import Logs
 from halfseen.reading import json_of, read_text, reason_of
 from halfseen.shapes import Bool, Float, Int
@@ -82,37 +72,45 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
     folder, rules = Path(folder), StepRules() if rules is None else rules
     place, data, info = str(folder), str(folder / "data"), _info(folder / INFO)
     action, reward = rules.action or "action", rules.reward or "next.reward"
-    columns = _columns(folder, info["features"], {"action": action, "reward": reward, **rules.named})
+    columns = _columns(folder, info.features, {"action": action, "reward": reward, **rules.named})
     episode = columns[EPISODE]
-    begins = begins_of(data, "frames", episode, "copy the dataset again")
+    begins = steps.begins_of(data, "frames", episode, "copy the dataset again")
     _check_counts(folder, info, episode, begins)
     seen = {name: values for name, values in columns.items() if name.startswith(SEEN)}
     tasks = folder / "meta" / "tasks.parquet"
     if TASK_INDEX in columns and tasks.exists():
         seen["task"] = _tasks(tasks, columns[TASK_INDEX])
-    steps = Steps(place, columns, seen, action, reward)
-    endings = _endings(place, columns, rules, begins)
-    ends_s = _ends(place, columns, float(info["fps"]), rules, begins)
-    rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
-    each = zip(episode[begins[:-1]].tolist(), rows, ends_s, endings, strict=True)
-    return logs_of_episodes(place, [steps.episode(*one) for one in each])
+    table = StepTable(
+        names=episode[begins[:-1]].tolist(),
+        begins=begins,
+        is_step=np.ones(len(episode), dtype=bool),
+        observed=steps.observed_columns(place, seen),
+        actions=steps.actions_of(place, action, columns[action]),
+        rewards=steps.numbers_of(place, reward, columns[reward], "reward"),
+        ends_s=_ends(place, columns, info.fps, rules, begins),
+        endings=_endings(place, columns, rules, begins),
+    )
+    return table.logs(place)
 
 
-def _info(file: Path) -> dict[str, Any]:
+class Info(msgspec.Struct):
+    """What is noted of a dataset; more may be."""
+
+    codebase_version: str
+    fps: Annotated[float, msgspec.Meta(gt=0.0)]
+    """Frames a second."""
+    features: dict[str, dict[str, Any]]
+    total_frames: int | None = None
+
+
+def _info(file: Path) -> Info:
+    remedy = f"bring the dataset to {VERSION} with LeRobot, or copy the whole dataset again"
     try:
-        info = json_of(read_text(file))
+        info = msgspec.convert(json_of(read_text(file)), Info)
     except (OSError, ValueError) as error:
-        raise LogError(f"{file}: it cannot be read ({reason_of(error)}); copy the whole dataset again") from error
-    version = info.get("codebase_version") if isinstance(info, dict) else None
-    if not isinstance(version, str) or not version.startswith(VERSION):
-        raise LogError(
-            f"{file}: codebase_version is {shown(version)}, and {VERSION} is read; bring the dataset to it with LeRobot"
-        )
-    fps, features = info.get("fps"), info.get("features")
-    if isinstance(fps, bool) or not isinstance(fps, int | float) or not fps > 0:
-        raise LogError(f"{file}: fps is {shown(fps)}, no number of frames a second; mend it")
-    if not isinstance(features, dict) or not all(isinstance(feature, dict) for feature in features.values()):
-        raise LogError(f"{file}: features does not describe the columns of the data; copy the dataset again")
+        raise LogError(f"{file}: it cannot be read ({reason_of(error)}); {remedy}") from error
+    if not info.codebase_version.startswith(VERSION):
+        raise LogError(f"{file}: codebase_version is {shown(info.codebase_version)}, and {VERSION} is read; {remedy}")
     return info
 
 
@@ -122,7 +120,7 @@ def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> d
     pictures = [name for name, feature in features.items() if feature.get("dtype") in _PICTURES]
     with whole_table(files[0]):
         there = [str(name) for name in parquet_file(files[0]).schema_arrow.names if name not in pictures]
-    require(str(folder), there, {**named, "number of each episode": EPISODE})
+    steps.require(str(folder), there, {**named, "number of each episode": EPISODE})
     seen = [name for name in there if name.startswith(SEEN)]
     known = dict.fromkeys([*seen, *named.values(), EPISODE, TIMESTAMP, TASK_INDEX, *FLAGS])
     wanted = [name for name in known if name in there]
@@ -153,7 +151,7 @@ def _files(folder: Path, below: str) -> list[Path]:
     return files
 
 
-def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begins: np.ndarray) -> None:
+def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndarray) -> None:
     """Refuse data of which some frames are missing, by what is noted of each episode."""
     noted = read_tables(_files(folder, "meta/episodes"), (EPISODE, "length"))
     lengths = dict(zip(*(_whole(folder / "meta/episodes", noted, name) for name in (EPISODE, "length")), strict=True))
@@ -164,9 +162,9 @@ def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begin
                 f"{folder}, episode {shown(name)}: meta/episodes counts {lengths.get(name, 0)} frames, and data has "
                 f"{found.get(name, 0)}; copy the whole dataset again"
             )
-    if info.get("total_frames", len(episode)) != len(episode):
+    if info.total_frames not in (None, len(episode)):
         raise LogError(
-            f"{folder / INFO}: total_frames is {shown(info['total_frames'])}, and data has {len(episode)}; copy the "
+            f"{folder / INFO}: total_frames is {info.total_frames}, and data has {len(episode)}; copy the "
             "whole dataset again"
         )
 
@@ -174,14 +172,14 @@ def _check_counts(folder: Path, info: dict[str, Any], episode: np.ndarray, begin
 def _endings(place: str, columns: Columns, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> list[Ending]:
     """Ending and cause of each episode."""
     names = FLAGS if rules.done is None else (*FLAGS, rules.done)
-    flags = {name: flags_of(place, name, columns[name]) for name in names if name in columns}
+    flags = {name: steps.flags_of(place, name, columns[name]) for name in names if name in columns}
     is_truncated = flags.get(TRUNCATED, np.zeros(int(begins[-1]), dtype=bool))
     is_own_end = _own_ends(place, flags, is_truncated, rules, begins[1:] - 1)
     if is_own_end is None:
         return [rules.of_truncated] * (len(begins) - 1)
     ends_it = np.any([is_truncated, *(flags[name] for name in flags if name != SUCCESS or name == rules.done)], axis=0)
     for begin, end in pairwise(begins.tolist()):
-        refuse_early(place, int(columns[EPISODE][begin]), ends_it[begin:end])
+        steps.refuse_early(place, int(columns[EPISODE][begin]), ends_it[begin:end])
     broke_off = (CUT, UNKNOWN_CAUSE) if TRUNCATED in flags else rules.of_truncated
     return [
         (FINISHED, None) if is_own_end[last] else rules.of_truncated if is_truncated[last] else broke_off
@@ -231,13 +229,13 @@ def _ends(
         if rules.step_s is None and TIMESTAMP in columns:
             _check_stamps(place, columns, fps, begins)
         return [even_ends(end - begin, step_s) for begin, end in bounds]
-    times_s = numbers_of(place, rules.clock, columns[rules.clock])
+    times_s = steps.numbers_of(place, rules.clock, columns[rules.clock])
     return [ends_by_observations(np.append(times_s[begin:end], times_s[end - 1] + step_s)) for begin, end in bounds]
 
 
 def _check_stamps(place: str, columns: Columns, fps: float, begins: Int[np.ndarray, " E1"]) -> None:
     """Refuse to count frames where the time stamps tell otherwise."""
-    stamps = numbers_of(place, TIMESTAMP, columns[TIMESTAMP])
+    stamps = steps.numbers_of(place, TIMESTAMP, columns[TIMESTAMP])
     first = np.repeat(begins[:-1], np.diff(begins))
     counted = (np.arange(len(stamps)) - first) / fps
     wrong = ~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps)

@@ -37,11 +37,6 @@ def is_older(folder: Place) -> bool:
 def read_older(folder: Place) -> Logs:
     """Read logs of version 1.
 
-    Parameters
-    ----------
-    folder
-        Parquet files, CSV files or a journal.
-
     Raises
     ------
     LogError

@@ -7,41 +7,41 @@ read: one SELECT a table, in a transaction that is said to be read-only where th
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
 from decimal import Decimal
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+import msgspec
 import pyarrow as pa
 
 from halfseen.errors import ArgumentError, HalfseenError, LogError, within
 from halfseen.installation import extra
-from halfseen.logs.columns import OBJECT_COLUMNS, STAGE_COLUMNS, TRAJECTORY_COLUMNS, shown
-from halfseen.logs.formats.csv_folder import from_list_texts
+from halfseen.logs.columns import OWN_NAMES, refuse_repeated, shown
+from halfseen.logs.formats.as_text import from_list_texts
+from halfseen.logs.formats.event_mapping import Given, mapping_in
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
-from halfseen.reading import TABLE, UNPACKED, check_file, read_text, reason_of, toml_of
+from halfseen.reading import TABLE, UNPACKED, check_file, reason_of
 
 ROWS_AT_ONCE = 10_000
 BYTES_OF_VALUE = 8
 MOST_BYTES = UNPACKED
 """Of the rows of one table."""
-_NAMES = {*STAGE_COLUMNS, *TRAJECTORY_COLUMNS, *OBJECT_COLUMNS}
 _COMMENTS_AND_TEXT = re.compile(r"--[^\n]*|/\*.*?\*/|'(?:[^']|'')*'|\"(?:[^\"]|\"\")*\"", re.DOTALL)
 _SELECTS = re.compile(r"\(*\s*(select|with|values|table)\b", re.IGNORECASE)
 _SECRET = re.compile(r"(?i)((?:password|passwd|pwd|token|secret|key)[^=&;]*=)[^&;]*")
 _OF_USER = re.compile(r"(?:(?<=://)|^)([^:/@]*):(?!//).*@", re.DOTALL)
 
 
-@dataclass(frozen=True)
-class Queries:
+class Queries(msgspec.Struct, **Given):
     """What is asked of a database.
 
     Parameters
     ----------
     stages, trajectories, objects
         A SELECT each; None where the log has no objects.
+
 
     Raises
     ------
@@ -72,23 +72,7 @@ def read_queries(file: str | Path) -> Queries:
     ArgumentError
         It is missing or no TOML, a key is missing or unknown, or a query is none.
     """
-    try:
-        found = toml_of(read_text(Path(file)))
-    except OSError as error:
-        raise ArgumentError(f"{file}: it cannot be read ({error.strerror}); give a file of queries") from error
-    except ValueError as error:
-        raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
-    unknown = [key for key in found if key not in ("stages", "trajectories", "objects")]
-    if unknown:
-        raise ArgumentError(f"{file}, {unknown[0]}: it is unknown; there are stages, trajectories, objects")
-    for key in ("stages", "trajectories"):
-        if key not in found:
-            raise ArgumentError(f"{file}, {key}: it is missing; say which SELECT gives the {key}")
-    for key, query in found.items():
-        if not isinstance(query, str):
-            raise ArgumentError(f"{file}, {key}: {shown(query)} is no text; give a SELECT")
-    with within(file):
-        return Queries(**found)
+    return mapping_in(file, Queries, "give a SELECT for stages and trajectories, and objects if there are any")
 
 
 def read_sql(url: str, queries: Queries, *, missing: Missing = None) -> Logs:
@@ -163,7 +147,8 @@ def _connected(url: str, place: str) -> Iterator[Any]:
         ) from None
     try:
         with engine.connect() as connection:
-            connection = connection.execution_options(no_parameters=True, stream_results=True, **_read_only(engine))
+            options = {"postgresql_readonly": True} if engine.dialect.name == "postgresql" else {}
+            connection = connection.execution_options(no_parameters=True, stream_results=True, **options)
             if engine.dialect.name in ("mysql", "mariadb"):
                 connection.exec_driver_sql("SET SESSION TRANSACTION READ ONLY")
             yield connection
@@ -200,17 +185,11 @@ def _check_file_of(url: Any) -> Path:
     return file
 
 
-def _read_only(engine: Any) -> dict[str, Any]:
-    return {"postgresql_readonly": True} if engine.dialect.name == "postgresql" else {}
-
-
 def _rows(connection: Any, place: str, query: str) -> pa.Table:
     try:
         result = connection.exec_driver_sql(query.strip().rstrip(";"))
         names = list(map(str, result.keys()))
-        repeated = [name for k, name in enumerate(names) if name in names[:k]]
-        if repeated:
-            raise LogError(f"{place}: there are two columns {shown(repeated[0])}; name one otherwise (AS)")
+        refuse_repeated(place, names, "name one otherwise (AS)")
         cells: list[list[Any]] = [[] for _ in names]
         num_bytes = 0
         for rows in result.partitions(ROWS_AT_ONCE):
@@ -237,7 +216,7 @@ def _column(place: str, name: str, values: list[Any]) -> Any:
         raise LogError(
             f"{place}: column {shown(name)} mixes {kinds} ({reason_of(error)}); give it one type (CAST)"
         ) from error
-    lists = None if name in _NAMES else from_list_texts(column)
+    lists = None if name in OWN_NAMES else from_list_texts(column)
     return column if lists is None else lists
 
 

@@ -14,28 +14,18 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, warn
 from halfseen.installation import extra
 from halfseen.logs.columns import CUT, FINISHED
+from halfseen.logs.formats import steps
 from halfseen.logs.formats.clocks import ends_by_steps, even_ends
-from halfseen.logs.formats.steps import (
-    Columns,
-    StepRules,
-    Steps,
-    flags_of,
-    logs_of_episodes,
-    numbers_of,
-    observed_columns,
-    require,
-    warn,
-)
+from halfseen.logs.formats.steps import Columns, StepRules, StepTable
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
 from halfseen.shapes import Bool, Float
 
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"
-SUFFIXES = (".h5", ".hdf5")
 MOST_GROUPS = 1000
 """Side by side, as groups may hold one another."""
 
@@ -69,19 +59,30 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     place = str(file)
     named = {"action": "actions", "reward": "rewards", "done": "terminals"} | rules.named
     columns = _arrays(file, named)
-    is_terminal = flags_of(place, named["done"], columns[named["done"]])
+    is_terminal = steps.flags_of(place, named["done"], columns[named["done"]])
     is_timeout = _timeouts(place, columns, len(is_terminal))
-    steps = Steps(place, columns, _below(columns, SEEN), named["action"], named["reward"])
-    following = _following(place, columns, steps.observed)
-    ends = np.flatnonzero(is_terminal | is_timeout) + 1
-    bounds = list(pairwise(sorted({0, *ends.tolist(), len(is_terminal)})))
-    episodes = []
-    for name, ((begin, end), ends_s) in enumerate(zip(bounds, _ends(place, columns, rules, bounds), strict=True)):
-        ending = rules.of_truncated if is_timeout[end - 1] else (CUT, END_OF_DATA)
-        ending = (FINISHED, None) if is_terminal[end - 1] else ending
-        after = None if following is None else {column: values[end - 1] for column, values in following.items()}
-        episodes.append(steps.episode(name, slice(begin, end), ends_s, ending, after))
-    return logs_of_episodes(place, episodes)
+    observed = steps.observed_columns(place, _below(columns, SEEN))
+    following = _following(place, columns, observed)
+    ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
+    begins = np.append(0, ends).astype(np.int64)
+    rows = np.arange(len(is_terminal))
+    if following is not None:  # below each episode what was observed after its last step
+        rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
+        observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
+    table = StepTable(
+        names=range(len(ends)),
+        begins=begins,
+        is_step=rows < len(is_terminal),
+        observed=observed,
+        actions=steps.actions_of(place, named["action"], columns[named["action"]]),
+        rewards=steps.numbers_of(place, named["reward"], columns[named["reward"]], "reward"),
+        ends_s=_ends(place, columns, rules, list(pairwise([0, *ends.tolist()]))),
+        endings=[
+            (FINISHED, None) if is_terminal[last] else rules.of_truncated if is_timeout[last] else (CUT, END_OF_DATA)
+            for last in ends - 1
+        ],
+    )
+    return table.logs(place)
 
 
 def _ends(
@@ -91,13 +92,13 @@ def _ends(
     step_s = rules.step_in(place)
     if rules.clock is None:
         return [even_ends(end - begin, step_s) for begin, end in bounds]
-    times_s = numbers_of(place, rules.clock, columns[rules.clock])
+    times_s = steps.numbers_of(place, rules.clock, columns[rules.clock])
     return ends_by_steps(place, rules.clock, range(len(bounds)), [times_s[begin:end] for begin, end in bounds])
 
 
 def _timeouts(place: str, columns: Columns, num_steps: int) -> Bool[np.ndarray, " N"]:
     if TIMEOUTS in columns:
-        return flags_of(place, TIMEOUTS, columns[TIMEOUTS])
+        return steps.flags_of(place, TIMEOUTS, columns[TIMEOUTS])
     warn(place, f"there are no {TIMEOUTS}, so that an episode ends where it terminated, and nowhere else")
     return np.zeros(num_steps, dtype=bool)
 
@@ -106,11 +107,11 @@ def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
     """Read the arrays that are wanted, and tell which are left out."""
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
-        require(str(file), there, names)
+        steps.require(str(file), there, names)
         asked = {*names.values(), TIMEOUTS}
         wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
         if not any(_is_below(name, SEEN) for name in wanted):
-            require(str(file), there, {"observations": SEEN}, "rename it")
+            steps.require(str(file), there, {"observations": SEEN}, "rename it")
         check_unpacked(num_bytes, sum(prod(there[name].shape) * there[name].dtype.itemsize for name in wanted))
         num_steps = there[names["done"]].shape[:1]
         for name in wanted:
@@ -186,7 +187,7 @@ def _following(place: str, columns: Columns, observed: Columns) -> dict[str, np.
     found = {f"{SEEN}{name.removeprefix(NEXT_SEEN)}": values for name, values in _below(columns, NEXT_SEEN).items()}
     if not found:
         return None
-    following = observed_columns(place, found)
+    following = steps.observed_columns(place, found)
     if set(following) != set(observed):
         differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
         raise LogError(f"{place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")

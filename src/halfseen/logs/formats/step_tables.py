@@ -9,7 +9,6 @@ nothing, and are not read. An episode whose last row is not ``is_last`` broke of
 import mmap
 import re
 import struct
-from collections import Counter
 from collections.abc import Iterable, Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -20,24 +19,15 @@ import pyarrow as pa
 import pyarrow.csv as arrow_csv
 import pyarrow.parquet as pq
 
-from halfseen.errors import LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.folder import check_unpacked_table
+from halfseen.errors import LogError, warn
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, refuse_repeated, shown
+from halfseen.logs.formats import steps
+from halfseen.logs.formats.as_text import from_list_texts
 from halfseen.logs.formats.clocks import ends_by_observations, even_ends
-from halfseen.logs.formats.csv_folder import from_list_texts
-from halfseen.logs.formats.steps import (
-    Ending,
-    StepRules,
-    Steps,
-    begins_of,
-    flags_of,
-    logs_of_episodes,
-    numbers_of,
-    refuse_early,
-    require,
-    warn,
-)
+from halfseen.logs.formats.csv_folder import read_cells
+from halfseen.logs.formats.steps import Columns, Ending, StepRules, StepTable
 from halfseen.logs.logs import Logs
+from halfseen.logs.parquet_footer import check_unpacked_table
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
 from halfseen.shapes import Bool, Float, Int, Shaped
 
@@ -78,42 +68,57 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     place = ", ".join(map(str, paths[:3])) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")
     table = _flattened(place, read_tables(paths))
     named = {"action": "action", "reward": "reward", "done": TERMINAL} | rules.named
-    require(place, table.column_names, {"end of an episode": LAST}, "add it")
-    require(place, table.column_names, named)
+    steps.require(place, table.column_names, {"end of an episode": LAST}, "add it")
+    steps.require(place, table.column_names, named)
     columns = {name: as_array(place, table, name) for name in (*named.values(), LAST)}
-    is_last, is_terminal = (flags_of(place, name, columns[name]) for name in (LAST, named["done"]))
+    is_last, is_terminal = (steps.flags_of(place, name, columns[name]) for name in (LAST, named["done"]))
     names, begins = _episodes(place, table)
-    ends = begins[1:] - 1
     is_step = np.ones(len(is_last), dtype=bool)
-    is_step[ends] = ~is_last[ends]
-    if is_step.any():  # rows in which nothing was done decide nothing about what actions are
-        columns[named["action"]] = columns[named["action"]].copy()
-        columns[named["action"]][~is_step] = columns[named["action"]][int(np.argmax(is_step))]
+    is_step[begins[1:] - 1] = ~is_last[begins[1:] - 1]
+    rewards = steps.numbers_of(place, named["reward"], columns[named["reward"]], "reward")
     seen = {name: as_array(place, table, name) for name in table.column_names if name.startswith(SEEN)}
-    steps = Steps(place, columns, seen, named["action"], named["reward"])
-    _warn_of_unread(place, table, {*named.values()}, steps.rewards[~is_step])
+    _warn_of_unread(place, table, {*named.values()}, rewards[~is_step])
+    rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
+    found = StepTable(
+        names=names,
+        begins=begins,
+        is_step=is_step,
+        observed=steps.observed_columns(place, seen),
+        actions=steps.actions_of(place, named["action"], columns[named["action"]][is_step]),
+        rewards=rewards[is_step],
+        ends_s=_ends(place, columns, rules, [is_step[each] for each in rows], begins),
+        endings=[
+            _ending(place, name, is_last[each], is_terminal[each], rules)
+            for name, each in zip(names, rows, strict=True)
+        ],
+    )
+    return found.logs(place)
+
+
+def _ends(
+    place: str,
+    columns: Columns,
+    rules: StepRules,
+    is_step: list[Bool[np.ndarray, " _"]],
+    begins: Int[np.ndarray, " E1"],
+) -> list[Float[np.ndarray, " _"]]:
+    """Time from the beginning of its episode to the end of each step [s]; one that no row follows counts as none."""
     step_s = rules.step_in(place)
-    times_s = None if rules.clock is None else numbers_of(place, rules.clock, columns[rules.clock])
-    episodes = []
-    for name, (begin, end) in zip(names, pairwise(begins.tolist()), strict=True):
-        has_last = not is_step[end - 1]
-        stop = end - has_last
-        ending = _ending(place, name, is_last[begin:end], is_terminal[begin:end], rules)
-        ends_s = even_ends(stop - begin, step_s)
-        if times_s is not None:  # that the last step ended is known where a row follows it
-            stamps = times_s[begin:end]
-            ends_s = ends_by_observations(stamps if has_last else np.append(stamps, stamps[-1:]))
-        after = {column: values[end - 1] for column, values in steps.observed.items()} if has_last else None
-        episodes.append(steps.episode(name, slice(begin, stop), ends_s, ending, after))
-    return logs_of_episodes(place, episodes)
+    if rules.clock is None:
+        return [even_ends(int(np.count_nonzero(each)), step_s) for each in is_step]
+    times_s = np.split(steps.numbers_of(place, rules.clock, columns[rules.clock]), begins[1:-1])
+    return [
+        ends_by_observations(np.append(times, times[-1:]) if steps[-1] else times)
+        for times, steps in zip(times_s, is_step, strict=True)
+    ]
 
 
 def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
     """Names of the episodes, the rows in which they begin, and the number of rows."""
-    is_first = flags_of(place, FIRST, as_array(place, table, FIRST)) if FIRST in table.column_names else None
+    is_first = steps.flags_of(place, FIRST, as_array(place, table, FIRST)) if FIRST in table.column_names else None
     column = next((name for name in EPISODES if name in table.column_names), None)
     if column is None and is_first is None:
-        require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
+        steps.require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
     if column is None and is_first is not None:
         if len(is_first) and not is_first[0]:
             raise LogError(f"{place}, row 0: {FIRST} is false, so that it belongs to no episode; mend it")
@@ -129,7 +134,7 @@ def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndar
             f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {column} is {shown(labels[row])}; mend one of "
             "the two"
         )
-    begins = begins_of(place, "rows", labels, "sort them")
+    begins = steps.begins_of(place, "rows", labels, "sort them")
     return labels[begins[:-1]].tolist(), begins
 
 
@@ -150,7 +155,7 @@ def _warn_of_unread(place: str, table: pa.Table, read: set[str], last_rewards: F
 def _ending(
     place: str, name: int | str, is_last: Bool[np.ndarray, " O"], is_terminal: Bool[np.ndarray, " O"], rules: StepRules
 ) -> Ending:
-    refuse_early(place, name, is_last | is_terminal)
+    steps.refuse_early(place, name, is_last | is_terminal)
     if is_terminal[-1] and not is_last[-1]:
         raise LogError(
             f"{place}, episode {shown(name)}: its last row terminates it and is not {LAST}; mend one of the two"
@@ -226,20 +231,14 @@ def _read(file: Path, columns: list[str] | None) -> pa.Table:
         raise LogError(
             f"{file}: there is no column {missing[0]!r} among {', '.join(table.column_names)}; copy it again"
         )
-    _refuse_repeated(str(file), table.column_names)
+    refuse_repeated(file, table.column_names)
     return table.replace_schema_metadata(None)
 
 
 def _csv(file: Path) -> pa.Table:
     with opened(file, TABLE) as bytes_in:
-        table = arrow_csv.read_csv(
-            bytes_in,
-            read_options=arrow_csv.ReadOptions(use_threads=False),
-            parse_options=arrow_csv.ParseOptions(newlines_in_values=True),
-            convert_options=arrow_csv.ConvertOptions(
-                null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False
-            ),
-        )
+        convert = arrow_csv.ConvertOptions(null_values=[""], strings_can_be_null=True, quoted_strings_can_be_null=False)
+        table = read_cells(bytes_in, convert)
     lists = {name: from_list_texts(table[name]) for name in table.column_names}
     return pa.table({name: table[name] if lists[name] is None else lists[name] for name in table.column_names})
 
@@ -267,14 +266,8 @@ def _flattened(place: str, table: pa.Table) -> pa.Table:
         if not any(pa.types.is_struct(kind) for kind in table.schema.types):
             break
         table = table.flatten()
-    _refuse_repeated(place, table.column_names)
+    refuse_repeated(place, table.column_names)
     return table
-
-
-def _refuse_repeated(place: str, names: list[str]) -> None:
-    counted = Counter(names)
-    if len(counted) < len(names):
-        raise LogError(f"{place}: there are two columns {shown(counted.most_common(1)[0][0])}; drop or rename one")
 
 
 def _array(place: str, name: str, values: Any) -> np.ndarray:

@@ -8,7 +8,6 @@ Columns have one row a step. What is observed may be whole arrays, of which colu
 step.
 """
 
-import warnings
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from math import prod
@@ -17,7 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import ArgumentError, HalfseenWarning, LogError, within
+from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, shown
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Bool, Float, Int, Shaped
@@ -92,110 +91,81 @@ class StepRules:
 
 
 @dataclass(frozen=True)
-class Episode:
-    """An episode of T steps.
+class StepTable:
+    """Episodes of a dataset, one below the other, in N rows: a step each, or what was observed after the last one.
 
     Parameters
     ----------
-    name
-        Of its trajectory.
+    names
+        Of the E trajectories.
+    begins
+        Rows in which episodes begin, and the number of rows, shape (E + 1,).
+    is_step
+        Rows in which something was done: all but, perhaps, the last of an episode, shape (N,).
     observed
-        Columns of what was observed, T rows each, or T + 1 where the observation after the last step is known.
+        Columns of what was observed, N rows each.
     actions
-        Action of each step, shape (T,): whole numbers or text.
+        Of the M steps: whole numbers or text, shape (M,).
     rewards
-        What each step earned, shape (T,).
+        What each step earned, shape (M,).
     ends_s
-        Time from the beginning to the end of each step [s], shape (T,).
-    ending
-        Ending and cause.
-    has_last
-        Whether what was observed after the last step is known.
+        Of each episode, the time from its beginning to the end of each step [s].
+    endings
+        Ending and cause of each episode.
     """
 
-    name: int | str
-    observed: Mapping[str, Shaped[np.ndarray, " O"]]
-    actions: Shaped[np.ndarray, " T"]
-    rewards: Float[np.ndarray, " T"]
-    ends_s: Float[np.ndarray, " T"]
-    ending: Ending
-    has_last: bool = False
+    names: Sequence[int | str]
+    begins: Int[np.ndarray, " E1"]
+    is_step: Bool[np.ndarray, " N"]
+    observed: Columns
+    actions: Shaped[np.ndarray, " M"]
+    rewards: Float[np.ndarray, " M"]
+    ends_s: Sequence[Float[np.ndarray, " _"]]
+    endings: Sequence[Ending]
 
-    @property
-    def stages(self) -> dict[str, np.ndarray]:
-        """Columns of its stages."""
-        is_cut, num_steps = self.ending[0] == CUT, len(self.actions)
-        num_completed = num_steps - (is_cut and not self.has_last)
-        num_stages = num_completed + is_cut
-        unknown = np.full(int(is_cut), np.nan)
-        actions = np.full(num_stages, None, dtype=object)
-        actions[: min(num_steps, num_stages)] = self.actions[:num_stages]
-        return {
-            "trajectory": np.repeat(np.array([self.name], dtype=object), num_stages),
-            "stage": np.arange(1, num_stages + 1),
-            "elapsed_s": np.append(self.ends_s[:num_completed], unknown),
-            "action": actions,
-            "reward": np.append(self.rewards[:num_completed], unknown),
-            **{name: values[:num_stages] for name, values in self.observed.items()},
+    def logs(self, place: str) -> Logs:
+        """Make a trajectory of each episode; `place` names the dataset in messages.
+
+        Raises
+        ------
+        LogError
+            There is no episode, one has no step, or the log breaks an invariant.
+        """
+        if not self.names:
+            raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
+        for name, times_s in zip(self.names, self.ends_s, strict=True):
+            if not len(times_s):
+                raise LogError(f"{place}, episode {shown(name)}: it has no step; leave the episode out")
+        ends: dict[str, Any] = {
+            "trajectory": self.names,
+            "end_s": [times_s[-1] for times_s in self.ends_s],
+            "ending": [ending for ending, _ in self.endings],
+            "cause": [cause for _, cause in self.endings],
         }
+        with within(place):
+            return Logs(self._stages(np.array([ending == CUT for ending in ends["ending"]])), pd.DataFrame(ends))
 
-
-class Steps:
-    """Steps of all episodes of a dataset, one below the other in N rows: what was `seen`, and two columns by name.
-
-    Raises
-    ------
-    ArgumentError
-        Actions are not one of finitely many each, or rewards no single numbers.
-    LogError
-        Two observations make the same column.
-    """
-
-    def __init__(self, place: str, columns: Columns, seen: Columns, action: str, reward: str) -> None:
-        self.observed = observed_columns(place, seen)
-        self._actions = _actions_of(place, action, columns[action])
-        self.rewards = numbers_of(place, reward, columns[reward], "reward")
-
-    def episode(
-        self,
-        name: int | str,
-        rows: slice,
-        ends_s: Float[np.ndarray, " T"],
-        ending: Ending,
-        after: Mapping[str, Any] | None = None,
-    ) -> Episode:
-        """Take the steps of one episode; `after` is what was observed after its last step, None where unknown."""
-        observed = {column: values[rows] for column, values in self.observed.items()}
-        if after is not None:
-            observed = {column: np.append(values, after[column]) for column, values in observed.items()}
-        return Episode(name, observed, self._actions[rows], self.rewards[rows], ends_s, ending, after is not None)
-
-
-def logs_of_episodes(place: str, episodes: Sequence[Episode]) -> Logs:
-    """Make trajectories of episodes with the same columns each; `place` names the dataset in messages.
-
-    Raises
-    ------
-    LogError
-        There is none, one has no step, or the log breaks an invariant.
-    """
-    if not episodes:
-        raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
-    for episode in episodes:
-        if not len(episode.actions):
-            raise LogError(f"{place}, episode {shown(episode.name)}: it has no step; leave the episode out")
-    stages = [episode.stages for episode in episodes]
-    columns: dict[str, Any] = {name: np.concatenate([part[name] for part in stages]) for name in stages[0]}
-    is_whole = all(episode.actions.dtype.kind == "i" for episode in episodes)
-    columns["action"] = pd.array(columns["action"].tolist(), dtype="Int64" if is_whole else object)
-    ends: dict[str, list[Any]] = {
-        "trajectory": [episode.name for episode in episodes],
-        "end_s": [episode.ends_s[-1] for episode in episodes],
-        "ending": [episode.ending[0] for episode in episodes],
-        "cause": [episode.ending[1] for episode in episodes],
-    }
-    with within(place):
-        return Logs(stages=pd.DataFrame(columns), trajectories=pd.DataFrame(ends))
+    def _stages(self, is_cut: Bool[np.ndarray, " E"]) -> Any:
+        """A cut falls into the last row of its episode, whose reward is passed over."""
+        last, sizes = self.begins[1:] - 1, np.diff(self.begins)
+        episode = np.repeat(np.arange(len(sizes)), sizes)
+        is_stage, is_completed = self.is_step.copy(), self.is_step.copy()
+        is_stage[last] |= is_cut
+        is_completed[last] &= ~is_cut
+        of_steps = {"elapsed_s": np.concatenate(self.ends_s), "reward": self.rewards}
+        numbers = {name: np.full(len(self.is_step), np.nan) for name in of_steps}
+        for name, values in of_steps.items():
+            numbers[name][is_completed] = values[is_completed[self.is_step]]
+        actions = np.full(len(self.is_step), None, dtype=object)
+        actions[self.is_step] = self.actions
+        columns = {
+            "trajectory": np.array(self.names, dtype=object)[episode],
+            "stage": np.arange(len(episode)) - self.begins[episode] + 1,
+            "action": pd.array(actions.tolist(), dtype="Int64" if self.actions.dtype.kind == "i" else object),
+            **numbers,
+            **self.observed,
+        }
+        return pd.DataFrame(columns)[is_stage]
 
 
 def begins_of(place: str, rows: str, labels: Shaped[np.ndarray, " N"], remedy: str) -> Int[np.ndarray, " E1"]:
@@ -300,12 +270,7 @@ def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy:
             )
 
 
-def warn(place: str, trouble: str) -> None:
-    """Tell what is read otherwise than somebody may think."""
-    warnings.warn(f"{place}: {trouble}", HalfseenWarning, stacklevel=4)
-
-
-def _actions_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Shaped[np.ndarray, " N"]:
+def actions_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Shaped[np.ndarray, " N"]:
     """Bring actions, one of finitely many each, into whole numbers (null as None) or text."""
     flat = _flat(values)
     if flat.ndim == 1 and flat.dtype.kind in "biu":

@@ -1,7 +1,7 @@
 """Cells of any table as text, with the line of each row.
 
 Read down: bytes → text (encoding) → cells (separator), or typed columns → the same cells. What text means is read in
-`halfseen.logs.formats.table_numbers` and `table_times`.
+`halfseen.logs.formats.table_values`.
 """
 
 import csv
@@ -18,7 +18,7 @@ import msgspec
 import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.event_mapping import Layout
 from halfseen.logs.formats.step_tables import LAST, parquet_file, whole_table
 from halfseen.reading import TABLE, opened, reason_of
@@ -180,9 +180,7 @@ def _trimmed(cells: list[str], least: int) -> list[str]:
 
 
 def _checked(cells: Cells, names: list[str]) -> Cells:
-    repeated = [name for k, name in enumerate(names) if name in names[:k]]
-    if repeated:
-        raise LogError(f"{cells.file}: there are two columns {repeated[0]!r}; drop or rename one")
+    refuse_repeated(cells.file, names)
     if "" in names:
         raise LogError(f"{cells.file}: column {names.index('') + 1} has no name; give it one, or say table.heading")
     if not len(cells.rows):

@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow as pa
 
 from halfseen.logs import Logs, LogsSummary
-from halfseen.logs.logs import SummaryTally
+from halfseen.logs.summary import SummaryTally
 from halfseen.policies.folder.arrays import PolicyKind
 from halfseen.policies.folder.stored import TABLE_RANGES
 from halfseen.shapes import Float, Int

@@ -14,7 +14,6 @@ import pandas as pd
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.logs import Logs
-from halfseen.logs.logs import durations_s
 from halfseen.policies.folder.log_facts import distribution_of
 from halfseen.shapes import Bool, Float
 
@@ -64,7 +63,7 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
 
 def outcome_rows(logs: Logs) -> Any:
     """Completed stages with a known action; ``duration`` is the logarithm of theirs [log s]."""
-    rows: Any = logs.stages.assign(duration=np.log(np.maximum(durations_s(logs), 1e-9)))
+    rows: Any = logs.stages.assign(duration=np.log(np.maximum(logs.durations_s(), 1e-9)))
     return rows[rows["elapsed_s"].notna() & rows["action"].notna()].reset_index(drop=True)
 
 

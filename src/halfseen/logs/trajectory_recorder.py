@@ -1,0 +1,312 @@
+"""A trajectory that is being recorded: each call is checked, and then one event of a journal."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from halfseen.errors import LogError
+from halfseen.logs.checks import LARGEST
+from halfseen.logs.columns import CUT, FINISHED, STEPPED_BACK, shown
+from halfseen.logs.journal_writer import JournalWriter
+from halfseen.logs.logs import Logs
+from halfseen.logs.recorded import CRASH, STILL_RUNNING, followed, tables_of
+from halfseen.logs.recording_state import Recorded, TrajectoryState
+from halfseen.logs.values import Schema, checked_number, checked_robot, checked_text
+
+CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
+"""Usual causes of cuts; any other text will do."""
+
+STILL_RUNNING_EVERY_S = 0.5
+
+
+def log_so_far(events: Sequence[dict[str, Any]]) -> Logs:
+    """Give the log of one trajectory in progress, cut at its last event.
+
+    Raises
+    ------
+    LogError
+        What happened so far is none that a log takes.
+    """
+    trajectory = followed(events)
+    trajectory.end(CUT, None, STILL_RUNNING)
+    return Logs(**tables_of([trajectory]))
+
+
+class TrajectoryRecorder:
+    """A trajectory that is being recorded; `LogRecorder.begin_trajectory` makes it.
+
+    Its clock is read from `time.monotonic`, and each stage then lasts until the next begins. Or it is given as
+    ``elapsed_s``, always, and each stage then lasts as long as is said. That of several robots may stand still: where
+    two are free at once, the stage between their decisions takes no time.
+    """
+
+    def __init__(
+        self,
+        journal: JournalWriter,
+        name: int | str,
+        columns: dict[str, Any],
+        schema: Schema,
+        check: Callable[[Logs], object] | None,
+        keeps_events: bool,
+    ) -> None:
+        known = journal.known
+        self.name = name
+        self._journal = journal
+        self._columns = columns
+        self._trajectory_schema = schema
+        self._check = check
+        self._keeps_events = keeps_events or check is not None
+        self._number = 1 if known.trajectory is None else known.trajectory.number + 1
+        journal.known = replace(known, trajectory=TrajectoryState(name, self._number))
+
+    @property
+    def is_ended(self) -> bool:
+        """Whether it is finished or cut."""
+        return self._state.is_ended
+
+    @property
+    def events(self) -> tuple[dict[str, Any], ...]:
+        """Its events so far, where the recorder keeps them; else none."""
+        return self._state.events
+
+    @property
+    def is_in_stage(self) -> bool:
+        """Whether a stage is in progress."""
+        return self._state.is_in_stage
+
+    @property
+    def _state(self) -> TrajectoryState:
+        """Where it stands; it has ended once another has begun."""
+        state: TrajectoryState = self._journal.known.trajectory
+        return state if state.number == self._number else TrajectoryState(self.name, is_ended=True)
+
+    def begin_stage(
+        self,
+        covariates: Any = None,
+        objects: Any = None,
+        action: Any = None,
+        object: Any = None,  # noqa: A002
+        probability: Any = None,
+        robot: Any = None,
+        stepped_back: Any = None,
+    ) -> None:
+        """Begin a stage: what was seen, and what is done about it.
+
+        Parameters
+        ----------
+        covariates
+            What the policy saw, by name: numbers, text or flat lists, of Python or NumPy; the same names in every
+            stage.
+        objects
+            A list with a dict for each object that stood there, with its name as "object" and its covariates; None
+            where stages have no objects.
+        action
+            What is done, as a whole number or text. It may be left out only in a stage in which the trajectory is then
+            cut.
+        object
+            What it is done to, if anything.
+        probability
+            The probability in (0, 1] with which the policy chose it; always or never.
+        robot
+            Of several robots, the number of the one that decides; always or never.
+        stepped_back
+            Why a rule decided in the policy's place, such as "out-of-range"; None where it did not.
+
+        Raises
+        ------
+        LogError
+            A stage is in progress, or a value is none that a log takes: of several robots also where two are at one
+            object, or one decides that dropped out.
+        """
+        state, recorded = self._running(), self._journal.known
+        where = self._where(state.stage + 1)
+        if state.is_in_stage:
+            raise LogError(f"{self._where(state.stage)}: it is in progress; complete_stage() it before the next begins")
+        schema = recorded.schema if state.stage else self._trajectory_schema
+        chosen = {"robot": robot, "action": action, "object": object, "probability": probability}
+        chosen |= {STEPPED_BACK: stepped_back}
+        schema, seen = schema.with_stage(covariates or {}, objects, chosen, where)
+        event: dict[str, Any] = {"event": "stage", "trajectory": self.name, "stage": state.stage + 1}
+        if state.stage == 0:
+            state = state.started()
+            event |= {"at_s": 0.0, "columns": self._columns}
+        elif not state.is_given:
+            event["at_s"] = state.read_s()
+        at_s = event.get("at_s", state.at_s)
+        begun = replace(state, stage=state.stage + 1, is_in_stage=True, has_action=action is not None)
+        begun = replace(begun, at_s=at_s, noted_s=at_s)
+        self._write(event | seen, replace(recorded, schema=schema), begun, is_news=True)
+
+    def complete_stage(self, reward: Any, *, elapsed_s: Any = None, own_rewards: Any = ()) -> None:
+        """Complete the stage in progress.
+
+        Parameters
+        ----------
+        reward
+            What it earned.
+        elapsed_s
+            Time since the trajectory began [s], where the recorder shall not read it from its own clock.
+        own_rewards
+            What each of several robots brought, robot 0 first, for the columns 0_reward, 1_reward and so on; of the
+            same robots in every stage of the folder.
+
+        Raises
+        ------
+        LogError
+            No stage is in progress, a reward is no number or beyond 1e75, one of a robot is missing, or the clock does
+            not run forward; of several robots, it may stand.
+        """
+        state, recorded = self._running(), self._journal.known
+        where = self._where(state.stage)
+        if not state.is_in_stage:
+            what = "no stage has begun" if state.stage == 0 else f"stage {state.stage} is completed already"
+            raise LogError(f"trajectory {shown(self.name)}: {what}; begin_stage() first")
+        if not state.has_action:
+            raise LogError(f"{where}: it began without an action; a stage without one can only be cut")
+        earned = checked_number(reward, "reward", where, "give the finite reward that it earned")
+        if abs(earned) > LARGEST:
+            raise LogError(f"{where}: reward is {earned:g}; give rewards in another unit")
+        shares = self._checked_shares(own_rewards, where)
+        at_s = state.time_of(elapsed_s, where, is_later=not recorded.schema.has_robot)
+        event = {"event": "done", "at_s": at_s, "reward": earned} | ({"own_rewards": shares} if shares else {})
+        event |= {} if elapsed_s is None else {"is_given": True}
+        completed = state.after(at_s, elapsed_s, is_in_stage=False, completed_s=at_s)
+        self._write(event, replace(recorded, num_shares=len(shares)), completed)
+
+    def _checked_shares(self, own_rewards: Any, where: str) -> list[float]:
+        """Rewards of robots as numbers, of as many robots as in the stages before."""
+        remedy, known = "give the finite reward that the robot brought", self._journal.known.num_shares
+        if not isinstance(own_rewards, Sequence | np.ndarray) or isinstance(own_rewards, str):
+            raise LogError(f"{where}: own_rewards is {own_rewards!r}; give a list with the reward of each robot")
+        if known not in (None, len(own_rewards)):
+            raise LogError(
+                f"{where}: own_rewards has {len(own_rewards)} numbers, and the stages before it have {known}; give one "
+                "for each robot, in every stage or in none"
+            )
+        return [checked_number(each, f"{robot}_reward", where, remedy) for robot, each in enumerate(own_rewards)]
+
+    def drop_out(self, robot: Any, cause: Any, *, elapsed_s: Any = None) -> None:
+        """Note that one of several robots dropped out alone; the trajectory goes on without it.
+
+        Tell it before the stage in which it happens is completed.
+
+        Parameters
+        ----------
+        robot
+            Its number.
+        cause
+            Why, as in `cut`.
+        elapsed_s
+            Time since the trajectory began [s], as in `complete_stage`.
+
+        Raises
+        ------
+        LogError
+            No robot decided so far, this one has dropped out before or is none of them, the cause is no text, or the
+            clock goes back.
+        """
+        state = self._running()
+        self._check_cause(cause)
+        where = self._where(state.stage)
+        if not (state.events and self._journal.known.schema.has_robot):
+            raise LogError(f"{where}: no robot has decided yet, so none drops out; begin_stage() with its robot first")
+        number = checked_robot(robot, where)
+        if any(event["event"] == "out" and event["robot"] == number for event in state.events):
+            raise LogError(f"{where}: robot {number} has dropped out before; once is for good")
+        at_s = state.time_of(elapsed_s, where)
+        event = {"event": "out", "at_s": at_s, "robot": number, "cause": cause}
+        self._write(event, self._journal.known, state.after(at_s, elapsed_s), is_news=True)
+
+    def still_running(self, *, elapsed_s: Any = None) -> None:
+        """Note that the trajectory is in progress, at most twice a second; call it from the control loop.
+
+        After a crash the trajectory is then known to have run until the last call, not only until its last stage began.
+        Worth it where crashes are many and stages long: see `halfseen.logs.recorded`.
+        """
+        state, recorded = self._running(), self._journal.known
+        if state.stage == 0:
+            return
+        at_s = state.time_of(elapsed_s, self._where(state.stage))
+        runs = state.after(at_s, elapsed_s)
+        if at_s >= state.noted_s + STILL_RUNNING_EVERY_S:
+            self._write({"event": "running", "at_s": at_s}, recorded, replace(runs, noted_s=at_s))
+        else:
+            self._journal.known = replace(recorded, trajectory=runs)
+
+    def finish(self, *, elapsed_s: Any = None) -> None:
+        """End the trajectory where the task ended: it was finished, the table is cleared, the horizon is reached.
+
+        Raises
+        ------
+        LogError
+            A stage is in progress, or none was completed.
+        """
+        state = self._running()
+        if state.stage == 0 or state.is_in_stage:
+            what = "it has no stage" if state.stage == 0 else f"stage {state.stage} is in progress"
+            raise LogError(
+                f"trajectory {shown(self.name)}: {what}; complete it before finish(), or cut() the trajectory"
+            )
+        where = self._where(state.stage)
+        state.check_units(state.end_s(elapsed_s, where), where)
+        self._end({"event": FINISHED}, state, elapsed_s)
+
+    def cut(self, cause: Any, *, elapsed_s: Any = None) -> None:
+        """End the trajectory where something outside the task ended it.
+
+        Between two stages, the cut falls into the stage before: what that led to was not seen. If it was, begin the
+        next stage with its covariates first. Before the first stage nothing was seen, and nothing is written.
+
+        Parameters
+        ----------
+        cause
+            Why: "operator", "emergency-stop", "time-out", "battery", "sensor-lost", "crash", or free text.
+        elapsed_s
+            Time since the trajectory began [s], as in `complete_stage`.
+
+        Raises
+        ------
+        LogError
+            The cause is no text, or the clock goes back.
+        """
+        state = self._running()
+        self._check_cause(cause)
+        self._end({"event": CUT, "cause": cause}, state, elapsed_s)
+
+    def _end(self, event: dict[str, Any], state: TrajectoryState, elapsed_s: Any) -> None:
+        recorded, ended = self._journal.known, replace(state, is_ended=True, is_in_stage=False)
+        if state.stage == 0:
+            self._journal.known = replace(recorded, trajectory=ended)
+            return
+        at_s = state.end_s(elapsed_s, self._where(state.stage))
+        self._write({**event, "at_s": at_s}, recorded, ended)
+
+    def _write(
+        self, event: dict[str, Any], recorded: Recorded, state: TrajectoryState, *, is_news: bool = False
+    ) -> None:
+        """Write an event; where somebody reads the trajectory as it grows, let them refuse one with news."""
+        if self._keeps_events or recorded.schema.has_robot:
+            state = replace(state, events=(*state.events, event))
+            if is_news and (self._check is not None or recorded.schema.has_robot):
+                logs = log_so_far(state.events)
+                if self._check is not None:
+                    self._check(logs)
+        self._journal.append(event, replace(recorded, trajectory=state))
+
+    def _check_cause(self, cause: Any) -> None:
+        if not isinstance(cause, str) or not cause.strip():
+            raise LogError(
+                f"trajectory {shown(self.name)}: cause {cause!r} is no cause; say {', '.join(CAUSES)}, or why"
+            )
+        checked_text(cause, f"trajectory {shown(self.name)}", "cause")
+
+    def _running(self) -> TrajectoryState:
+        state = self._state
+        if state.is_ended:
+            raise LogError(f"trajectory {shown(self.name)}: it has ended; begin another")
+        return state
+
+    def _where(self, stage: int) -> str:
+        return f"trajectory {shown(self.name)}, stage {stage}"
