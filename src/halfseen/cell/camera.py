@@ -114,8 +114,6 @@ def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]
 
     Parameters
     ----------
-    cloud
-        What the camera returned, without robots.
     arms_m
         Distance of robots along the optical axis [m]; infinite where there is none.
     is_held
@@ -146,15 +144,7 @@ def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]
 
 
 def without(cloud: Cloud, is_out: Bool[np.ndarray, " n"]) -> Cloud:
-    """Take points out of a cloud, as if nothing had returned there.
-
-    Parameters
-    ----------
-    cloud
-        What the camera returned.
-    is_out
-        Which of its points.
-    """
+    """Take points out of a cloud, as if nothing had returned there."""
     if not is_out.any():
         return cloud
     return replace(cloud, points_m=np.where(is_out[:, None], np.nan, cloud.points_m))

@@ -202,8 +202,6 @@ def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda:
 
     Parameters
     ----------
-    target
-        Where the result will be.
     what
         What runs there, with all that its tables depend on: only the same goes on with what is there.
     refuse
@@ -245,13 +243,6 @@ def _aside(folder: Path) -> Path:
 
 def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
     """Read what was recorded of tables, as one log; those that were cut before anything was decided are in none.
-
-    Parameters
-    ----------
-    folder
-        Where they were recorded.
-    tables
-        Their numbers.
 
     Raises
     ------
@@ -314,16 +305,8 @@ def attempts_of(
     ----------
     num_attempts
         Tables follow one another until so many attempts were begun.
-    seed
-        Of everything that is drawn.
     folder
         Where tables are recorded while they run; a campaign that was killed goes on there.
-    pool
-        Who clears the tables.
-    conditions
-        What the tables and the cell are like.
-    on_table
-        Called with the number of attempts on each table.
     """
     belief = Belief(WorldConfig(horizon=HORIZON), no_grip)
     campaign = Campaign(LiftAtRandom(), belief, conditions, seed, tells_truth=True)

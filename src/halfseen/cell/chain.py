@@ -74,8 +74,6 @@ def find_chain(
     ----------
     model
         Of a robot, and perhaps of what stands about it.
-    name
-        What messages call it.
     base, flange, joints
         Name of the body that stands still; of the site or body where a hand is mounted; and of the hinges, from the
         base on. None for what is to be found.

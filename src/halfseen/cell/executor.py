@@ -86,8 +86,6 @@ class Executor:
 
     Parameters
     ----------
-    cell
-        The running cell.
     robots
         The arms, number 0 first.
     patience_s

@@ -45,13 +45,7 @@ class Facts:
 
 
 def facts_of(view: "View") -> list[Facts]:
-    """Gather what a view tells of each of its objects.
-
-    Parameters
-    ----------
-    view
-        What is seen.
-    """
+    """Gather what a view tells of each of its objects."""
     rotation, shift_m = view.camera_from_table[:3, :3], view.camera_from_table[:3, 3]
     is_object = view.labels >= 0
     across_m = ((view.image.points_m[is_object] - shift_m) @ rotation)[:, :2]

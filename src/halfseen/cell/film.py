@@ -59,13 +59,7 @@ OF_TWO_ARMS = Shot(looks_at_m=(0.0, 0.16, 0.78), distance_m=1.9, azimuth_deg=97.
 
 
 class Film:
-    """Takes pictures of a running cell; a `halfseen.cell.live_cell.Watch`.
-
-    Parameters
-    ----------
-    shot
-        How.
-    """
+    """Takes pictures of a running cell; a `halfseen.cell.live_cell.Watch`."""
 
     def __init__(self, shot: Shot = Shot()) -> None:
         self.shot = shot
@@ -90,13 +84,6 @@ class Film:
 
     def write(self, file: Path, cell: Workcell) -> None:
         """Draw the film and write it as an animated GIF.
-
-        Parameters
-        ----------
-        file
-            Where to.
-        cell
-            What was filmed.
 
         Raises
         ------

@@ -232,15 +232,7 @@ class Surroundings:
 
 
 def surroundings(view: View, seen: SeenObject) -> Surroundings:
-    """Gather what a view shows around an object.
-
-    Parameters
-    ----------
-    view
-        What is seen.
-    seen
-        One of its objects.
-    """
+    """Gather what a view shows around an object."""
     rotation, shift_m = view.camera_from_table[:3, :3], view.camera_from_table[:3, 3]
     is_return = view.image.is_return
     table_m = (view.image.points_m[is_return] - shift_m) @ rotation
@@ -264,17 +256,6 @@ def ranked(
     grasps: Iterable[Grasp], around: Surroundings, gripper: Gripper, failed: Sequence[Grasp] = ()
 ) -> list[Grasp]:
     """Keep the grasps whose way is free, and put the cheapest first.
-
-    Parameters
-    ----------
-    grasps
-        Candidates.
-    around
-        What is seen.
-    gripper
-        What comes.
-    failed
-        Grasps that failed here before: others come first.
 
     Returns
     -------

@@ -186,12 +186,6 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
 
     Parameters
     ----------
-    kinematics
-        Of the robot.
-    begin_rad
-        Angles at the beginning.
-    begin
-        Pose of the hand there.
     end_m
         Where the hand is to go [m].
 
@@ -260,10 +254,6 @@ def schedule(begin_rad: Angles, way: Way, speeds_rad_s: Angles) -> Schedule:
 
     Parameters
     ----------
-    begin_rad
-        Where the joints are.
-    way
-        Where they are to go.
     speeds_rad_s
         Largest speed of each joint [rad/s].
     """

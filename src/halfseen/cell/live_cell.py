@@ -271,8 +271,6 @@ class Guard:
 
     Parameters
     ----------
-    stops
-        When.
     now_s
         The cell's clock [s].
     rng
@@ -308,13 +306,7 @@ class Guard:
 
 
 def largest_force_n(cell: LiveCell) -> float:
-    """Largest force of a contact of a robot with anything: a cup, furniture, or another robot [N].
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    """
+    """Largest force of a contact of a robot with anything: a cup, furniture, or another robot [N]."""
     model, data = cell.model, cell.data
     if not data.ncon:
         return 0.0

@@ -33,8 +33,6 @@ def has_vanished(surface_m: Points, view: View) -> bool:
     ----------
     surface_m
         What was seen of the object, in the frame of the image's camera [m].
-    view
-        In which it was not found again.
     """
     before, (num_rows, num_columns) = surface_m[surface_m[:, 2] > NEAREST_M], view.image.depth_m.shape
     columns, rows = np.rint(projected(before, view.image)).astype(np.int64).T
@@ -121,13 +119,7 @@ class Known:
         return self.is_racked or self.is_lost
 
     def see(self, now: "Known | None") -> None:
-        """Take in how it looks in the last view; None where that does not show it.
-
-        Parameters
-        ----------
-        now
-            What the view shows of it.
-        """
+        """Take in how it looks in the last view; None where that does not show it."""
         self.seen = None if now is None else now.seen
         if now is not None:
             self.middle_m, self.facts, self.surface_m = now.middle_m, now.facts, now.surface_m
@@ -139,8 +131,6 @@ class Known:
         ----------
         occlusion
             Hidden share of the object; 0 where it was held up.
-        says_dirty
-            What it looked like.
         is_held
             Whether it was turned before the camera, and so seen from all sides.
         """

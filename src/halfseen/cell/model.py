@@ -154,14 +154,10 @@ def cell_spec(
 
     Parameters
     ----------
-    cups, world_from_cup
-        The cups and where they begin.
     robots
         The robots; none for a room that is only looked at.
     rack
         Where washed cups go, one place or several; None without one.
-    contacts
-        What makes grasps hold.
     frictions
         Of each cup on pads [-]; None for that of `contacts`.
 

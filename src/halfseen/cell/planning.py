@@ -84,12 +84,6 @@ def plans(
         Candidates, best first; until `MOST_PLANS` of them are refused, and none that is like one that was tried.
     world_from_table
         Takes homogeneous points of the table into the world [m].
-    kinematics
-        Of the robot.
-    begin_rad
-        Angles now.
-    rng
-        Draws where the search for angles begins.
 
     Yields
     ------
@@ -172,17 +166,7 @@ def _in_world(
 
 
 def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generator) -> list[Angles]:
-    """Angles from which a search begins: those now, and some that are drawn.
-
-    Parameters
-    ----------
-    kinematics
-        Of the robot.
-    here_rad
-        Angles now.
-    rng
-        What draws.
-    """
+    """Angles from which a search begins: those now, and some that are drawn."""
     drawn = rng.uniform(*kinematics.search_rad.T, size=(_NUM_DRAWN, len(here_rad)))
     return [here_rad, *(kinematics.nearest_turn(angles, here_rad) for angles in drawn)]
 

@@ -72,15 +72,7 @@ class Space:
 
 
 class Outline:
-    """Tells the space of one arm.
-
-    Parameters
-    ----------
-    model
-        The cell.
-    robot
-        The arm.
-    """
+    """Tells the space of one arm."""
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -99,8 +91,6 @@ class Outline:
 
         Parameters
         ----------
-        begin_rad
-            Where it begins.
         way
             Angles to go through; none for the space of an arm that stands.
         below_m
@@ -155,15 +145,7 @@ def _line(half_m: float) -> Float[np.ndarray, " n"]:
 
 
 class Reservations:
-    """The spaces that arms have reserved in a cell.
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    robots
-        The arms in it.
-    """
+    """The spaces that arms have reserved in a cell."""
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:
         self._cell, self._robots = cell, robots
@@ -224,13 +206,6 @@ class Touches:
 
     A collision is a contact of two arms, of an arm with what another holds, or of what two of them hold, and lasts for
     as long as they go on touching. What an arm holds is what both its fingers touch.
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    robots
-        The arms in it.
 
     Attributes
     ----------

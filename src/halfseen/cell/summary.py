@@ -81,18 +81,8 @@ def summarised(
 
     Parameters
     ----------
-    runs
-        What came of each table.
     logs
         What was recorded of them, in the same order; not of those that were cut before anything was decided.
-    policy
-        What decided.
-    config
-        The world that predicts.
-    seed
-        Of what is drawn in it.
-    level
-        Of the intervals.
     """
     seen = [run for run in runs if run.is_seen]
     rewards, luck = (np.array([getattr(run, name) for run in seen]) for name in ("reward", "luck"))
@@ -116,19 +106,7 @@ def summarised(
 
 
 def predicted(scenes: Sequence[Scene], policy: Policy, config: WorldConfig, seed: int) -> Rows:
-    """Mean reward of each table in a simulated world.
-
-    Parameters
-    ----------
-    scenes
-        Tables as they look at first.
-    policy
-        What decides.
-    config
-        The world.
-    seed
-        Of what is drawn.
-    """
+    """Mean reward of each table in a simulated world."""
     per_table = EPISODES_OF_A_PLANNER if isinstance(policy, POMDPPolicy) else EPISODES_PER_TABLE
     totals = evaluate(config, pad_scenes(scenes), policy, random.key_of(seed), per_table * len(scenes))
     rewards = np.asarray(totals.reward, dtype=np.float64)
@@ -152,13 +130,7 @@ def _mean(values: Rows, weights: Rows, level: float) -> Estimate | None:
 
 
 def scenes_of(logs: Logs) -> list[Scene]:
-    """Tables as they looked at first, in the order of the log.
-
-    Parameters
-    ----------
-    logs
-        Of tables.
-    """
+    """Tables as they looked at first, in the order of the log."""
     assert logs.objects is not None, "tables have objects"
     first = pd.DataFrame(logs.objects[logs.objects["stage"] == 1])
     return [

@@ -11,7 +11,9 @@ from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
 from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
+from halfseen.errors import ArgumentError
 from halfseen.text_table import aligned
+from halfseen.writing import write_file
 
 if TYPE_CHECKING:
     from halfseen.policies import Decision
@@ -61,7 +63,6 @@ def act(
     better, for policies that were learned with pessimism. What lies farther outside the logs than these reach is
     refused.
     """
-    from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team, sources_in_words
     from halfseen.policies.observations import read_observation
@@ -139,7 +140,6 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed:
     """
     from halfseen.policies import read_policy
     from halfseen.policies.onnx_model import onnx_model
-    from halfseen.writing import write_file
 
     refuse_output(onnx, "an ONNX model", (".onnx",), overwrite, [policy])
     model = onnx_model(read_policy(policy), objects)

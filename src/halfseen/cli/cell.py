@@ -20,6 +20,7 @@ from halfseen.cli import options
 from halfseen.cli.group import VerbGroup
 from halfseen.cli.inputs import robot_for
 from halfseen.cli.messages import say
+from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
@@ -62,8 +63,6 @@ def start_opengl() -> None:
     ArgumentError
         There is none.
     """
-    from halfseen.errors import ArgumentError
-
     os.environ.setdefault(GL, "egl")
     try:
         with warnings.catch_warnings(action="ignore"):
@@ -117,7 +116,6 @@ def calibrate(
     from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, read_law, write_law
     from halfseen.cell.campaign import Conditions, attempts_of, working_folder
     from halfseen.cell.live_cell import Stops
-    from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target
 

@@ -8,6 +8,7 @@ import click
 
 from halfseen.cli.inputs import law_folder
 from halfseen.cli.messages import tell_warning
+from halfseen.errors import PolicyError
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.suggestions import did_you_mean
 
@@ -35,7 +36,6 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
     """
     if name in NAMES:
         return named_policy(name, config, random_share)
-    from halfseen.errors import PolicyError
     from halfseen.policies.folder.stored import refuse_team
 
     stored = _stored(name)
@@ -54,8 +54,6 @@ def policy_of(name: str, random_share: float, config: "WorldConfig") -> "Policy"
 
 def team_policy_of(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "Policy":
     """Find the policy of several arms, whose seconds cost nothing; errors as in `policy_of`."""
-    from halfseen.errors import PolicyError
-
     if name in NAMES:
         return named_policy(name, replace(config, speed=(1.0,) * num_arms), random_share)
     stored = _stored(name)
@@ -76,7 +74,6 @@ def team_policy_of(name: str, random_share: float, config: "WorldConfig", num_ar
 
 
 def _stored(folder: str) -> "StoredPolicy":
-    from halfseen.errors import PolicyError
     from halfseen.policies import read_policy
 
     if not Path(folder).exists():

@@ -18,6 +18,7 @@ from halfseen.cli.cell_policies import belief_of, policy_of, policy_option, team
 from halfseen.cli.inputs import law_folder, refuse_output, robot_for, stations_for
 from halfseen.cli.messages import say
 from halfseen.progress import Progress
+from halfseen.writing import refuse_taken
 
 if TYPE_CHECKING:
     from halfseen.cell.episode import Follow
@@ -80,7 +81,6 @@ def run(
     from halfseen.cell.summary import summarised
     from halfseen.logs.folder import MANIFEST
     from halfseen.workers import Workers
-    from halfseen.writing import refuse_taken
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
     refuse()
@@ -180,7 +180,6 @@ def _following(
     from halfseen.view.cell_watch import TablesWatch
     from halfseen.view.live_page import served
     from halfseen.view.recording import MARKER, write_recording
-    from halfseen.writing import refuse_taken
 
     if record is not None:
         refuse_taken(record, overwrite, MARKER, "recording")

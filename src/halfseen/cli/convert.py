@@ -16,7 +16,9 @@ import click
 from halfseen.cli import options
 from halfseen.cli.messages import say
 from halfseen.cli.sources import MINARI, SQL, Reading, check_options, kind_of, read, tables_of_events
+from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.progress import Progress
+from halfseen.writing import placed, refuse_taken, write_file
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
@@ -81,7 +83,6 @@ def convert(
 ) -> None:
     """Read the logs of SOURCE and write them to another form."""
     from halfseen.logs.missing import missing_in
-    from halfseen.writing import placed, refuse_taken
 
     if is_template:
         _give_template(sources, target)
@@ -116,9 +117,7 @@ def convert(
 
 def _give_template(sources: tuple[str, ...], target: str | None) -> None:
     """Print a mapping to start from, or write it: that of a table is made from it, that of bags is the same for all."""
-    from halfseen.errors import ArgumentError
     from halfseen.logs.formats import MAPPING_TEMPLATE, mapping_of
-    from halfseen.writing import refuse_taken, write_file
 
     if len(sources) > 1:
         raise ArgumentError(f"--mapping-template is made from one SOURCE; {len(sources)} are given: name one of them")
@@ -135,8 +134,6 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
 @contextmanager
 def _noted() -> Iterator[list[str]]:
     """Keep the warnings that are meant for users, too, for anyone who reads the answer alone."""
-    from halfseen.errors import HalfseenWarning
-
     usual, noted = warnings.showwarning, []
 
     def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
@@ -182,8 +179,6 @@ def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
 
 def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
     """Refuse folders of which one would lie in the other, or take its place."""
-    from halfseen.errors import ArgumentError
-
     if clouds is None:
         return
     places = [Path(os.path.realpath(place)) for place in (out, clouds)]
@@ -192,7 +187,6 @@ def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
 
 
 def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: bool) -> None:
-    from halfseen.errors import ArgumentError
     from halfseen.logs import compact
 
     if is_check:

@@ -12,7 +12,7 @@ from halfseen.cli import options
 from halfseen.cli.inputs import law_of, read_robots, scenes_of
 from halfseen.cli.messages import say
 from halfseen.cli.options import ASSUMED
-from halfseen.errors import noted
+from halfseen.errors import ArgumentError, PolicyError, noted
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
@@ -83,7 +83,6 @@ def evaluate(
     With --world, by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics; a
     policy of a team by the robots of --team, and in no other way yet.
     """
-    from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy
     from halfseen.policies.folder.record import plain
 
@@ -149,8 +148,6 @@ def _by_logs(
 
 def _team_for(stored: "StoredPolicy", policy: Path, file: Path | None) -> "Team | None":
     """The robots that are to play a policy; None for one alone."""
-    from halfseen.errors import ArgumentError, PolicyError
-
     team, wanted = read_robots(file), stored.num_robots
     if team is None:
         if wanted is not None:
@@ -182,7 +179,6 @@ def _by_world(
     seed: int,
     level: float,
 ) -> tuple[dict[str, Any], list[str]]:
-    from halfseen.errors import ArgumentError
     from halfseen.evaluation.simulation import compare_in_world
     from halfseen.planners.named import named_policy
     from halfseen.study.policies import HEURISTICS

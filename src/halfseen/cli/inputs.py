@@ -6,8 +6,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from halfseen.cli.options import ASSUMED, SHIPPED, Arm
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, CloudError
 from halfseen.suggestions import did_you_mean
+from halfseen.writing import refuse_unwritable
 
 if TYPE_CHECKING:
     from halfseen.cell import Robot
@@ -147,7 +148,6 @@ def scenes_of(
             scenes.append(seen.scene(law))
             on_each()
         return scenes
-    from halfseen.errors import CloudError
     from halfseen.perception import perceive, read_cloud
 
     for cloud in clouds:
@@ -168,8 +168,6 @@ def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool
     ArgumentError
         It has another ending, is an input, no file, there already, or in a folder that cannot be written.
     """
-    from halfseen.writing import refuse_unwritable
-
     refuse_unwritable(file.parent)
     if file.suffix.lower() not in endings:
         raise ArgumentError(f"{file}: {what} ends in {' or '.join(endings)}; give one of these endings")

@@ -12,9 +12,10 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.messages import say
-from halfseen.errors import noted
+from halfseen.errors import ArgumentError, noted
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
+from halfseen.writing import refuse_taken, write_file
 
 if TYPE_CHECKING:
     from halfseen.evaluation.held_out import HeldOutVerdict
@@ -244,7 +245,6 @@ def learn(
 def _opened(
     logs: str | Path, streaming: bool | None, missing: dict[str, str] | None, since: str | None
 ) -> "Logs | LogStream":
-    from halfseen.errors import ArgumentError
     from halfseen.logs import Logs
     from halfseen.logs.since import since as later
     from halfseen.logs.stream import opened
@@ -296,8 +296,6 @@ def _judged(
 
 
 def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
-    from halfseen.errors import ArgumentError
-    from halfseen.writing import refuse_taken
 
     if not has_verdict:
         raise ArgumentError("--exploration rests on the verdict; leave --no-verdict out")
@@ -310,7 +308,6 @@ def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
 def _write_exploration(file: Path, judged: "HeldOutVerdict") -> list[str]:
     """Write what to try; with a note where that is nothing."""
     from halfseen.policies.exploration_table import as_csv
-    from halfseen.writing import write_file
 
     regions = judged.exploration.regions
     columns = ([getattr(region, name) for region in regions] for name in ("conditions", "action", "wanted"))

@@ -11,6 +11,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.inputs import refuse_output
 from halfseen.cli.messages import say, tell_error
+from halfseen.errors import ArgumentError, CloudError
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
@@ -46,8 +47,6 @@ def look(
     and, if there is one, a picture rgb. Of several, or of a folder, every cloud has one line; those that cannot be
     read, or show no object, are named below, and the exit status is 2.
     """
-    from halfseen.errors import ArgumentError
-
     if len(clouds) == 1 and not clouds[0].is_dir():
         if picture is not None:
             refuse_output(picture, "a picture", [".png"], overwrite, [clouds[0], *([labels] if labels else [])])
@@ -99,8 +98,6 @@ def _table(view: "View", found: "FirstLook") -> list[str]:
 
 def _clouds_in(places: Sequence[Path]) -> list[Path]:
     """Clouds, and all those of folders, by name."""
-    from halfseen.errors import ArgumentError
-
     found = []
     for place in places:
         those = [place]
@@ -114,8 +111,6 @@ def _clouds_in(places: Sequence[Path]) -> list[Path]:
 
 def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> None:
     """Look at clouds and print what was seen, in their order; then refuse those that could not be looked at."""
-    from halfseen.errors import CloudError
-
     with Progress(len(clouds), "look", "clouds") as bar, workers.ready_if_worth() as pool:
         found: dict[int, Any] = {}
         for number, of_cloud in pool.each(partial(_seen_in, _named_facts if is_json else _row), clouds):
@@ -136,7 +131,6 @@ def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> 
 
 def _seen_in(look: "Callable[[View, Path], Any]", cloud: Path) -> Any:
     """Look at a cloud; an error is given back, so that it stops none of the others."""
-    from halfseen.errors import CloudError
     from halfseen.perception import perceive, read_cloud
 
     try:
@@ -158,8 +152,6 @@ def _row(view: "View", cloud: Path) -> list[str]:
 
 def _with_objects(view: "View", cloud: Path) -> "View":
     """Refuse a view without objects."""
-    from halfseen.errors import CloudError
-
     if not view.objects:
         cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
         raise CloudError(f"{cloud}: no objects on the table{cut}; put the table with its objects whole into the view")

@@ -11,6 +11,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.messages import say
+from halfseen.errors import NothingRecordedError
 
 if TYPE_CHECKING:
     from halfseen.monitoring.answer import Monitored
@@ -51,7 +52,6 @@ def monitor(
     since when; and whether learning again may pay. It may be asked after every trajectory: in a whole lifetime
     without change, the chance of a false alarm is meant to be at most 5 %.
     """
-    from halfseen.errors import NothingRecordedError
     from halfseen.logs import read_logs
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy

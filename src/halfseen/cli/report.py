@@ -11,6 +11,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.messages import say
+from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
@@ -226,8 +227,6 @@ def report(
 
 def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> None:
     """Refuse what is said of a policy where there is none."""
-    from halfseen.errors import ArgumentError
-
     given = next(iter(_given(chosen)), None)
     if policy is None and given is not None:
         option = f"--{given.replace('_', '-')}"

@@ -16,6 +16,8 @@ import click
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of
 from halfseen.cli.options import SHIPPED
+from halfseen.errors import ArgumentError
+from halfseen.writing import write_file
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
@@ -155,7 +157,6 @@ def serve(
     """
     import numpy as np
 
-    from halfseen.errors import ArgumentError
     from halfseen.monitoring.dealing import Terms
     from halfseen.serving.answering import Answering
     from halfseen.serving.app import app_of
@@ -216,10 +217,8 @@ def _served(
 
 
 def _give_template(policy: Path, file: Path | None) -> None:
-    from halfseen.errors import ArgumentError
     from halfseen.policies import read_policy
     from halfseen.serving.opcua.mapping import template_of
-    from halfseen.writing import write_file
 
     template = template_of(read_policy(policy))
     if file is None:
@@ -231,7 +230,6 @@ def _give_template(policy: Path, file: Path | None) -> None:
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
-    from halfseen.errors import ArgumentError
 
     if (controller is None) != (mapping is None):
         raise ArgumentError("--opcua and --mapping go together; `halfseen serve POLICY --mapping-template` prints one")
@@ -261,7 +259,6 @@ def _said(sentence: str) -> None:
 
 
 def _table(stored: Any, path: Path) -> "ExplorationTable":
-    from halfseen.errors import ArgumentError
     from halfseen.policies.exploration_table import read_exploration
 
     if stored.is_table:
@@ -270,7 +267,6 @@ def _table(stored: Any, path: Path) -> "ExplorationTable":
 
 
 def _check_token(host: str, token: str | None) -> None:
-    from halfseen.errors import ArgumentError
 
     if token is not None and not (token.isascii() and token.isprintable() and len(token) >= SHORTEST_TOKEN):
         raise ArgumentError(
@@ -325,7 +321,6 @@ def record(
     Where lines end, a trajectory in progress is cut with the cause input-ended. A line that is refused harms none after
     it.
     """  # noqa: D301
-    from halfseen.errors import ArgumentError
     from halfseen.logs import LogRecorder
     from halfseen.logs.protocol import record_lines
 
@@ -340,7 +335,6 @@ def record(
 
 
 def _lines_of(source: Path) -> BinaryIO:
-    from halfseen.errors import ArgumentError
     from halfseen.reading import NUMBERS, opened, reason_of
 
     try:

@@ -10,6 +10,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, num_scenes, read_robots, scenes_of
 from halfseen.cli.messages import say
+from halfseen.errors import ArgumentError
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
 
@@ -68,8 +69,6 @@ def simulate(
     With --team, whichever robot is free decides, and a cut ends the table for all. The heuristics then leave alone what
     another robot is at, and count what a second costs the team.
     """
-    from halfseen.errors import ArgumentError
-
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
     num_clouds = num_scenes(clouds)

@@ -11,6 +11,7 @@ from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
 from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
+from halfseen.errors import ArgumentError, CloudError, PolicyError
 
 if TYPE_CHECKING:
     from halfseen.view import Watched
@@ -74,7 +75,6 @@ def watch(
     SOURCE is a point cloud as `halfseen look` takes it, with --policy for what is decided there; a recording, as
     `halfseen cell run --record` writes it; or a folder of logs with --clouds, as `halfseen convert` writes them.
     """
-    from halfseen.errors import ArgumentError
     from halfseen.view.recording import MARKER
 
     for file in export:
@@ -101,8 +101,6 @@ def watch(
 
 def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
     """Some stages of what is shown."""
-    from halfseen.errors import ArgumentError
-
     first, last = span or (1, len(watched.stages))
     if last > len(watched.stages):
         raise ArgumentError(f"--stages is {first}-{last}, and there are {len(watched.stages)}; leave it out for all")
@@ -143,7 +141,6 @@ def _of_cloud(
     file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None
 ) -> "Iterator[Watched]":
     """What is seen, as soon as it is where no history tells of it, and then what is decided."""
-    from halfseen.errors import ArgumentError, CloudError
     from halfseen.perception import perceive, read_cloud
     from halfseen.tables.first_look import first_look
     from halfseen.view.stages import watched_cloud
@@ -158,7 +155,6 @@ def _of_cloud(
     if policy is None:
         yield watched_cloud(cloud, view, None, None, 0, first_look(view, cloud, labels))
         return
-    from halfseen.errors import PolicyError
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team
     from halfseen.policies.observations import read_observation
@@ -179,7 +175,6 @@ def _of_cloud(
 
 
 def _of_logs(folder: Path, clouds: Path | None, number: int | None, policy: Path | None) -> "Iterator[Watched]":
-    from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies import read_policy
     from halfseen.view.stages import watched_logs

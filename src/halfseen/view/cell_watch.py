@@ -215,13 +215,6 @@ def _listed(numbers: Sequence[int]) -> str:
 def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
     """Say what a policy valued when it decided, and why it did.
 
-    Parameters
-    ----------
-    policy
-        Who decided.
-    moment
-        What, and from what.
-
     Returns
     -------
     tuple

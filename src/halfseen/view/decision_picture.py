@@ -49,8 +49,6 @@ def draw_decision(
 
     Parameters
     ----------
-    decision
-        What was decided, and why.
     path
         Where to; its ending says which of the two. The file appears whole or not at all, and missing parents are made.
     view

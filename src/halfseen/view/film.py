@@ -33,13 +33,6 @@ Pixels = Float[np.ndarray, "n 2"]
 def write_gif(watched: Watched, file: str | os.PathLike[str]) -> None:
     """Write a run as an animated GIF.
 
-    Parameters
-    ----------
-    watched
-        The run.
-    file
-        Where to.
-
     Raises
     ------
     ArgumentError

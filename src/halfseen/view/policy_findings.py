@@ -101,16 +101,8 @@ def q_curves(
 
     Parameters
     ----------
-    stored
-        The policy.
-    logs
-        The log whose states it is followed through.
-    num_replicates, seed
-        Of the bootstrap.
     is_own_log
         Whether the policy may have been learned from this very log, so that resampling it tells of its errors.
-    workers
-        Who learns again.
 
     Returns
     -------

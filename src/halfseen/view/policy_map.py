@@ -76,10 +76,6 @@ def policy_maps(policy: DiscretePolicy, logs: Logs, telling: list[str]) -> list[
 
     Parameters
     ----------
-    policy
-        Of named actions.
-    logs
-        Whose states are shown.
     telling
         Covariates of numbers, those that sway the choice most first.
     """

@@ -93,8 +93,6 @@ def is_behind(points_m: Points, solid: Mesh, eye_m: Vector) -> Bool[np.ndarray, 
     ----------
     points_m
         The points [m].
-    solid
-        What may be in the way.
     eye_m
         Where the camera is [m].
     """
@@ -115,10 +113,6 @@ def revealed_by(index: int, solids: Sequence[Mesh], eye_m: Vector) -> Points:
 
     Parameters
     ----------
-    index
-        Which is lifted.
-    solids
-        All that stand on the table.
     eye_m
         Where the camera is [m].
     """

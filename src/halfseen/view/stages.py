@@ -242,8 +242,6 @@ def shown_objects(known: Sequence[Known], eye_m: Vector, frame_from_table: Trans
 
     Parameters
     ----------
-    known
-        The objects.
     eye_m
         Where the camera is, in coordinates of the table [m].
     frame_from_table
@@ -271,8 +269,6 @@ def coloured_points(cloud: Cloud, frame_from_cloud: Transform) -> tuple[Points, 
 
     Parameters
     ----------
-    cloud
-        What the camera returned.
     frame_from_cloud
         Takes homogeneous points of the cloud to where they are shown.
     """

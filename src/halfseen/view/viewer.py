@@ -195,13 +195,6 @@ def stop(server: "ViserServer") -> None:
 def write_html(watched: Watched, file: str | os.PathLike[str]) -> None:
     """Write a run as one page that opens in a browser without a server, and asks for nothing.
 
-    Parameters
-    ----------
-    watched
-        The run.
-    file
-        Where to.
-
     Raises
     ------
     ArgumentError

@@ -138,14 +138,10 @@ def clustered_share(held: RowMask, predicted: Rows, weight: Rows, tables: Int[np
 
     Parameters
     ----------
-    held
-        Whether each decided attempt held.
     predicted
         Probability that was predicted; any constant where nothing was.
     weight
         1/Ĝ of each.
-    tables
-        Number of the table of each.
     """
     total, names = weight.sum(), np.unique(tables)
     # Rounding must not make a share of those that all held.

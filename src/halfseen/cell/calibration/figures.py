@@ -160,8 +160,6 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
     ----------
     rows
         Objects that are dirty, or that are clean, as `halfseen.cell.calibration.attempts.glances` gives them.
-    seeing
-        Its views are the ends of the groups.
     """
     columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
     labels = [
@@ -196,8 +194,6 @@ def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
 
     Parameters
     ----------
-    seeing
-        The curves.
     glances
         What they were fitted to, as `halfseen.cell.calibration.attempts.glances` gives it.
     """
@@ -237,15 +233,7 @@ KINDS = ("svg", "png")
 
 
 def pictures_of(law: Law, logs: Logs) -> Mapping[str, Callable[[Path], None]]:
-    """Give what writes each picture, by the name of its file.
-
-    Parameters
-    ----------
-    law
-        What was estimated.
-    logs
-        What it was estimated from.
-    """
+    """Give what writes each picture, by the name of its file."""
     panels = held_shares(law.grasp.estimate, trials(logs, HORIZON))
     figures = {"held": partial(draw_held, panels), "labels": partial(draw_labels, law.seeing, glances(logs))}
     return {f"{name}.{kind}": partial(_write, draw, kind) for name, draw in figures.items() for kind in KINDS}

@@ -134,13 +134,7 @@ def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
 
 
 def found_by(intervals: list[Interval]) -> Float[np.ndarray, " knots"]:
-    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood.
-
-    Parameters
-    ----------
-    intervals
-        One interval an object.
-    """
+    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood."""
     knots = np.array([0.0, *VIEWS])
     low, high = np.array(intervals, dtype=np.float64).reshape(-1, 2).T
     # How much of each piece an interval holds; the last column is "never".
@@ -219,23 +213,11 @@ class Law:
         return replace(world, grasping=self.grasping, seeing=self.seeing, transport_s=self.time.rest_s)
 
     def grip(self, facts: Facts) -> float:
-        """Log-odds by which an object is easier to hold than a standing cup of usual width with usual room.
-
-        Parameters
-        ----------
-        facts
-            What is seen of it.
-        """
+        """Log-odds by which an object is easier to hold than a standing cup of usual width with usual room."""
         return float(_grips(self.grasp, pd.DataFrame([asdict(facts)]))[0])
 
     def scene(self, view: View) -> Scene:
-        """Give what a world needs to know of a table, grips included.
-
-        Parameters
-        ----------
-        view
-            What is seen.
-        """
+        """Give what a world needs to know of a table, grips included."""
         return self.gripped(view.scene(), facts_of(view))
 
     def gripped(self, scene: Scene, facts: Sequence[Facts]) -> Scene:
@@ -250,8 +232,6 @@ def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
     ----------
     logs
         What a cell tried, with the truth about what is dirty.
-    horizon
-        Stages after which a table ended by itself.
     limit_s
         Longest time of an attempt [s].
     """

@@ -76,18 +76,12 @@ def write_law(
 
     Parameters
     ----------
-    law
-        What was estimated.
-    folder
-        Where to.
     more
         What else is to be kept: conditions, versions, how it was made.
     logs
         What it was estimated from; None if that is neither to be kept nor drawn.
     contrast
         Attempts of grasps that were planned from visible points alone, to be kept beside; None where there are none.
-    overwrite
-        Replace a law that is there.
 
     Raises
     ------
@@ -110,11 +104,6 @@ def write_law(
 
 def read_law(folder: str | Path) -> StoredLaw:
     """Read a law, and check all of it; no code of the folder is run.
-
-    Parameters
-    ----------
-    folder
-        The folder.
 
     Raises
     ------

@@ -172,8 +172,6 @@ def calibration_of(tried: pd.DataFrame, repetitions: Sequence[PieceOf]) -> pd.Da
 
     Parameters
     ----------
-    tried
-        All attempts.
     repetitions
         With rows (of `tried`), row_weight, and what each model said of them, learned from the largest log.
     """

@@ -225,15 +225,7 @@ def said_by_set_svm(learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
 
 
 def sets_of(trials: pd.DataFrame, centre: Float[np.ndarray, " d"], scale: Float[np.ndarray, " d"]) -> list[np.ndarray]:
-    """Give the set of each attempt: rows of an indicator of the kind, and what was seen, scaled.
-
-    Parameters
-    ----------
-    trials
-        Attempts, all past ones among them.
-    centre, scale
-        Of what is seen.
-    """
+    """Give the set of each attempt: rows of an indicator of the kind, and what was seen, scaled."""
     seen = (trials[list(SEEN)].to_numpy(dtype=np.float64) - centre) / scale
     kind = np.where(trials["succeeded"].isin([True]).to_numpy(), HELD, MISSED)
     objects, stages = trials["object"].to_numpy(), trials["stage"].to_numpy()
