@@ -1,6 +1,5 @@
 """``halfseen act``: the decision of a policy for what is seen now, and the reason; ``halfseen export``: it as ONNX."""
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,7 +8,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError
 from halfseen.text_table import aligned
@@ -47,7 +46,6 @@ def act(
     overwrite: bool,
     extrapolate: bool,
     as_json: bool,
-    seed: int,
 ) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why, and how sure that is.
 
@@ -101,7 +99,7 @@ def act(
     lines = _lines(decision, seen, table.other_things if table else "", **where)
     sources = sources_in_words(stored.record)
     lines += [f"learned from {sources}"] if sources else []
-    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
+    answer(report, lines, as_json)
 
 
 def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horizon: int) -> list[str]:
@@ -125,7 +123,7 @@ def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horiz
 @options.whole("--objects", least=1, most=100, text="Most objects of a table; by default as in the log.")
 @options.overwrite("a file that is")
 @options.unused_seed
-def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed: int) -> None:
+def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> None:
     """Write the policy in the folder POLICY as an ONNX model. Needs the extra onnx.
 
     Of named actions, it takes covariates, (n, features) in double precision, and the stage, from 1; it gives scores,

@@ -6,7 +6,6 @@ MuJoCo's way to draw is needed by filming and nothing else: most machines that r
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-import json
 import os
 import warnings
 from dataclasses import replace
@@ -19,7 +18,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.group import VerbGroup
 from halfseen.cli.inputs import robot_for
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer
 from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
 
@@ -156,7 +155,7 @@ def calibrate(
                     visible_only, folder=folder / VISIBLE_ONLY, conditions=conditions, on_table=bar.update
                 )
             report = fitted(logs, contrast)
-    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
+    answer(report, _lines(out, report), as_json)
 
 
 def _report_of(law: "Law", logs: "Logs") -> dict[str, Any]:

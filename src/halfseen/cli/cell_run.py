@@ -1,7 +1,6 @@
 """``halfseen cell run``: a policy clears fresh tables in physics; ``halfseen cell film``: one of them, as a film."""
 
 import hashlib
-import json
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
@@ -14,9 +13,8 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.cell import load_mujoco, start_opengl
-from halfseen.cli.cell_policies import belief_of, policy_of, policy_option, team_policy_of
-from halfseen.cli.inputs import law_folder, refuse_output, robot_for, stations_for
-from halfseen.cli.messages import say
+from halfseen.cli.inputs import NAMES, belief_of, law_folder, policy_for, refuse_output, robot_for, stations_for
+from halfseen.cli.messages import answer, say
 from halfseen.progress import Progress
 from halfseen.writing import refuse_taken
 
@@ -25,6 +23,12 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
     from halfseen.world import Policy
 
+policy_option = click.option(
+    "--policy",
+    "name",
+    required=True,
+    help=f"Who decides: the folder of a policy of tables, of two arms that of a team's, or {', '.join(NAMES)}.",
+)
 DRAWING = 3
 """What drawing takes, where a decision and what is done after it take 1."""
 
@@ -36,9 +40,11 @@ DRAWING = 3
     "--tables", "num_tables", least=2, most=options.MOST_EPISODES, default=50, text="Number of fresh tables."
 )
 @options.law(options.SHIPPED)
-@click.option("--stops/--no-stops", default=True, show_default=True, help="Whether something may cut a table.")
-@options.share(
+@click.option("--stops/--no-stops", default=True, help="Whether something may cut a table.")
+@options.real(
     "--random-share",
+    min=0.0,
+    max=1.0,
     default=0.0,
     text="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
 )
@@ -87,7 +93,7 @@ def run(
     stations = stations_for(num_arms, arm.file)
     robot, arm_name = robot_for(arm)
     belief = belief_of(law, arm_name)
-    policy = _policy(name, random_share, belief.config, num_arms)
+    policy = policy_for(name, random_share, belief.config, num_arms)
     conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
     who = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {who}, stops {stops}, random share {random_share}"
@@ -111,13 +117,7 @@ def run(
             logs.write(out, overwrite=overwrite)
         report = {"folder": str(out), "policy": name, "arm": arm_name, "arms": num_arms}
         report |= {"sentence": str(logs.summary()), **asdict(summary)}
-        say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
-
-
-def _policy(name: str, random_share: float, config: Any, num_arms: int) -> "Policy":
-    if num_arms == 1:
-        return policy_of(name, random_share, config)
-    return team_policy_of(name, random_share, config, num_arms)
+        answer(report, _lines(report), as_json)
 
 
 def _digest(folder: Path | None) -> str:
@@ -236,7 +236,7 @@ def film(
 
         with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
             trajectory = recorder.begin_trajectory(table)
-            policy = _policy(name, 0.0, belief.config, num_arms)
+            policy = policy_for(name, 0.0, belief.config, num_arms)
             done = play(cell, is_dirty, policy, belief, trajectory, key, on_decision=follow)
         bar.reach(num_stages)
         bar.begin("draw", 0)

@@ -1,6 +1,5 @@
 """``halfseen convert``: logs from one form into another."""
 
-import json
 import os
 import sys
 import warnings
@@ -14,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer, say
 from halfseen.cli.sources import MINARI, SQL, Reading, check_options, kind_of, read, tables_of_events
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.progress import Progress
@@ -78,7 +77,6 @@ def convert(
     is_check: bool,
     is_template: bool,
     reading: Reading,
-    seed: int,
     as_json: bool,
 ) -> None:
     """Read the logs of SOURCE and write them to another form."""
@@ -110,7 +108,7 @@ def convert(
     report = {"source": _shown(source), "format": kind, "target": target, "sentence": str(logs.summary())}
     report |= asdict(logs.summary()) | _kept_and_lost(logs, target) | {"warnings": warned}
     report["missing"] = missing_in(logs.stages, logs.stage_covariates)
-    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, is_check)))
+    answer(report, _lines(report, is_check), as_json)
     if is_check and report["losses"]:
         sys.exit(1)
 
@@ -198,7 +196,7 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
     words = f"{done.num_trajectories} trajectories with {done.num_stages} stages from {done.num_folders} folders"
     words += f"; {done.num_running} still being recorded left out" if done.num_running else ""
     report = {"sources": list(sources), "target": target, "sentence": words, **done._asdict()}
-    say(json.dumps(report, indent=2) if as_json else f"{target}: {words}")
+    answer(report, [f"{target}: {words}"], as_json)
 
 
 def _shown(source: str) -> str:

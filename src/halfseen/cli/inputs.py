@@ -1,12 +1,15 @@
-"""What options name: laws, robots, arms and tables; and files that a verb draws."""
+"""What options name: laws, robots, arms, who decides for these, and tables; and files that a verb draws."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from halfseen.cli.messages import tell_warning
 from halfseen.cli.options import ASSUMED, SHIPPED, Arm
-from halfseen.errors import ArgumentError, CloudError
+from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.suggestions import did_you_mean
 from halfseen.writing import refuse_unwritable
 
@@ -14,7 +17,8 @@ if TYPE_CHECKING:
     from halfseen.cell import Robot
     from halfseen.cell.calibration.law import Law
     from halfseen.cell.model import Station
-    from halfseen.world import GraspLaw, Scene, Team
+    from halfseen.cell.table_state import Belief
+    from halfseen.world import GraspLaw, Policy, Scene, Team, WorldConfig
 
 
 def law_folder(name: str, beside: Path | None = None) -> Path | None:
@@ -121,6 +125,59 @@ def robot_for(arm: Arm) -> "tuple[Robot, str]":
         return Robot(), Robot().arm.name
     given = ArmFile(arm.file, flange=arm.flange, joints=None if arm.joints is None else tuple(arm.joints))
     return robot_of(given), f"{arm.file.name} ({given.digest})"
+
+
+NAMES = (*HEURISTICS, PLANNER)
+
+
+def policy_for(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "Policy":
+    """Find who decides for the arms of a cell, by one of `NAMES` or a folder; a share of the steps is uniformly random.
+
+    Seconds of several arms cost nothing.
+
+    Raises
+    ------
+    PolicyError
+        There is no such folder, or the policy in it decides for something else.
+    """
+    if name in NAMES:
+        world = config if num_arms == 1 else replace(config, speed=(1.0,) * num_arms)
+        return named_policy(name, world, random_share)
+    from halfseen.policies import read_policy
+
+    if not Path(name).exists():
+        there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
+        raise PolicyError(f"--policy {name}: {there}{did_you_mean(name, NAMES)}")
+    stored, arms = read_policy(name), "one arm clears" if num_arms == 1 else f"{num_arms} arms clear"
+    if num_arms != (stored.num_robots or (1 if stored.is_table else 0)):
+        of_arms = "tables" if num_arms == 1 else f"{num_arms} arms"
+        made_by = "`halfseen cell run`" if num_arms == 1 else f"`halfseen cell run --arms {num_arms}`"
+        raise PolicyError(
+            f"{name}: it decides for {stored.whom}, and {arms} the table; learn one from logs of {of_arms}, as of "
+            f"{made_by}"
+        )
+    if stored.horizon != num_arms * config.horizon:
+        raise PolicyError(
+            f"{name}: it was learned for {stored.horizon // num_arms} decisions of each robot, and each arm here has "
+            f"{config.horizon}; learn it with a horizon of {config.horizon}"
+        )
+    return exploring(stored.policy, random_share)
+
+
+def belief_of(name: str, arm_name: str) -> "Belief":
+    """What a robot with this arm believes under the law of a name."""
+    from halfseen.cell.arm import JACO_2
+    from halfseen.cell.calibration.law_folder import read_law
+    from halfseen.cell.table_state import Belief, no_grip
+    from halfseen.world import WorldConfig
+
+    folder = law_folder(name)
+    if folder is None:
+        return Belief(WorldConfig(), no_grip)
+    stored = read_law(folder)
+    if (its := stored.record.get("arm", JACO_2.name)) != arm_name:
+        tell_warning(f"{folder}: the law is of the arm {its}, and works here for {arm_name}")
+    return Belief(stored.law.config(), stored.law.grip)
 
 
 def num_scenes(clouds: Sequence[Path]) -> int:

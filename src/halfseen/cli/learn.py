@@ -1,6 +1,5 @@
 """``halfseen learn``: from logs of which some were cut to a policy."""
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer
 from halfseen.errors import ArgumentError, noted
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
@@ -95,7 +94,6 @@ class _Learning(NamedTuple):
     "--laws/--no-laws",
     "has_laws",
     default=True,
-    show_default=True,
     help="Of a table: whether laws of seeing and grasping, fitted to LOGS, help to learn; without them eq. 3 alone.",
 )
 @click.option(
@@ -104,14 +102,11 @@ class _Learning(NamedTuple):
     help="Of a table: a law, as of `halfseen cell calibrate`, shipped or assumed, about which those of LOGS are fitted "
     "(for logs of few attempts); by default none.",
 )
-@click.option(
-    "--reg", type=options.Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over trajectories."
-)
+@click.option("--reg", type=options.Or("cv"), default="cv", help="λ, or cv to choose it over trajectories.")
 @click.option(
     "--pessimism",
     type=options.Or("auto"),
     default="auto",
-    show_default=True,
     help="Standard errors by which Q is lowered wherever the best action is sought; 0 for eq. 3 as it stands.",
 )
 @click.option(
@@ -120,7 +115,6 @@ class _Learning(NamedTuple):
     type=options.Or("auto", "none"),
     callback=lambda _, __, given: None if given == "none" else given,
     default="none",
-    show_default=True,
     help="Trajectories by which what they count halves, from the last of LOGS to the first; auto to choose it by how "
     "well the latest fifth is predicted, none to count all alike. Of a table, it is for eq. 3 without laws.",
 )
@@ -142,7 +136,6 @@ class _Learning(NamedTuple):
     "--verdict/--no-verdict",
     "has_verdict",
     default=True,
-    show_default=True,
     help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
     "long.",
 )
@@ -239,7 +232,7 @@ def learn(
     report["actions"] = plain(shares.reset_index().to_dict("records"))
     report["relearn"] = _again(logs, out, [] if learner.model_.half_life else changes)
     report["notes"] = [*choice.notes, *notes, *learner.unseen_, *of_library]
-    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, judged)))
+    answer(report, _lines(report, judged), as_json)
 
 
 def _opened(

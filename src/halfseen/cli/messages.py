@@ -5,9 +5,12 @@ nobody foresaw has a line, too: the system refused, memory is short, input is to
 """
 
 import errno
+import json
 import os
 import re
 import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import click
 
@@ -64,6 +67,11 @@ _REMEDIES = {
 def say(message: str) -> None:
     """Answer on stdout."""
     click.echo(printable(message))
+
+
+def answer(report: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
+    """Answer on stdout: programs by one JSON object, people by lines."""
+    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def printable(text: str) -> str:

@@ -24,13 +24,7 @@ ALARM = 3
 @click.argument("policy", type=options.PATH)
 @options.path("--logs", required=True, text="Folder of logs of its service, such as serve --record writes.")
 @options.flag("--follow", text="Go on as the log grows, until there is an alarm.")
-@click.option(
-    "--every",
-    type=click.FloatRange(0.1, 86400.0),
-    default=10.0,
-    show_default=True,
-    help="Of --follow: seconds between two looks at the log.",
-)
+@options.real("--every", min=0.1, max=86400.0, default=10.0, text="Of --follow: seconds between two looks at the log.")
 @options.path("--page", text="Write a page with the course of things.")
 @options.overwrite("a page that is")
 @options.as_json

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 TOKEN, PASSWORD = "HALFSEEN_TOKEN", "HALFSEEN_OPCUA_PASSWORD"
 HERE = "127.0.0.1"
 SHORTEST_TOKEN = 16
+ABOVE_0: Any = {"min": 0.0, "min_open": True}
 OUT_OF_RANGE = ["answer", "step-back"]
 FALL_BACK = (
     "Rule (.csv or .toml) that decides where the policy does not; by default what its log did most in that stage."
@@ -49,7 +50,7 @@ class _ShareOrTable(click.ParamType):
 
 @click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")
 @click.argument("policy", type=options.PATH)
-@click.option("--host", default=HERE, show_default=True, help="Address to answer at; any other needs a token.")
+@click.option("--host", default=HERE, help="Address to answer at; any other needs a token.")
 @options.port
 @click.option("--token", envvar=TOKEN, help=f"That each request must bring; better in the environment, as {TOKEN}.")
 @options.path("--record", metavar="LOGS", text="Record what is decided into this folder of logs.")
@@ -57,7 +58,6 @@ class _ShareOrTable(click.ParamType):
     "--explore",
     type=_ShareOrTable(),
     default="0",
-    show_default=True,
     help="Share of decisions that are drawn at random among the actions that are possible; or a CSV table of what to "
     "try where, as `halfseen learn --exploration` writes.",
 )
@@ -73,32 +73,27 @@ class _ShareOrTable(click.ParamType):
     text="Rule of today (.csv or .toml): deal each trajectory to it or to the policy by chance, until it is clear "
     "which earns more. Needs --record.",
 )
-@click.option(
+@options.real(
     "--share",
-    type=click.FloatRange(0.0, 0.5, min_open=True),
+    **(ABOVE_0 | {"max": 0.5}),
     default=0.2,
-    show_default=True,
-    help="Of --against: the policy's share at first; it grows as the worst that is likely shrinks.",
+    text="Of --against: the policy's share at first; it grows as the worst that is likely shrinks.",
 )
-@click.option(
+@options.real(
     "--most-loss",
-    type=click.FloatRange(0.0, min_open=True),
-    help="Of --against: what the policy may lose against the rule in all [reward]; by default it is stopped once it is "
+    **ABOVE_0,
+    text="Of --against: what the policy may lose against the rule in all [reward]; by default it is stopped once it is "
     "seen to lose.",
 )
-@click.option(
-    "--time-limit",
-    type=click.FloatRange(0.0, min_open=True),
-    default=5.0,
-    show_default=True,
-    help="How long to wait for the policy until the rule decides [s].",
+@options.real(
+    "--time-limit", **ABOVE_0, default=5.0, text="How long to wait for the policy until the rule decides [s]."
 )
-@click.option(
+@options.real(
     "--monitor-every",
-    type=click.FloatRange(0.0, 86400.0),
+    min=0.0,
+    max=86400.0,
     default=30.0,
-    show_default=True,
-    help="Of --record: how long to wait at least until what is earned is held against the promise again, in a process "
+    text="Of --record: how long to wait at least until what is earned is held against the promise again, in a process "
     "of its own [s]; 0 for never.",
 )
 @click.option(
@@ -303,7 +298,7 @@ def _check_token(host: str, token: str | None) -> None:
 @click.option("--reward-unit", help="What rewards are counted in, such as parts.")
 @options.unused_seed
 def record(
-    source: Path | None, out: Path, listen: str | None, fsync: str, part_mb: int, reward_unit: str | None, seed: int
+    source: Path | None, out: Path, listen: str | None, fsync: str, part_mb: int, reward_unit: str | None
 ) -> None:
     """Record what JSON lines say, each answered by one; lines come from SOURCE, or from standard input.
 

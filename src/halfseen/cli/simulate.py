@@ -1,6 +1,5 @@
 """``halfseen simulate``: record logs of a policy in the simulated world, some of them cut."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,7 +8,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, num_scenes, read_robots, scenes_of
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer
 from halfseen.errors import ArgumentError
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
@@ -25,11 +24,20 @@ _START, _TABLE = 4, 2
 @options.path("--out", required=True, text="Folder that the logs are written to.")
 @options.whole("--episodes", least=1, most=options.MOST_EPISODES, default=1000, text="Number of trajectories.")
 @options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", text="Who decides.")
-@options.share(
-    "--random-share", default=0.5, text="Probability that a step takes an action uniformly at random instead."
+@options.real(
+    "--random-share",
+    min=0.0,
+    max=1.0,
+    default=0.5,
+    text="Probability that a step takes an action uniformly at random instead.",
 )
-@options.share(
-    "--cut-share", default=0.33, max_open=True, text="Proportion of the trajectories that is cut, in expectation."
+@options.real(
+    "--cut-share",
+    min=0.0,
+    max=1.0,
+    default=0.33,
+    max_open=True,
+    text="Proportion of the trajectories that is cut, in expectation.",
 )
 @options.word("--cut-kind", of=CUT_KINDS, default="independent", text="What cuts.")
 @options.whole(
@@ -91,7 +99,7 @@ def simulate(
     report |= {"horizon": horizon, "law": law}
     if robots is not None:
         report |= {"team": str(team), "robots": [robot.name for robot in robots.robots]}
-    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    answer(report, _lines(report), as_json)
 
 
 def _lines(report: dict[str, Any]) -> list[str]:

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 @click.command(epilog="Example: halfseen study --out runs/study --repetitions 200 --resume")
-@options.path("--out", default="runs/study", show_default=True, text="Folder to fill.")
+@options.path("--out", default="runs/study", text="Folder to fill.")
 @click.option(
     "--repetitions",
     type=click.IntRange(max=options.MOST_EPISODES),

@@ -67,7 +67,6 @@ def watch(
     stages: tuple[int, int] | None,
     overwrite: bool,
     port: int,
-    seed: int,
     **given: Any,
 ) -> None:
     """Show in the browser what was seen and decided, in 3-D, and why. Nothing leaves this machine.

@@ -57,6 +57,13 @@ class StoredPolicy:
         return self.record["schema"]["num_robots"] if self.record["kind"] in ("team", "team-laws") else None
 
     @property
+    def whom(self) -> str:
+        """For whom it decides."""
+        if self.num_robots is not None:
+            return f"a team of {self.num_robots} robot{'' if self.num_robots == 1 else 's'}"
+        return "one robot by itself" if self.is_table else "no table"
+
+    @property
     def horizon(self) -> int:
         """Number T of stages that a trajectory may have."""
         return int(self.record["schema"]["horizon"])
@@ -173,9 +180,7 @@ def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = 
     """
     if stored.num_robots is not None:
         where = "the policy" if folder is None else f"{folder}: it"
-        raise PolicyError(
-            f"{where} decides for a team of {stored.num_robots} robot{'' if stored.num_robots == 1 else 's'}, {trouble}"
-        )
+        raise PolicyError(f"{where} decides for {stored.whom}, {trouble}")
 
 
 def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
