@@ -225,7 +225,6 @@ def _give_template(policy: Path, file: Path | None) -> None:
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
-
     if (controller is None) != (mapping is None):
         raise ArgumentError("--opcua and --mapping go together; `halfseen serve POLICY --mapping-template` prints one")
     if controller is None:
@@ -262,7 +261,6 @@ def _table(stored: Any, path: Path) -> "ExplorationTable":
 
 
 def _check_token(host: str, token: str | None) -> None:
-
     if token is not None and not (token.isascii() and token.isprintable() and len(token) >= SHORTEST_TOKEN):
         raise ArgumentError(
             f"--token has {len(token)} characters; give {SHORTEST_TOKEN} or more of ASCII, such as "

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import Estimate
 from halfseen.figures import inline_svg
+from halfseen.policies.folder.description import description
 from halfseen.policies.folder.stored import sources_in_words
 from halfseen.view import words
 from halfseen.view.findings import Findings, PolicyFindings
@@ -215,31 +216,12 @@ def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
 
 def _policy_words(policy: PolicyFindings) -> list[tuple[str, str]]:
     record = policy.record
-    learner, schema, weights = record["learner"], record["schema"], record["diagnostics"]["weights"]
-    regs = sorted(value for row in record["reg"]["values"] for value in row)
-    reg = f"{regs[0]:.3g}" if regs[0] == regs[-1] else f"{regs[0]:.3g} to {regs[-1]:.3g}"
-    looks_at = "where objects stand, who hides whom, how dirty each seems, past attempts"
-    if record["kind"] == "flat":
-        looks_at = listed(schema["covariates"]) or "nothing but the stage"
-    censoring = str(learner["censoring"])
+    sources = sources_in_words(record)
     return [
-        ("looks at", looks_at),
-        ("chooses among", listed([str(name) for name in schema["actions"]])),
-        ("stages of a trajectory at most", str(schema["horizon"])),
-        ("Q", f"{learner['q_function']}, {learner['stages']} stages"),
-        (
-            "ridge penalty λ",
-            f"{reg}, {'chosen by cross-validation over trajectories' if learner['reg'] == 'cv' else 'as given'}",
-        ),
-        ("cuts, when it was learned", words.CENSORING_WORDS.get(censoring, censoring)),
+        *description(record),
+        ("chooses among", listed([str(name) for name in record["schema"]["actions"]])),
         ("learned from", record["log"]["sentence"].rstrip(".")),
-        *([("logs", sources_in_words(record))] if record["log"].get("sources") else []),
-        (
-            "its weights",
-            f"{counted(weights['num_seen'], 'stage')}, effective sample size "
-            f"{significant(weights['effective_sample_size'])}; the largest weight is "
-            f"{significant(weights['largest_weight'])}",
-        ),
+        *([("logs", sources)] if sources else []),
         *([("verdict when it was learned", record["verdict"]["sentence"])] if record.get("verdict") else []),
         *(("looked wrong in its log", one) for one in record.get("warnings", ())),
     ]
