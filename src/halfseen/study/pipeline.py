@@ -51,7 +51,7 @@ from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
 from halfseen.world.logs import to_logs
 from halfseen.world.policy import GraspModel, Policy
 from halfseen.world.random import Key
-from halfseen.world.rollout import Episodes, Totals, evaluate_each, evaluate_some, play
+from halfseen.world.rollout import Episodes, evaluate_each, play
 from halfseen.world.scene import Scene
 from halfseen.world.state import Layout
 from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
@@ -128,16 +128,12 @@ class Source:
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
-        return self.evaluate_some(policy, range(num_episodes), purpose)
+        return self.evaluate_each([policy], num_episodes, purpose)[0]
 
-    def evaluate_each(self, policies: Sequence[Policy], num_episodes: int) -> list[Played]:
-        """Play each policy on the episodes that all share."""
-        each = evaluate_each(self.world, self.layouts, policies, self.key(EVALUATION), num_episodes)
-        return [_played(one) for one in each]
-
-    def evaluate_some(self, policy: Policy, episodes: Sequence[int], purpose: int = EVALUATION) -> Played:
-        """Play a policy on some of them, by number."""
-        return _played(evaluate_some(self.world, self.layouts, policy, self.key(purpose), np.array(episodes)))
+    def evaluate_each(self, policies: Sequence[Policy], num_episodes: int, purpose: int = EVALUATION) -> list[Played]:
+        """Play each policy on the same episodes."""
+        each = evaluate_each(self.world, self.layouts, policies, self.key(purpose), num_episodes)
+        return [Played(*(np.asarray(of, dtype=np.float64) for of in (one.reward, one.robot_s))) for one in each]
 
     def decision_times_ms(self, contenders: Iterable[Contender], num_states: int, laws: bool) -> dict[str, float]:
         """Median decision times [ms], on one state of each of many trajectories, early and late ones in turn.
@@ -161,10 +157,6 @@ class Source:
         """Play each policy on the same episodes, by number: rewards by the control variate, with `start_value`."""
         each = controlled_each(self.world, self.layouts, policies, self.key(purpose), np.array(episodes))
         return [Played(start + one.advantage, one.robot_s) for one in each]
-
-
-def _played(totals: Totals) -> Played:
-    return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
 
 
 def log_of(cuts: CutEpisodes, world: WorldConfig) -> Logs:

@@ -17,15 +17,22 @@ from halfseen.study import figures
 from halfseen.study.compare import estimated_in, records, row_of, three, where
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables, words
 from halfseen.study.experiments import attempts_repetition as names
-from halfseen.study.experiments.attempts_repetition import COMPLETED, LAW, MEASURES, MODEL_NAMES, PAIRS, VISIBLE_ONLY
+from halfseen.study.experiments.attempts_repetition import (
+    COMPLETED,
+    LAW,
+    MEASURES,
+    MODEL_NAMES,
+    PAIRS,
+    SCORE,
+    VISIBLE_ONLY,
+)
 from halfseen.study.setting import Setting
 from halfseen.wording import amount, as_sentence, capitalised, estimated, interval, listed, p_value, percent
 
 ASSUMED = "assumed"
 BETTER, WORSE, UNDECIDED = "better", "worse", "no significant difference"
 ADVERBS = {BETTER: "better", WORSE: "worse", UNDECIDED: "neither clearly better nor worse"}
-SCORE, SCORE_DECIMALS = "log_loss", 4
-"""The measure that the answer is told by."""
+SCORE_DECIMALS = 4
 MODEL_COLOURS = {"rate": ORANGE, "beta": BLUE, "svm": RED, "svm-facts": SKY, "svm-set": PINK, LAW: INK}
 LOOKS = figures.looks(MODEL_COLOURS, MODEL_NAMES)
 NOUNS = {
