@@ -9,7 +9,7 @@ from halfseen.cell.fetching import NUM_SIDES, SHOWN_AT_M, is_in_hand, turned
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import NEAR_M, Kinematics, line, schedule
-from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.live_cell import LiveCell, Move
 from halfseen.cell.model import SLOT_M, Rack, Robot, cell_model
 from halfseen.cell.planning import plans
 from halfseen.errors import PlanError, SceneError
@@ -181,7 +181,7 @@ def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_told_from_wh
     kinematics, closing = cell.kinematics[ROBOT.name], []
     grasp = Grasp("around", np.array([0.05, -0.02, 0.08]), DOWN_AXES, 0.1)
     done = next(plans([grasp], WORLD_FROM_TABLE, kinematics, HOME, rng_of()))
-    cell.move(ROBOT, done.lift)
+    cell.do(ROBOT, Move(done.lift))
 
     def look_at(side):
         hand = kinematics.hand(cell.angles_rad(ROBOT))

@@ -179,7 +179,7 @@ class Executor:
         robot, cell = self._robots[arm], self._cell
         match command:
             case Move():
-                worker.way, worker.end = iter(cell.commanded_rad(robot, command.way, command.speed)), command.way[-1]
+                worker.way, worker.end = iter(cell.commanded_rad(robot, command)), command.way[-1]
             case Grip():
                 cell.close(robot, command.opening_m)
                 worker.ticks = round(command.seconds / cell.tick_s)

@@ -174,68 +174,41 @@ class LiveCell:
                 watch(self)
 
     def carry_out(self, robot: Robot, activity: Activity[Result]) -> Result:
-        """Let one robot do something while all others stand, and tell what came of it.
-
-        Parameters
-        ----------
-        robot
-            Who does it.
-        activity
-            What; whatever it wants to reserve is free.
-        """
+        """Let one robot do something while all others stand: whatever it wants to reserve is free."""
         try:
             command = next(activity)
             while True:
-                self._do(robot, command)
+                self.do(robot, command)
                 command = activity.send(True)
         except StopIteration as ended:
             return ended.value
 
-    def _do(self, robot: Robot, command: Command) -> None:
+    def do(self, robot: Robot, command: Command) -> None:
+        """Let one robot carry out a command while all others stand."""
         match command:
             case Move():
-                self.move(robot, command.way, command.speed)
+                for angles in self.commanded_rad(robot, command):
+                    self.steer(robot, angles)
+                    self.wait(self.tick_s)
+                self.steer(robot, command.way[-1])
             case Grip():
-                self.grip(robot, command.opening_m, command.seconds)
+                self.close(robot, command.opening_m)
+                self.wait(command.seconds)
             case Rest():
                 self.wait(command.seconds)
-            case _:
-                pass
 
-    def move(self, robot: Robot, way: Way, speed: float = 1.0) -> None:
-        """Move along a way, from rest to rest.
-
-        Parameters
-        ----------
-        robot
-            Who moves.
-        way
-            Angles to go through.
-        speed
-            Share of the joints' largest speeds.
-        """
-        for angles in self.commanded_rad(robot, way, speed):
-            self.steer(robot, angles)
-            self.wait(self.tick_s)
-        self.steer(robot, way[-1])
-
-    def commanded_rad(self, robot: Robot, way: Way, speed: float) -> Float[np.ndarray, "ticks J"]:
-        """Angles for the servos, tick by tick, from where they are along a way; parameters are those of `move`."""
+    def commanded_rad(self, robot: Robot, move: Move) -> Float[np.ndarray, "ticks J"]:
+        """Angles for the servos, tick by tick, from where they are along a way."""
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
-        plan = schedule(begin, way, speed * robot.arm.speeds_rad_s)
+        plan = schedule(begin, move.way, move.speed * robot.arm.speeds_rad_s)
         return plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1))
 
     def steer(self, robot: Robot, angles_rad: Angles) -> None:
         """Tell a robot's servos where its joints are to be."""
         self.data.ctrl[[self.model.actuator(name).id for name in robot.joint_names]] = angles_rad
 
-    def grip(self, robot: Robot, opening_m: float, seconds: float = 0.5) -> None:
-        """Open or close the hand to a distance between its pads [m], as far as its force goes; below 0 it presses."""
-        self.close(robot, opening_m)
-        self.wait(seconds)
-
     def close(self, robot: Robot, opening_m: float) -> None:
-        """Tell the fingers how far to be apart [m]."""
+        """Tell the fingers how far to be apart [m], as far as their force goes; below 0 they press."""
         for name in robot.slide_names:
             self.data.actuator(name).ctrl = 0.5 * opening_m
 
