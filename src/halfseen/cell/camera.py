@@ -25,7 +25,7 @@ from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_TOP_M
 from halfseen.scene.view import IdealView, ideal_view
-from halfseen.scene.xtion import XTION, StructuredLight, sense
+from halfseen.scene.xtion import XTION, sense
 from halfseen.shapes import Bool, Float, Int
 
 
@@ -57,26 +57,18 @@ class CellCamera:
         The running cell.
     camera
         Where it is seen from.
-    sensor
-        What senses.
     surfaces
         What is on the walls of each cup, for clouds with colour; None for clouds without.
     """
 
-    def __init__(
-        self,
-        cell: LiveCell,
-        camera: Camera,
-        sensor: StructuredLight = XTION,
-        surfaces: Sequence[Surface] | None = None,
-    ) -> None:
-        self.cell, self.camera, self.sensor, self.surfaces = cell, camera, sensor, surfaces
+    def __init__(self, cell: LiveCell, camera: Camera, surfaces: Sequence[Surface] | None = None) -> None:
+        self.cell, self.camera, self.surfaces = cell, camera, surfaces
 
     def look(self, rng: np.random.Generator) -> Look:
         """Look at the cell as it is now; `rng` makes the sensor's noise."""
         view = self.view()
         is_robot = view.body > self.cell.num_cups
-        depth_m = sense(view, self.camera.focal_px[0], rng, self.sensor)
+        depth_m = sense(view, self.camera.focal_px[0], rng, XTION)
         picture = self._picture(view, rng)
         cloud = Cloud.from_depth(np.where(is_robot, np.nan, depth_m), self.camera.intrinsics, "look", picture)
         return Look(cloud, np.where(is_robot, -1, view.labels), np.where(is_robot, view.depth_m, np.inf))
@@ -89,7 +81,7 @@ class CellCamera:
 
     def view(self) -> IdealView:
         """See the cell as it is now, without noise."""
-        sight = Sight(self.cell.model, self.cell.data, self.camera, self.sensor.baseline_m)
+        sight = Sight(self.cell.model, self.cell.data, self.camera, XTION.baseline_m)
         no_cups = with_rays(self._empty, sight, (FURNITURE_GROUP,), (ROBOT_GROUP,))
         return with_facets(no_cups, sight, (FURNITURE_GROUP, ROBOT_GROUP), self._cups, CUP_GROUP)
 
@@ -97,7 +89,7 @@ class CellCamera:
     def _empty(self) -> IdealView:
         """The view of what never moves."""
         cell = self.cell
-        return ideal_view(cell.model, self.camera, self.sensor.baseline_m, cell.data, (FURNITURE_GROUP,))
+        return ideal_view(cell.model, self.camera, XTION.baseline_m, cell.data, (FURNITURE_GROUP,))
 
     @cached_property
     def _cups(self) -> Facets:

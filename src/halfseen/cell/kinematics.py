@@ -178,7 +178,8 @@ Way = Float[np.ndarray, "k J"]
 STEP_M = 0.02
 """Between two places of a line at which angles are sought."""
 _LARGEST_TURN_RAD = 0.6  # of a joint, between two such places: more is another way to hold the arm, not a line
-_RAMP_S = 0.25
+RAMP_S = 0.25
+"""How long it takes to reach full speed, and to stop [s]."""
 
 
 def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np.ndarray, " 3"]) -> Way:
@@ -226,22 +227,19 @@ class Schedule:
         When each place of the way would be reached without ramps [s], from 0.
     way_rad
         The places, the first among them.
-    ramp_s
-        How long it takes to reach full speed, and to stop [s].
     """
 
     reached_s: Float[np.ndarray, " k"]
     way_rad: Way
-    ramp_s: float = _RAMP_S
 
     @property
     def duration_s(self) -> float:
         """How long it takes [s]."""
-        return float(self.reached_s[-1]) + self.ramp_s
+        return float(self.reached_s[-1]) + RAMP_S
 
     def at(self, times_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n J"]:
         """Angles at times from the beginning [s]: full speed between two ramps of constant acceleration."""
-        full_s, ramp_s = float(self.reached_s[-1]), self.ramp_s
+        full_s, ramp_s = float(self.reached_s[-1]), RAMP_S
         starting_s = 0.5 * times_s**2 / ramp_s
         stopping_s = full_s - 0.5 * np.maximum(0.0, full_s + ramp_s - times_s) ** 2 / ramp_s
         along_s = np.where(times_s < ramp_s, starting_s, np.where(times_s < full_s, times_s - 0.5 * ramp_s, stopping_s))
@@ -260,5 +258,5 @@ def schedule(begin_rad: Angles, way: Way, speeds_rad_s: Angles) -> Schedule:
     places = np.concatenate([begin_rad[None], way])
     legs_s = (np.abs(np.diff(places, axis=0)) / speeds_rad_s).max(axis=1)
     # A ramp up and one down fit into what is at least as long as one of them.
-    stretched = legs_s * max(1.0, _RAMP_S / max(float(legs_s.sum()), 1e-9))
+    stretched = legs_s * max(1.0, RAMP_S / max(float(legs_s.sum()), 1e-9))
     return Schedule(np.concatenate([[0.0], np.cumsum(stretched)]), places)

@@ -47,17 +47,18 @@ class TablesWatch:
     ----------
     policy, horizon
         As for `CellWatch`.
-    on_change
-        Called with what there is to show whenever it changes.
 
     Attributes
     ----------
+    on_change
+        Called with what there is to show whenever it changes.
     watched
         The last `MOST_STAGES` stages; None before the first.
     """
 
-    def __init__(self, policy: Policy, horizon: int, on_change: Callable[[Watched], None] = lambda _: None) -> None:
-        self._policy, self._horizon, self.on_change = policy, horizon, on_change
+    def __init__(self, policy: Policy, horizon: int) -> None:
+        self._policy, self._horizon = policy, horizon
+        self.on_change: Callable[[Watched], None] = lambda _: None
         self.watched: Watched | None = None
 
     def follow(self, index: int, cell: Workcell) -> "CellWatch":

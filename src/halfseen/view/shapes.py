@@ -67,7 +67,7 @@ def _normals(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def shadow(solid: Mesh, eye_m: Vector, longest_m: float = LONGEST_SHADOW_M) -> Mesh:
+def shadow(solid: Mesh, eye_m: Vector) -> Mesh:
     """Give a solid and what it hides from an eye, down to the table.
 
     Parameters
@@ -76,13 +76,11 @@ def shadow(solid: Mesh, eye_m: Vector, longest_m: float = LONGEST_SHADOW_M) -> M
         In coordinates of the table, whose plane is at height 0.
     eye_m
         Where the camera is, above the table [m].
-    longest_m
-        The shadow ends so far behind the solid at the latest [m].
     """
     ray_m = solid.vertices_m - eye_m
     with np.errstate(divide="ignore"):
         to_table = np.where(ray_m[:, 2] < 0, -eye_m[2] / ray_m[:, 2], np.inf)
-    stretch = np.clip(to_table, 1.0, 1.0 + longest_m / np.linalg.norm(ray_m, axis=1))
+    stretch = np.clip(to_table, 1.0, 1.0 + LONGEST_SHADOW_M / np.linalg.norm(ray_m, axis=1))
     return convex_mesh(np.concatenate([solid.vertices_m, eye_m + stretch[:, None] * ray_m]))
 
 

@@ -46,7 +46,7 @@ class TimeFit(NamedTuple):
     """Mean time of what follows an attempt, until the next decision [s]."""
 
 
-def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
+def fit_times(trials: pd.DataFrame) -> TimeFit:
     """Fit the durations, each attempt weighted for those that were cut.
 
     Parameters
@@ -54,10 +54,8 @@ def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
     trials
         As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
         alone.
-    censoring
-        As in `halfseen.tables.grasp_models.BetaGrasp`.
     """
-    decided = checked_attempts(trials, censoring)
+    decided = checked_attempts(trials)
     rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
     attempt_s, watched_s = (rows[name].to_numpy(dtype=np.float64) for name in ("attempt_s", "time_s"))
     is_tried = attempt_s > 0.0
