@@ -40,14 +40,14 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.episode import Moment, play
     from halfseen.cell.film import Film
-    from halfseen.cli.inputs import belief_of, policy_for, robot_for, stations_for
+    from halfseen.cli.inputs import belief_of, policy_for, stations_for
     from halfseen.cli.options import SHIPPED, Arm
     from halfseen.logs import LogRecorder
 
     table, rows, taken = 0, [], Film()
-    robot, arm_name = robot_for(Arm(None, None, None))
-    belief, stations = belief_of(SHIPPED, arm_name), stations_for(num_arms, None)
-    cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
+    stations, arm_name = stations_for(Arm(None, None, None), num_arms)
+    belief = belief_of(SHIPPED, arm_name)
+    cell, is_dirty = Conditions(stations=stations, stops=None).cell(seed, table)
 
     def follow(moment: Moment) -> None:
         rows.append({"stage": moment.stage, "words": moment.words})

@@ -243,7 +243,7 @@ def test_an_arm_that_has_left_what_another_wants_is_in_no_deadlock(cell, phase):
 
 
 def test_an_arm_that_touches_what_another_holds_has_collided():
-    cell = LiveCell(cell_model([SLIM], standing((0.0, 0.0)), ROBOTS, None), ROBOTS)
+    cell = LiveCell(cell_model([SLIM], standing((0.0, 0.0)), ROBOTS, []), ROBOTS)
     watch = Touches(cell, ROBOTS)
     cell.watches.append(watch)
     cell.do(LEFT, Grip(0.12, 0.3))

@@ -157,7 +157,7 @@ def test_fingers_open_and_close_alike_and_cups_and_arm_stay_where_they_are():
 @pytest.mark.parametrize("friction", [0.15, 0.9])
 @pytest.mark.parametrize("cup", [CUP, MUG], ids=["cup", "mug"])
 def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
-    model = cell_model([cup], standing(PLACE_M), frictions=[friction], rack=Rack())
+    model = cell_model([cup], standing(PLACE_M), frictions=[friction], racks=[Rack()])
     kinematics, rng, grip_m = Kinematics(model, ROBOT), rng_of(), TABLE_TOP_M + cup.height_m - 0.02
     begins = [rng.uniform([-3, 2, 0.6, -3, -3, -3], [3, 4.3, 5, 3, 3, 3]) for _ in range(12)]
     # It closes along y, past the handle, which points along x.

@@ -25,7 +25,7 @@ from halfseen.cell.calibration.attempts import HORIZON
 from halfseen.cell.camera import Errors
 from halfseen.cell.episode import Follow, TeamRun, play
 from halfseen.cell.live_cell import Stops
-from halfseen.cell.model import Robot, Station
+from halfseen.cell.model import Station
 from halfseen.cell.rewards import Run
 from halfseen.cell.table_state import Belief, no_grip
 from halfseen.cell.workcell import Workcell
@@ -61,14 +61,13 @@ class Conditions:
         Probability that a cup is dirty.
     frictions
         Of a cup on pads, drawn evenly in its logarithm: smallest and largest [-].
-    robot, stations, grasping, errors, stops
+    stations, grasping, errors, stops
         As for `Workcell`.
     """
 
     dirty_share: float = 0.6
     frictions: tuple[float, float] = (0.1, 0.6)
-    robot: Robot = Robot()  # noqa: RUF009 - frozen
-    stations: tuple[Station, ...] = ()
+    stations: tuple[Station, ...] = (Station(),)
     grasping: str = "completed"
     errors: Errors = Errors()  # noqa: RUF009 - frozen
     stops: Stops | None = Stops()  # noqa: RUF009 - frozen
@@ -91,7 +90,6 @@ class Conditions:
             table,
             rng,
             surfaces,
-            robot=self.robot,
             stations=self.stations,
             frictions=frictions,
             grasping=self.grasping,

@@ -111,9 +111,9 @@ class Rack:
 class Station(NamedTuple):
     """A robot, and the rack that is its own."""
 
-    robot: Robot
+    robot: Robot = Robot()
     """Who works."""
-    rack: Rack
+    rack: Rack = Rack()
     """Where it puts washed cups."""
     reach_m: float = inf
     """How far from the middle of its base it is asked to grasp [m]."""
@@ -123,7 +123,7 @@ def cell_model(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
     robots: Sequence[Robot] = (Robot(),),
-    rack: Rack | Sequence[Rack] | None = Rack(),
+    racks: Sequence[Rack] = (Rack(),),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
 ) -> mujoco.MjModel:
@@ -131,7 +131,7 @@ def cell_model(
 
     Parameters
     ----------
-    cups, world_from_cup, robots, rack, contacts, frictions
+    cups, world_from_cup, robots, racks, contacts, frictions
         As for `cell_spec`.
 
     Raises
@@ -139,14 +139,14 @@ def cell_model(
     SceneError
         As `cell_spec` does.
     """
-    return cell_spec(cups, world_from_cup, robots, rack, contacts, frictions).compile()
+    return cell_spec(cups, world_from_cup, robots, racks, contacts, frictions).compile()
 
 
 def cell_spec(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
     robots: Sequence[Robot] = (Robot(),),
-    rack: Rack | Sequence[Rack] | None = Rack(),
+    racks: Sequence[Rack] = (Rack(),),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
 ) -> mujoco.MjSpec:
@@ -156,8 +156,8 @@ def cell_spec(
     ----------
     robots
         The robots; none for a room that is only looked at.
-    rack
-        Where washed cups go, one place or several; None without one.
+    racks
+        Where washed cups go.
     frictions
         Of each cup on pads [-]; None for that of `contacts`.
 
@@ -171,8 +171,8 @@ def cell_spec(
     contacts.solve(spec)
     for index, cup in enumerate(cups):
         add_walls(spec.body(cup_name(index)), cup, contacts, None if frictions is None else frictions[index])
-    for each in _racks(rack):
-        _add_rack(spec, each)
+    for rack in racks:
+        _add_rack(spec, rack)
     for geom in spec.worldbody.geoms:
         geom.contype |= OBSTACLES
         geom.group = FURNITURE_GROUP
@@ -181,12 +181,6 @@ def cell_spec(
     if len(robots) > 1:
         _let_robots_meet(spec, robots)
     return spec
-
-
-def _racks(rack: "Rack | Sequence[Rack] | None") -> "Sequence[Rack]":
-    if rack is None:
-        return ()
-    return (rack,) if isinstance(rack, Rack) else rack
 
 
 def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[Robot]) -> None:

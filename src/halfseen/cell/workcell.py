@@ -69,10 +69,8 @@ class Workcell:
         Draws the sensor's noise, the error of the camera's place, where plans begin, and when the camera is lost.
     surfaces
         What is on the walls of each cup; None where colour gives no labels.
-    robot, rack
-        Who works, and where washed cups go.
     stations
-        Several robots with a rack each, instead of `robot` and `rack`; none where these work alone.
+        Who works, each with a rack of its own.
     frictions
         Of each cup on pads [-]; None for the usual one.
     grasping
@@ -109,9 +107,7 @@ class Workcell:
         rng: np.random.Generator,
         surfaces: Sequence[Surface] | None = None,
         *,
-        robot: Robot = Robot(),  # noqa: B008 - frozen
-        rack: Rack = Rack(),  # noqa: B008 - frozen
-        stations: Sequence[Station] = (),
+        stations: Sequence[Station] = (Station(),),
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
         labeller: Labeller = StainCounter(),  # noqa: B008 - frozen
@@ -124,7 +120,7 @@ class Workcell:
                 f"{table.name}: the middle of cup {index} is at {table.centroid_m[index].round(2).tolist()} m, off the "
                 f"table, whose top is {TABLE_TOP_M} m high and {TABLE_SIZE_M} m wide about the origin; put it there"
             )
-        self.stations = tuple(stations) or (Station(robot, rack),)
+        self.stations = tuple(stations)
         robots, racks = [each.robot for each in self.stations], [each.rack for each in self.stations]
         model = cell_model(table.cups, table.world_from_cup, robots, racks, frictions=frictions)
         self.table, self.surfaces = table, surfaces

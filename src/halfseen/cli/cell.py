@@ -17,7 +17,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.group import VerbGroup
-from halfseen.cli.inputs import robot_for
+from halfseen.cli.inputs import stations_for
 from halfseen.cli.messages import answer
 from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
@@ -122,7 +122,7 @@ def calibrate(
     refuse()
     if given is not None and arm.file is not None:
         raise ArgumentError(f"--arm is {arm.file}, but {given} holds attempts of some arm already; leave it out")
-    robot, arm_name = robot_for(arm)
+    stations, arm_name = stations_for(arm)
     origin: dict[str, Any] = {"seed": seed, "arm": arm_name}
 
     def fitted(logs: "Logs", contrast: "Logs | None") -> dict[str, Any]:
@@ -146,7 +146,7 @@ def calibrate(
             Progress(attempts + visible_only, "calibrate", "attempts") as bar,
             workers.ready() as pool,
         ):
-            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=seed, pool=pool)
+            conditions, try_on = Conditions(stations=stations), partial(attempts_of, seed=seed, pool=pool)
             logs = try_on(attempts, folder=folder, conditions=conditions, on_table=bar.update)
             contrast = None
             if visible_only:

@@ -13,7 +13,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.cell import load_mujoco, start_opengl
-from halfseen.cli.inputs import NAMES, belief_of, law_folder, policy_for, refuse_output, robot_for, stations_for
+from halfseen.cli.inputs import NAMES, belief_of, law_folder, policy_for, refuse_output, stations_for
 from halfseen.cli.messages import answer, say
 from halfseen.progress import Progress
 from halfseen.writing import refuse_taken
@@ -90,15 +90,14 @@ def run(
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
     refuse()
-    stations = stations_for(num_arms, arm.file)
-    robot, arm_name = robot_for(arm)
+    stations, arm_name = stations_for(arm, num_arms)
     belief = belief_of(law, arm_name)
     policy = policy_for(name, random_share, belief.config, num_arms)
-    conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
+    conditions = Conditions(stations=stations, stops=Stops() if stops else None)
     who = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {who}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm.file else ""
-    what += f", {num_arms} arms" if stations else ""
+    what += f", {num_arms} arms" if num_arms > 1 else ""
     tables = range(num_tables)
     watched = _following(policy, num_arms * belief.config.horizon, is_watched, port, record, overwrite)
     with watched as follow:
@@ -220,11 +219,10 @@ def film(
     from halfseen.logs import LogRecorder
     from halfseen.world import random
 
-    stations = stations_for(num_arms, arm.file)
-    robot, arm_name = robot_for(arm)
+    stations, arm_name = stations_for(arm, num_arms)
     belief = belief_of(law, arm_name)
-    cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
-    taken = Film(OF_TWO_ARMS if stations else Shot())
+    cell, is_dirty = Conditions(stations=stations, stops=None).cell(seed, table)
+    taken = Film(OF_TWO_ARMS if num_arms > 1 else Shot())
     cell.cell.watches.append(taken)
     key = random.fold_in(random.key_of(seed), table)
     num_stages = num_arms * belief.config.horizon

@@ -14,7 +14,6 @@ from halfseen.suggestions import did_you_mean
 from halfseen.writing import refuse_unwritable
 
 if TYPE_CHECKING:
-    from halfseen.cell import Robot
     from halfseen.cell.calibration.law import Law
     from halfseen.cell.model import Station
     from halfseen.cell.table_state import Belief
@@ -89,42 +88,27 @@ def read_robots(file: Path | None) -> "Team | None":
     return read_team(file, partial(_grasping_of, beside=file.parent))
 
 
-def stations_for(num_arms: int, arm: Path | None) -> "tuple[Station, ...]":
-    """Give where several arms stand; nothing for one.
-
-    Raises
-    ------
-    ArgumentError
-        There are several, of a file.
-    """
-    if num_arms == 1:
-        return ()
-    from halfseen.cell.model import PAIR
-
-    if arm is not None:
-        raise ArgumentError(
-            f"--arm is {arm} and --arms {num_arms}: only the usual arm stands there twice; leave one out"
-        )
-    return PAIR
-
-
-def robot_for(arm: Arm) -> "tuple[Robot, str]":
-    """Make the robot of an arm, and say what its arm is: with a digest, if of a file.
+def stations_for(arm: Arm, num_arms: int = 1) -> "tuple[tuple[Station, ...], str]":
+    """Give where arms stand, and say what arm they are: with a digest, if of a file.
 
     Raises
     ------
     HalfseenError
-        There is no such file, it holds no such arm, or one that cannot work at the table.
+        There is no such file, it holds no such arm, or one that cannot work at the table, or not twice.
     """
-    from halfseen.cell import ArmFile, Robot, robot_of
+    from halfseen.cell import PAIR, ArmFile, Station, robot_of
 
     if arm.file is None:
         for name, given in (("--flange", arm.flange), ("--joints", arm.joints)):
             if given is not None:
                 raise ArgumentError(f"{name} is of an arm from a file; give the file by --arm, or leave {name} out")
-        return Robot(), Robot().arm.name
+        return (Station(),) if num_arms == 1 else PAIR, Station().robot.arm.name
+    if num_arms > 1:
+        raise ArgumentError(
+            f"--arm is {arm.file} and --arms {num_arms}: only the usual arm stands there twice; leave one out"
+        )
     given = ArmFile(arm.file, flange=arm.flange, joints=None if arm.joints is None else tuple(arm.joints))
-    return robot_of(given), f"{arm.file.name} ({given.digest})"
+    return (Station(robot_of(given)),), f"{arm.file.name} ({given.digest})"
 
 
 NAMES = (*HEURISTICS, PLANNER)
