@@ -30,19 +30,10 @@ __all__ = [
     "write_recording",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "CellWatch": "cell_watch",
-        "Hand": "stage_view",
-        "Option": "stage_view",
-        "Part": "stage_view",
-        "Shown": "stage_view",
-        "StageView": "stage_view",
-        "Watched": "stage_view",
-        "read_recording": "recording",
-        "watched_cloud": "stages",
-        "watched_logs": "stages",
-        "write_recording": "recording",
-    },
-)
+_NAMES = {
+    "cell_watch": "CellWatch",
+    "recording": "read_recording write_recording",
+    "stage_view": "Hand Option Part Shown StageView Watched",
+    "stages": "watched_cloud watched_logs",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})
