@@ -201,7 +201,7 @@ REFUSED = [
     ("serve policy --opcua opc.tcp://me:word@h --mapping cell.toml --record new", "users in --mapping"),
     ("serve policy --opcua opc.tcp://127.0.0.1 --mapping cell.toml", "is known by the log; give --record LOGS"),
     ("serve policy --opcua opc.tcp://127.0.0.1 --mapping cell.toml --record new", "cell.toml: it cannot be read"),
-    ("serve policy --mapping-template --mapping policy", "which is there already"),
+    ("serve policy --mapping-template --mapping policy", "policy: it is there already"),
     ("serve nothing --port 0", "no such folder"),
     ("simulate --out new --episodes 0", "--episodes"),
     ("simulate --out new --cut-share 1", "--cut-share"),

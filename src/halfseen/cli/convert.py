@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import answer, say
+from halfseen.cli.inputs import give_mapping
+from halfseen.cli.messages import answer
 from halfseen.cli.sources import MINARI, SQL, Reading, check_options, kind_of, read, tables_of_events
 from halfseen.errors import ArgumentError, HalfseenWarning
 from halfseen.progress import Progress
-from halfseen.writing import placed, refuse_taken, write_file
+from halfseen.writing import placed, refuse_taken
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
@@ -121,12 +122,7 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
         raise ArgumentError(f"--mapping-template is made from one SOURCE; {len(sources)} are given: name one of them")
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
     text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
-    if target is None:
-        click.echo(text, nl=False)
-        return
-    refuse_taken(Path(target), False, None, "mapping")
-    write_file(Path(target), text)
-    say(f"{target}: a mapping to start from; check it, then pass it as --mapping")
+    give_mapping(text, None if target is None else Path(target))
 
 
 @contextmanager

@@ -6,12 +6,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from halfseen.cli.messages import tell_warning
+import click
+
+from halfseen.cli.messages import say, tell_warning
 from halfseen.cli.options import ASSUMED, SHIPPED, Arm
 from halfseen.errors import ArgumentError, CloudError, PolicyError
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.suggestions import did_you_mean
-from halfseen.writing import refuse_unwritable
+from halfseen.writing import refuse_taken, refuse_unwritable, write_file
 
 if TYPE_CHECKING:
     from halfseen.cell.calibration.law import Law
@@ -199,6 +201,22 @@ def scenes_of(
         scenes.append(scene)
         on_each()
     return scenes
+
+
+def give_mapping(text: str, file: Path | None) -> None:
+    """Print a mapping to start from, or write it to a file.
+
+    Raises
+    ------
+    ArgumentError
+        The file is there already, or cannot be written.
+    """
+    if file is None:
+        click.echo(text, nl=False)
+        return
+    refuse_taken(file, False, None, "mapping")
+    write_file(file, text)
+    say(f"{file}: a mapping to start from; check it, then pass it as --mapping")
 
 
 def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool, inputs: Iterable[Path] = ()) -> None:

@@ -14,10 +14,9 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of
+from halfseen.cli.inputs import give_mapping, law_of
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError
-from halfseen.writing import write_file
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
@@ -163,7 +162,10 @@ def serve(
     from halfseen.serving.watching import Watch
 
     if is_template:
-        _give_template(policy, mapping)
+        from halfseen.policies import read_policy
+        from halfseen.serving.opcua.mapping import template_of
+
+        give_mapping(template_of(read_policy(policy)), mapping)
         return
     _check_token(host, token)
     _check_wire(controller, mapping, record)
@@ -209,19 +211,6 @@ def _served(
     if served.service.fall_back is None:
         click.echo(f"halfseen: warning: {NOBODY}; until then, what the policy does not decide is refused", err=True)
     return served
-
-
-def _give_template(policy: Path, file: Path | None) -> None:
-    from halfseen.policies import read_policy
-    from halfseen.serving.opcua.mapping import template_of
-
-    template = template_of(read_policy(policy))
-    if file is None:
-        click.echo(template, nl=False)
-    elif file.exists():
-        raise ArgumentError(f"--mapping is {file}, which is there already; name a file to be written")
-    else:
-        write_file(file, template)
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
