@@ -69,13 +69,12 @@ def act(
         refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
     stored = read_policy(policy)
     refuse_team(stored, UNDECIDED, policy)
-    counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
-    if law is not None and not counts_views:
+    if law is not None and not stored.counts_views:
         raise ArgumentError(
             f"--law is {law}, but the policy learned from logs that do not count what has been in view, so that every "
             "label is news to it; leave --law out"
         )
-    known = law_of(law or SHIPPED) if counts_views else None
+    known = law_of(law or SHIPPED) if stored.counts_views else None
     table = None
     if stored.is_table:
         from halfseen.policies.table_observation import read_table

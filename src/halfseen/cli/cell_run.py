@@ -14,7 +14,7 @@ import click
 from halfseen.cli import options
 from halfseen.cli.cell import load_mujoco, start_opengl
 from halfseen.cli.inputs import NAMES, belief_of, law_folder, policy_for, refuse_output, stations_for
-from halfseen.cli.messages import answer, say
+from halfseen.cli.messages import answer, say, tally
 from halfseen.progress import Progress
 from halfseen.writing import refuse_taken
 
@@ -128,9 +128,6 @@ def _digest(folder: Path | None) -> str:
 def _lines(report: dict[str, Any]) -> list[str]:
     counts = report["counts"]
 
-    def listed(named: dict[str, int]) -> str:
-        return ", ".join(f"{name} {count}" for name, count in named.items()) or "none"
-
     def estimated(estimate: dict[str, float] | None) -> str:
         if estimate is None:
             return "inconclusive: fewer than two tables came to their own end"
@@ -153,9 +150,9 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"{'table' if together else 'robot'} time          {report['seconds']:.0f} s a table, arm {report['arm']}",
         f"cups                {counts['num_racked']} of {counts['num_cups']} in the rack, {counts['num_washed']} of "
         f"{counts['num_dirty']} dirty ones; {counts['num_toppled']} toppled, {counts['num_fallen']} fell",
-        f"tried               {listed(report['verbs'])}",
-        f"did not hold        {listed(report['failures'])}",
-        f"cut by              {listed(report['causes'])}",
+        f"tried               {tally(report['verbs'])}",
+        f"did not hold        {tally(report['failures'])}",
+        f"cut by              {tally(report['causes'])}",
         *([] if together is None else [_together(together)]),
     ]
 

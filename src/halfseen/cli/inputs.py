@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from halfseen.cell.calibration.law import Law
     from halfseen.cell.model import Station
     from halfseen.cell.table_state import Belief
+    from halfseen.perception import Cloud, View
     from halfseen.world import GraspLaw, Policy, Scene, Team, WorldConfig
 
 
@@ -191,16 +192,29 @@ def scenes_of(
             scenes.append(seen.scene(law))
             on_each()
         return scenes
-    from halfseen.perception import perceive, read_cloud
-
     for cloud in clouds:
-        view = perceive(read_cloud(cloud))
-        scene = view.scene() if law is None else law.scene(view)
-        if scene.num_objects == 0:
-            raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
-        scenes.append(scene)
+        _, view = perceived(cloud)
+        scenes.append(view.scene() if law is None else law.scene(view))
         on_each()
     return scenes
+
+
+def perceived(file: Path) -> "tuple[Cloud, View]":
+    """Read a cloud, and see the objects on its table.
+
+    Raises
+    ------
+    CloudError
+        It cannot be read, or shows no objects.
+    """
+    from halfseen.perception import perceive, read_cloud
+
+    cloud = read_cloud(file)
+    view = perceive(cloud)
+    if not view.objects:
+        cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
+        raise CloudError(f"{file}: no objects on the table{cut}; put the table with its objects whole into the view")
+    return cloud, view
 
 
 def give_mapping(text: str, file: Path | None) -> None:

@@ -69,6 +69,11 @@ def say(message: str) -> None:
     click.echo(printable(message))
 
 
+def tally(counts: Mapping[str, int]) -> str:
+    """Names with their counts."""
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
+
+
 def answer(report: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
     """Answer on stdout: programs by one JSON object, people by lines."""
     say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))

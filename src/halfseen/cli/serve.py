@@ -15,6 +15,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import give_mapping, law_of
+from halfseen.cli.messages import tell_warning
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError
 
@@ -176,18 +177,19 @@ def serve(
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
+    say = partial(print, flush=True)
     goes_on = record is not None and record.exists()
     kinds = {"is_of_tables": served.service.stored.is_table, "resumes": wire is not None}
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
         nullcontext() if record is None else RecordedTrajectories(record, **kinds) as trajectories,
-        nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, _said) as watch,
+        nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, say) as watch,
     ):
         rng, recent = np.random.default_rng(seed), Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:
-            held = Comparison(served.service, against, record, Terms(share, most_loss), seed, _said)
+            held = Comparison(served.service, against, record, Terms(share, most_loss), seed, say)
             served.answering = replace(served.answering, comparison=held)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
@@ -209,7 +211,7 @@ def _served(
     stays_within = not extrapolate and out_of_range != "answer"
     served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)
     if served.service.fall_back is None:
-        click.echo(f"halfseen: warning: {NOBODY}; until then, what the policy does not decide is refused", err=True)
+        tell_warning(f"{NOBODY}; until then, what the policy does not decide is refused")
     return served
 
 
@@ -235,10 +237,6 @@ def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
     wire = Wire(served, controller, to, os.environ.get(PASSWORD))
     asyncio.run(wire.check())
     return wire
-
-
-def _said(sentence: str) -> None:
-    print(sentence, flush=True)
 
 
 def _table(stored: Any, path: Path) -> "ExplorationTable":

@@ -8,7 +8,7 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, num_scenes, read_robots, scenes_of
-from halfseen.cli.messages import answer
+from halfseen.cli.messages import answer, tally
 from halfseen.errors import ArgumentError
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
@@ -103,9 +103,6 @@ def simulate(
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
-    def counts(named: dict[str, int]) -> str:
-        return ", ".join(f"{name} {count}" for name, count in named.items()) or "none"
-
     scenes, robots = report["scenes"], report.get("robots", [])
     return [
         f"{report['folder']}: {report['sentence']}",
@@ -113,6 +110,6 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"tables          {len(scenes)}, with {min(scenes.values())} to {max(scenes.values())} objects",
         *([f"robots          {len(robots)}: {', '.join(robots)}"] if robots else []),
         f"stages          {report['num_completed']} completed of {report['num_stages']} begun",
-        f"actions         {counts(report['actions'])}",
-        f"causes of cuts  {counts(report['causes'])}",
+        f"actions         {tally(report['actions'])}",
+        f"causes of cuts  {tally(report['causes'])}",
     ]

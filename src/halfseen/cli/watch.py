@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of, refuse_output
+from halfseen.cli.inputs import law_of, perceived, refuse_output
 from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
-from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.errors import ArgumentError, PolicyError
 
 if TYPE_CHECKING:
     from halfseen.view import Watched
@@ -140,17 +140,13 @@ def _of_cloud(
     file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None
 ) -> "Iterator[Watched]":
     """What is seen, as soon as it is where no history tells of it, and then what is decided."""
-    from halfseen.perception import perceive, read_cloud
     from halfseen.tables.first_look import first_look
     from halfseen.view.stages import watched_cloud
 
     for option, value in (("--history", history), ("--law", law)):
         if policy is None and value is not None:
             raise ArgumentError(f"{option} is for a decision; give a --policy, or leave {option} out")
-    cloud = read_cloud(file)
-    view = perceive(cloud)
-    if not view.objects:
-        raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
+    cloud, view = perceived(file)
     if policy is None:
         yield watched_cloud(cloud, view, None, None, 0, first_look(view, cloud, labels))
         return
@@ -164,7 +160,7 @@ def _of_cloud(
     if not stored.is_table:
         raise PolicyError(f"{policy}: it is no policy of tables, and {file} is a cloud; learn one from logs of tables")
     schema = stored.record["schema"]
-    known = law_of(law or SHIPPED) if schema.get("counts_views", False) else None
+    known = law_of(law or SHIPPED) if stored.counts_views else None
     if history is None:
         told = first_look(view, cloud, labels, schema["dirty_share"], *([known.seeing] if known else []))
         yield watched_cloud(cloud, view, None, None, 0, told)

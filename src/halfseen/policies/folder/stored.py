@@ -57,6 +57,11 @@ class StoredPolicy:
         return self.record["schema"]["num_robots"] if self.record["kind"] in ("team", "team-laws") else None
 
     @property
+    def counts_views(self) -> bool:
+        """Whether it learned from logs that count how much of an object has been in view."""
+        return self.is_table and self.record["schema"].get("counts_views", False)
+
+    @property
     def whom(self) -> str:
         """For whom it decides."""
         if self.num_robots is not None:
