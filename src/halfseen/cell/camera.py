@@ -97,8 +97,7 @@ class CellCamera:
 
 
 _BESIDE_PX = 3
-_BEHIND_M = 0.03
-"""An arm hides what is farther than this before it [m]: what it touches counts as cut."""
+_BEHIND_M = 0.03  # an arm hides what is farther than this before it [m]: what it touches counts as cut
 
 
 def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]) -> tuple[View, Cloud]:

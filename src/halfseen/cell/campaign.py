@@ -45,10 +45,8 @@ from halfseen.world.random import Key
 from halfseen.world.state import TableState
 from halfseen.writing import placed, refuse_unwritable, write_file
 
-RUN_FILE = "run.json"
-"""Beside the recording of a table once it is over: what came of it."""
-WHAT_FILE = "what.txt"
-"""In the folder of a campaign: what runs there."""
+RUN_FILE = "run.json"  # beside the recording of a table once it is over: what came of it
+WHAT_FILE = "what.txt"  # in the folder of a campaign: what runs there
 
 
 @dataclass(frozen=True)

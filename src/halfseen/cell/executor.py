@@ -18,17 +18,14 @@ from halfseen.cell.space import Reservations, Space
 DEADLOCK = "deadlock"
 """Cause of a cut: arms wait for one another, or for one that is idle, and none has a free way home."""
 PATIENCE_S = 15.0
-_ASK_EVERY = 10
-"""Ticks between two looks whether a space is free by now."""
+_ASK_EVERY = 10  # ticks between two looks whether a space is free by now
 
 
 class Ended(NamedTuple):
-    """What one arm has done."""
+    """The number of an arm, and what its activity returned."""
 
     arm: int
-    """Its number."""
     result: Any
-    """What its activity returned."""
 
 
 @dataclass

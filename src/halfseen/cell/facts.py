@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from halfseen.perception.solids import Hull, Vessel
     from halfseen.perception.view import SeenObject, View
 
-MOST_ROOM_M = 0.10
-"""Room beyond this makes no difference [m]."""
+MOST_ROOM_M = 0.10  # room beyond this makes no difference [m]
 
 
 @dataclass(frozen=True)

@@ -24,10 +24,8 @@ from halfseen.shapes import Bool, Float
 Axes = Float[np.ndarray, "3 3"]
 
 UP = np.array([0.0, 0.0, 1.0])
-CLEARANCE_M = 0.012
-"""The hand opens this much wider on either side than what it closes on."""
-FLOOR_M = 0.004
-"""Tips of fingers stay this far above the table."""
+CLEARANCE_M = 0.012  # the hand opens this much wider on either side than what it closes on
+FLOOR_M = 0.004  # tips of fingers stay this far above the table
 _RIM_OPENING_M = 0.046
 _RIM_DEPTH_M = 0.012  # of the pads' middle below the rim
 _WALL_M = 0.0015  # half of a usual wall

@@ -205,8 +205,7 @@ class Gripper:
         servo.forcelimited, servo.forcerange = True, [-self.force_n, self.force_n]
 
 
-_SIDES = {"left": 1, "right": -1}
-"""Sign of the closing axis on which a finger opens."""
+_SIDES = {"left": 1, "right": -1}  # sign of the closing axis on which a finger opens
 
 
 NUM_WALLS = 16

@@ -23,8 +23,7 @@ from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M
 
-HOME_M = (-0.40, 0.58, 0.98)
-"""Where the hand waits, pointing down."""
+HOME_M = (-0.40, 0.58, 0.98)  # where the hand waits, pointing down
 STANDS_M = ((0.0, 0.42, 0.56), (0.0, 0.50, 0.72), (0.0, 0.60, 0.72))
 """Where a base may stand behind the table, in the order in which they are tried."""
 PLACES_M = tuple(product((-0.3, 0.0, 0.3), (-0.2, 0.0, 0.2), (TABLE_TOP_M + 0.2,)))

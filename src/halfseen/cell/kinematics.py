@@ -25,8 +25,7 @@ from halfseen.shapes import Bool, Float
 
 Angles = Float[np.ndarray, " J"]
 
-NEAR_M, NEAR_RAD = 5e-4, 2e-3
-"""How near is there."""
+NEAR_M, NEAR_RAD = 5e-4, 2e-3  # how near is there
 _LEVER_M = 0.3  # what an error of rotation counts, beside one of position
 _DAMPING = 0.03
 _LARGEST_STEP_RAD = 0.4
@@ -175,11 +174,9 @@ def _damped(jacobian: Float[np.ndarray, "6 J"], error: Float[np.ndarray, " 6"]) 
 
 Way = Float[np.ndarray, "k J"]
 
-STEP_M = 0.02
-"""Between two places of a line at which angles are sought."""
+STEP_M = 0.02  # between two places of a line at which angles are sought
 _LARGEST_TURN_RAD = 0.6  # of a joint, between two such places: more is another way to hold the arm, not a line
-RAMP_S = 0.25
-"""How long it takes to reach full speed, and to stop [s]."""
+RAMP_S = 0.25  # how long it takes to reach full speed, and to stop [s]
 
 
 def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np.ndarray, " 3"]) -> Way:

@@ -101,8 +101,7 @@ Activity: TypeAlias = Generator[Command, bool, Result]
 """What a robot does: commands, and at last what came of them."""
 
 
-NUM_STEPS = 5
-"""Steps of physics between two commands to the servos: a hundredth of a second."""
+NUM_STEPS = 5  # steps of physics between two commands to the servos: a hundredth of a second
 Watch = Callable[["LiveCell"], None]
 """Called once for each command; what it raises ends the motion, as an emergency stop does."""
 

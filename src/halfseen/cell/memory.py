@@ -52,27 +52,23 @@ SAME_PLACE_M = 0.03
 
 
 class Glance(NamedTuple):
-    """One label of an object, by a look that showed more of it than any before."""
+    """One label of an object, by a look that showed more of it than any before.
+
+    `occlusion` is the hidden share of it then, 0 where it was held up and turned before the camera (`is_held`).
+    """
 
     occlusion: float
-    """Hidden share of it then; 0 where it was held up."""
     is_held: bool
-    """Whether it was turned before the camera."""
     says_dirty: bool
-    """What it looked like."""
 
 
 class Trial(NamedTuple):
-    """One attempt on an object."""
+    """One attempt on an object: how hidden it was, whether it held, until when that was known [s], and by which arm."""
 
     occlusion: float
-    """Hidden share of it then."""
     is_held: bool
-    """Whether it held."""
     duration_s: float
-    """Until that was known [s]."""
     arm: int = 0
-    """Number of the robot that made it."""
 
 
 @dataclass(eq=False)

@@ -20,8 +20,7 @@ from halfseen.scene.rays import FURNITURE_GROUP
 from halfseen.scene.room import cup_name, room_spec
 from halfseen.shapes import Float
 
-SLOT_M = 0.13
-"""A cup in the rack takes so much along either side."""
+SLOT_M = 0.13  # a cup in the rack takes so much along either side
 _RACK_DEPTH_M = 0.2
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 
@@ -109,14 +108,11 @@ class Rack:
 
 
 class Station(NamedTuple):
-    """A robot, and the rack that is its own."""
+    """A robot, the rack that is its own, and how far from the middle of its base it is asked to grasp [m]."""
 
     robot: Robot = Robot()
-    """Who works."""
     rack: Rack = Rack()
-    """Where it puts washed cups."""
     reach_m: float = inf
-    """How far from the middle of its base it is asked to grasp [m]."""
 
 
 def cell_model(

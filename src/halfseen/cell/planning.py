@@ -14,8 +14,7 @@ from halfseen.shapes import Float
 APPROACH_M = 0.10
 HOVER_M = 0.12
 LIFT_M = 0.20
-MOST_PLANS = 8
-"""Grasps, no two of them alike, that are looked at before an object counts as out of reach."""
+MOST_PLANS = 8  # grasps, no two of them alike, that are looked at before an object counts as out of reach
 _ALIKE_M, _ALIKE_COSINE = 0.03, 0.98
 _NUM_DRAWN = 3
 

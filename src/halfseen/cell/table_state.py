@@ -27,12 +27,14 @@ _MOVED_M = 0.03
 
 
 class Belief(NamedTuple):
-    """What the robot believes of the world: it makes chances of what looks and attempts say."""
+    """What the robot believes of the world: it makes chances of what looks and attempts say.
+
+    `config` has the prior, the law of seeing and the horizon; `grip` says how well an object can be gripped, from what
+    is seen of it.
+    """
 
     config: WorldConfig
-    """Prior, law of seeing, horizon."""
     grip: Callable[[Facts], float]
-    """How well an object can be gripped, from what is seen of it."""
 
 
 def no_grip(facts: Facts) -> float:

@@ -46,8 +46,7 @@ from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 from halfseen.shapes import Bool, Float
 
 SETTLE_S = 0.3
-MOST_TAKEN = 4
-"""Plans whose way another robot takes, before the best of them is waited for."""
+MOST_TAKEN = 4  # plans whose way another robot takes, before the best of them is waited for
 
 
 class _Sight(NamedTuple):

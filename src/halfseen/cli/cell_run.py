@@ -29,8 +29,7 @@ policy_option = click.option(
     required=True,
     help=f"Who decides: the folder of a policy of tables, of two arms that of a team's, or {', '.join(NAMES)}.",
 )
-DRAWING = 3
-"""What drawing takes, where a decision and what is done after it take 1."""
+DRAWING = 3  # what drawing takes, where a decision and what is done after it take 1
 
 
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")

@@ -20,8 +20,7 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
     from halfseen.world import Team
 
-WORK = {"start": 1, "evaluate": 4}
-"""What each step takes of the time, roughly."""
+WORK = {"start": 1, "evaluate": 4}  # what each step takes of the time, roughly
 
 
 @click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")

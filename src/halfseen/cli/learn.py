@@ -27,8 +27,7 @@ CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 NOTHING_TO_TRY = "that is known of named actions and covariates, where the policy seldom does what LOGS do"
 WAYS = ("to take only what still holds: {}", "or, where that is little: the same as here with --recency auto")
 """What to do where a log is not of one cell."""
-START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1
-"""What each step takes of the time, roughly."""
+START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # what each step takes of the time, roughly
 
 
 class _Learning(NamedTuple):

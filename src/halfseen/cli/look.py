@@ -21,8 +21,7 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
 
 HEAD = ["cloud", "objects", "upright", "lying", "cut", "half hidden", "most hidden"]
-ENDINGS = (".pcd", ".ply", ".npz")
-"""Of clouds that are looked for in a folder."""
+ENDINGS = (".pcd", ".ply", ".npz")  # of clouds that are looked for in a folder
 
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")

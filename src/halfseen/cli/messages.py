@@ -16,8 +16,7 @@ import click
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
-MOST_TOLD = 1200
-"""Characters of a line; of a longer one, which quotes a value, its middle is left out."""
+MOST_TOLD = 1200  # characters of a line; of a longer one, which quotes a value, its middle is left out
 
 EXTRAS = {
     "perception": ("lzf", "matplotlib", "plyfile", "pypcd4", "skimage"),

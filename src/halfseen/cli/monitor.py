@@ -16,8 +16,7 @@ from halfseen.errors import NothingRecordedError
 if TYPE_CHECKING:
     from halfseen.monitoring.answer import Monitored
 
-ALARM = 3
-"""Exit status."""
+ALARM = 3  # exit status
 
 
 @click.command(epilog="Example: halfseen monitor policy --logs next-logs --follow --page service.html")

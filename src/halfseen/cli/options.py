@@ -12,8 +12,7 @@ from halfseen.workers import ENGINES
 
 PATH = click.Path(path_type=Path)
 ASSUMED, SHIPPED = "assumed", "shipped"
-WEIGHTING = ("kaplan-meier", "cox", "kernel")
-"""Censoring models that weight completed stages by 1/Ĝ."""
+WEIGHTING = ("kaplan-meier", "cox", "kernel")  # censoring models that weight completed stages by 1/Ĝ
 TRUST = {
     "probabilities": "are true, though they look as if no policy had had them",
     "covariates": "were known before the action, though they depend on it or on its outcome",
@@ -22,12 +21,9 @@ TRUST = {
 """What a log may be trusted in, against what it looks like; without, no verdict rests on it."""
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
 """That a command plays, and that a trajectory has; programs that need more call the library, part by part."""
-MOST_WORKERS = 1024
-"""Processes; each takes some hundred MB."""
-MOST_REPLICATES = 100_000
-"""Each learns again; a thousand tell a band to a few percent."""
-MOST_SEED = 2**32 - 1
-"""Generators tell no others apart."""
+MOST_WORKERS = 1024  # processes; each takes some hundred MB
+MOST_REPLICATES = 100_000  # each learns again; a thousand tell a band to a few percent
+MOST_SEED = 2**32 - 1  # generators tell no others apart
 
 
 class _Place(click.Path):

@@ -15,8 +15,7 @@ from halfseen.progress import Progress
 
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
-_START, _TABLE = 4, 2
-"""What starting takes, and playing one table, where looking at one takes 1."""
+_START, _TABLE = 4, 2  # what starting takes, and playing one table, where looking at one takes 1
 
 
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")

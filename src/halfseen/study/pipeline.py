@@ -58,8 +58,7 @@ from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
 
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
-CUT_KIND: CutKind = "independent"
-"""How logs are cut where an experiment does not compare kinds of cuts."""
+CUT_KIND: CutKind = "independent"  # how logs are cut where an experiment does not compare kinds of cuts
 NAMELESS = (Scene(np.zeros((1, 1))),)
 """What tables are called tells nothing of laws; nor does the cause of a cut."""
 
@@ -165,15 +164,16 @@ def log_of(cuts: CutEpisodes, world: WorldConfig) -> Logs:
 
 
 class Learned(NamedTuple):
-    """What was learned from a log."""
+    """What was learned from a log.
+
+    `weights` are effective sample size and largest of the weights of eq. 3, `linear` is what linear eq. 3 learns
+    without laws, and `assisted` says with what laws, and what the policy is built on; None where it is `linear`.
+    """
 
     policy: Policy
     weights: dict[str, float]
-    """Effective sample size and largest of the weights of eq. 3."""
     linear: LinearTablePolicy
-    """What linear eq. 3 learns without laws."""
     assisted: Assisted | None = None
-    """With what laws, and what the policy is built on; None where it is `linear`."""
 
     @property
     def basis(self) -> str:
@@ -183,14 +183,16 @@ class Learned(NamedTuple):
 
 @dataclass(frozen=True)
 class LoggedTrajectories:
-    """Trajectories of a source that are learned from, however they are cut and treated."""
+    """Trajectories of a source that are learned from, however they are cut and treated.
+
+    `grasp` tells the probability of a grasp in the features. With `laws`, which are for weighted logs alone, laws are
+    fitted; without them eq. 3 is linear.
+    """
 
     source: Source
     episodes: Episodes
     grasp: Grasp = AUTO
-    """What tells the probability of a grasp in the features; None for the rule of succession."""
     laws: bool = True
-    """Whether laws are fitted, which is for weighted logs alone; without them eq. 3 is linear."""
 
     @cached_property
     def encoded(self) -> Encoded:

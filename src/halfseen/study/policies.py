@@ -26,8 +26,7 @@ BEST = ("best_heuristic", "best_planner")
 """Roles of the heuristic and the planner that were the strongest on episodes of their own."""
 LOG_RANDOM_SHARE = 0.5
 """Probability with which a logged action was drawn uniformly at random; else it is the strongest heuristic's."""
-MOST_TIMED_S = 0.25
-"""Time that is spent on timing one policy, but for its last decision [s]."""
+MOST_TIMED_S = 0.25  # time that is spent on timing one policy, but for its last decision [s]
 FEWEST_TIMED = 3
 
 
@@ -50,21 +49,20 @@ COLOURS = {
     Kind.LINEAR: ORANGE,
     Kind.OPTIMUM: INK,
 }
-DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}
-"""Lines of planners; others are dashed evenly."""
+DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}  # lines of planners; others are dashed evenly
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A policy that takes part."""
+    """A policy that takes part, by its name in tables and its label for people.
+
+    `make` makes it for a world; None where it is learned or known only by its value.
+    """
 
     name: str
-    """In tables."""
     label: str
-    """For people."""
     kind: Kind
     make: Callable[[WorldConfig], Policy] | None = None
-    """Makes it for a world; None where it is learned or known only by its value."""
 
     @property
     def colour(self) -> str:
@@ -104,8 +102,7 @@ HEURISTICS = (
     _heuristic("greedy-penalty", "greedy, counting the penalty"),
     _heuristic("history-penalty", "history, counting the penalty"),
 )
-STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]
-"""Whom the logging policy follows."""
+STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]  # whom the logging policy follows
 
 
 def planner(num_simulations: int) -> Contender:

@@ -32,8 +32,7 @@ FINGERPRINT = "design.json"
 PREPARED = "prepared"
 TABULATING = 0.1
 """What measuring and tabulating an experiment take, where its repetitions take 1: about as long for each of them."""
-MOST_AT_ONCE = 8
-"""Repetitions that a worker makes in a row: short ones together take a few seconds."""
+MOST_AT_ONCE = 8  # repetitions that a worker makes in a row: short ones together take a few seconds
 
 
 def as_json(value: Any) -> str:

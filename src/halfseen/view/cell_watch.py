@@ -29,14 +29,12 @@ from halfseen.world import random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.policy import ExploringPolicy, Policy
 
-MOST_STAGES = 100
-"""So many are kept of a long run: each holds its cloud."""
+MOST_STAGES = 100  # so many are kept of a long run: each holds its cloud
 _BETWEEN_MOMENTS_S = 0.4
 _NUM_AROUND, _NUM_UP = 20, 5
 _ARMS, _WOOD = ((150, 158, 168), (214, 160, 96), (120, 170, 150)), (196, 170, 132)
 """Colours of the first arm, the second, and so on in turn; and of furniture."""
-_OF_THE_ROOM_M = 1.0
-"""What reaches farther from its middle is a wall or a floor, which the cloud shows [m]."""
+_OF_THE_ROOM_M = 1.0  # what reaches farther from its middle is a wall or a floor, which the cloud shows [m]
 _KINDS = mujoco.mjtGeom
 
 

@@ -28,13 +28,11 @@ from halfseen.wording import counted
 OTHERS, OTHERS_COLOUR = "other actions", SOFT
 UNKNOWN_COLOUR = "#b9b9b9"
 THICKEST_INCHES, MOST_INCHES, FEWEST_INCHES = 0.16, 4.6, 0.5
-GAP_ROWS = 0.02
-"""Room between two ways to end, as a share of all rows."""
+GAP_ROWS = 0.02  # room between two ways to end, as a share of all rows
 CAUSE_MARKERS = "XvD^*"
 LEGEND_COLUMNS, LEGEND_INCHES = 4, NARROW_INCHES - 0.2
 LINE_INCHES = 0.235
-MARGIN = 0.235
-"""Of the width, for the names of the ways to end."""
+MARGIN = 0.235  # of the width, for the names of the ways to end
 NAME_INCHES, NAME_LINE_INCHES = MARGIN * NARROW_INCHES - 0.15, 0.17
 UNFINISHED_OPACITY = 0.4
 

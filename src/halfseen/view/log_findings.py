@@ -15,11 +15,9 @@ from halfseen.logs.logs import by_action, by_cause, by_robot, by_stage
 from halfseen.shapes import Float, Int
 
 NUM_RISK_TIMES = 7
-MOST_CAUSES = 5
-"""Rarer causes are one kind of ending."""
+MOST_CAUSES = 5  # rarer causes are one kind of ending
 FINISHED = "finished"
-MOST_ROWS = 160
-"""Trajectories in a timeline, at most."""
+MOST_ROWS = 160  # trajectories in a timeline, at most
 UNKNOWN_ACTION = "not recorded"
 
 

@@ -32,8 +32,7 @@ from halfseen.writing import refuse_unwritable, write_file
 MARK = '<meta name="generator" content="halfseen report">'
 MARKED_CHARS = 1000
 MOST_ROWS = 30
-Drawing = tuple[str, list[Callable[[], Figure]]]
-"""What a figure shows, and its panels."""
+Drawing = tuple[str, list[Callable[[], Figure]]]  # what a figure shows, and its panels
 
 
 def page_of(findings: Findings, command: str) -> str:

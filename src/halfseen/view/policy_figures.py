@@ -29,23 +29,19 @@ from halfseen.view.policy_map import PolicyMap, TableMap
 from halfseen.view.words import gains_of, values_of
 from halfseen.wording import labelled, with_interval
 
-BOUND_SPANS = 1.0
-"""How far beyond the other intervals that of importance sampling is drawn, in their span."""
+BOUND_SPANS = 1.0  # how far beyond the other intervals that of importance sampling is drawn, in their span
 VERDICT_COLOURS = {"better": OURS, "not better": ALARM, "inconclusive": SOFT}
 
 MOST_CHOICES = 9
 NUM_COLUMNS = {1: 1, 2: 2, 3: 3, 4: 2, 5: 3, 6: 3, 7: 4, 8: 4, 9: 3}
 """By number of panels: so many that at most one cell is left, which the legend then has."""
-FEW_STATES = 20
-"""Below so many, markers are hollow and lines thin."""
-LARGEST, SMALLEST = 90.0, 7.0
-"""Areas of markers [pt²]."""
+FEW_STATES = 20  # below so many, markers are hollow and lines thin
+LARGEST, SMALLEST = 90.0, 7.0  # areas of markers [pt²]
 MOST_TICKS = 8
 LEGEND_COLUMNS = 5
 
 MAP_WIDTH_INCHES, MAP_INCHES, STRIP_INCHES, ROW_INCHES = 3.1, 3.2, 1.15, 0.26
-TINT = 0.42
-"""Of a colour in an area; the rest is white, so that dots of the same colour stand out."""
+TINT = 0.42  # of a colour in an area; the rest is white, so that dots of the same colour stand out
 PANEL_NAME: Any = {"loc": "left", "fontsize": 10, "fontweight": "bold", "color": INK}
 DEEPENING = LinearSegmentedColormap.from_list("deepening", ["#f2f6fa", OURS, "#002c46"])
 

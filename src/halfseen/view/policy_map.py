@@ -16,17 +16,13 @@ from halfseen.shapes import Bool, Float, Int
 from halfseen.view.policy_findings import FEWEST_STATES, MOST_STAGES, middle_of
 from halfseen.world.actions import TARGETED, ActionSpace
 
-NUM_CELLS, NUM_TABLE_CELLS = 90, 10
-"""Along each axis: of a map of states, and of one of objects."""
-SHOWN = (0.01, 0.99)
-"""A map reaches from one of these quantiles of a covariate to the other."""
+NUM_CELLS, NUM_TABLE_CELLS = 90, 10  # along each axis: of a map of states, and of one of objects
+SHOWN = (0.01, 0.99)  # a map reaches from one of these quantiles of a covariate to the other
 NEAR, FEWEST_NEAR = 0.5, 5
 """A place has support where so many logged states lie within this distance, in standard deviations."""
-LEAST_SUPPORTED = 0.05
-"""Of a map: less is not drawn."""
+LEAST_SUPPORTED = 0.05  # of a map: less is not drawn
 MOST_DOTS = 300
-FEWEST_OBJECTS = 20
-"""A cell of fewer is not coloured."""
+FEWEST_OBJECTS = 20  # a cell of fewer is not coloured
 NEEDED = {"location", "log_odds", "occlusion"}
 ON_TABLE = "TABLE"
 

@@ -23,8 +23,7 @@ from halfseen.view.shapes import Mesh
 from halfseen.view.stage_view import Hand, Option, Part, Shown, StageView, Watched
 from halfseen.writing import placed
 
-MARKER = "recording.json"
-"""Every recording holds it."""
+MARKER = "recording.json"  # every recording holds it
 _FORMAT = 1
 _PARTS = "parts.npz"
 _STAGE = "stage-{:04d}.npz"

@@ -40,8 +40,7 @@ from halfseen.writing import write_file
 if TYPE_CHECKING:
     from viser import SceneApi, ViserServer
 
-HERE = "127.0.0.1"
-"""The only address that is served."""
+HERE = "127.0.0.1"  # the only address that is served
 LAYERS = {
     "cloud": "cloud",
     "shapes": "completed shapes, by P(DIRTY)",

@@ -43,11 +43,9 @@ from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 HELD_TITLE = "How often attempts held, and what the law that was fitted to them says"
-PARTS = 3
-"""Groups of attempts by width and by room, about alike in number."""
+PARTS = 3  # groups of attempts by width and by room, about alike in number
 _HELD_APART = 0.12
-Panels = Mapping[str, Mapping[str, Share]]
-"""Shares by the name of their group, by what they are grouped by."""
+Panels = Mapping[str, Mapping[str, Share]]  # shares by the name of their group, by what they are grouped by
 
 
 def held_shares(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Panels:
@@ -140,14 +138,11 @@ LINES = {
 
 
 class Count(NamedTuple):
-    """Objects that were seen to about the same share."""
+    """Objects that were seen to about the same share (mean of their surface): those whose label said DIRTY, and all."""
 
     view: float
-    """Mean share of their surface."""
     num_labelled: int
-    """Those whose label said DIRTY."""
     seen: int
-    """All of them."""
 
 
 def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:

@@ -29,21 +29,19 @@ from halfseen.world.grasping import FittedGrasping
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
-FEWEST_MISSES = 5
-"""With fewer, a miss is taken to last as long as an attempt that holds."""
+FEWEST_MISSES = 5  # with fewer, a miss is taken to last as long as an attempt that holds
 
 
 class TimeFit(NamedTuple):
-    """Numbers of the durations."""
+    """Means of the logarithms of the durations of attempts that hold and that miss, and their standard deviation.
+
+    `rest_s` is the mean time of what follows an attempt, until the next decision [s].
+    """
 
     log_held_s: float
-    """Mean logarithm of the duration of an attempt that holds [log s]."""
     log_missed_s: float
-    """Likewise of one that misses [log s]."""
     log_std: float
-    """Standard deviation of both."""
     rest_s: float
-    """Mean time of what follows an attempt, until the next decision [s]."""
 
 
 def fit_times(trials: pd.DataFrame) -> TimeFit:

@@ -102,11 +102,10 @@ def _heading(row: Row) -> str:
 
 
 def _numbers(scores: pd.DataFrame) -> Listing:
-    def cell(measure: str) -> Callable[[Row], str]:
-        return lambda row: estimated_in(row, three(measure), SCORE_DECIMALS)
-
-    cells = {"model": lambda row: MODEL_NAMES[row["model"]], "tables": lambda row: str(row["num_tables"])}
-    cells |= {name: cell(measure) for measure, name in MEASURES.items()}
+    cells: dict[str, Callable[[Row], str]] = {"model": lambda row: MODEL_NAMES[row["model"]]}
+    cells["tables"] = lambda row: str(row["num_tables"])
+    for measure, name in MEASURES.items():
+        cells[name] = partial(estimated_in, names=three(measure), decimals=SCORE_DECIMALS)
     return Listing.of("The numbers of Figure 8", "", records(scores), cells)
 
 

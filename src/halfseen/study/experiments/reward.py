@@ -35,8 +35,7 @@ from halfseen.wording import (
 
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
 ROLES = {BEST[0]: "the strongest heuristic", BEST[1]: "the strongest planner, which knows the true model"}
-MARK = " *"
-"""Marks a difference that the test finds."""
+MARK = " *"  # marks a difference that the test finds
 
 
 @dataclass(frozen=True)
