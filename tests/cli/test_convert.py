@@ -289,10 +289,7 @@ def test_check_says_what_is_lost_and_writes_nothing(typed):
     status, out, err = typed("convert", "a", "--out", "csv:b", "--check")
     _, second, *rest = out.splitlines()
     assert (status, err, second) == (1, "", "It would not be written whole:")
-    assert [line[:33] for line in rest] == [
-        "- stages: column 'pose' holds str",
-        "- trajectories: column 'raw' hold",
-    ]
+    assert [line[:33] for line in rest] == ["- stages: column 'pose' holds str", "- trajectories: column 'raw' hold"]
     report = json.loads(typed("convert", "a", "--out", "minari:b-v0", "--check", "--json").out)
     assert [(loss["table"], loss["column"], loss["is_refused"]) for loss in report["losses"]] == [
         ("stages", "pose", True),

@@ -113,10 +113,7 @@ REFUSED = [
     *((f"{GREEDY} --workers 1 --out new {words}", told) for words, told in ARMS.items()),
     *((f"cell calibrate --attempts 50 --out new {words}", told) for words, told in ARMS.items() if "tiny" not in words),
     ("cell run --policy none --out new", "halfseen learn"),
-    (
-        "cell run --policy planer --arms 2 --out new",
-        "--policy planer: there is no such folder…did you mean 'planner'?",
-    ),
+    ("cell run --policy planer --arms 2 --out new", "--policy planer: there is no such folder…did you mean 'planner'?"),
     ("cell run --policy policy --out new", "it decides for no table, and one arm clears the table; learn one from"),
     (
         "cell run --policy policy --arms 2 --out new",

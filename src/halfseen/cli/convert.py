@@ -65,20 +65,13 @@ recorded are left out.
 @click.option("--clock", metavar="NAME", help=f"{STEPS} the column (Minari: the info) that holds the time [s].")
 @click.option("--step-s", type=float, help=f"{STEPS} how long a step lasts [s].")
 @options.word(
-    "--truncated",
-    of=["cut", "finished"],
-    text=f"{STEPS} what an episode is that did not terminate; by default cut.",
+    "--truncated", of=["cut", "finished"], text=f"{STEPS} what an episode is that did not terminate; by default cut."
 )
 @options.unused_seed
 @options.as_json
 @options.gathered("reading", Reading, *Reading._fields)
 def convert(
-    sources: tuple[str, ...],
-    target: str | None,
-    is_check: bool,
-    is_template: bool,
-    reading: Reading,
-    as_json: bool,
+    sources: tuple[str, ...], target: str | None, is_check: bool, is_template: bool, reading: Reading, as_json: bool
 ) -> None:
     """Read the logs of SOURCE and write them to another form."""
     from halfseen.logs.missing import missing_in

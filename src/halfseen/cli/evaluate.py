@@ -101,11 +101,7 @@ def evaluate(
 
 
 def _by_logs(
-    stored: "StoredPolicy",
-    folder: Path,
-    missing: dict[str, str] | None,
-    cuts: options.Cuts,
-    settings: dict[str, Any],
+    stored: "StoredPolicy", folder: Path, missing: dict[str, str] | None, cuts: options.Cuts, settings: dict[str, Any]
 ) -> tuple[dict[str, Any], list[str]]:
     with Progress(sum(WORK.values()), "start") as bar, noted() as of_library:
         from halfseen.evaluation import evaluate as evaluated

@@ -29,14 +29,7 @@ ALARM = 3  # exit status
 @options.as_json
 @options.seed("ties between equal values")
 def monitor(
-    policy: Path,
-    logs: Path,
-    follow: bool,
-    every: float,
-    page: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    seed: int,
+    policy: Path, logs: Path, follow: bool, every: float, page: Path | None, overwrite: bool, as_json: bool, seed: int
 ) -> None:
     """Watch the policy in the folder POLICY by the logs of its service; exit status 3 on alarm.
 

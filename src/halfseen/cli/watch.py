@@ -47,10 +47,7 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 @options.law(None, f"Of a cloud, where it is {SHIPPED} by default. ")
 @options.path("--clouds", text="Of logs: folder with the cloud of each stage.")
 @options.whole(
-    "--trajectory",
-    least=1,
-    most=options.MOST_EPISODES,
-    text="Of logs: which trajectory, from 1; by default the first.",
+    "--trajectory", least=1, most=options.MOST_EPISODES, text="Of logs: which trajectory, from 1; by default the first."
 )
 @click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
 @options.path(
@@ -62,12 +59,7 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 @options.port
 @options.unused_seed
 def watch(
-    source: Path,
-    export: tuple[Path, ...],
-    stages: tuple[int, int] | None,
-    overwrite: bool,
-    port: int,
-    **given: Any,
+    source: Path, export: tuple[Path, ...], stages: tuple[int, int] | None, overwrite: bool, port: int, **given: Any
 ) -> None:
     """Show in the browser what was seen and decided, in 3-D, and why. Nothing leaves this machine.
 

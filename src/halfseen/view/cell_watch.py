@@ -101,12 +101,7 @@ class CellWatch:
     """
 
     def __init__(
-        self,
-        cell: Workcell,
-        policy: Policy,
-        horizon: int,
-        name: str,
-        on_change: Callable[[], None] = lambda: None,
+        self, cell: Workcell, policy: Policy, horizon: int, name: str, on_change: Callable[[], None] = lambda: None
     ) -> None:
         self._cell, self._policy, self._horizon, self._name = cell, policy, horizon, name
         self._on_change = on_change

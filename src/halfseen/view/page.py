@@ -17,14 +17,7 @@ from halfseen.view import words
 from halfseen.view.findings import Findings, PolicyFindings
 from halfseen.view.log_figures import OTHERS_COLOUR, action_colours, draw_follow_up, draw_timeline, names_shown
 from halfseen.view.log_findings import UNKNOWN_ACTION
-from halfseen.view.policy_figures import (
-    draw_choices,
-    draw_curves,
-    draw_map,
-    draw_table_map,
-    draw_values,
-    drawn_actions,
-)
+from halfseen.view.policy_figures import draw_choices, draw_curves, draw_map, draw_table_map, draw_values, drawn_actions
 from halfseen.view.templates import rendered
 from halfseen.wording import as_sentence, counted, labelled, listed, percent, significant, with_interval
 from halfseen.writing import refuse_unwritable, write_file

@@ -204,7 +204,7 @@ def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
     draw_grid(axes)
     axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel(
-        "share of its surface that was in view; marks: told/seen at the first label, and when held, 95 % intervals",
+        "share of its surface that was in view; marks: told/seen at the first label, and when held, 95 % intervals"
     )
     return figure
 

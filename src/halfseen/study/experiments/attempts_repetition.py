@@ -159,10 +159,7 @@ def _at(tried: pd.DataFrame, tables: Int[np.ndarray, " t"]) -> pd.DataFrame:
 def losses_of(probability: Rows, succeeded: RowMask) -> dict[str, Rows]:
     """Log-loss and Brier score of each attempt."""
     sure = np.clip(probability, SUREST, 1.0 - SUREST)
-    return {
-        "log_loss": -np.log(np.where(succeeded, sure, 1.0 - sure)),
-        "brier": np.square(probability - succeeded),
-    }
+    return {"log_loss": -np.log(np.where(succeeded, sure, 1.0 - sure)), "brier": np.square(probability - succeeded)}
 
 
 def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:

@@ -72,11 +72,7 @@ def section_of(design: names.AttemptsRepetition, setting: Setting, tables: Table
         words("attempts", "caption", design=design, svms=scores[scores["model"].isin(names.SVMS)]),
         partial(_draw, tables),
     )
-    listings = (
-        *_tests(setting, tables["attempts_tests"]),
-        _numbers(scores),
-        _law(tables["attempts_law"]),
-    )
+    listings = (*_tests(setting, tables["attempts_tests"]), _numbers(scores), _law(tables["attempts_law"]))
     return Section(heading, sentences, (drawing,), listings, num_leading=3)
 
 

@@ -223,11 +223,7 @@ def _numbers(design: Reward, setting: Setting, figure1: pd.DataFrame, peer: pd.D
             design, "The numbers of the learned policy in Figure 1", "", {"": where(figure1, policy=LEARNED.name)}, own
         ),
         _by_size(
-            design,
-            "What is made of logs, above the strongest heuristic",
-            words(design.name, "above"),
-            above,
-            gain,
+            design, "What is made of logs, above the strongest heuristic", words(design.name, "above"), above, gain
         ),
         _by_size(
             design, "Learned, or planned with fitted laws", of_peer, {"": peer}, marked, more=("mean over these",)
