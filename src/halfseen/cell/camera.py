@@ -31,16 +31,10 @@ from halfseen.shapes import Bool, Float, Int
 
 @dataclass(frozen=True)
 class Look:
-    """What was seen, and apart from it what was there.
+    """What the camera returns, and apart from it what was there.
 
-    Parameters
-    ----------
-    cloud
-        What the camera returns.
-    labels
-        The truth, for scoring alone: cup of each pixel; −1 where there is none.
-    robots_m
-        Distance of robots along the optical axis, whose place is known [m]; infinite where there is none.
+    `labels` are the truth, for scoring alone: the cup of each pixel, or −1. `robots_m` are distances of robots along
+    the optical axis, whose place is known [m]; infinite where there is none.
     """
 
     cloud: Cloud

@@ -32,16 +32,8 @@ class Ended(NamedTuple):
 class Tally:
     """How arms got along.
 
-    Attributes
-    ----------
-    num_waits
-        How often an arm had to wait for space.
-    waited_s
-        For how long, all arms together [s].
-    num_deadlocks
-        How often arms waited for one another or for an idle one, or one for too long.
-    num_gave_way
-        How often one went home for that.
+    How often one had to wait for space, and all together for how long [s]; how often they waited for one another, for
+    an idle one, or one for too long, and how often one went home for that.
     """
 
     num_waits: int = 0
@@ -79,19 +71,9 @@ class _Worker:
 
 
 class Executor:
-    """Carries out the activities of the arms of a cell.
+    """Carries out the activities of the arms of a cell, number 0 first; `tally` says how they got along so far.
 
-    Parameters
-    ----------
-    robots
-        The arms, number 0 first.
-    patience_s
-        After which an arm that waits for space counts as stuck [s].
-
-    Attributes
-    ----------
-    tally
-        How they got along so far.
+    An arm that waits for space longer than `patience_s` counts as stuck [s].
     """
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot], patience_s: float = PATIENCE_S) -> None:

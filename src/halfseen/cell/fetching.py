@@ -22,18 +22,9 @@ from halfseen.shapes import Bool, Float
 class Attempt:
     """How an attempt went, as the robot tells it.
 
-    Parameters
-    ----------
-    is_held
-        Whether the hand held something when it was lifted, and, of what was to be washed, put it into the rack.
-    duration_s
-        From the decision until that was known [s].
-    kind
-        Of the grasp; None where there was none to try.
-    reason
-        Why it did not hold; empty where it did.
-    is_too_far
-        Whether the robot reaches no grasp of it.
+    `is_held` says whether the hand held something when it was lifted, and, of what was to be washed, put it into the
+    rack; `duration_s` is the time from the decision until that was known [s]. `kind` is that of the grasp, None where
+    there was none to try; `reason` says why it did not hold, and `is_too_far` that no grasp of it is in reach.
     """
 
     is_held: bool
@@ -153,14 +144,9 @@ def _facing(
 
 
 def is_in_hand(points_m: Points, hand: Pose, plan: Plan) -> Bool[np.ndarray, " n"]:
-    """Which points belong to what a hand holds.
+    """Which points of the world, NaN where nothing returned [m], belong to what a hand holds.
 
-    Parameters
-    ----------
-    points_m
-        Points of the world that are no robot; NaN where nothing returned [m].
-    plan
-        How it was fetched: as it stood on the table, it reaches as far below the hand as that was above the table.
+    As it stood on the table, it reaches as far below the hand as that was above the table.
     """
     apart_m: Float[np.ndarray, "n 3"] = points_m - np.array(hand.position_m)
     below_m = float(plan.grasp.middle_m[2]) + _SLACK_M

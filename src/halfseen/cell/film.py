@@ -31,15 +31,7 @@ _WOOD, _FLOOR = (0.72, 0.58, 0.42, 1.0), (0.86, 0.87, 0.89, 1.0)
 
 @dataclass(frozen=True)
 class Shot:
-    """How a film is taken.
-
-    Parameters
-    ----------
-    speed
-        How many times faster than it was.
-    looks_at_m, distance_m, azimuth_deg, elevation_deg
-        Where the camera looks, from how far, and from which side [m, m, °, °].
-    """
+    """How a film is taken: how much faster, and where the camera looks, from how far and where [m, m, °, °]."""
 
     speed: float = 8.0
     looks_at_m: tuple[float, float, float] = (0.08, 0.20, 0.80)

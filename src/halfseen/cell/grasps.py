@@ -199,16 +199,10 @@ _NUM_ALONG_FINGER = 6
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What a view shows around an object, in coordinates of the table.
+    """What a view shows around an object, in coordinates of the table [m].
 
-    Parameters
-    ----------
-    own_m, other_m
-        Visible points of the object, and of what else is above the table near it [m].
-    id
-        The object's label.
-    labels, depth_m, intrinsics, camera_from_table
-        Of the view.
+    `own_m` are the visible points of the object, whose label is `id`; `other_m` of what else is above the table near
+    it.
     """
 
     own_m: Float[np.ndarray, "own 3"]

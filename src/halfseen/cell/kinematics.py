@@ -216,15 +216,7 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
 
 @dataclass(frozen=True)
 class Schedule:
-    """Angles by time: from rest to rest along a way.
-
-    Parameters
-    ----------
-    reached_s
-        When each place of the way would be reached without ramps [s], from 0.
-    way_rad
-        The places, the first among them.
-    """
+    """Angles by time, from rest to rest along a way: when each place would be reached without ramps [s], from 0."""
 
     reached_s: Float[np.ndarray, " k"]
     way_rad: Way

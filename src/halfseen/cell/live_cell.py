@@ -26,15 +26,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Move along a way, from rest to rest.
-
-    Parameters
-    ----------
-    way
-        Angles to go through.
-    speed
-        Share of the joints' largest speeds.
-    """
+    """Move along a way, from rest to rest, with a share of the joints' largest speeds."""
 
     way: Way
     speed: float = 1.0
@@ -42,15 +34,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Grip:
-    """Open or close the hand.
-
-    Parameters
-    ----------
-    opening_m
-        Between its pads [m]; below 0 it presses.
-    seconds
-        What it takes [s].
-    """
+    """Open or close the hand: the opening between its pads [m], below 0 if it presses, and what that takes [s]."""
 
     opening_m: float
     seconds: float = 0.5
@@ -58,13 +42,7 @@ class Grip:
 
 @dataclass(frozen=True)
 class Rest:
-    """Let time pass.
-
-    Parameters
-    ----------
-    seconds
-        How much [s].
-    """
+    """Let time pass [s]."""
 
     seconds: float
 
@@ -77,17 +55,9 @@ def _nowhere() -> Way:
 class Reserve:
     """Have the space of a way for oneself before it is gone; who works alone has it at once.
 
-    Parameters
-    ----------
-    way
-        Angles to go through, of all moves until the next reservation.
-    back
-        The way home instead, for a robot that has to give way: it is then reserved, and the answer is False; none where
-        there is nothing to go back to.
-    is_patient
-        Whether to wait until the space is free; else it is only tried.
-    below_m
-        How far below the hand what it holds reaches [m]; 0 where it holds nothing.
+    `way` are angles to go through, of all moves until the next reservation, and `below_m` is how far below the hand
+    what it holds reaches [m]. `back` is the way home, if there is one, for a robot that has to give way: it is then
+    reserved, and the answer is False. Who is not patient only tries.
     """
 
     way: Float[np.ndarray, "going J"]
@@ -239,15 +209,7 @@ class Stops:
 
 
 class Guard:
-    """Watches a running cell and stops it; a `halfseen.cell.live_cell.Watch`.
-
-    Parameters
-    ----------
-    now_s
-        The cell's clock [s].
-    rng
-        Draws when the camera is lost.
-    """
+    """Watches a running cell and stops it; `rng` draws when the camera is lost, from `now_s` on the cell's clock on."""
 
     def __init__(self, stops: Stops, now_s: float, rng: np.random.Generator) -> None:
         self.stops = stops

@@ -75,27 +75,10 @@ class Trial(NamedTuple):
 class Known:
     """An object that was seen at some time.
 
-    Parameters
-    ----------
-    middle_m
-        Where it was last seen, in the world [m].
-    seen
-        How it looks in the last view; None where that does not show it.
-    facts
-        Of the last view that showed it.
-    surface_m
-        Points that the last view that showed it saw of it, in the world [m].
-    is_racked
-        Whether the robot put it into the rack.
-    is_lost
-        Whether a look found it vanished: it fell, or never was an object of its own. It comes back where it was, or not
-        at all; what comes into view elsewhere is another one.
-    glances, trials
-        Of looks that showed more than any before, and of attempts, oldest first.
-    failed
-        Grasps that did not hold, on the table.
-    lifts
-        Number of times it was lifted.
+    It was last seen at `middle_m` [m], with `facts` and `surface_m`, points in the world [m]; `seen` is how it looks in
+    the last view, None where that does not show it. It `is_lost` where a look found it vanished: it fell, or never was
+    an object of its own, and comes back where it was, or not at all. `glances` are looks that showed more than any
+    before, and `trials` attempts, oldest first; `failed` are grasps that did not hold, on the table.
     """
 
     middle_m: Vector
@@ -123,12 +106,8 @@ class Known:
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
         """Keep the label of a look, if it showed more than any before: else it repeats itself.
 
-        Parameters
-        ----------
-        occlusion
-            Hidden share of the object; 0 where it was held up.
-        is_held
-            Whether it was turned before the camera, and so seen from all sides.
+        `occlusion` is the hidden share of the object; what `is_held` was turned before the camera, and seen from all
+        sides.
         """
         was_held = any(glance.is_held for glance in self.glances)
         least = min((glance.occlusion for glance in self.glances), default=2.0)

@@ -25,20 +25,9 @@ class OutOfReachError(PlanError):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How a robot fetches an object.
+    """How a robot fetches an object: `grasp` on the table, and the pose of the hand there in the world.
 
-    Parameters
-    ----------
-    grasp
-        Where the hand is to close, on the table.
-    held
-        Pose of the hand there, in the world.
-    hover
-        Angles from above down to where the approach begins.
-    approach
-        From there, straight to the grasp.
-    lift
-        From the grasp, straight up.
+    Angles lead from above down to where the approach begins (`hover`), straight to the grasp, and straight up.
     """
 
     grasp: Grasp

@@ -177,20 +177,7 @@ class TeamRun(Run):
 
 
 class EpisodeStatistics:
-    """Books what a table earns.
-
-    Parameters
-    ----------
-    cell
-        The cell, before anything happened.
-    is_dirty
-        The truth of each cup.
-
-    Attributes
-    ----------
-    truth
-        Which cups are dirty, and where they are.
-    """
+    """Books what a table earns, from before anything happened on; `truth` is which cups are dirty, and where."""
 
     def __init__(self, run: Run, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], config: WorldConfig) -> None:
         self.run, self.truth = run, Truth(cell, is_dirty)

@@ -29,14 +29,7 @@ _KINDS = mujoco.mjtGeom
 class Space:
     """Spheres that hold an arm, place after place of a way.
 
-    Parameters
-    ----------
-    places_rad
-        Angles of the joints.
-    middles_m
-        Of the spheres at each place [m].
-    is_held
-        Which of them hold what the hand does: they are larger.
+    `middles_m` are those of the spheres at each place [m]; those that hold what the hand does (`is_held`) are larger.
     """
 
     places_rad: Way
@@ -205,14 +198,8 @@ class Touches:
     """Counts collisions of arms in a running cell; a `halfseen.cell.live_cell.Watch`.
 
     A collision is a contact of two arms, of an arm with what another holds, or of what two of them hold, and lasts for
-    as long as they go on touching. What an arm holds is what both its fingers touch.
-
-    Attributes
-    ----------
-    num_collisions
-        So far.
-    begun_s
-        When each began, on the cell's clock [s].
+    as long as they go on touching; `begun_s` are their beginnings [s]. What an arm holds is what both its fingers
+    touch.
     """
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:

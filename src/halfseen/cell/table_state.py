@@ -156,17 +156,9 @@ class ArmStatus:
 
 
 class CellState:
-    """The table and the arms of a cell, as its states and its log have them.
+    """The table and the arms of a cell, as its states and its log have them; `arms` are what each arm is doing.
 
-    Parameters
-    ----------
-    belief
-        What is believed of the world; its horizon is counted in decisions of each arm.
-
-    Attributes
-    ----------
-    arms
-        What each arm is doing.
+    The horizon of what is believed is counted in decisions of each arm.
     """
 
     def __init__(self, cell: Workcell, belief: Belief) -> None:

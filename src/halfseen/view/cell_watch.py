@@ -39,19 +39,9 @@ _KINDS = mujoco.mjtGeom
 
 
 class TablesWatch:
-    """Follows tables, one after another.
+    """Follows tables, one after another, as `CellWatch` does.
 
-    Parameters
-    ----------
-    policy, horizon
-        As for `CellWatch`.
-
-    Attributes
-    ----------
-    on_change
-        Called with what there is to show whenever it changes.
-    watched
-        The last `MOST_STAGES` stages; None before the first.
+    `watched` are the last `MOST_STAGES` stages, None at first; `on_change` is called with it whenever it changes.
     """
 
     def __init__(self, policy: Policy, horizon: int) -> None:

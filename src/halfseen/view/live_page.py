@@ -13,22 +13,12 @@ _EMPTY = '<div class="halfseen-stage" style="padding:0 0.75em"><p>looking …</p
 
 
 class Page:
-    """A page that is served until it is closed: a stage in 3-D, its reasons beside it, a slider over the stages.
-
-    Parameters
-    ----------
-    port
-        Of this machine; 0 for any that is free.
+    """A page at `url` until it is closed: a stage in 3-D, its reasons beside it, a slider over the stages.
 
     Raises
     ------
     ArgumentError
-        The viewer is not installed, or the port is taken.
-
-    Attributes
-    ----------
-    url
-        Where it is.
+        The viewer is not installed, or the port (0 for any that is free) is taken.
     """
 
     def __init__(self, port: int) -> None:

@@ -21,15 +21,7 @@ _NUM_SAMPLES = 600
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A convex solid.
-
-    Parameters
-    ----------
-    vertices_m
-        Its corners [m].
-    faces
-        Three corners of each triangle, counter-clockwise as seen from outside.
-    """
+    """A convex solid: its corners [m], and three of them for each triangle, counter-clockwise as seen from outside."""
 
     vertices_m: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "triangles 3"]

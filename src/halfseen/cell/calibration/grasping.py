@@ -41,18 +41,9 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 
 @dataclass(frozen=True)
 class GraspFit:
-    """What attempts tell of P(held).
+    """What attempts tell of P(held): estimates of `NAMES`, and their covariance, robust, tables being clusters.
 
-    Parameters
-    ----------
-    estimate
-        Of `NAMES`.
-    covariance
-        Of the estimates, robust, tables being clusters.
-    num_decided, num_cut
-        Attempts.
-    effective_sample_size
-        Of the weights.
+    Beside them stand the numbers of attempts that were decided and cut, and the effective sample size of the weights.
     """
 
     estimate: Float[np.ndarray, " p"]

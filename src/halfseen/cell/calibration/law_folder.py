@@ -49,15 +49,7 @@ _AGAIN = f"make it again by `{LAW.maker}`"
 
 @dataclass(frozen=True, eq=False)
 class StoredLaw:
-    """A law that was read from a folder, and what is known of it.
-
-    Parameters
-    ----------
-    law
-        The law.
-    record
-        What law.json says.
-    """
+    """A law that was read from a folder, and what its law.json says."""
 
     law: Law
     record: Mapping[str, Any]
