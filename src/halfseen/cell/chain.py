@@ -38,9 +38,7 @@ class Flange:
 
 @dataclass(frozen=True)
 class Chain:
-    """The arm of a model: bodies, the first of which stands still and carries the next, and joints, from the base
-    on.
-    """
+    """The arm of a model: bodies, the first of which stands still and carries the next, and joints in their order."""
 
     bodies: tuple[int, ...]
     joints: tuple[int, ...]

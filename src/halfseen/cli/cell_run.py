@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -173,14 +173,14 @@ def _following(
         yield None
         return
     from halfseen.view.cell_watch import TablesWatch
-    from halfseen.view.live_page import served
     from halfseen.view.recording import MARKER, write_recording
+    from halfseen.view.viewer import Page
 
     if record is not None:
         refuse_taken(record, overwrite, MARKER, "recording")
     with ExitStack() as stack:
         watch = TablesWatch(policy, horizon)
-        page = stack.enter_context(served(port)) if is_watched else None
+        page = stack.enter_context(closing(Page(port))) if is_watched else None
         if page is not None:
             click.echo(f"{page.url}  (Ctrl+C ends)", err=True)
             watch.on_change = page.show

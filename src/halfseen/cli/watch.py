@@ -1,6 +1,7 @@
 """``halfseen watch``: a page in the browser that shows a run in 3-D, and why."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -99,9 +100,9 @@ def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
 
 
 def _serve(port: int, shown: "Iterable[Watched]") -> None:
-    from halfseen.view.live_page import served
+    from halfseen.view.viewer import Page
 
-    with served(port) as page:
+    with closing(Page(port)) as page:
         for number, watched in enumerate(shown):
             page.show(watched)
             if number == 0:
