@@ -61,7 +61,7 @@ def assert_home_with_nothing_in_hand(cell):
 
 
 def test_whose_hand_closed_on_nothing_goes_home_all_the_same(cell, monkeypatch):
-    monkeypatch.setattr("halfseen.cell.workcell.feels", lambda *_: False)
+    monkeypatch.setattr("halfseen.cell.fetching.feels", lambda *_: False)
     attempt, asked = told(cell, cell.washing(0, 0), {1})
     assert len(asked) == 2
     np.testing.assert_array_equal(asked[1].command.way, asked[1].command.back)

@@ -12,31 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from halfseen import figures as pages
 from halfseen.arrays import Rows
-from halfseen.cell.calibration.attempts import (
-    HORIZON,
-    OCCLUSION_EDGES,
-    Share,
-    glances,
-    occlusion_bins,
-    shares_by,
-    trials,
-    wilson,
-)
+from halfseen.cell.calibration import attempts
+from halfseen.cell.calibration.attempts import OCCLUSION_EDGES, Share, glances, occlusion_bins, shares_by, trials
 from halfseen.cell.calibration.grasping import held_given_past
 from halfseen.cell.calibration.law import Law
-from halfseen.figures import (
-    BLUE,
-    PANEL_TITLE,
-    RED,
-    WIDTH_INCHES,
-    draw_bars,
-    draw_grid,
-    drawn,
-    named_curves,
-    write_legend,
-    write_title,
-)
+from halfseen.figures import BLUE, RED, WIDTH_INCHES, draw_bars, draw_grid, drawn
 from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp_attempts import checked_attempts
@@ -86,7 +68,7 @@ def draw_held(panels: Panels) -> Figure:
         As `held_shares` gives them.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 4.0))
-    top = write_title(figure, HELD_TITLE)
+    top = pages.write_title(figure, HELD_TITLE)
     ratios = [max(len(shares), 2.5) for shares in panels.values()]
     grid = figure.add_gridspec(
         1, len(panels), left=0.065, right=0.99, bottom=0.23, top=top - 0.20, wspace=0.08, width_ratios=ratios
@@ -95,7 +77,7 @@ def draw_held(panels: Panels) -> Figure:
     for one, (by, shares) in zip(axes, panels.items(), strict=True):
         _draw_panel(one, by, shares)
     axes[0].yaxis.set_major_formatter(PercentFormatter(1.0, 0))
-    write_legend(figure, named_curves(axes[0]), top - 0.02)
+    pages.write_legend(figure, pages.named_curves(axes[0]), top - 0.02)
     return figure
 
 
@@ -118,7 +100,7 @@ def _draw_panel(axes: Axes, by: str, shares: Mapping[str, Share]) -> None:
     axes.set_xlim(-0.5, len(shares) - 0.5)
     draw_grid(axes)
     axes.set_xlabel(f"{by};\nattempts")
-    axes.set_title(f"by {by.split(' [')[0]}", **PANEL_TITLE)
+    axes.set_title(f"by {by.split(' [')[0]}", **pages.PANEL_TITLE)
 
 
 def _parts(values: Rows) -> tuple[Int[np.ndarray, " n"], list[str]]:
@@ -193,7 +175,7 @@ def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
         What they were fitted to, as `halfseen.cell.calibration.attempts.glances` gives it.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 4.6))
-    top = write_title(figure, LABELS_TITLE)
+    top = pages.write_title(figure, LABELS_TITLE)
     axes = figure.add_axes((0.065, 0.12, 0.92, top - 0.18))
     for is_dirty in LINES:
         _draw_curve(axes, seeing, pd.DataFrame(glances[glances["is_dirty"] == is_dirty]), is_dirty)
@@ -216,7 +198,7 @@ def _draw_curve(axes: Axes, seeing: PersistentSeeing, rows: pd.DataFrame, is_dir
     counts = counted(rows, seeing)
     across = np.array([count.view for count in counts]) + side * _LABELS_APART
     shares = [count.num_labelled / count.seen for count in counts]
-    ends = [(share, *wilson(share, float(count.seen))) for share, count in zip(shares, counts, strict=True)]
+    ends = [(share, *attempts.wilson(share, float(count.seen))) for share, count in zip(shares, counts, strict=True)]
     draw_bars(axes, across, np.array(ends).reshape(-1, 3), color=colour, marker=marker, linestyle="none")
     for place, (*_, high), count in zip(across, ends, counts, strict=True):
         offset: Any = {"textcoords": "offset points", "xytext": (-4.0 * side, 3.0)}
@@ -229,7 +211,7 @@ KINDS = ("svg", "png")
 
 def pictures_of(law: Law, logs: Logs) -> Mapping[str, Callable[[Path], None]]:
     """Give what writes each picture, by the name of its file."""
-    panels = held_shares(law.grasp.estimate, trials(logs, HORIZON))
+    panels = held_shares(law.grasp.estimate, trials(logs, attempts.HORIZON))
     figures = {"held": partial(draw_held, panels), "labels": partial(draw_labels, law.seeing, glances(logs))}
     return {f"{name}.{kind}": partial(_write, draw, kind) for name, draw in figures.items() for kind in KINDS}
 

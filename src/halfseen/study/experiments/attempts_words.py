@@ -17,15 +17,7 @@ from halfseen.study import figures
 from halfseen.study.compare import estimated_in, records, row_of, three, where
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables, words
 from halfseen.study.experiments import attempts_repetition as names
-from halfseen.study.experiments.attempts_repetition import (
-    COMPLETED,
-    LAW,
-    MEASURES,
-    MODEL_NAMES,
-    PAIRS,
-    SCORE,
-    VISIBLE_ONLY,
-)
+from halfseen.study.experiments.attempts_repetition import COMPLETED, LAW, MEASURES, MODEL_NAMES, PAIRS
 from halfseen.study.setting import Setting
 from halfseen.wording import amount, as_sentence, capitalised, estimated, interval, listed, p_value, percent
 
@@ -42,7 +34,7 @@ NOUNS = {
     "svm-set": "the SVM with a set kernel over past attempts",
     LAW: "the logistic law",
 }
-PLANNED = {COMPLETED: "where hidden shape is completed", VISIBLE_ONLY: "where only visible points count"}
+PLANNED = {COMPLETED: "where hidden shape is completed", names.VISIBLE_ONLY: "where only visible points count"}
 WIDTH_WANTED, SHARE_OF_A_BIN = 0.03, 0.1
 """Half of the width that the interval of a calibration is to have, where a bin holds this share of the attempts."""
 POSES = {False: ("standing", SKY, "o"), True: ("lying", ORANGE, "s")}
@@ -120,7 +112,7 @@ def _law(law: pd.DataFrame) -> Listing:
 
 def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
     """Say from how many tables a model predicts better than another, worse, or neither."""
-    rows = records(tests, model=model, rival=rival, measure=SCORE)
+    rows = records(tests, model=model, rival=rival, measure=names.SCORE)
     sizes = {verdict: [str(row["num_tables"]) for row in rows if row["verdict"] == verdict] for verdict in ADVERBS}
     met = {verdict: of for verdict, of in sizes.items() if of}
     first, *rest = met
@@ -143,7 +135,7 @@ def numbers_of(row: Row) -> str:
 def claim(tables: Tables) -> str:
     """The answer to the paper's claim, by size of what was learned from."""
     tests, counts = tables["attempts_tests"], row_of(tables["attempts"], planner=COMPLETED)
-    last = records(tests, model=PAIRS[0][0], rival=PAIRS[0][1], measure=SCORE)[-1]
+    last = records(tests, model=PAIRS[0][0], rival=PAIRS[0][1], measure=names.SCORE)[-1]
     facts_of = {"by_size": by_size(tests, *PAIRS[0]), "numbers": numbers_of(last)}
     return words("attempts", "claim", counts=counts, last=last, **facts_of)
 
@@ -153,7 +145,7 @@ def others(tables: Tables) -> str:
     tests = tables["attempts_tests"]
     clauses = []
     for model, rival in PAIRS[1:]:
-        last = records(tests, model=model, rival=rival, measure=SCORE)[-1]
+        last = records(tests, model=model, rival=rival, measure=names.SCORE)[-1]
         size = last["num_tables"]
         clauses.append(f"{NOUNS[model]} predicts {by_size(tests, model, rival)} (from {size}: {numbers_of(last)})")
     return as_sentence("; ".join(clauses))
