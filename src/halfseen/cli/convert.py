@@ -2,9 +2,7 @@
 
 import os
 import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict
 from itertools import permutations
 from pathlib import Path
@@ -14,9 +12,9 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import give_mapping
-from halfseen.cli.messages import answer
+from halfseen.cli.messages import answer, tell_warning
 from halfseen.cli.sources import MINARI, SQL, Reading, check_options, kind_of, read, tables_of_events
-from halfseen.errors import ArgumentError, HalfseenWarning
+from halfseen.errors import ArgumentError, noted
 from halfseen.progress import Progress
 from halfseen.writing import placed, refuse_taken
 
@@ -94,11 +92,13 @@ def convert(
         refuse_taken(place, False, None, "logs")
         _refuse_one_in_another(place, clouds)
     # The folder of clouds appears only once the logs are written too.
-    with _noted() as warned, nullcontext() if clouds is None or is_check else placed(clouds) as cloud_folder:
+    with noted() as warned, nullcontext() if clouds is None or is_check else placed(clouds) as cloud_folder:
         # Null may stand: it is refused, or filled in, when the logs are read.
         logs = read(kind, source, reading._replace(clouds=cloud_folder), "keep")
         if not is_check:
             _write(logs, target)
+    for warning in warned:
+        tell_warning(warning)
     report = {"source": _shown(source), "format": kind, "target": target, "sentence": str(logs.summary())}
     report |= asdict(logs.summary()) | _kept_and_lost(logs, target) | {"warnings": warned}
     report["missing"] = missing_in(logs.stages, logs.stage_covariates)
@@ -116,23 +116,6 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
     text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
     give_mapping(text, None if target is None else Path(target))
-
-
-@contextmanager
-def _noted() -> Iterator[list[str]]:
-    """Keep the warnings that are meant for users, too, for anyone who reads the answer alone."""
-    usual, noted = warnings.showwarning, []
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, HalfseenWarning):
-            noted.append(str(message))
-        usual(message, category, *where, **more)
-
-    warnings.showwarning = show
-    try:
-        yield noted
-    finally:
-        warnings.showwarning = usual
 
 
 def _kept_and_lost(logs: "Logs", target: str) -> dict[str, Any]:
