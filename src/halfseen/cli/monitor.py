@@ -61,7 +61,10 @@ def monitor(
         found = monitored(stored, read, seed)
         command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed)])
         if page is not None:
-            _write(page, found, read.reward_unit, command)
+            from halfseen.view.monitor_page import monitor_page
+            from halfseen.view.page import write_page
+
+            write_page(monitor_page(found, read.reward_unit, command), page, overwrite=True)
         report: dict[str, Any] = {"policy": str(policy), "logs": str(logs), "seed": seed, **found.as_dict()}
         text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))
         if text != said:
@@ -83,10 +86,3 @@ def lines(found: "Monitored") -> list[str]:
     first = ["Where to look first:", *(f"- {each}" for each in found.causes)] if found.causes else []
     pays = [found.relearning] if found.relearning else []
     return [found.sentence, *others, *first, *pays, *(f"note: {each}" for each in found.notes)]
-
-
-def _write(page: Path, found: "Monitored", unit: str | None, command: str) -> None:
-    from halfseen.view.monitor_page import monitor_page
-    from halfseen.view.page import write_page
-
-    write_page(monitor_page(found, unit, command), page, overwrite=True)

@@ -189,18 +189,11 @@ def _value_row(
 def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
     """Say what of Q is not drawn."""
     schema, curves = policy.record["schema"], policy.curves
+    covariates, actions = schema.get("covariates", ()), schema["actions"]
     drawn = {
         "stages": (len({curve.stage for curve in curves}), schema["horizon"], "the first"),
-        "covariates": (
-            len({curve.covariate for curve in curves}),
-            len(schema.get("covariates", ())),
-            "those that sway the choice most",
-        ),
-        "actions": (
-            len([name for name in schema["actions"] if str(name) in colours]),
-            len(schema["actions"]),
-            "the first",
-        ),
+        "covariates": (len({curve.covariate for curve in curves}), len(covariates), "those that sway the choice most"),
+        "actions": (sum(str(name) in colours for name in actions), len(actions), "the first"),
     }
     parts = [f"{shown} of {all_} {what}, {which}" for what, (shown, all_, which) in drawn.items() if shown < all_]
     return "".join(f"; {part}" for part in parts)
