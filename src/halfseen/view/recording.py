@@ -156,7 +156,7 @@ def _stage_of(arrays: Arrays) -> StageView:
         )
         for row, (number, is_dirty, occlusion, *middle_m) in enumerate(words["objects"])
     )
-    seen, opening_m = [arrays[name] for name in ("points_m", "colours", "eye_m")], words["opening_m"]
+    seen, opening_m = (arrays["points_m"], arrays["colours"], arrays["eye_m"]), words["opening_m"]
     options = tuple(Option(*each) for each in words["options"])
     decided = words["action"], words["reason"], tuple(words["notes"]), tuple(words["events"])
     hand = None if opening_m is None else Hand(arrays["way_m"], arrays["at_m"], arrays["axes"], opening_m)
