@@ -14,7 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from urllib.request import urlopen
@@ -24,10 +24,9 @@ from timings import Row, write
 
 from halfseen.perception import perceive, read_cloud
 from halfseen.scene import table_paths
-from halfseen.view.live_page import served
 from halfseen.view.stage_view import StageView, Watched
 from halfseen.view.stages import watched_cloud
-from halfseen.view.viewer import HERE, local_server, stop
+from halfseen.view.viewer import HERE, Page, local_server
 
 sys.path.append(str(Path(__file__).parents[1] / "tests"))
 from chromium import BROWSER, Tab, tab
@@ -69,7 +68,7 @@ def cloud_alone(stage: StageView) -> StageView:
 
 @contextmanager
 def ours(stage: StageView) -> Iterator[Tab]:
-    with served(0) as page, tab(page.url) as browser:
+    with closing(Page(0)) as page, tab(page.url) as browser:
         page.show(Watched("table", (stage,)))
         yield browser
 
@@ -86,7 +85,7 @@ def viewer_alone(stage: StageView) -> Iterator[Tab]:
             server.scene.add_point_cloud("/points", points_m, stage.colours, point_size=0.002, precision="float32")
             yield browser
     finally:
-        stop(server)
+        server.stop()
 
 
 def frames_per_s(browser: Tab) -> float:
@@ -117,7 +116,7 @@ def answer_s(command: Callable[[int], list[str]], port: int) -> float:
 def free_port() -> int:
     server = local_server(0)
     port = server.get_port()
-    stop(server)
+    server.stop()
     return port
 
 

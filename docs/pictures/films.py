@@ -40,15 +40,14 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
     from halfseen.cell.campaign import Conditions
     from halfseen.cell.episode import Moment, play
     from halfseen.cell.film import Film
-    from halfseen.cli.cell_policies import belief_of, policy_of, team_policy_of
-    from halfseen.cli.inputs import robot_for, stations_for
+    from halfseen.cli.inputs import belief_of, policy_for, stations_for
     from halfseen.cli.options import SHIPPED, Arm
     from halfseen.logs import LogRecorder
 
     table, rows, taken = 0, [], Film()
-    robot, arm_name = robot_for(Arm(None, None, None))
-    belief, stations = belief_of(SHIPPED, arm_name), stations_for(num_arms, None)
-    cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
+    stations, arm_name = stations_for(Arm(None, None, None), num_arms)
+    belief = belief_of(SHIPPED, arm_name)
+    cell, is_dirty = Conditions(stations=stations, stops=None).cell(seed, table)
 
     def follow(moment: Moment) -> None:
         rows.append({"stage": moment.stage, "words": moment.words})
@@ -60,7 +59,7 @@ def _played(policy: str, seed: int, num_arms: int) -> Table:
         trajectory = recorder.begin_trajectory(table)
         key = random.fold_in(random.key_of(seed), table)
         config = belief.config
-        rule = team_policy_of(policy, 0.0, config, num_arms) if stations else policy_of(policy, 0.0, config)
+        rule = policy_for(policy, 0.0, config, num_arms)
         run = play(cell, is_dirty, rule, belief, trajectory, key, on_decision=follow)
     told = f"{run.num_washed} of {run.num_dirty} dirty cups washed in {run.seconds:.0f} s, reward {run.reward:+.1f}"
     # What another arm decides a moment later is in no picture of its own.

@@ -45,7 +45,7 @@ def two_arm_cell(*places_m, seed=0, **options):
 
 def live_pair(racks=True):
     """Two arms and no cup."""
-    return LiveCell(cell_model([], [], ROBOTS, [station.rack for station in PAIR] if racks else None), ROBOTS)
+    return LiveCell(cell_model([], [], ROBOTS, [station.rack for station in PAIR] if racks else []), ROBOTS)
 
 
 def over(kinematics, home_rad, place_m):

@@ -243,19 +243,19 @@ def test_an_arm_that_has_left_what_another_wants_is_in_no_deadlock(cell, phase):
 
 
 def test_an_arm_that_touches_what_another_holds_has_collided():
-    cell = LiveCell(cell_model([SLIM], standing((0.0, 0.0)), ROBOTS, None), ROBOTS)
+    cell = LiveCell(cell_model([SLIM], standing((0.0, 0.0)), ROBOTS, []), ROBOTS)
     watch = Touches(cell, ROBOTS)
     cell.watches.append(watch)
-    cell.grip(LEFT, 0.12, 0.3)
+    cell.do(LEFT, Grip(0.12, 0.3))
     for z_m in (0.92, 0.80):
-        cell.move(LEFT, at(cell, 0, 0.0, z_m)[None], 0.6)
-    cell.grip(LEFT, 0.0)
+        cell.do(LEFT, Move(at(cell, 0, 0.0, z_m)[None], 0.6))
+    cell.do(LEFT, Grip(0.0))
     cell.wait(0.2)
     assert cell.opening_m(LEFT) > 0.05, "it holds the cup"
-    cell.grip(RIGHT, 0.0, 0.3)
+    cell.do(RIGHT, Grip(0.0, 0.3))
     for z_m in (0.90, 0.75):
-        cell.move(RIGHT, at(cell, 1, 0.16, z_m)[None], 0.5)
+        cell.do(RIGHT, Move(at(cell, 1, 0.16, z_m)[None], 0.5))
     assert watch.num_collisions == 0
     # Lower than the other hand, its fingers meet the cup and nothing else.
-    cell.move(RIGHT, at(cell, 1, 0.04, 0.75)[None], 0.3)
+    cell.do(RIGHT, Move(at(cell, 1, 0.04, 0.75)[None], 0.3))
     assert watch.num_collisions >= 1

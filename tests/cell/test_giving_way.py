@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from cells import CAMERA, FULL_CAMERA, LEFT, SLIM, two_arm_cell
 
-from halfseen.cell.live_cell import Grip, Move, Reserve, Rest
+from halfseen.cell.live_cell import Reserve
 from halfseen.cell.space import Outline
 from halfseen.scene.stains import draw_surface
 from halfseen.scene.table import TABLE_TOP_M
@@ -43,18 +43,12 @@ def told(cell, activity, refused):
     live, asked = cell.cell, []
     command, answer = next(activity), True
     while True:
-        match command:
-            case Move():
-                live.move(LEFT, command.way, command.speed)
-            case Grip():
-                live.grip(LEFT, command.opening_m, command.seconds)
-            case Rest():
-                live.wait(command.seconds)
-            case Reserve():
-                number = len(asked)
-                answer = number not in refused if command.is_patient or 0 not in refused else False
-                if command.is_patient or answer:
-                    asked.append(Asked(command, live.time_s, live.angles_rad(LEFT)))
+        live.do(LEFT, command)
+        if isinstance(command, Reserve):
+            number = len(asked)
+            answer = number not in refused if command.is_patient or 0 not in refused else False
+            if command.is_patient or answer:
+                asked.append(Asked(command, live.time_s, live.angles_rad(LEFT)))
         try:
             command, answer = activity.send(answer), True
         except StopIteration as ended:
@@ -67,7 +61,7 @@ def assert_home_with_nothing_in_hand(cell):
 
 
 def test_whose_hand_closed_on_nothing_goes_home_all_the_same(cell, monkeypatch):
-    monkeypatch.setattr("halfseen.cell.workcell.feels", lambda *_: False)
+    monkeypatch.setattr("halfseen.cell.fetching.feels", lambda *_: False)
     attempt, asked = told(cell, cell.washing(0, 0), {1})
     assert len(asked) == 2
     np.testing.assert_array_equal(asked[1].command.way, asked[1].command.back)

@@ -9,7 +9,7 @@ from halfseen.cell.fetching import NUM_SIDES, SHOWN_AT_M, is_in_hand, turned
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import NEAR_M, Kinematics, line, schedule
-from halfseen.cell.live_cell import LiveCell
+from halfseen.cell.live_cell import LiveCell, Move
 from halfseen.cell.model import SLOT_M, Rack, Robot, cell_model
 from halfseen.cell.planning import plans
 from halfseen.errors import PlanError, SceneError
@@ -157,7 +157,7 @@ def test_fingers_open_and_close_alike_and_cups_and_arm_stay_where_they_are():
 @pytest.mark.parametrize("friction", [0.15, 0.9])
 @pytest.mark.parametrize("cup", [CUP, MUG], ids=["cup", "mug"])
 def test_a_cup_that_is_gripped_around_is_lifted(cup, friction):
-    model = cell_model([cup], standing(PLACE_M), frictions=[friction], rack=Rack())
+    model = cell_model([cup], standing(PLACE_M), frictions=[friction], racks=[Rack()])
     kinematics, rng, grip_m = Kinematics(model, ROBOT), rng_of(), TABLE_TOP_M + cup.height_m - 0.02
     begins = [rng.uniform([-3, 2, 0.6, -3, -3, -3], [3, 4.3, 5, 3, 3, 3]) for _ in range(12)]
     # It closes along y, past the handle, which points along x.
@@ -181,7 +181,7 @@ def test_a_cup_is_shown_from_two_opposite_sides_and_what_is_held_is_told_from_wh
     kinematics, closing = cell.kinematics[ROBOT.name], []
     grasp = Grasp("around", np.array([0.05, -0.02, 0.08]), DOWN_AXES, 0.1)
     done = next(plans([grasp], WORLD_FROM_TABLE, kinematics, HOME, rng_of()))
-    cell.move(ROBOT, done.lift)
+    cell.do(ROBOT, Move(done.lift))
 
     def look_at(side):
         hand = kinematics.hand(cell.angles_rad(ROBOT))

@@ -8,8 +8,7 @@ import pytest
 from shell import BEHIND, LEFT, RIGHT, TABLE, run
 
 from halfseen.cell.calibration.law_folder import read_law, shipped_law, write_law
-from halfseen.cli.cell_policies import team_policy_of
-from halfseen.cli.inputs import read_robots
+from halfseen.cli.inputs import policy_for, read_robots
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
@@ -48,13 +47,15 @@ def test_simulate_records_what_the_library_does(house, tmp_path):
 def test_a_cell_takes_the_policy_of_as_many_arms(house, learned):
     config, name = WorldConfig(horizon=3), str(house / "team-policy")
     stored = read_policy(name).policy
-    for ours, theirs in zip(*map(leaves_of, (team_policy_of(name, 0.0, config, 2), stored)), strict=True):
+    for ours, theirs in zip(*map(leaves_of, (policy_for(name, 0.0, config, 2), stored)), strict=True):
         np.testing.assert_array_equal(ours, theirs)
-    mixed = team_policy_of(name, 0.25, config, 2)
+    mixed = policy_for(name, 0.25, config, 2)
     assert isinstance(mixed, ExploringPolicy)
     assert mixed.random_share == 0.25
-    with pytest.raises(PolicyError, match="it decides for a team of 2, and here are 3 arms; learn one from logs of 3"):
-        team_policy_of(name, 0.0, config, 3)
+    with pytest.raises(
+        PolicyError, match="decides for a team of 2 robots, and 3 arms clear the table; learn one from logs of 3"
+    ):
+        policy_for(name, 0.0, config, 3)
 
 
 def test_a_robot_has_the_law_that_its_file_names(refused, tmp_path):

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from halfseen.cli import cell_policies
+from halfseen.cli import inputs
 from halfseen.planners import GreedyPolicy, MyopicPolicy, POMDPPolicy, ReservingPolicy, RolloutPolicy, named_policy
 from halfseen.planners.named import HEURISTICS, PLANNER, UNIFORM
 from halfseen.study.policies import HEURISTICS as CONTENDERS
@@ -36,4 +36,4 @@ def test_others_go_by_names_too():
 def test_the_study_and_the_cell_know_the_same_names():
     assert [each.name for each in CONTENDERS] == list(HEURISTICS)
     assert [each.policy(CONFIG) for each in CONTENDERS] == [named_policy(name, CONFIG) for name in HEURISTICS]
-    assert (*HEURISTICS, PLANNER) == cell_policies.NAMES
+    assert (*HEURISTICS, PLANNER) == inputs.NAMES

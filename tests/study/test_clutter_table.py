@@ -11,13 +11,7 @@ from hypothesis import strategies as st
 from examples import WORLD, map_pieces, map_table
 from fitted_laws import GRASPING, SEEING
 from halfseen.errors import ArgumentError
-from halfseen.study.experiments.clutter import (
-    Clutter,
-    factor_words,
-    levels,
-    map_sentence,
-    map_title,
-)
+from halfseen.study.experiments.clutter import Clutter, factor_words, levels, map_sentence, map_title
 from halfseen.study.experiments.clutter_places import (
     ENOUGH,
     LEARN,

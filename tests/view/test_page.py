@@ -1,6 +1,7 @@
 """The page in a browser without a screen: it loads, draws, its slider moves, and it asks nobody else."""
 
 import socket
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -10,8 +11,7 @@ from chromium import BROWSER, tab
 
 viser = pytest.importorskip("viser", reason="the extra 'watch' is not installed")
 
-from halfseen.view.live_page import served  # noqa: E402
-from halfseen.view.viewer import HERE, write_html  # noqa: E402
+from halfseen.view.viewer import HERE, Page, write_html  # noqa: E402
 
 in_browser = pytest.mark.skipif(BROWSER is None, reason="no chromium is installed")
 WORDS = "(document.querySelector('.halfseen-stage') || {innerText: ''}).innerText"
@@ -38,7 +38,7 @@ def is_drawn(page):
 @pytest.mark.slow
 @in_browser
 def test_a_page_loads_draws_and_goes_from_stage_to_stage(capsys):
-    with served(0) as page_of, tab(page_of.url) as page:
+    with closing(Page(0)) as page_of, tab(page_of.url) as page:
         page.until(f"{WORDS}.includes('looking')")
         page_of.show(run())
         page.until(text_of(1))
@@ -65,7 +65,7 @@ def test_a_page_loads_draws_and_goes_from_stage_to_stage(capsys):
 @pytest.mark.slow
 @in_browser
 def test_a_run_that_grows_is_followed():
-    with served(0) as page_of, tab(page_of.url) as page:
+    with closing(Page(0)) as page_of, tab(page_of.url) as page:
         page_of.show(run(1))
         page.until(text_of(1))
         page_of.show(run(2))
@@ -98,7 +98,7 @@ def test_no_text_of_a_run_ends_the_script_of_its_file(tmp_path):
 
 
 def test_nobody_else_is_served():
-    with served(0) as page_of:
+    with closing(Page(0)) as page_of:
         port = int(page_of.url.rsplit(":", 1)[1])
         with socket.create_connection((HERE, port), timeout=60) as client, client.makefile("rb") as answer:
             client.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")

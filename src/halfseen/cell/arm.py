@@ -18,8 +18,7 @@ from halfseen.cell.gripper import ROBOT, require_finite, require_positive
 from halfseen.errors import SceneError
 from halfseen.shapes import Float
 
-LEAST_JOINTS = 5
-"""With fewer an arm reaches places, but cannot point its hand there."""
+LEAST_JOINTS = 5  # with fewer an arm reaches places, but cannot point its hand there
 
 
 @runtime_checkable

@@ -24,22 +24,16 @@ from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
 from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_TOP_M
 from halfseen.scene.view import IdealView, ideal_view
-from halfseen.scene.xtion import XTION, StructuredLight, sense
+from halfseen.scene.xtion import XTION, sense
 from halfseen.shapes import Bool, Float, Int
 
 
 @dataclass(frozen=True)
 class Look:
-    """What was seen, and apart from it what was there.
+    """What the camera returns, and apart from it what was there.
 
-    Parameters
-    ----------
-    cloud
-        What the camera returns.
-    labels
-        The truth, for scoring alone: cup of each pixel; −1 where there is none.
-    robots_m
-        Distance of robots along the optical axis, whose place is known [m]; infinite where there is none.
+    `labels` are the truth, for scoring alone: the cup of each pixel, or −1. `robots_m` are distances of robots along
+    the optical axis, whose place is known [m]; infinite where there is none.
     """
 
     cloud: Cloud
@@ -56,26 +50,18 @@ class CellCamera:
         The running cell.
     camera
         Where it is seen from.
-    sensor
-        What senses.
     surfaces
         What is on the walls of each cup, for clouds with colour; None for clouds without.
     """
 
-    def __init__(
-        self,
-        cell: LiveCell,
-        camera: Camera,
-        sensor: StructuredLight = XTION,
-        surfaces: Sequence[Surface] | None = None,
-    ) -> None:
-        self.cell, self.camera, self.sensor, self.surfaces = cell, camera, sensor, surfaces
+    def __init__(self, cell: LiveCell, camera: Camera, surfaces: Sequence[Surface] | None = None) -> None:
+        self.cell, self.camera, self.surfaces = cell, camera, surfaces
 
     def look(self, rng: np.random.Generator) -> Look:
         """Look at the cell as it is now; `rng` makes the sensor's noise."""
         view = self.view()
         is_robot = view.body > self.cell.num_cups
-        depth_m = sense(view, self.camera.focal_px[0], rng, self.sensor)
+        depth_m = sense(view, self.camera.focal_px[0], rng, XTION)
         picture = self._picture(view, rng)
         cloud = Cloud.from_depth(np.where(is_robot, np.nan, depth_m), self.camera.intrinsics, "look", picture)
         return Look(cloud, np.where(is_robot, -1, view.labels), np.where(is_robot, view.depth_m, np.inf))
@@ -88,7 +74,7 @@ class CellCamera:
 
     def view(self) -> IdealView:
         """See the cell as it is now, without noise."""
-        sight = Sight(self.cell.model, self.cell.data, self.camera, self.sensor.baseline_m)
+        sight = Sight(self.cell.model, self.cell.data, self.camera, XTION.baseline_m)
         no_cups = with_rays(self._empty, sight, (FURNITURE_GROUP,), (ROBOT_GROUP,))
         return with_facets(no_cups, sight, (FURNITURE_GROUP, ROBOT_GROUP), self._cups, CUP_GROUP)
 
@@ -96,7 +82,7 @@ class CellCamera:
     def _empty(self) -> IdealView:
         """The view of what never moves."""
         cell = self.cell
-        return ideal_view(cell.model, self.camera, self.sensor.baseline_m, cell.data, (FURNITURE_GROUP,))
+        return ideal_view(cell.model, self.camera, XTION.baseline_m, cell.data, (FURNITURE_GROUP,))
 
     @cached_property
     def _cups(self) -> Facets:
@@ -104,8 +90,7 @@ class CellCamera:
 
 
 _BESIDE_PX = 3
-_BEHIND_M = 0.03
-"""An arm hides what is farther than this before it [m]: what it touches counts as cut."""
+_BEHIND_M = 0.03  # an arm hides what is farther than this before it [m]: what it touches counts as cut
 
 
 def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]) -> tuple[View, Cloud]:
@@ -113,8 +98,6 @@ def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]
 
     Parameters
     ----------
-    cloud
-        What the camera returned, without robots.
     arms_m
         Distance of robots along the optical axis [m]; infinite where there is none.
     is_held
@@ -145,15 +128,7 @@ def perceived_whole(cloud: Cloud, arms_m: Image, is_held: Bool[np.ndarray, " n"]
 
 
 def without(cloud: Cloud, is_out: Bool[np.ndarray, " n"]) -> Cloud:
-    """Take points out of a cloud, as if nothing had returned there.
-
-    Parameters
-    ----------
-    cloud
-        What the camera returned.
-    is_out
-        Which of its points.
-    """
+    """Take points out of a cloud, as if nothing had returned there."""
     if not is_out.any():
         return cloud
     return replace(cloud, points_m=np.where(is_out[:, None], np.nan, cloud.points_m))

@@ -25,7 +25,7 @@ from halfseen.cell.calibration.attempts import HORIZON
 from halfseen.cell.camera import Errors
 from halfseen.cell.episode import Follow, TeamRun, play
 from halfseen.cell.live_cell import Stops
-from halfseen.cell.model import Robot, Station
+from halfseen.cell.model import Station
 from halfseen.cell.rewards import Run
 from halfseen.cell.table_state import Belief, no_grip
 from halfseen.cell.workcell import Workcell
@@ -45,10 +45,8 @@ from halfseen.world.random import Key
 from halfseen.world.state import TableState
 from halfseen.writing import placed, refuse_unwritable, write_file
 
-RUN_FILE = "run.json"
-"""Beside the recording of a table once it is over: what came of it."""
-WHAT_FILE = "what.txt"
-"""In the folder of a campaign: what runs there."""
+RUN_FILE = "run.json"  # beside the recording of a table once it is over: what came of it
+WHAT_FILE = "what.txt"  # in the folder of a campaign: what runs there
 
 
 @dataclass(frozen=True)
@@ -61,14 +59,13 @@ class Conditions:
         Probability that a cup is dirty.
     frictions
         Of a cup on pads, drawn evenly in its logarithm: smallest and largest [-].
-    robot, stations, grasping, errors, stops
+    stations, grasping, errors, stops
         As for `Workcell`.
     """
 
     dirty_share: float = 0.6
     frictions: tuple[float, float] = (0.1, 0.6)
-    robot: Robot = Robot()  # noqa: RUF009 - frozen
-    stations: tuple[Station, ...] = ()
+    stations: tuple[Station, ...] = (Station(),)
     grasping: str = "completed"
     errors: Errors = Errors()  # noqa: RUF009 - frozen
     stops: Stops | None = Stops()  # noqa: RUF009 - frozen
@@ -91,7 +88,6 @@ class Conditions:
             table,
             rng,
             surfaces,
-            robot=self.robot,
             stations=self.stations,
             frictions=frictions,
             grasping=self.grasping,
@@ -202,8 +198,6 @@ def working_folder(target: Path, what: str, refuse: Callable[[], None] = lambda:
 
     Parameters
     ----------
-    target
-        Where the result will be.
     what
         What runs there, with all that its tables depend on: only the same goes on with what is there.
     refuse
@@ -245,13 +239,6 @@ def _aside(folder: Path) -> Path:
 
 def logs_of(folder: Path, tables: Sequence[int]) -> Logs:
     """Read what was recorded of tables, as one log; those that were cut before anything was decided are in none.
-
-    Parameters
-    ----------
-    folder
-        Where they were recorded.
-    tables
-        Their numbers.
 
     Raises
     ------
@@ -314,16 +301,8 @@ def attempts_of(
     ----------
     num_attempts
         Tables follow one another until so many attempts were begun.
-    seed
-        Of everything that is drawn.
     folder
         Where tables are recorded while they run; a campaign that was killed goes on there.
-    pool
-        Who clears the tables.
-    conditions
-        What the tables and the cell are like.
-    on_table
-        Called with the number of attempts on each table.
     """
     belief = Belief(WorldConfig(horizon=HORIZON), no_grip)
     campaign = Campaign(LiftAtRandom(), belief, conditions, seed, tells_truth=True)

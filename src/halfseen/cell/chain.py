@@ -29,17 +29,7 @@ _MOST_NAMES = 30
 
 @dataclass(frozen=True)
 class Flange:
-    """Where a hand is mounted.
-
-    Parameters
-    ----------
-    body
-        That it belongs to.
-    pose
-        In that body.
-    is_of_hand
-        Whether the body is where a hand begins, and no part of the arm.
-    """
+    """Where a hand is mounted: a pose in a body, and whether that is where a hand begins, and no part of the arm."""
 
     body: int
     pose: Pose
@@ -48,17 +38,7 @@ class Flange:
 
 @dataclass(frozen=True)
 class Chain:
-    """The arm of a model, by its numbers of bodies and joints.
-
-    Parameters
-    ----------
-    bodies
-        Each after the one that carries it; the first stands still.
-    joints
-        From the base on.
-    flange
-        Where a hand is mounted.
-    """
+    """The arm of a model: bodies, the first of which stands still and carries the next, and joints in their order."""
 
     bodies: tuple[int, ...]
     joints: tuple[int, ...]
@@ -74,8 +54,6 @@ def find_chain(
     ----------
     model
         Of a robot, and perhaps of what stands about it.
-    name
-        What messages call it.
     base, flange, joints
         Name of the body that stands still; of the site or body where a hand is mounted; and of the hinges, from the
         base on. None for what is to be found.

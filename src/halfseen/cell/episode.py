@@ -25,29 +25,24 @@ from halfseen.world.policy import Decision, Policy
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
-PAUSE_S = 0.5
-"""What a look and a decision take on the cell's clock [s]."""
-NOTHING_SEEN = "nothing-seen"
-"""Cause of a cut: no object is in view, so that there is nothing to decide."""
+PAUSE_S = 0.5  # what a look and a decision take on the cell's clock [s]
+NOTHING_SEEN = "nothing-seen"  # cause of a cut: no object is in view, so that there is nothing to decide
 
 
 class Moment(NamedTuple):
-    """A decision, and what it was made from."""
+    """A decision, and what it was made from.
+
+    `stage` is counted from 1, `action` as `ActionSpace` has it (one beyond is WAIT), in `words` for people; `arm`
+    is the number of the robot that does it. `of_team` says which robot does what, where there are several.
+    """
 
     stage: int
-    """From 1."""
     state: TableState
-    """The table as the robot knows it."""
     action: int
-    """What is done, as `ActionSpace` has it; one beyond it is WAIT."""
     words: str
-    """The same, for people."""
     key: Key
-    """What the policy drew from."""
     arm: int = 0
-    """Number of the robot that does it."""
     of_team: str | None = None
-    """Which robot does what, where there are several."""
 
 
 class Follower(Protocol):

@@ -18,33 +18,22 @@ from halfseen.cell.space import Reservations, Space
 DEADLOCK = "deadlock"
 """Cause of a cut: arms wait for one another, or for one that is idle, and none has a free way home."""
 PATIENCE_S = 15.0
-_ASK_EVERY = 10
-"""Ticks between two looks whether a space is free by now."""
+_ASK_EVERY = 10  # ticks between two looks whether a space is free by now
 
 
 class Ended(NamedTuple):
-    """What one arm has done."""
+    """The number of an arm, and what its activity returned."""
 
     arm: int
-    """Its number."""
     result: Any
-    """What its activity returned."""
 
 
 @dataclass
 class Tally:
     """How arms got along.
 
-    Attributes
-    ----------
-    num_waits
-        How often an arm had to wait for space.
-    waited_s
-        For how long, all arms together [s].
-    num_deadlocks
-        How often arms waited for one another or for an idle one, or one for too long.
-    num_gave_way
-        How often one went home for that.
+    How often one had to wait for space, and all together for how long [s]; how often they waited for one another, for
+    an idle one, or one for too long, and how often one went home for that.
     """
 
     num_waits: int = 0
@@ -82,21 +71,9 @@ class _Worker:
 
 
 class Executor:
-    """Carries out the activities of the arms of a cell.
+    """Carries out the activities of the arms of a cell, number 0 first; `tally` says how they got along so far.
 
-    Parameters
-    ----------
-    cell
-        The running cell.
-    robots
-        The arms, number 0 first.
-    patience_s
-        After which an arm that waits for space counts as stuck [s].
-
-    Attributes
-    ----------
-    tally
-        How they got along so far.
+    An arm that waits for space longer than `patience_s` counts as stuck [s].
     """
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot], patience_s: float = PATIENCE_S) -> None:
@@ -181,7 +158,7 @@ class Executor:
         robot, cell = self._robots[arm], self._cell
         match command:
             case Move():
-                worker.way, worker.end = iter(cell.commanded_rad(robot, command.way, command.speed)), command.way[-1]
+                worker.way, worker.end = iter(cell.commanded_rad(robot, command)), command.way[-1]
             case Grip():
                 cell.close(robot, command.opening_m)
                 worker.ticks = round(command.seconds / cell.tick_s)

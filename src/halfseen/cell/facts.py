@@ -21,22 +21,14 @@ if TYPE_CHECKING:
     from halfseen.perception.solids import Hull, Vessel
     from halfseen.perception.view import SeenObject, View
 
-MOST_ROOM_M = 0.10
-"""Room beyond this makes no difference [m]."""
+MOST_ROOM_M = 0.10  # room beyond this makes no difference [m]
 
 
 @dataclass(frozen=True)
 class Facts:
-    """Of an object in one view.
+    """Of an object in one view: whether it lies on its side, and what a hand around or across it must open [m].
 
-    Parameters
-    ----------
-    is_lying
-        Whether it lies on its side.
-    width_m
-        What a hand that closes around or across it must open [m].
-    room_m
-        From its side to what stands next to it, at most `MOST_ROOM_M` [m].
+    `room_m` is from its side to what stands next to it, at most `MOST_ROOM_M` [m].
     """
 
     is_lying: bool
@@ -45,13 +37,7 @@ class Facts:
 
 
 def facts_of(view: "View") -> list[Facts]:
-    """Gather what a view tells of each of its objects.
-
-    Parameters
-    ----------
-    view
-        What is seen.
-    """
+    """Gather what a view tells of each of its objects."""
     rotation, shift_m = view.camera_from_table[:3, :3], view.camera_from_table[:3, 3]
     is_object = view.labels >= 0
     across_m = ((view.image.points_m[is_object] - shift_m) @ rotation)[:, :2]
@@ -77,15 +63,7 @@ def _width_m(solid: "Vessel | Hull", own_m: Float[np.ndarray, "own 2"]) -> float
 
 @dataclass(frozen=True)
 class TableSeen:
-    """One table, as it is seen.
-
-    Parameters
-    ----------
-    plain
-        Which object hides which, and where each stands.
-    facts
-        Fields of `Facts`, of each object.
-    """
+    """One table, as it is seen: what hides what and where each stands, and the fields of `Facts` of each object."""
 
     plain: Scene
     facts: tuple[Mapping[str, Any], ...]

@@ -22,18 +22,9 @@ from halfseen.shapes import Bool, Float
 class Attempt:
     """How an attempt went, as the robot tells it.
 
-    Parameters
-    ----------
-    is_held
-        Whether the hand held something when it was lifted, and, of what was to be washed, put it into the rack.
-    duration_s
-        From the decision until that was known [s].
-    kind
-        Of the grasp; None where there was none to try.
-    reason
-        Why it did not hold; empty where it did.
-    is_too_far
-        Whether the robot reaches no grasp of it.
+    `is_held` says whether the hand held something when it was lifted, and, of what was to be washed, put it into the
+    rack; `duration_s` is the time from the decision until that was known [s]. `kind` is that of the grasp, None where
+    there was none to try; `reason` says why it did not hold, and `is_too_far` that no grasp of it is in reach.
     """
 
     is_held: bool
@@ -52,54 +43,26 @@ _SETTLE_S = 0.3
 
 
 def come(plan: Plan) -> Activity[None]:
-    """Come to what a plan is for, with an open hand.
-
-    Parameters
-    ----------
-    plan
-        How.
-    """
+    """Come to what a plan is for, with an open hand."""
     yield Grip(plan.grasp.opening_m, seconds=0.0)
     yield Move(plan.hover)
     yield Move(plan.approach, _COMING)
 
 
 def pick_up(plan: Plan) -> Activity[None]:
-    """Close the hand there, and lift what it holds.
-
-    Parameters
-    ----------
-    plan
-        How it came there.
-    """
+    """Close the hand there, and lift what it holds."""
     yield Grip(_PRESSED_M.get(plan.grasp.kind, 0.0))
     yield Move(plan.lift, _LIFTING)
     yield Rest(_SETTLE_S)
 
 
 def feels(cell: LiveCell, robot: Robot, grasp: Grasp) -> bool:
-    """Whether something keeps the closed hand open, as far as its fingers tell.
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    robot
-        Whose hand.
-    grasp
-        What it closed on.
-    """
+    """Whether something keeps the closed hand open, as far as its fingers tell."""
     return cell.opening_m(robot) > _LEAST_FELT_M.get(grasp.kind, _LEAST_FELT_ELSE_M)
 
 
 def put_down(plan: Plan) -> Activity[None]:
-    """Put what was lifted back where it was, and let go.
-
-    Parameters
-    ----------
-    plan
-        How it was fetched.
-    """
+    """Put what was lifted back where it was, and let go."""
     yield Move(np.concatenate([plan.lift[-2::-1], plan.approach[-1:]]), _PUTTING)
     yield from open_hand(plan)
 
@@ -110,17 +73,7 @@ def open_hand(plan: Plan) -> Activity[None]:
 
 
 def draw_back(cell: LiveCell, robot: Robot, plan: Plan) -> Activity[None]:
-    """Draw an open hand back the way it came, and go home.
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    robot
-        Who came.
-    plan
-        How.
-    """
+    """Draw an open hand back the way it came, and go home."""
     yield Move(plan.way_out, _PUTTING)
     yield from go_home(cell, robot)
 
@@ -191,16 +144,9 @@ def _facing(
 
 
 def is_in_hand(points_m: Points, hand: Pose, plan: Plan) -> Bool[np.ndarray, " n"]:
-    """Which points belong to what a hand holds.
+    """Which points of the world, NaN where nothing returned [m], belong to what a hand holds.
 
-    Parameters
-    ----------
-    points_m
-        Points of the world that are no robot; NaN where nothing returned [m].
-    hand
-        Pose of the point between the pads.
-    plan
-        How it was fetched: as it stood on the table, it reaches as far below the hand as that was above the table.
+    As it stood on the table, it reaches as far below the hand as that was above the table.
     """
     apart_m: Float[np.ndarray, "n 3"] = points_m - np.array(hand.position_m)
     below_m = float(plan.grasp.middle_m[2]) + _SLACK_M
@@ -226,18 +172,10 @@ def put_away(
 
     Parameters
     ----------
-    cell
-        The running cell.
-    robot
-        Who holds it.
-    plan
-        How it was fetched.
     middle_m
         Where its middle was before, in the world [m].
     slot_m
         Where to, on the floor of the rack [m].
-    rng
-        Draws where the search for angles begins.
 
     Raises
     ------

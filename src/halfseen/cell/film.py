@@ -23,31 +23,17 @@ from halfseen.shapes import Float
 from halfseen.writing import write_file
 
 _LIFTED_M, _FLAT_M = 0.0004, 0.0006  # a stain's shape stands out of the wall by so much, and is so thick
-_CAPTION_PX, _MARGIN_PX = 28, 10
+_WIDTH_PX, _HEIGHT_PX, _CAPTION_PX, _MARGIN_PX = 600, 400, 28, 10
+_PICTURES_PER_S = 8.0
 _NUM_FOR_PALETTE = 8
 _WOOD, _FLOOR = (0.72, 0.58, 0.42, 1.0), (0.86, 0.87, 0.89, 1.0)
 
 
 @dataclass(frozen=True)
 class Shot:
-    """How a film is taken.
+    """How a film is taken: how much faster, and where the camera looks, from how far and where [m, m, °, °]."""
 
-    Parameters
-    ----------
-    width_px, height_px
-        Of a picture, without the words below it [px].
-    speed
-        How many times faster than it was.
-    pictures_per_s
-        Of the film [1/s].
-    looks_at_m, distance_m, azimuth_deg, elevation_deg
-        Where the camera looks, from how far, and from which side [m, m, °, °].
-    """
-
-    width_px: int = 600
-    height_px: int = 400
     speed: float = 8.0
-    pictures_per_s: float = 8.0
     looks_at_m: tuple[float, float, float] = (0.08, 0.20, 0.80)
     distance_m: float = 1.5
     azimuth_deg: float = 118.0
@@ -59,13 +45,7 @@ OF_TWO_ARMS = Shot(looks_at_m=(0.0, 0.16, 0.78), distance_m=1.9, azimuth_deg=97.
 
 
 class Film:
-    """Takes pictures of a running cell; a `halfseen.cell.live_cell.Watch`.
-
-    Parameters
-    ----------
-    shot
-        How.
-    """
+    """Takes pictures of a running cell; a `halfseen.cell.live_cell.Watch`."""
 
     def __init__(self, shot: Shot = Shot()) -> None:
         self.shot = shot
@@ -77,7 +57,7 @@ class Film:
         """Keep how the cell stands, if it is time."""
         if cell.time_s >= self._next_s:
             self._kept.append((cell.data.qpos.copy(), self._caption))
-            self._next_s = cell.time_s + self.shot.speed / self.shot.pictures_per_s
+            self._next_s = cell.time_s + self.shot.speed / _PICTURES_PER_S
 
     def say(self, caption: str) -> None:
         """Let words stand below the pictures that follow."""
@@ -91,13 +71,6 @@ class Film:
     def write(self, file: Path, cell: Workcell) -> None:
         """Draw the film and write it as an animated GIF.
 
-        Parameters
-        ----------
-        file
-            Where to.
-        cell
-            What was filmed.
-
         Raises
         ------
         ArgumentError
@@ -107,7 +80,7 @@ class Film:
             _captioned(picture, caption) for picture, (_, caption) in zip(self._drawn(cell), self._kept, strict=True)
         ]
         reduced = _reduced(pictures)
-        held = [*[1000 / self.shot.pictures_per_s] * (len(reduced) - 1), 2500]
+        held = [*[1000 / _PICTURES_PER_S] * (len(reduced) - 1), 2500]
         content = io.BytesIO()
         reduced[0].save(content, "GIF", save_all=True, append_images=reduced[1:], duration=held, loop=0, optimize=True)
         write_file(file, content.getvalue())
@@ -119,7 +92,7 @@ class Film:
         camera.lookat[:], camera.distance = shot.looks_at_m, shot.distance_m
         camera.azimuth, camera.elevation = shot.azimuth_deg, shot.elevation_deg
         pictures = []
-        with mujoco.Renderer(model, shot.height_px, shot.width_px) as renderer:
+        with mujoco.Renderer(model, _HEIGHT_PX, _WIDTH_PX) as renderer:
             for places, _ in self._kept:
                 data.qpos[:] = places
                 mujoco.mj_forward(model, data)

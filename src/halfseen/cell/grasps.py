@@ -24,10 +24,8 @@ from halfseen.shapes import Bool, Float
 Axes = Float[np.ndarray, "3 3"]
 
 UP = np.array([0.0, 0.0, 1.0])
-CLEARANCE_M = 0.012
-"""The hand opens this much wider on either side than what it closes on."""
-FLOOR_M = 0.004
-"""Tips of fingers stay this far above the table."""
+CLEARANCE_M = 0.012  # the hand opens this much wider on either side than what it closes on
+FLOOR_M = 0.004  # tips of fingers stay this far above the table
 _RIM_OPENING_M = 0.046
 _RIM_DEPTH_M = 0.012  # of the pads' middle below the rim
 _WALL_M = 0.0015  # half of a usual wall
@@ -201,16 +199,10 @@ _NUM_ALONG_FINGER = 6
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What a view shows around an object, in coordinates of the table.
+    """What a view shows around an object, in coordinates of the table [m].
 
-    Parameters
-    ----------
-    own_m, other_m
-        Visible points of the object, and of what else is above the table near it [m].
-    id
-        The object's label.
-    labels, depth_m, intrinsics, camera_from_table
-        Of the view.
+    `own_m` are the visible points of the object, whose label is `id`; `other_m` of what else is above the table near
+    it.
     """
 
     own_m: Float[np.ndarray, "own 3"]
@@ -232,15 +224,7 @@ class Surroundings:
 
 
 def surroundings(view: View, seen: SeenObject) -> Surroundings:
-    """Gather what a view shows around an object.
-
-    Parameters
-    ----------
-    view
-        What is seen.
-    seen
-        One of its objects.
-    """
+    """Gather what a view shows around an object."""
     rotation, shift_m = view.camera_from_table[:3, :3], view.camera_from_table[:3, 3]
     is_return = view.image.is_return
     table_m = (view.image.points_m[is_return] - shift_m) @ rotation
@@ -264,17 +248,6 @@ def ranked(
     grasps: Iterable[Grasp], around: Surroundings, gripper: Gripper, failed: Sequence[Grasp] = ()
 ) -> list[Grasp]:
     """Keep the grasps whose way is free, and put the cheapest first.
-
-    Parameters
-    ----------
-    grasps
-        Candidates.
-    around
-        What is seen.
-    gripper
-        What comes.
-    failed
-        Grasps that failed here before: others come first.
 
     Returns
     -------

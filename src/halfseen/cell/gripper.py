@@ -26,15 +26,6 @@ from halfseen.scene.rays import ROBOT_GROUP, UNSEEN_GROUP
 def require_positive(what: str, part: object, names: Iterable[str]) -> None:
     """Refuse a part with a number that is not positive and finite.
 
-    Parameters
-    ----------
-    what
-        The part, as messages call it.
-    part
-        What has the numbers.
-    names
-        Of the numbers.
-
     Raises
     ------
     SceneError
@@ -214,8 +205,7 @@ class Gripper:
         servo.forcelimited, servo.forcerange = True, [-self.force_n, self.force_n]
 
 
-_SIDES = {"left": 1, "right": -1}
-"""Sign of the closing axis on which a finger opens."""
+_SIDES = {"left": 1, "right": -1}  # sign of the closing axis on which a finger opens
 
 
 NUM_WALLS = 16
@@ -227,12 +217,6 @@ def add_walls(body: mujoco.MjsBody, cup: Cup, contacts: Contacts, friction: floa
 
     Parameters
     ----------
-    body
-        Of the cup, in its frame.
-    cup
-        Its dimensions.
-    contacts
-        How pads meet it.
     friction
         Sliding friction on pads [-]; None for that of `contacts`.
     """

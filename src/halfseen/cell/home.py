@@ -17,15 +17,13 @@ import mujoco
 import numpy as np
 
 from halfseen.cell.arm import SerialArm
-from halfseen.cell.gripper import Gripper
 from halfseen.cell.kinematics import Angles, Kinematics, line
 from halfseen.cell.model import Robot, cell_model
 from halfseen.errors import PlanError
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M
 
-HOME_M = (-0.40, 0.58, 0.98)
-"""Where the hand waits, pointing down."""
+HOME_M = (-0.40, 0.58, 0.98)  # where the hand waits, pointing down
 STANDS_M = ((0.0, 0.42, 0.56), (0.0, 0.50, 0.72), (0.0, 0.60, 0.72))
 """Where a base may stand behind the table, in the order in which they are tried."""
 PLACES_M = tuple(product((-0.3, 0.0, 0.3), (-0.2, 0.0, 0.2), (TABLE_TOP_M + 0.2,)))
@@ -38,28 +36,15 @@ _CORNER_RAD = 0.05
 _NUM_REACHED = 2000
 
 
-def robot_of(
-    arm: SerialArm,
-    *,
-    name: str = "arm",
-    stands_m: Sequence[tuple[float, float, float]] = STANDS_M,
-    turn_rad: float = -pi / 2,
-    gripper: Gripper = Gripper(),  # noqa: B008 - frozen
-) -> Robot:
-    """Make a robot of any arm: find where it stands and where it waits.
+def robot_of(arm: SerialArm, *, stands_m: Sequence[tuple[float, float, float]] = STANDS_M) -> Robot:
+    """Make a robot of any arm: find where it stands, the base's x to the table, and where it waits.
 
     Parameters
     ----------
     arm
         The arm, for example an `ArmFile`.
-    name
-        Of the robot.
     stands_m
         Where its base may stand [m]; the first from which it comes everywhere is taken, or else the best.
-    turn_rad
-        Of the base about the vertical [rad]: as it is by default, the base's x points to the table.
-    gripper
-        What it grips with.
 
     Raises
     ------
@@ -68,15 +53,19 @@ def robot_of(
     """
     best, most = None, 0
     for base_m in stands_m:
-        robot = Robot(name, base_m, turn_rad, arm, gripper, (0.0,) * arm.num_joints)
+        robot = _standing(arm, base_m)
         found, num_places = home_rad(robot)
         if found is not None and num_places > most:
             best, most = replace(robot, home_rad=tuple(found.tolist())), num_places
         if most == len(PLACES_M):
             break
     if best is None:
-        raise PlanError(_too_far(Robot(name, stands_m[0], turn_rad, arm, gripper, (0.0,) * arm.num_joints)))
+        raise PlanError(_too_far(_standing(arm, stands_m[0])))
     return best
+
+
+def _standing(arm: SerialArm, base_m: tuple[float, float, float]) -> Robot:
+    return Robot(base_m=base_m, turn_rad=-pi / 2, arm=arm, home_rad=(0.0,) * arm.num_joints)
 
 
 def home_rad(robot: Robot) -> tuple[Angles | None, int]:

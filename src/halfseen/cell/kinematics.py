@@ -25,8 +25,7 @@ from halfseen.shapes import Bool, Float
 
 Angles = Float[np.ndarray, " J"]
 
-NEAR_M, NEAR_RAD = 5e-4, 2e-3
-"""How near is there."""
+NEAR_M, NEAR_RAD = 5e-4, 2e-3  # how near is there
 _LEVER_M = 0.3  # what an error of rotation counts, beside one of position
 _DAMPING = 0.03
 _LARGEST_STEP_RAD = 0.4
@@ -175,10 +174,9 @@ def _damped(jacobian: Float[np.ndarray, "6 J"], error: Float[np.ndarray, " 6"]) 
 
 Way = Float[np.ndarray, "k J"]
 
-STEP_M = 0.02
-"""Between two places of a line at which angles are sought."""
+STEP_M = 0.02  # between two places of a line at which angles are sought
 _LARGEST_TURN_RAD = 0.6  # of a joint, between two such places: more is another way to hold the arm, not a line
-_RAMP_S = 0.25
+RAMP_S = 0.25  # how long it takes to reach full speed, and to stop [s]
 
 
 def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np.ndarray, " 3"]) -> Way:
@@ -186,12 +184,6 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
 
     Parameters
     ----------
-    kinematics
-        Of the robot.
-    begin_rad
-        Angles at the beginning.
-    begin
-        Pose of the hand there.
     end_m
         Where the hand is to go [m].
 
@@ -224,30 +216,19 @@ def line(kinematics: Kinematics, begin_rad: Angles, begin: Pose, end_m: Float[np
 
 @dataclass(frozen=True)
 class Schedule:
-    """Angles by time: from rest to rest along a way.
-
-    Parameters
-    ----------
-    reached_s
-        When each place of the way would be reached without ramps [s], from 0.
-    way_rad
-        The places, the first among them.
-    ramp_s
-        How long it takes to reach full speed, and to stop [s].
-    """
+    """Angles by time, from rest to rest along a way: when each place would be reached without ramps [s], from 0."""
 
     reached_s: Float[np.ndarray, " k"]
     way_rad: Way
-    ramp_s: float = _RAMP_S
 
     @property
     def duration_s(self) -> float:
         """How long it takes [s]."""
-        return float(self.reached_s[-1]) + self.ramp_s
+        return float(self.reached_s[-1]) + RAMP_S
 
     def at(self, times_s: Float[np.ndarray, " n"]) -> Float[np.ndarray, "n J"]:
         """Angles at times from the beginning [s]: full speed between two ramps of constant acceleration."""
-        full_s, ramp_s = float(self.reached_s[-1]), self.ramp_s
+        full_s, ramp_s = float(self.reached_s[-1]), RAMP_S
         starting_s = 0.5 * times_s**2 / ramp_s
         stopping_s = full_s - 0.5 * np.maximum(0.0, full_s + ramp_s - times_s) ** 2 / ramp_s
         along_s = np.where(times_s < ramp_s, starting_s, np.where(times_s < full_s, times_s - 0.5 * ramp_s, stopping_s))
@@ -260,15 +241,11 @@ def schedule(begin_rad: Angles, way: Way, speeds_rad_s: Angles) -> Schedule:
 
     Parameters
     ----------
-    begin_rad
-        Where the joints are.
-    way
-        Where they are to go.
     speeds_rad_s
         Largest speed of each joint [rad/s].
     """
     places = np.concatenate([begin_rad[None], way])
     legs_s = (np.abs(np.diff(places, axis=0)) / speeds_rad_s).max(axis=1)
     # A ramp up and one down fit into what is at least as long as one of them.
-    stretched = legs_s * max(1.0, _RAMP_S / max(float(legs_s.sum()), 1e-9))
+    stretched = legs_s * max(1.0, RAMP_S / max(float(legs_s.sum()), 1e-9))
     return Schedule(np.concatenate([[0.0], np.cumsum(stretched)]), places)

@@ -26,15 +26,7 @@ Result = TypeVar("Result")
 
 @dataclass(frozen=True, eq=False)
 class Move:
-    """Move along a way, from rest to rest.
-
-    Parameters
-    ----------
-    way
-        Angles to go through.
-    speed
-        Share of the joints' largest speeds.
-    """
+    """Move along a way, from rest to rest, with a share of the joints' largest speeds."""
 
     way: Way
     speed: float = 1.0
@@ -42,15 +34,7 @@ class Move:
 
 @dataclass(frozen=True)
 class Grip:
-    """Open or close the hand.
-
-    Parameters
-    ----------
-    opening_m
-        Between its pads [m]; below 0 it presses.
-    seconds
-        What it takes [s].
-    """
+    """Open or close the hand: the opening between its pads [m], below 0 if it presses, and what that takes [s]."""
 
     opening_m: float
     seconds: float = 0.5
@@ -58,13 +42,7 @@ class Grip:
 
 @dataclass(frozen=True)
 class Rest:
-    """Let time pass.
-
-    Parameters
-    ----------
-    seconds
-        How much [s].
-    """
+    """Let time pass [s]."""
 
     seconds: float
 
@@ -77,17 +55,9 @@ def _nowhere() -> Way:
 class Reserve:
     """Have the space of a way for oneself before it is gone; who works alone has it at once.
 
-    Parameters
-    ----------
-    way
-        Angles to go through, of all moves until the next reservation.
-    back
-        The way home instead, for a robot that has to give way: it is then reserved, and the answer is False; none where
-        there is nothing to go back to.
-    is_patient
-        Whether to wait until the space is free; else it is only tried.
-    below_m
-        How far below the hand what it holds reaches [m]; 0 where it holds nothing.
+    `way` are angles to go through, of all moves until the next reservation, and `below_m` is how far below the hand
+    what it holds reaches [m]. `back` is the way home, if there is one, for a robot that has to give way: it is then
+    reserved, and the answer is False. Who is not patient only tries.
     """
 
     way: Float[np.ndarray, "going J"]
@@ -101,8 +71,7 @@ Activity: TypeAlias = Generator[Command, bool, Result]
 """What a robot does: commands, and at last what came of them."""
 
 
-NUM_STEPS = 5
-"""Steps of physics between two commands to the servos: a hundredth of a second."""
+NUM_STEPS = 5  # steps of physics between two commands to the servos: a hundredth of a second
 Watch = Callable[["LiveCell"], None]
 """Called once for each command; what it raises ends the motion, as an emergency stop does."""
 
@@ -174,68 +143,41 @@ class LiveCell:
                 watch(self)
 
     def carry_out(self, robot: Robot, activity: Activity[Result]) -> Result:
-        """Let one robot do something while all others stand, and tell what came of it.
-
-        Parameters
-        ----------
-        robot
-            Who does it.
-        activity
-            What; whatever it wants to reserve is free.
-        """
+        """Let one robot do something while all others stand: whatever it wants to reserve is free."""
         try:
             command = next(activity)
             while True:
-                self._do(robot, command)
+                self.do(robot, command)
                 command = activity.send(True)
         except StopIteration as ended:
             return ended.value
 
-    def _do(self, robot: Robot, command: Command) -> None:
+    def do(self, robot: Robot, command: Command) -> None:
+        """Let one robot carry out a command while all others stand."""
         match command:
             case Move():
-                self.move(robot, command.way, command.speed)
+                for angles in self.commanded_rad(robot, command):
+                    self.steer(robot, angles)
+                    self.wait(self.tick_s)
+                self.steer(robot, command.way[-1])
             case Grip():
-                self.grip(robot, command.opening_m, command.seconds)
+                self.close(robot, command.opening_m)
+                self.wait(command.seconds)
             case Rest():
                 self.wait(command.seconds)
-            case _:
-                pass
 
-    def move(self, robot: Robot, way: Way, speed: float = 1.0) -> None:
-        """Move along a way, from rest to rest.
-
-        Parameters
-        ----------
-        robot
-            Who moves.
-        way
-            Angles to go through.
-        speed
-            Share of the joints' largest speeds.
-        """
-        for angles in self.commanded_rad(robot, way, speed):
-            self.steer(robot, angles)
-            self.wait(self.tick_s)
-        self.steer(robot, way[-1])
-
-    def commanded_rad(self, robot: Robot, way: Way, speed: float) -> Float[np.ndarray, "ticks J"]:
-        """Angles for the servos, tick by tick, from where they are along a way; parameters are those of `move`."""
+    def commanded_rad(self, robot: Robot, move: Move) -> Float[np.ndarray, "ticks J"]:
+        """Angles for the servos, tick by tick, from where they are along a way."""
         begin = np.array([self.data.actuator(name).ctrl[0] for name in robot.joint_names])
-        plan = schedule(begin, way, speed * robot.arm.speeds_rad_s)
+        plan = schedule(begin, move.way, move.speed * robot.arm.speeds_rad_s)
         return plan.at(self.tick_s * np.arange(1, np.ceil(plan.duration_s / self.tick_s) + 1))
 
     def steer(self, robot: Robot, angles_rad: Angles) -> None:
         """Tell a robot's servos where its joints are to be."""
         self.data.ctrl[[self.model.actuator(name).id for name in robot.joint_names]] = angles_rad
 
-    def grip(self, robot: Robot, opening_m: float, seconds: float = 0.5) -> None:
-        """Open or close the hand to a distance between its pads [m], as far as its force goes; below 0 it presses."""
-        self.close(robot, opening_m)
-        self.wait(seconds)
-
     def close(self, robot: Robot, opening_m: float) -> None:
-        """Tell the fingers how far to be apart [m]."""
+        """Tell the fingers how far to be apart [m], as far as their force goes; below 0 they press."""
         for name in robot.slide_names:
             self.data.actuator(name).ctrl = 0.5 * opening_m
 
@@ -267,17 +209,7 @@ class Stops:
 
 
 class Guard:
-    """Watches a running cell and stops it; a `halfseen.cell.live_cell.Watch`.
-
-    Parameters
-    ----------
-    stops
-        When.
-    now_s
-        The cell's clock [s].
-    rng
-        Draws when the camera is lost.
-    """
+    """Watches a running cell and stops it; `rng` draws when the camera is lost, from `now_s` on the cell's clock on."""
 
     def __init__(self, stops: Stops, now_s: float, rng: np.random.Generator) -> None:
         self.stops = stops
@@ -308,13 +240,7 @@ class Guard:
 
 
 def largest_force_n(cell: LiveCell) -> float:
-    """Largest force of a contact of a robot with anything: a cup, furniture, or another robot [N].
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    """
+    """Largest force of a contact of a robot with anything: a cup, furniture, or another robot [N]."""
     model, data = cell.model, cell.data
     if not data.ncon:
         return 0.0

@@ -33,8 +33,6 @@ def has_vanished(surface_m: Points, view: View) -> bool:
     ----------
     surface_m
         What was seen of the object, in the frame of the image's camera [m].
-    view
-        In which it was not found again.
     """
     before, (num_rows, num_columns) = surface_m[surface_m[:, 2] > NEAREST_M], view.image.depth_m.shape
     columns, rows = np.rint(projected(before, view.image)).astype(np.int64).T
@@ -54,54 +52,33 @@ SAME_PLACE_M = 0.03
 
 
 class Glance(NamedTuple):
-    """One label of an object, by a look that showed more of it than any before."""
+    """One label of an object, by a look that showed more of it than any before.
+
+    `occlusion` is the hidden share of it then, 0 where it was held up and turned before the camera (`is_held`).
+    """
 
     occlusion: float
-    """Hidden share of it then; 0 where it was held up."""
     is_held: bool
-    """Whether it was turned before the camera."""
     says_dirty: bool
-    """What it looked like."""
 
 
 class Trial(NamedTuple):
-    """One attempt on an object."""
+    """One attempt on an object: how hidden it was, whether it held, until when that was known [s], and by which arm."""
 
     occlusion: float
-    """Hidden share of it then."""
     is_held: bool
-    """Whether it held."""
     duration_s: float
-    """Until that was known [s]."""
     arm: int = 0
-    """Number of the robot that made it."""
 
 
 @dataclass(eq=False)
 class Known:
     """An object that was seen at some time.
 
-    Parameters
-    ----------
-    middle_m
-        Where it was last seen, in the world [m].
-    seen
-        How it looks in the last view; None where that does not show it.
-    facts
-        Of the last view that showed it.
-    surface_m
-        Points that the last view that showed it saw of it, in the world [m].
-    is_racked
-        Whether the robot put it into the rack.
-    is_lost
-        Whether a look found it vanished: it fell, or never was an object of its own. It comes back where it was, or not
-        at all; what comes into view elsewhere is another one.
-    glances, trials
-        Of looks that showed more than any before, and of attempts, oldest first.
-    failed
-        Grasps that did not hold, on the table.
-    lifts
-        Number of times it was lifted.
+    It was last seen at `middle_m` [m], with `facts` and `surface_m`, points in the world [m]; `seen` is how it looks in
+    the last view, None where that does not show it. It `is_lost` where a look found it vanished: it fell, or never was
+    an object of its own, and comes back where it was, or not at all. `glances` are looks that showed more than any
+    before, and `trials` attempts, oldest first; `failed` are grasps that did not hold, on the table.
     """
 
     middle_m: Vector
@@ -121,13 +98,7 @@ class Known:
         return self.is_racked or self.is_lost
 
     def see(self, now: "Known | None") -> None:
-        """Take in how it looks in the last view; None where that does not show it.
-
-        Parameters
-        ----------
-        now
-            What the view shows of it.
-        """
+        """Take in how it looks in the last view; None where that does not show it."""
         self.seen = None if now is None else now.seen
         if now is not None:
             self.middle_m, self.facts, self.surface_m = now.middle_m, now.facts, now.surface_m
@@ -135,14 +106,8 @@ class Known:
     def label(self, occlusion: float, says_dirty: bool, *, is_held: bool) -> None:
         """Keep the label of a look, if it showed more than any before: else it repeats itself.
 
-        Parameters
-        ----------
-        occlusion
-            Hidden share of the object; 0 where it was held up.
-        says_dirty
-            What it looked like.
-        is_held
-            Whether it was turned before the camera, and so seen from all sides.
+        `occlusion` is the hidden share of the object; what `is_held` was turned before the camera, and seen from all
+        sides.
         """
         was_held = any(glance.is_held for glance in self.glances)
         least = min((glance.occlusion for glance in self.glances), default=2.0)

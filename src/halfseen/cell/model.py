@@ -20,8 +20,7 @@ from halfseen.scene.rays import FURNITURE_GROUP
 from halfseen.scene.room import cup_name, room_spec
 from halfseen.shapes import Float
 
-SLOT_M = 0.13
-"""A cup in the rack takes so much along either side."""
+SLOT_M = 0.13  # a cup in the rack takes so much along either side
 _RACK_DEPTH_M = 0.2
 _BOX = mujoco.mjtGeom.mjGEOM_BOX
 
@@ -109,21 +108,18 @@ class Rack:
 
 
 class Station(NamedTuple):
-    """A robot, and the rack that is its own."""
+    """A robot, the rack that is its own, and how far from the middle of its base it is asked to grasp [m]."""
 
-    robot: Robot
-    """Who works."""
-    rack: Rack
-    """Where it puts washed cups."""
+    robot: Robot = Robot()
+    rack: Rack = Rack()
     reach_m: float = inf
-    """How far from the middle of its base it is asked to grasp [m]."""
 
 
 def cell_model(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
     robots: Sequence[Robot] = (Robot(),),
-    rack: Rack | Sequence[Rack] | None = Rack(),
+    racks: Sequence[Rack] = (Rack(),),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
 ) -> mujoco.MjModel:
@@ -131,7 +127,7 @@ def cell_model(
 
     Parameters
     ----------
-    cups, world_from_cup, robots, rack, contacts, frictions
+    cups, world_from_cup, robots, racks, contacts, frictions
         As for `cell_spec`.
 
     Raises
@@ -139,14 +135,14 @@ def cell_model(
     SceneError
         As `cell_spec` does.
     """
-    return cell_spec(cups, world_from_cup, robots, rack, contacts, frictions).compile()
+    return cell_spec(cups, world_from_cup, robots, racks, contacts, frictions).compile()
 
 
 def cell_spec(
     cups: Sequence[Cup],
     world_from_cup: Sequence[Pose],
     robots: Sequence[Robot] = (Robot(),),
-    rack: Rack | Sequence[Rack] | None = Rack(),
+    racks: Sequence[Rack] = (Rack(),),
     contacts: Contacts = Contacts(),  # noqa: B008 - frozen
     frictions: Sequence[float] | None = None,
 ) -> mujoco.MjSpec:
@@ -154,14 +150,10 @@ def cell_spec(
 
     Parameters
     ----------
-    cups, world_from_cup
-        The cups and where they begin.
     robots
         The robots; none for a room that is only looked at.
-    rack
-        Where washed cups go, one place or several; None without one.
-    contacts
-        What makes grasps hold.
+    racks
+        Where washed cups go.
     frictions
         Of each cup on pads [-]; None for that of `contacts`.
 
@@ -175,8 +167,8 @@ def cell_spec(
     contacts.solve(spec)
     for index, cup in enumerate(cups):
         add_walls(spec.body(cup_name(index)), cup, contacts, None if frictions is None else frictions[index])
-    for each in _racks(rack):
-        _add_rack(spec, each)
+    for rack in racks:
+        _add_rack(spec, rack)
     for geom in spec.worldbody.geoms:
         geom.contype |= OBSTACLES
         geom.group = FURNITURE_GROUP
@@ -185,12 +177,6 @@ def cell_spec(
     if len(robots) > 1:
         _let_robots_meet(spec, robots)
     return spec
-
-
-def _racks(rack: "Rack | Sequence[Rack] | None") -> "Sequence[Rack]":
-    if rack is None:
-        return ()
-    return (rack,) if isinstance(rack, Rack) else rack
 
 
 def _let_robots_meet(spec: mujoco.MjSpec, robots: Sequence[Robot]) -> None:

@@ -14,8 +14,7 @@ from halfseen.shapes import Float
 APPROACH_M = 0.10
 HOVER_M = 0.12
 LIFT_M = 0.20
-MOST_PLANS = 8
-"""Grasps, no two of them alike, that are looked at before an object counts as out of reach."""
+MOST_PLANS = 8  # grasps, no two of them alike, that are looked at before an object counts as out of reach
 _ALIKE_M, _ALIKE_COSINE = 0.03, 0.98
 _NUM_DRAWN = 3
 
@@ -26,20 +25,9 @@ class OutOfReachError(PlanError):
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How a robot fetches an object.
+    """How a robot fetches an object: `grasp` on the table, and the pose of the hand there in the world.
 
-    Parameters
-    ----------
-    grasp
-        Where the hand is to close, on the table.
-    held
-        Pose of the hand there, in the world.
-    hover
-        Angles from above down to where the approach begins.
-    approach
-        From there, straight to the grasp.
-    lift
-        From the grasp, straight up.
+    Angles lead from above down to where the approach begins (`hover`), straight to the grasp, and straight up.
     """
 
     grasp: Grasp
@@ -84,12 +72,6 @@ def plans(
         Candidates, best first; until `MOST_PLANS` of them are refused, and none that is like one that was tried.
     world_from_table
         Takes homogeneous points of the table into the world [m].
-    kinematics
-        Of the robot.
-    begin_rad
-        Angles now.
-    rng
-        Draws where the search for angles begins.
 
     Yields
     ------
@@ -172,17 +154,7 @@ def _in_world(
 
 
 def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generator) -> list[Angles]:
-    """Angles from which a search begins: those now, and some that are drawn.
-
-    Parameters
-    ----------
-    kinematics
-        Of the robot.
-    here_rad
-        Angles now.
-    rng
-        What draws.
-    """
+    """Angles from which a search begins: those now, and some that are drawn."""
     drawn = rng.uniform(*kinematics.search_rad.T, size=(_NUM_DRAWN, len(here_rad)))
     return [here_rad, *(kinematics.nearest_turn(angles, here_rad) for angles in drawn)]
 

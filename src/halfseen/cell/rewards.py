@@ -28,15 +28,7 @@ _ON_TABLE_M = 0.05  # a cup's origin is not lower than this below the top of the
 
 
 class Truth:
-    """Which cups are dirty, and where they are: what no decision looks at.
-
-    Parameters
-    ----------
-    cell
-        Before anything happened.
-    is_dirty
-        Of each cup.
-    """
+    """Which cups are dirty, and where they are: what no decision looks at."""
 
     def __init__(self, cell: Workcell, is_dirty: Bool[np.ndarray, " N"]) -> None:
         self.is_dirty, self.is_racked = is_dirty, np.zeros(len(is_dirty), dtype=bool)
@@ -99,12 +91,8 @@ def luck_of_table(num_dirty: int, num_cups: int, chances: Rows, config: WorldCon
 
     Parameters
     ----------
-    num_dirty, num_cups
-        Of the table, by the truth.
     chances
         P(DIRTY) of the objects of the first look; cups beyond their number are as likely dirty as any.
-    config
-        The world that is believed in.
     """
     unseen = max(num_cups - len(chances), 0)
     expected = float(chances.sum()) + unseen * float(config.dirty_share)
@@ -118,10 +106,6 @@ def luck_of_washing(washed: list[bool], chance: float, config: WorldConfig) -> f
     ----------
     washed
         Of each cup that came into the rack, whether it is dirty.
-    chance
-        P(DIRTY) of the object that was meant.
-    config
-        The world that is believed in.
     """
     if_dirty = float(config.reward_wash_dirty) - float(config.reward_dirty_left) - float(config.reward_wash_clean)
     return if_dirty * sum(float(is_dirty) - chance for is_dirty in washed)
@@ -193,24 +177,7 @@ class TeamRun(Run):
 
 
 class EpisodeStatistics:
-    """Books what a table earns.
-
-    Parameters
-    ----------
-    run
-        Where it is booked.
-    cell
-        The cell, before anything happened.
-    is_dirty
-        The truth of each cup.
-    config
-        Whose rewards are earned.
-
-    Attributes
-    ----------
-    truth
-        Which cups are dirty, and where they are.
-    """
+    """Books what a table earns, from before anything happened on; `truth` is which cups are dirty, and where."""
 
     def __init__(self, run: Run, cell: Workcell, is_dirty: Bool[np.ndarray, " N"], config: WorldConfig) -> None:
         self.run, self.truth = run, Truth(cell, is_dirty)
@@ -233,16 +200,8 @@ class EpisodeStatistics:
 
         Parameters
         ----------
-        attempt
-            How it went.
-        verb
-            WASH or LIFT.
-        chance
-            P(DIRTY) of its object when it was decided.
         seconds
             What it took [s].
-        arm
-            Whose it was.
         """
         if not attempt.is_held:
             reason = attempt.reason.split(":")[0].split(";")[0]

@@ -29,14 +29,7 @@ _KINDS = mujoco.mjtGeom
 class Space:
     """Spheres that hold an arm, place after place of a way.
 
-    Parameters
-    ----------
-    places_rad
-        Angles of the joints.
-    middles_m
-        Of the spheres at each place [m].
-    is_held
-        Which of them hold what the hand does: they are larger.
+    `middles_m` are those of the spheres at each place [m]; those that hold what the hand does (`is_held`) are larger.
     """
 
     places_rad: Way
@@ -72,15 +65,7 @@ class Space:
 
 
 class Outline:
-    """Tells the space of one arm.
-
-    Parameters
-    ----------
-    model
-        The cell.
-    robot
-        The arm.
-    """
+    """Tells the space of one arm."""
 
     def __init__(self, model: mujoco.MjModel, robot: Robot) -> None:
         self._model, self._data = model, mujoco.MjData(model)
@@ -99,8 +84,6 @@ class Outline:
 
         Parameters
         ----------
-        begin_rad
-            Where it begins.
         way
             Angles to go through; none for the space of an arm that stands.
         below_m
@@ -155,15 +138,7 @@ def _line(half_m: float) -> Float[np.ndarray, " n"]:
 
 
 class Reservations:
-    """The spaces that arms have reserved in a cell.
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    robots
-        The arms in it.
-    """
+    """The spaces that arms have reserved in a cell."""
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:
         self._cell, self._robots = cell, robots
@@ -223,21 +198,8 @@ class Touches:
     """Counts collisions of arms in a running cell; a `halfseen.cell.live_cell.Watch`.
 
     A collision is a contact of two arms, of an arm with what another holds, or of what two of them hold, and lasts for
-    as long as they go on touching. What an arm holds is what both its fingers touch.
-
-    Parameters
-    ----------
-    cell
-        The running cell.
-    robots
-        The arms in it.
-
-    Attributes
-    ----------
-    num_collisions
-        So far.
-    begun_s
-        When each began, on the cell's clock [s].
+    as long as they go on touching; `begun_s` are their beginnings [s]. What an arm holds is what both its fingers
+    touch.
     """
 
     def __init__(self, cell: LiveCell, robots: Sequence[Robot]) -> None:

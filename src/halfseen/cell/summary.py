@@ -74,25 +74,13 @@ class Summary:
     together: Mapping[str, int | float] | None = None
 
 
-def summarised(
-    runs: Sequence[Run], logs: Logs, policy: Policy, config: WorldConfig, seed: int, level: float = LEVEL
-) -> Summary:
+def summarised(runs: Sequence[Run], logs: Logs, policy: Policy, config: WorldConfig, seed: int) -> Summary:
     """Summarise the runs of a policy.
 
     Parameters
     ----------
-    runs
-        What came of each table.
     logs
         What was recorded of them, in the same order; not of those that were cut before anything was decided.
-    policy
-        What decided.
-    config
-        The world that predicts.
-    seed
-        Of what is drawn in it.
-    level
-        Of the intervals.
     """
     seen = [run for run in runs if run.is_seen]
     rewards, luck = (np.array([getattr(run, name) for run in seen]) for name in ("reward", "luck"))
@@ -100,12 +88,12 @@ def summarised(
     teams = [run for run in runs if isinstance(run, TeamRun)]
     expected = None if teams else predicted(scenes_of(logs), cast(Policy, policy), config, seed)
     return Summary(
-        reward=_mean(rewards, weights, level),
-        luck=_mean(luck, weights, level),
-        without_luck=_mean(rewards - luck, weights, level),
-        predicted=None if expected is None else estimate_of(expected, len(expected), level),
-        gap=None if expected is None else _mean(rewards - expected, weights, level),
-        gap_without_luck=None if expected is None else _mean(rewards - luck - expected, weights, level),
+        reward=_mean(rewards, weights),
+        luck=_mean(luck, weights),
+        without_luck=_mean(rewards - luck, weights),
+        predicted=None if expected is None else estimate_of(expected, len(expected), LEVEL),
+        gap=None if expected is None else _mean(rewards - expected, weights),
+        gap_without_luck=None if expected is None else _mean(rewards - luck - expected, weights),
         seconds=float(np.mean([run.seconds for run in runs])),
         counts={name: sum(getattr(run, name) for run in runs) for name in _COUNTS},
         verbs=_added(run.verbs for run in runs),
@@ -116,19 +104,7 @@ def summarised(
 
 
 def predicted(scenes: Sequence[Scene], policy: Policy, config: WorldConfig, seed: int) -> Rows:
-    """Mean reward of each table in a simulated world.
-
-    Parameters
-    ----------
-    scenes
-        Tables as they look at first.
-    policy
-        What decides.
-    config
-        The world.
-    seed
-        Of what is drawn.
-    """
+    """Mean reward of each table in a simulated world."""
     per_table = EPISODES_OF_A_PLANNER if isinstance(policy, POMDPPolicy) else EPISODES_PER_TABLE
     totals = evaluate(config, pad_scenes(scenes), policy, random.key_of(seed), per_table * len(scenes))
     rewards = np.asarray(totals.reward, dtype=np.float64)
@@ -143,22 +119,16 @@ def _weights(runs: Sequence[Run]) -> Rows:
     return weights / max(float(weights.mean()), _LEAST)
 
 
-def _mean(values: Rows, weights: Rows, level: float) -> Estimate | None:
+def _mean(values: Rows, weights: Rows) -> Estimate | None:
     if np.count_nonzero(weights) < _FEWEST_FINISHED:
         return None
     centre = float(np.average(values, weights=weights))
     size = weights.sum() ** 2 / (weights**2).sum()
-    return estimate_of(centre + weights * (values - centre), float(size), level)
+    return estimate_of(centre + weights * (values - centre), float(size), LEVEL)
 
 
 def scenes_of(logs: Logs) -> list[Scene]:
-    """Tables as they looked at first, in the order of the log.
-
-    Parameters
-    ----------
-    logs
-        Of tables.
-    """
+    """Tables as they looked at first, in the order of the log."""
     assert logs.objects is not None, "tables have objects"
     first = pd.DataFrame(logs.objects[logs.objects["stage"] == 1])
     return [

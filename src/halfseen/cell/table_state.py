@@ -27,12 +27,14 @@ _MOVED_M = 0.03
 
 
 class Belief(NamedTuple):
-    """What the robot believes of the world: it makes chances of what looks and attempts say."""
+    """What the robot believes of the world: it makes chances of what looks and attempts say.
+
+    `config` has the prior, the law of seeing and the horizon; `grip` says how well an object can be gripped, from what
+    is seen of it.
+    """
 
     config: WorldConfig
-    """Prior, law of seeing, horizon."""
     grip: Callable[[Facts], float]
-    """How well an object can be gripped, from what is seen of it."""
 
 
 def no_grip(facts: Facts) -> float:
@@ -41,17 +43,7 @@ def no_grip(facts: Facts) -> float:
 
 
 def state_of(memory: Memory, belief: Belief, steps_to_go: int) -> TableState:
-    """Give the state of the table as one robot knows it.
-
-    Parameters
-    ----------
-    memory
-        What it knows.
-    belief
-        What it believes of the world.
-    steps_to_go
-        Actions left, the next one included.
-    """
+    """Give the state of the table as one robot knows it."""
     objects, horizon = memory.objects, belief.config.horizon
     num_more = max(MOST_OBJECTS - len(objects), 0)
     tried = [(k, trial.occlusion, trial.is_held) for k, known in enumerate(objects) for trial in known.trials]
@@ -91,15 +83,7 @@ def _evidence(known: Known, config: WorldConfig) -> tuple[float, float]:
 
 
 def rows_of(memory: Memory, belief: Belief) -> list[dict[str, Any]]:
-    """Rows of a log for the objects: what a policy saw, what looks and attempts said, and what may make it hard.
-
-    Parameters
-    ----------
-    memory
-        What the robot knows.
-    belief
-        What it believes of the world.
-    """
+    """Rows of a log for the objects: what a policy saw, what looks and attempts said, and what may make it hard."""
     places = [dict(zip(PLACE_COLUMNS, place, strict=True)) for place in memory.places_m().tolist()]
     return [{**_row(number, known, memory, belief), **places[number]} for number, known in enumerate(memory.objects)]
 
@@ -172,19 +156,9 @@ class ArmStatus:
 
 
 class CellState:
-    """The table and the arms of a cell, as its states and its log have them.
+    """The table and the arms of a cell, as its states and its log have them; `arms` are what each arm is doing.
 
-    Parameters
-    ----------
-    cell
-        The cell.
-    belief
-        What is believed of the world; its horizon is counted in decisions of each arm.
-
-    Attributes
-    ----------
-    arms
-        What each arm is doing.
+    The horizon of what is believed is counted in decisions of each arm.
     """
 
     def __init__(self, cell: Workcell, belief: Belief) -> None:
@@ -199,15 +173,6 @@ class CellState:
 
         That it found no grasp within its reach is remembered for as long as the object stays where it is and nothing
         changes on the table: an arm that was there, and has left, may have been in the way, or has moved what was.
-
-        Parameters
-        ----------
-        arm
-            Whose it was.
-        number
-            Of its object.
-        attempt
-            How it went.
         """
         if attempt.kind is not None:
             self._too_far.clear()
@@ -215,15 +180,7 @@ class CellState:
             self._too_far[arm, number] = self.cell.memory.objects[number].middle_m
 
     def state(self, decider: int, decisions_to_go: int) -> TableState:
-        """Give the state that an arm decides in.
-
-        Parameters
-        ----------
-        decider
-            Its number.
-        decisions_to_go
-            Of all arms together, this one included.
-        """
+        """Give the state that an arm decides in."""
         table = state_of(self.cell.memory, self._belief, decisions_to_go)
         if len(self.arms) == 1:
             return table

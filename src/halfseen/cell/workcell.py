@@ -15,21 +15,9 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Image
+from halfseen.cell import fetching
 from halfseen.cell.camera import CellCamera, Errors, perceived_whole
-from halfseen.cell.fetching import (
-    Attempt,
-    GaveWayError,
-    come,
-    draw_back,
-    feels,
-    is_in_hand,
-    open_hand,
-    pick_up,
-    put_away,
-    put_down,
-    turned,
-    with_home,
-)
+from halfseen.cell.fetching import Attempt, GaveWayError
 from halfseen.cell.grasps import GRASPING, ranked, surroundings
 from halfseen.cell.live_cell import Activity, Guard, LiveCell, Reserve, Stops
 from halfseen.cell.memory import Known, Memory, Trial
@@ -46,8 +34,7 @@ from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 from halfseen.shapes import Bool, Float
 
 SETTLE_S = 0.3
-MOST_TAKEN = 4
-"""Plans whose way another robot takes, before the best of them is waited for."""
+MOST_TAKEN = 4  # plans whose way another robot takes, before the best of them is waited for
 
 
 class _Sight(NamedTuple):
@@ -69,10 +56,8 @@ class Workcell:
         Draws the sensor's noise, the error of the camera's place, where plans begin, and when the camera is lost.
     surfaces
         What is on the walls of each cup; None where colour gives no labels.
-    robot, rack
-        Who works, and where washed cups go.
     stations
-        Several robots with a rack each, instead of `robot` and `rack`; none where these work alone.
+        Who works, each with a rack of its own.
     frictions
         Of each cup on pads [-]; None for the usual one.
     grasping
@@ -109,9 +94,7 @@ class Workcell:
         rng: np.random.Generator,
         surfaces: Sequence[Surface] | None = None,
         *,
-        robot: Robot = Robot(),  # noqa: B008 - frozen
-        rack: Rack = Rack(),  # noqa: B008 - frozen
-        stations: Sequence[Station] = (),
+        stations: Sequence[Station] = (Station(),),
         frictions: Sequence[float] | None = None,
         grasping: str = "completed",
         labeller: Labeller = StainCounter(),  # noqa: B008 - frozen
@@ -124,7 +107,7 @@ class Workcell:
                 f"{table.name}: the middle of cup {index} is at {table.centroid_m[index].round(2).tolist()} m, off the "
                 f"table, whose top is {TABLE_TOP_M} m high and {TABLE_SIZE_M} m wide about the origin; put it there"
             )
-        self.stations = tuple(stations) or (Station(robot, rack),)
+        self.stations = tuple(stations)
         robots, racks = [each.robot for each in self.stations], [each.rack for each in self.stations]
         model = cell_model(table.cups, table.world_from_cup, robots, racks, frictions=frictions)
         self.table, self.surfaces = table, surfaces
@@ -196,7 +179,7 @@ class Workcell:
                 known.lifts += side == 0
                 labels.append(self._label_of_held(known, sight.seen, arm, is_first=side == 0))
 
-            has_way = not (yield from turned(self.cell, robot, done, self._rng, look_at))
+            has_way = not (yield from fetching.turned(self.cell, robot, done, self._rng, look_at))
             if any(label is not None for label in labels):
                 known.label(0.0, any(labels), is_held=True)
             yield from self._put_back(arm, done, has_way=has_way)
@@ -231,7 +214,7 @@ class Workcell:
         choice = free if len(self.stations) > 1 else free[:1]
         for slot in choice:
             try:
-                yield from put_away(self.cell, robot, done, middle_m, slots_m[slot], self._rng)
+                yield from fetching.put_away(self.cell, robot, done, middle_m, slots_m[slot], self._rng)
             except GaveWayError:
                 raise
             except PlanError:
@@ -245,12 +228,12 @@ class Workcell:
         """Put back what a robot holds, which may have been given the way there already."""
         robot = self.stations[arm].robot
         if not has_way:
-            way = with_home(self.cell, robot, done.way_back)
+            way = fetching.with_home(self.cell, robot, done.way_back)
             yield Reserve(way, way, below_m=done.below_m)
-        yield from put_down(done)
+        yield from fetching.put_down(done)
         # It stands on the table from now on: a look meanwhile would take it for another object.
         self.in_hand.pop(arm)
-        yield from draw_back(self.cell, robot, done)
+        yield from fetching.draw_back(self.cell, robot, done)
 
     def _take_in(self, cloud: Cloud, robots_m: Image) -> View:
         is_held = np.zeros(len(cloud.points_m), dtype=bool)
@@ -275,7 +258,7 @@ class Workcell:
         plan, robot = self.planned[arm], self.stations[arm].robot
         assert plan is not None, "it was fetched"
         hand = self.cell.kinematics[robot.name].hand(self.cell.angles_rad(robot))
-        return is_in_hand(self._believed.apply(cloud.points_m), hand, plan)
+        return fetching.is_in_hand(self._believed.apply(cloud.points_m), hand, plan)
 
     def _label_of_held(self, known: Known, before: SeenObject, arm: int, *, is_first: bool) -> bool | None:
         """What one side of what is held looks like; at the first side, see what it hid, too."""
@@ -307,18 +290,18 @@ class Workcell:
             return Attempt(False, 0.0, None, "another arm was in the way of every grasp"), None
         begin_s = self.cell.time_s
         with self._guard.timing(begin_s) if self._guard else nullcontext():
-            yield from come(planned)
+            yield from fetching.come(planned)
             self.in_hand[arm] = known
-            yield from pick_up(planned)
-        is_held, duration_s = feels(self.cell, robot, planned.grasp), self.cell.time_s - begin_s
+            yield from fetching.pick_up(planned)
+        is_held, duration_s = fetching.feels(self.cell, robot, planned.grasp), self.cell.time_s - begin_s
         known.trials.append(Trial(occlusion, is_held, duration_s, arm))
         if not is_held:
             known.failed.append(planned.grasp)
             self.in_hand.pop(arm)
-            way = with_home(self.cell, robot, planned.way_out)
+            way = fetching.with_home(self.cell, robot, planned.way_out)
             yield Reserve(way, way)
-            yield from open_hand(planned)
-            yield from draw_back(self.cell, robot, planned)
+            yield from fetching.open_hand(planned)
+            yield from fetching.draw_back(self.cell, robot, planned)
         reason = "" if is_held else "the hand closed on nothing, or lost it"
         return Attempt(is_held, duration_s, planned.grasp.kind, reason), planned
 

@@ -33,6 +33,7 @@ VERBS = {
 }
 MODULES = {"export": "act", "inspect": "report", "record": "serve"}
 """Where a verb is that has no module of its own name."""
+SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
 
 
 def _show_version(ctx: click.Context, _: click.Parameter, is_asked: bool) -> None:
@@ -41,7 +42,7 @@ def _show_version(ctx: click.Context, _: click.Parameter, is_asked: bool) -> Non
         ctx.exit()
 
 
-@click.group(cls=VerbGroup, verbs=VERBS, modules=MODULES, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=VerbGroup, verbs=VERBS, modules=MODULES, context_settings=SETTINGS)
 @click.option(
     "--version", is_flag=True, expose_value=False, is_eager=True, callback=_show_version, help="Show the version."
 )

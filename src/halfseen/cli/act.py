@@ -1,6 +1,5 @@
 """``halfseen act``: the decision of a policy for what is seen now, and the reason; ``halfseen export``: it as ONNX."""
 
-import json
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,9 +8,11 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, refuse_output
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer
 from halfseen.cli.options import SHIPPED
+from halfseen.errors import ArgumentError
 from halfseen.text_table import aligned
+from halfseen.writing import write_file
 
 if TYPE_CHECKING:
     from halfseen.policies import Decision
@@ -45,7 +46,6 @@ def act(
     overwrite: bool,
     extrapolate: bool,
     as_json: bool,
-    seed: int,
 ) -> None:
     """Decide what to do now, by the policy in the folder POLICY, and say why, and how sure that is.
 
@@ -61,7 +61,6 @@ def act(
     better, for policies that were learned with pessimism. What lies farther outside the logs than these reach is
     refused.
     """
-    from halfseen.errors import ArgumentError
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team, sources_in_words
     from halfseen.policies.observations import read_observation
@@ -70,13 +69,12 @@ def act(
         refuse_output(picture, "a picture", PICTURES, overwrite, [cloud, *([labels] if labels else [])])
     stored = read_policy(policy)
     refuse_team(stored, UNDECIDED, policy)
-    counts_views = stored.is_table and stored.record["schema"].get("counts_views", False)
-    if law is not None and not counts_views:
+    if law is not None and not stored.counts_views:
         raise ArgumentError(
             f"--law is {law}, but the policy learned from logs that do not count what has been in view, so that every "
             "label is news to it; leave --law out"
         )
-    known = law_of(law or SHIPPED) if counts_views else None
+    known = law_of(law or SHIPPED) if stored.counts_views else None
     table = None
     if stored.is_table:
         from halfseen.policies.table_observation import read_table
@@ -100,7 +98,7 @@ def act(
     lines = _lines(decision, seen, table.other_things if table else "", **where)
     sources = sources_in_words(stored.record)
     lines += [f"learned from {sources}"] if sources else []
-    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
+    answer(report, lines, as_json)
 
 
 def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horizon: int) -> list[str]:
@@ -124,7 +122,7 @@ def _lines(decision: "Decision", seen: str, other_things: str, stage: int, horiz
 @options.whole("--objects", least=1, most=100, text="Most objects of a table; by default as in the log.")
 @options.overwrite("a file that is")
 @options.unused_seed
-def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed: int) -> None:
+def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool) -> None:
     """Write the policy in the folder POLICY as an ONNX model. Needs the extra onnx.
 
     Of named actions, it takes covariates, (n, features) in double precision, and the stage, from 1; it gives scores,
@@ -139,7 +137,6 @@ def export(policy: Path, onnx: Path, objects: int | None, overwrite: bool, seed:
     """
     from halfseen.policies import read_policy
     from halfseen.policies.onnx_model import onnx_model
-    from halfseen.writing import write_file
 
     refuse_output(onnx, "an ONNX model", (".onnx",), overwrite, [policy])
     model = onnx_model(read_policy(policy), objects)

@@ -6,7 +6,6 @@ MuJoCo's way to draw is needed by filming and nothing else: most machines that r
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
-import json
 import os
 import warnings
 from dataclasses import replace
@@ -18,8 +17,9 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.group import VerbGroup
-from halfseen.cli.inputs import robot_for
-from halfseen.cli.messages import say
+from halfseen.cli.inputs import stations_for
+from halfseen.cli.messages import answer
+from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
@@ -62,8 +62,6 @@ def start_opengl() -> None:
     ArgumentError
         There is none.
     """
-    from halfseen.errors import ArgumentError
-
     os.environ.setdefault(GL, "egl")
     try:
         with warnings.catch_warnings(action="ignore"):
@@ -117,7 +115,6 @@ def calibrate(
     from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, read_law, write_law
     from halfseen.cell.campaign import Conditions, attempts_of, working_folder
     from halfseen.cell.live_cell import Stops
-    from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies.folder import check_target
 
@@ -125,7 +122,7 @@ def calibrate(
     refuse()
     if given is not None and arm.file is not None:
         raise ArgumentError(f"--arm is {arm.file}, but {given} holds attempts of some arm already; leave it out")
-    robot, arm_name = robot_for(arm)
+    stations, arm_name = stations_for(arm)
     origin: dict[str, Any] = {"seed": seed, "arm": arm_name}
 
     def fitted(logs: "Logs", contrast: "Logs | None") -> dict[str, Any]:
@@ -149,7 +146,7 @@ def calibrate(
             Progress(attempts + visible_only, "calibrate", "attempts") as bar,
             workers.ready() as pool,
         ):
-            conditions, try_on = Conditions(robot=robot), partial(attempts_of, seed=seed, pool=pool)
+            conditions, try_on = Conditions(stations=stations), partial(attempts_of, seed=seed, pool=pool)
             logs = try_on(attempts, folder=folder, conditions=conditions, on_table=bar.update)
             contrast = None
             if visible_only:
@@ -158,7 +155,7 @@ def calibrate(
                     visible_only, folder=folder / VISIBLE_ONLY, conditions=conditions, on_table=bar.update
                 )
             report = fitted(logs, contrast)
-    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(_lines(out, report)))
+    answer(report, _lines(out, report), as_json)
 
 
 def _report_of(law: "Law", logs: "Logs") -> dict[str, Any]:

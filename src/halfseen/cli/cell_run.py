@@ -1,9 +1,8 @@
 """``halfseen cell run``: a policy clears fresh tables in physics; ``halfseen cell film``: one of them, as a film."""
 
 import hashlib
-import json
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,18 +13,23 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.cell import load_mujoco, start_opengl
-from halfseen.cli.cell_policies import belief_of, policy_of, policy_option, team_policy_of
-from halfseen.cli.inputs import law_folder, refuse_output, robot_for, stations_for
-from halfseen.cli.messages import say
+from halfseen.cli.inputs import NAMES, belief_of, law_folder, policy_for, refuse_output, stations_for
+from halfseen.cli.messages import answer, say, tally
 from halfseen.progress import Progress
+from halfseen.writing import refuse_taken
 
 if TYPE_CHECKING:
     from halfseen.cell.episode import Follow
     from halfseen.workers import Workers
     from halfseen.world import Policy
 
-DRAWING = 3
-"""What drawing takes, where a decision and what is done after it take 1."""
+policy_option = click.option(
+    "--policy",
+    "name",
+    required=True,
+    help=f"Who decides: the folder of a policy of tables, of two arms that of a team's, or {', '.join(NAMES)}.",
+)
+DRAWING = 3  # what drawing takes, where a decision and what is done after it take 1
 
 
 @click.command(epilog="Example: halfseen cell run --policy history-penalty --tables 50 --out logs")
@@ -35,9 +39,11 @@ DRAWING = 3
     "--tables", "num_tables", least=2, most=options.MOST_EPISODES, default=50, text="Number of fresh tables."
 )
 @options.law(options.SHIPPED)
-@click.option("--stops/--no-stops", default=True, show_default=True, help="Whether something may cut a table.")
-@options.share(
+@click.option("--stops/--no-stops", default=True, help="Whether something may cut a table.")
+@options.real(
     "--random-share",
+    min=0.0,
+    max=1.0,
     default=0.0,
     text="Probability that a step takes an action uniformly at random instead, for logs that are learned from.",
 )
@@ -80,19 +86,17 @@ def run(
     from halfseen.cell.summary import summarised
     from halfseen.logs.folder import MANIFEST
     from halfseen.workers import Workers
-    from halfseen.writing import refuse_taken
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")
     refuse()
-    stations = stations_for(num_arms, arm.file)
-    robot, arm_name = robot_for(arm)
+    stations, arm_name = stations_for(arm, num_arms)
     belief = belief_of(law, arm_name)
-    policy = _policy(name, random_share, belief.config, num_arms)
-    conditions = Conditions(robot=robot, stations=stations, stops=Stops() if stops else None)
+    policy = policy_for(name, random_share, belief.config, num_arms)
+    conditions = Conditions(stations=stations, stops=Stops() if stops else None)
     who = f"policy {name}{_digest(Path(name))}, law {law}{_digest(law_folder(law))}"
     what = f"run, seed {seed}, {who}, stops {stops}, random share {random_share}"
     what += f", arm {arm_name}" if arm.file else ""
-    what += f", {num_arms} arms" if stations else ""
+    what += f", {num_arms} arms" if num_arms > 1 else ""
     tables = range(num_tables)
     watched = _following(policy, num_arms * belief.config.horizon, is_watched, port, record, overwrite)
     with watched as follow:
@@ -111,13 +115,7 @@ def run(
             logs.write(out, overwrite=overwrite)
         report = {"folder": str(out), "policy": name, "arm": arm_name, "arms": num_arms}
         report |= {"sentence": str(logs.summary()), **asdict(summary)}
-        say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
-
-
-def _policy(name: str, random_share: float, config: Any, num_arms: int) -> "Policy":
-    if num_arms == 1:
-        return policy_of(name, random_share, config)
-    return team_policy_of(name, random_share, config, num_arms)
+        answer(report, _lines(report), as_json)
 
 
 def _digest(folder: Path | None) -> str:
@@ -128,9 +126,6 @@ def _digest(folder: Path | None) -> str:
 
 def _lines(report: dict[str, Any]) -> list[str]:
     counts = report["counts"]
-
-    def listed(named: dict[str, int]) -> str:
-        return ", ".join(f"{name} {count}" for name, count in named.items()) or "none"
 
     def estimated(estimate: dict[str, float] | None) -> str:
         if estimate is None:
@@ -154,9 +149,9 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"{'table' if together else 'robot'} time          {report['seconds']:.0f} s a table, arm {report['arm']}",
         f"cups                {counts['num_racked']} of {counts['num_cups']} in the rack, {counts['num_washed']} of "
         f"{counts['num_dirty']} dirty ones; {counts['num_toppled']} toppled, {counts['num_fallen']} fell",
-        f"tried               {listed(report['verbs'])}",
-        f"did not hold        {listed(report['failures'])}",
-        f"cut by              {listed(report['causes'])}",
+        f"tried               {tally(report['verbs'])}",
+        f"did not hold        {tally(report['failures'])}",
+        f"cut by              {tally(report['causes'])}",
         *([] if together is None else [_together(together)]),
     ]
 
@@ -178,15 +173,14 @@ def _following(
         yield None
         return
     from halfseen.view.cell_watch import TablesWatch
-    from halfseen.view.live_page import served
     from halfseen.view.recording import MARKER, write_recording
-    from halfseen.writing import refuse_taken
+    from halfseen.view.viewer import Page
 
     if record is not None:
         refuse_taken(record, overwrite, MARKER, "recording")
     with ExitStack() as stack:
         watch = TablesWatch(policy, horizon)
-        page = stack.enter_context(served(port)) if is_watched else None
+        page = stack.enter_context(closing(Page(port))) if is_watched else None
         if page is not None:
             click.echo(f"{page.url}  (Ctrl+C ends)", err=True)
             watch.on_change = page.show
@@ -221,11 +215,10 @@ def film(
     from halfseen.logs import LogRecorder
     from halfseen.world import random
 
-    stations = stations_for(num_arms, arm.file)
-    robot, arm_name = robot_for(arm)
+    stations, arm_name = stations_for(arm, num_arms)
     belief = belief_of(law, arm_name)
-    cell, is_dirty = Conditions(robot=robot, stations=stations, stops=None).cell(seed, table)
-    taken = Film(OF_TWO_ARMS if stations else Shot())
+    cell, is_dirty = Conditions(stations=stations, stops=None).cell(seed, table)
+    taken = Film(OF_TWO_ARMS if num_arms > 1 else Shot())
     cell.cell.watches.append(taken)
     key = random.fold_in(random.key_of(seed), table)
     num_stages = num_arms * belief.config.horizon
@@ -237,7 +230,7 @@ def film(
 
         with TemporaryDirectory() as folder, LogRecorder(folder) as recorder:
             trajectory = recorder.begin_trajectory(table)
-            policy = _policy(name, 0.0, belief.config, num_arms)
+            policy = policy_for(name, 0.0, belief.config, num_arms)
             done = play(cell, is_dirty, policy, belief, trajectory, key, on_decision=follow)
         bar.reach(num_stages)
         bar.begin("draw", 0)

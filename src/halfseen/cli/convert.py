@@ -1,11 +1,8 @@
 """``halfseen convert``: logs from one form into another."""
 
-import json
 import os
 import sys
-import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import nullcontext
 from dataclasses import asdict
 from itertools import permutations
 from pathlib import Path
@@ -14,9 +11,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import say
+from halfseen.cli.inputs import give_mapping
+from halfseen.cli.messages import answer, tell_warning
 from halfseen.cli.sources import MINARI, SQL, Reading, check_options, kind_of, read, tables_of_events
+from halfseen.errors import ArgumentError, noted
 from halfseen.progress import Progress
+from halfseen.writing import placed, refuse_taken
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
@@ -63,25 +63,16 @@ recorded are left out.
 @click.option("--clock", metavar="NAME", help=f"{STEPS} the column (Minari: the info) that holds the time [s].")
 @click.option("--step-s", type=float, help=f"{STEPS} how long a step lasts [s].")
 @options.word(
-    "--truncated",
-    of=["cut", "finished"],
-    text=f"{STEPS} what an episode is that did not terminate; by default cut.",
+    "--truncated", of=["cut", "finished"], text=f"{STEPS} what an episode is that did not terminate; by default cut."
 )
 @options.unused_seed
 @options.as_json
 @options.gathered("reading", Reading, *Reading._fields)
 def convert(
-    sources: tuple[str, ...],
-    target: str | None,
-    is_check: bool,
-    is_template: bool,
-    reading: Reading,
-    seed: int,
-    as_json: bool,
+    sources: tuple[str, ...], target: str | None, is_check: bool, is_template: bool, reading: Reading, as_json: bool
 ) -> None:
     """Read the logs of SOURCE and write them to another form."""
     from halfseen.logs.missing import missing_in
-    from halfseen.writing import placed, refuse_taken
 
     if is_template:
         _give_template(sources, target)
@@ -101,54 +92,30 @@ def convert(
         refuse_taken(place, False, None, "logs")
         _refuse_one_in_another(place, clouds)
     # The folder of clouds appears only once the logs are written too.
-    with _noted() as warned, nullcontext() if clouds is None or is_check else placed(clouds) as cloud_folder:
+    with noted() as warned, nullcontext() if clouds is None or is_check else placed(clouds) as cloud_folder:
         # Null may stand: it is refused, or filled in, when the logs are read.
         logs = read(kind, source, reading._replace(clouds=cloud_folder), "keep")
         if not is_check:
             _write(logs, target)
+    for warning in warned:
+        tell_warning(warning)
     report = {"source": _shown(source), "format": kind, "target": target, "sentence": str(logs.summary())}
     report |= asdict(logs.summary()) | _kept_and_lost(logs, target) | {"warnings": warned}
     report["missing"] = missing_in(logs.stages, logs.stage_covariates)
-    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, is_check)))
+    answer(report, _lines(report, is_check), as_json)
     if is_check and report["losses"]:
         sys.exit(1)
 
 
 def _give_template(sources: tuple[str, ...], target: str | None) -> None:
     """Print a mapping to start from, or write it: that of a table is made from it, that of bags is the same for all."""
-    from halfseen.errors import ArgumentError
     from halfseen.logs.formats import MAPPING_TEMPLATE, mapping_of
-    from halfseen.writing import refuse_taken, write_file
 
     if len(sources) > 1:
         raise ArgumentError(f"--mapping-template is made from one SOURCE; {len(sources)} are given: name one of them")
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
     text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
-    if target is None:
-        click.echo(text, nl=False)
-        return
-    refuse_taken(Path(target), False, None, "mapping")
-    write_file(Path(target), text)
-    say(f"{target}: a mapping to start from; check it, then pass it as --mapping")
-
-
-@contextmanager
-def _noted() -> Iterator[list[str]]:
-    """Keep the warnings that are meant for users, too, for anyone who reads the answer alone."""
-    from halfseen.errors import HalfseenWarning
-
-    usual, noted = warnings.showwarning, []
-
-    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
-        if issubclass(category, HalfseenWarning):
-            noted.append(str(message))
-        usual(message, category, *where, **more)
-
-    warnings.showwarning = show
-    try:
-        yield noted
-    finally:
-        warnings.showwarning = usual
+    give_mapping(text, None if target is None else Path(target))
 
 
 def _kept_and_lost(logs: "Logs", target: str) -> dict[str, Any]:
@@ -182,8 +149,6 @@ def _lines(report: dict[str, Any], is_check: bool) -> list[str]:
 
 def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
     """Refuse folders of which one would lie in the other, or take its place."""
-    from halfseen.errors import ArgumentError
-
     if clouds is None:
         return
     places = [Path(os.path.realpath(place)) for place in (out, clouds)]
@@ -192,7 +157,6 @@ def _refuse_one_in_another(out: Path, clouds: Path | None) -> None:
 
 
 def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: bool) -> None:
-    from halfseen.errors import ArgumentError
     from halfseen.logs import compact
 
     if is_check:
@@ -204,7 +168,7 @@ def _compact(sources: tuple[str, ...], target: str, is_check: bool, as_json: boo
     words = f"{done.num_trajectories} trajectories with {done.num_stages} stages from {done.num_folders} folders"
     words += f"; {done.num_running} still being recorded left out" if done.num_running else ""
     report = {"sources": list(sources), "target": target, "sentence": words, **done._asdict()}
-    say(json.dumps(report, indent=2) if as_json else f"{target}: {words}")
+    answer(report, [f"{target}: {words}"], as_json)
 
 
 def _shown(source: str) -> str:

@@ -1,6 +1,5 @@
 """``halfseen evaluate``: what a policy is worth, from logs of another one or in the simulated world."""
 
-import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -10,9 +9,9 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, read_robots, scenes_of
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer
 from halfseen.cli.options import ASSUMED
-from halfseen.errors import noted
+from halfseen.errors import ArgumentError, PolicyError, noted
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
@@ -21,8 +20,7 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
     from halfseen.world import Team
 
-WORK = {"start": 1, "evaluate": 4}
-"""What each step takes of the time, roughly."""
+WORK = {"start": 1, "evaluate": 4}  # what each step takes of the time, roughly
 
 
 @click.command(epilog="Example: halfseen evaluate policy --logs logs --against logging-rule --against rule.csv")
@@ -45,13 +43,7 @@ WORK = {"start": 1, "evaluate": 4}
 @options.missing
 @options.trust
 @options.policys_truncation
-@click.option(
-    "--level",
-    type=click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
-    default=0.95,
-    show_default=True,
-    help="Level of the intervals.",
-)
+@options.real("--level", min=0.0, max=1.0, min_open=True, max_open=True, default=0.95, text="Level of the intervals.")
 @options.whole("--episodes", least=2, most=options.MOST_EPISODES, default=10_000, text="Of --world: how many to play.")
 @options.workers
 @options.seed("numbers")
@@ -83,7 +75,6 @@ def evaluate(
     With --world, by playing the tables of CLOUDS, by default the ten that come with halfseen, beside four heuristics; a
     policy of a team by the robots of --team, and in no other way yet.
     """
-    from halfseen.errors import ArgumentError
     from halfseen.policies.folder import read_policy
     from halfseen.policies.folder.record import plain
 
@@ -106,15 +97,11 @@ def evaluate(
         settings |= {"level": level, "random_state": seed, "workers": workers}
         report, lines = _by_logs(stored, logs, missing, cuts, settings)
     report = {"policy": str(policy), "seed": seed, **report}
-    say(json.dumps(plain(report), indent=2, allow_nan=False) if as_json else "\n".join(lines))
+    answer(plain(report), lines, as_json)
 
 
 def _by_logs(
-    stored: "StoredPolicy",
-    folder: Path,
-    missing: dict[str, str] | None,
-    cuts: options.Cuts,
-    settings: dict[str, Any],
+    stored: "StoredPolicy", folder: Path, missing: dict[str, str] | None, cuts: options.Cuts, settings: dict[str, Any]
 ) -> tuple[dict[str, Any], list[str]]:
     with Progress(sum(WORK.values()), "start") as bar, noted() as of_library:
         from halfseen.evaluation import evaluate as evaluated
@@ -149,26 +136,12 @@ def _by_logs(
 
 def _team_for(stored: "StoredPolicy", policy: Path, file: Path | None) -> "Team | None":
     """The robots that are to play a policy; None for one alone."""
-    from halfseen.errors import ArgumentError, PolicyError
-
-    team, wanted = read_robots(file), stored.num_robots
-    if team is None:
-        if wanted is not None:
-            raise ArgumentError(
-                f"{policy}: it decides for a team of {wanted}, and nobody says which robots; give the file of those "
-                "that made its logs by --team"
-            )
-        return None
-    found = len(team.robots)
-    if wanted is None:
+    team = read_robots(file)
+    if stored.num_robots != (None if team is None else len(team.robots)):
+        there = "nobody says which robots" if team is None else f"{file} has a team of {len(team.robots)}"
         raise PolicyError(
-            f"{policy}: it decides for one robot by itself, and {file} has a team of {found}; leave --team out, or "
-            "learn a policy from logs of such a team, as of `halfseen simulate --team`"
-        )
-    if wanted != found:
-        raise PolicyError(
-            f"{policy}: it decides for a team of {wanted}, and {file} has one of {found}; give the file of robots that "
-            "made its logs, or learn from logs of this team"
+            f"{policy}: it decides for {stored.whom}, and {there}; give the robots that made its logs by --team, or "
+            "leave that out where one robot made them"
         )
     return team
 
@@ -182,7 +155,6 @@ def _by_world(
     seed: int,
     level: float,
 ) -> tuple[dict[str, Any], list[str]]:
-    from halfseen.errors import ArgumentError
     from halfseen.evaluation.simulation import compare_in_world
     from halfseen.planners.named import named_policy
     from halfseen.study.policies import HEURISTICS

@@ -1,19 +1,26 @@
-"""What options name: laws, robots, arms and tables; and files that a verb draws."""
+"""What options name: laws, robots, arms, who decides for these, and tables; and files that a verb draws."""
 
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import click
+
+from halfseen.cli.messages import say, tell_warning
 from halfseen.cli.options import ASSUMED, SHIPPED, Arm
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
 from halfseen.suggestions import did_you_mean
+from halfseen.writing import refuse_taken, refuse_unwritable, write_file
 
 if TYPE_CHECKING:
-    from halfseen.cell import Robot
     from halfseen.cell.calibration.law import Law
     from halfseen.cell.model import Station
-    from halfseen.world import GraspLaw, Scene, Team
+    from halfseen.cell.table_state import Belief
+    from halfseen.perception import Cloud, View
+    from halfseen.world import GraspLaw, Policy, Scene, Team, WorldConfig
 
 
 def law_folder(name: str, beside: Path | None = None) -> Path | None:
@@ -84,42 +91,80 @@ def read_robots(file: Path | None) -> "Team | None":
     return read_team(file, partial(_grasping_of, beside=file.parent))
 
 
-def stations_for(num_arms: int, arm: Path | None) -> "tuple[Station, ...]":
-    """Give where several arms stand; nothing for one.
-
-    Raises
-    ------
-    ArgumentError
-        There are several, of a file.
-    """
-    if num_arms == 1:
-        return ()
-    from halfseen.cell.model import PAIR
-
-    if arm is not None:
-        raise ArgumentError(
-            f"--arm is {arm} and --arms {num_arms}: only the usual arm stands there twice; leave one out"
-        )
-    return PAIR
-
-
-def robot_for(arm: Arm) -> "tuple[Robot, str]":
-    """Make the robot of an arm, and say what its arm is: with a digest, if of a file.
+def stations_for(arm: Arm, num_arms: int = 1) -> "tuple[tuple[Station, ...], str]":
+    """Give where arms stand, and say what arm they are: with a digest, if of a file.
 
     Raises
     ------
     HalfseenError
-        There is no such file, it holds no such arm, or one that cannot work at the table.
+        There is no such file, it holds no such arm, or one that cannot work at the table, or not twice.
     """
-    from halfseen.cell import ArmFile, Robot, robot_of
+    from halfseen.cell import PAIR, ArmFile, Station, robot_of
 
     if arm.file is None:
         for name, given in (("--flange", arm.flange), ("--joints", arm.joints)):
             if given is not None:
                 raise ArgumentError(f"{name} is of an arm from a file; give the file by --arm, or leave {name} out")
-        return Robot(), Robot().arm.name
+        return (Station(),) if num_arms == 1 else PAIR, Station().robot.arm.name
+    if num_arms > 1:
+        raise ArgumentError(
+            f"--arm is {arm.file} and --arms {num_arms}: only the usual arm stands there twice; leave one out"
+        )
     given = ArmFile(arm.file, flange=arm.flange, joints=None if arm.joints is None else tuple(arm.joints))
-    return robot_of(given), f"{arm.file.name} ({given.digest})"
+    return (Station(robot_of(given)),), f"{arm.file.name} ({given.digest})"
+
+
+NAMES = (*HEURISTICS, PLANNER)
+
+
+def policy_for(name: str, random_share: float, config: "WorldConfig", num_arms: int) -> "Policy":
+    """Find who decides for the arms of a cell, by one of `NAMES` or a folder; a share of the steps is uniformly random.
+
+    Seconds of several arms cost nothing.
+
+    Raises
+    ------
+    PolicyError
+        There is no such folder, or the policy in it decides for something else.
+    """
+    if name in NAMES:
+        world = config if num_arms == 1 else replace(config, speed=(1.0,) * num_arms)
+        return named_policy(name, world, random_share)
+    from halfseen.policies import read_policy
+
+    if not Path(name).exists():
+        there = f"there is no such folder; let `halfseen learn` write one, or name one of {', '.join(NAMES)}"
+        raise PolicyError(f"--policy {name}: {there}{did_you_mean(name, NAMES)}")
+    stored, arms = read_policy(name), "one arm clears" if num_arms == 1 else f"{num_arms} arms clear"
+    if num_arms != (stored.num_robots or (1 if stored.is_table else 0)):
+        of_arms = "tables" if num_arms == 1 else f"{num_arms} arms"
+        made_by = "`halfseen cell run`" if num_arms == 1 else f"`halfseen cell run --arms {num_arms}`"
+        raise PolicyError(
+            f"{name}: it decides for {stored.whom}, and {arms} the table; learn one from logs of {of_arms}, as of "
+            f"{made_by}"
+        )
+    if stored.horizon != num_arms * config.horizon:
+        raise PolicyError(
+            f"{name}: it was learned for {stored.horizon // num_arms} decisions of each robot, and each arm here has "
+            f"{config.horizon}; learn it with a horizon of {config.horizon}"
+        )
+    return exploring(stored.policy, random_share)
+
+
+def belief_of(name: str, arm_name: str) -> "Belief":
+    """What a robot with this arm believes under the law of a name."""
+    from halfseen.cell.arm import JACO_2
+    from halfseen.cell.calibration.law_folder import read_law
+    from halfseen.cell.table_state import Belief, no_grip
+    from halfseen.world import WorldConfig
+
+    folder = law_folder(name)
+    if folder is None:
+        return Belief(WorldConfig(), no_grip)
+    stored = read_law(folder)
+    if (its := stored.record.get("arm", JACO_2.name)) != arm_name:
+        tell_warning(f"{folder}: the law is of the arm {its}, and works here for {arm_name}")
+    return Belief(stored.law.config(), stored.law.grip)
 
 
 def num_scenes(clouds: Sequence[Path]) -> int:
@@ -147,17 +192,45 @@ def scenes_of(
             scenes.append(seen.scene(law))
             on_each()
         return scenes
-    from halfseen.errors import CloudError
-    from halfseen.perception import perceive, read_cloud
-
     for cloud in clouds:
-        view = perceive(read_cloud(cloud))
-        scene = view.scene() if law is None else law.scene(view)
-        if scene.num_objects == 0:
-            raise CloudError(f"{cloud}: no objects on the table; put the table with its objects whole into the view")
-        scenes.append(scene)
+        _, view = perceived(cloud)
+        scenes.append(view.scene() if law is None else law.scene(view))
         on_each()
     return scenes
+
+
+def perceived(file: Path) -> "tuple[Cloud, View]":
+    """Read a cloud, and see the objects on its table.
+
+    Raises
+    ------
+    CloudError
+        It cannot be read, or shows no objects.
+    """
+    from halfseen.perception import perceive, read_cloud
+
+    cloud = read_cloud(file)
+    view = perceive(cloud)
+    if not view.objects:
+        cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
+        raise CloudError(f"{file}: no objects on the table{cut}; put the table with its objects whole into the view")
+    return cloud, view
+
+
+def give_mapping(text: str, file: Path | None) -> None:
+    """Print a mapping to start from, or write it to a file.
+
+    Raises
+    ------
+    ArgumentError
+        The file is there already, or cannot be written.
+    """
+    if file is None:
+        click.echo(text, nl=False)
+        return
+    refuse_taken(file, False, None, "mapping")
+    write_file(file, text)
+    say(f"{file}: a mapping to start from; check it, then pass it as --mapping")
 
 
 def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool, inputs: Iterable[Path] = ()) -> None:
@@ -168,8 +241,6 @@ def refuse_output(file: Path, what: str, endings: Sequence[str], overwrite: bool
     ArgumentError
         It has another ending, is an input, no file, there already, or in a folder that cannot be written.
     """
-    from halfseen.writing import refuse_unwritable
-
     refuse_unwritable(file.parent)
     if file.suffix.lower() not in endings:
         raise ArgumentError(f"{file}: {what} ends in {' or '.join(endings)}; give one of these endings")

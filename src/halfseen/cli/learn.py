@@ -1,6 +1,5 @@
 """``halfseen learn``: from logs of which some were cut to a policy."""
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
@@ -11,10 +10,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import say
-from halfseen.errors import noted
+from halfseen.cli.messages import answer
+from halfseen.errors import ArgumentError, noted
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
+from halfseen.writing import refuse_taken, write_file
 
 if TYPE_CHECKING:
     from halfseen.evaluation.held_out import HeldOutVerdict
@@ -25,13 +25,9 @@ if TYPE_CHECKING:
 
 CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 NOTHING_TO_TRY = "that is known of named actions and covariates, where the policy seldom does what LOGS do"
-START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1
-"""What each step takes of the time, roughly."""
-_BASES = {
-    "model": "one step ahead under laws fitted to the log, and by simulation what that misses",
-    "rule": "worth of a WASH; it never LIFTs",
-}
-"""What Q is where laws help, by what the policy is built on."""
+WAYS = ("to take only what still holds: {}", "or, where that is little: the same as here with --recency auto")
+"""What to do where a log is not of one cell."""
+START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # what each step takes of the time, roughly
 
 
 class _Learning(NamedTuple):
@@ -87,14 +83,13 @@ class _Learning(NamedTuple):
 @options.word(
     "--grasp",
     of=["auto", "laplace", "beta"],
-    text="Of a table: what tells the probability of a grasp, the rule of succession (laplace) or a Beta regression; by "
+    text="Of a table: what tells how likely a grasp is, the rule of succession (laplace) or a Beta regression; by "
     "default the log decides.",
 )
 @click.option(
     "--laws/--no-laws",
     "has_laws",
     default=True,
-    show_default=True,
     help="Of a table: whether laws of seeing and grasping, fitted to LOGS, help to learn; without them eq. 3 alone.",
 )
 @click.option(
@@ -103,14 +98,11 @@ class _Learning(NamedTuple):
     help="Of a table: a law, as of `halfseen cell calibrate`, shipped or assumed, about which those of LOGS are fitted "
     "(for logs of few attempts); by default none.",
 )
-@click.option(
-    "--reg", type=options.Or("cv"), default="cv", show_default=True, help="λ, or cv to choose it over trajectories."
-)
+@click.option("--reg", type=options.Or("cv"), default="cv", help="λ, or cv to choose it over trajectories.")
 @click.option(
     "--pessimism",
     type=options.Or("auto"),
     default="auto",
-    show_default=True,
     help="Standard errors by which Q is lowered wherever the best action is sought; 0 for eq. 3 as it stands.",
 )
 @click.option(
@@ -119,15 +111,13 @@ class _Learning(NamedTuple):
     type=options.Or("auto", "none"),
     callback=lambda _, __, given: None if given == "none" else given,
     default="none",
-    show_default=True,
     help="Trajectories by which what they count halves, from the last of LOGS to the first; auto to choose it by how "
     "well the latest fifth is predicted, none to count all alike. Of a table, it is for eq. 3 without laws.",
 )
 @click.option(
     "--since",
     metavar="TRAJECTORY|DATE",
-    help="Learn from what came later alone: from the trajectory of this name on, or, where the trajectories have a "
-    "column of dates, from a date on.",
+    help="Learn from what came later alone: from this trajectory on, or, where the log has dates, from this day.",
 )
 @click.option("--truncate-at", type=float, help="Largest weight allowed; by default none is truncated.")
 @click.option(
@@ -141,9 +131,7 @@ class _Learning(NamedTuple):
     "--verdict/--no-verdict",
     "has_verdict",
     default=True,
-    show_default=True,
-    help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes some six times as "
-    "long.",
+    help="Judge policies learned from four fifths of LOGS by the rest, against what made LOGS; takes six times longer.",
 )
 @options.word(
     "--trust",
@@ -210,7 +198,12 @@ def learn(
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, noted() as of_library:
         from halfseen.learning.discrete_policy import more_cautious_learner
+<<<<<<< HEAD
         from halfseen.logs.opening import parts_of
+=======
+        from halfseen.logs.stream import parts_of
+        from halfseen.policies.exploration_table import as_csv
+>>>>>>> cellsize
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.record import plain
         from halfseen.policies.learner_choice import learner_for
@@ -233,18 +226,22 @@ def learn(
         origin = {"name": Path(str(logs)).name, "since": since, "changes": changes}
         write_policy(learner, log, out, overwrite=overwrite, verdict=kept, origin=origin)
         if exploration is not None and judged is not None:
-            notes += _write_exploration(exploration, judged)
+            regions = judged.exploration.regions
+            columns = ([getattr(each, name) for each in regions] for name in ("conditions", "action", "wanted"))
+            write_file(exploration, as_csv(*columns).encode())
+            notes += [] if regions else [f"{exploration} names nothing to try; {NOTHING_TO_TRY}"]
     report = {"policy": str(out), "logs": str(logs), **read_policy(out).record}
     report["actions"] = plain(shares.reset_index().to_dict("records"))
-    report["relearn"] = _again(logs, out, [] if learner.model_.half_life else changes)
+    since_change = ["--overwrite", "--since", str(changes[0]["since"])] if changes else []
+    again = shlex.join(["halfseen", "learn", str(logs), "--out", str(out), *since_change])
+    report["relearn"] = again if changes and not learner.model_.half_life else None
     report["notes"] = [*choice.notes, *notes, *learner.unseen_, *of_library]
-    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report, judged)))
+    answer(report, _lines(report, judged), as_json)
 
 
 def _opened(
     logs: str | Path, streaming: bool | None, missing: dict[str, str] | None, since: str | None
 ) -> "Logs | LogStream":
-    from halfseen.errors import ArgumentError
     from halfseen.logs import Logs
     from halfseen.logs.joining import since as later
     from halfseen.logs.opening import opened
@@ -269,15 +266,6 @@ def _changes(log: "Logs | LogStream", learner: "CensoredQLearner") -> list[dict[
     return [{**asdict(each), "sentence": each.sentence} for each in found]
 
 
-def _again(logs: str | Path, out: Path, changes: Sequence[Mapping[str, Any]]) -> str | None:
-    """Command that takes only what still holds; None where nothing has changed."""
-    if not changes:
-        return None
-    return shlex.join(
-        ["halfseen", "learn", str(logs), "--out", str(out), "--overwrite", "--since", str(changes[0]["since"])]
-    )
-
-
 def _judged(
     learner: "CensoredQLearner", log: "Logs | LogStream", seed: int, bar: Progress, trust: tuple[str, ...], workers: Any
 ) -> tuple["HeldOutVerdict", list[str]]:
@@ -296,26 +284,12 @@ def _judged(
 
 
 def _check_exploration(file: Path, has_verdict: bool, overwrite: bool) -> None:
-    from halfseen.errors import ArgumentError
-    from halfseen.writing import refuse_taken
-
     if not has_verdict:
         raise ArgumentError("--exploration rests on the verdict; leave --no-verdict out")
     if file.suffix.lower() != ".csv":
         raise ArgumentError(f"--exploration is {file}; `halfseen serve` takes a file that ends in .csv")
     if not overwrite:
         refuse_taken(file, False, None, "table")
-
-
-def _write_exploration(file: Path, judged: "HeldOutVerdict") -> list[str]:
-    """Write what to try; with a note where that is nothing."""
-    from halfseen.policies.exploration_table import as_csv
-    from halfseen.writing import write_file
-
-    regions = judged.exploration.regions
-    columns = ([getattr(region, name) for region in regions] for name in ("conditions", "action", "wanted"))
-    write_file(file, as_csv(*columns).encode())
-    return [] if regions else [f"{file} names nothing to try; {NOTHING_TO_TRY}"]
 
 
 def _prior_law(name: str | None) -> Any:
@@ -342,22 +316,15 @@ def _targets(cuts: options.Cuts) -> "Targets | str":
 
 def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[str]:
     """Say what a policy looks at, what was chosen, what it would do, and the verdict."""
-    weights, schema = report["diagnostics"]["weights"], report["schema"]
-    positivity = report["diagnostics"]["positivity"]["text"].splitlines()[0]
-    num_robots = schema.get("num_robots")
-    next_logs = "--logs OTHER_LOGS; the ones learned from would flatter it" if num_robots is None else ""
+    from halfseen.policies.folder.description import description
+
+    positivity, is_team = report["diagnostics"]["positivity"]["text"].splitlines()[0], "num_robots" in report["schema"]
+    judge = "--world --team ROBOTS" if is_team else "--logs OTHER_LOGS; the ones learned from would flatter it"
     rows = [
-        ("looks at", _looks_at(report["kind"], schema)),
-        *_q_rows(report, schema),
-        *(("chosen", sentence) for sentence in report["chosen"]),
-        (
-            "weights",
-            f"{weights['num_seen']} stages, with an effective sample size of "
-            f"{weights['effective_sample_size']:.1f}; the largest weight is {weights['largest_weight']:.3g}",
-        ),
+        *description(report),
         ("positivity", positivity),
         *(("warning", one) for one in report["warnings"] if one != positivity),
-        *[("", way) for way in _ways(report["relearn"])],
+        *[("", way.format(report["relearn"])) for way in (WAYS if report["relearn"] else ())],
         *(("note", note) for note in report["notes"]),
     ]
     return [
@@ -368,53 +335,8 @@ def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[s
         *_action_lines(report["actions"]),
         "",
         *([] if judged is None else [str(judged), ""]),
-        f"Next: halfseen evaluate {report['policy']} {next_logs or '--world --team ROBOTS'}",
+        f"Next: halfseen evaluate {report['policy']} {judge}",
     ]
-
-
-def _ways(command: str | None) -> list[str]:
-    """What to do where the log is not of one cell."""
-    if command is None:
-        return []
-    return [
-        f"to take only what still holds: {command}",
-        "or, where that is little: the same as here with --recency auto",
-    ]
-
-
-def _q_rows(report: Mapping[str, Any], schema: Mapping[str, Any]) -> list[tuple[str, str]]:
-    learner, num_robots = report["learner"], schema.get("num_robots")
-    horizon = f"horizon {schema['horizon']}"
-    if num_robots is not None:
-        horizon += f", {schema['horizon'] // num_robots} decisions of each robot"
-    if "basis" in schema:
-        return [("Q", f"{_BASES[schema['basis']]}, {horizon}")]
-    cuts = learner["censoring"]
-    by = f", by {learner['censoring_by']}" if cuts in options.WEIGHTING else ""
-    pessimism = (
-        f"Q is lowered by {learner['pessimism']:.2g} times its standard error, less where the logs do as much, so that "
-        "nothing is chosen on the word of few stages"
-    )
-    return [
-        ("Q", f"{learner['q_function']}, stages {learner['stages']}, {horizon}"),
-        *([("pessimism", pessimism)] if learner["pessimism"] else []),
-        ("cuts", f"{cuts}{by}{', augmented' if learner['augmented'] else ''}"),
-        ("λ", _regs(**report["reg"])),
-    ]
-
-
-def _looks_at(kind: str, schema: Mapping[str, Any]) -> str:
-    if kind.startswith("team"):
-        return f"tables of {schema['num_robots']} robots, and what each is at; it decides for whichever is free"
-    return "tables" if kind.startswith("table") else ", ".join(schema["covariates"]) or "nothing but the stage"
-
-
-def _regs(values: Sequence[Sequence[float]], rows: str, columns: Sequence[str]) -> str:
-    flat = sorted(value for row in values for value in row)
-    if flat[0] == flat[-1]:
-        return f"{flat[0]:.3g}"
-    each = "stage" if rows == "stage" else f"number of {rows}"
-    return f"{flat[0]:.3g} to {flat[-1]:.3g}, chosen for each {each}{' and action' if len(columns) > 1 else ''}"
 
 
 def _action_lines(stages: Sequence[Mapping[str, Any]]) -> list[str]:

@@ -9,8 +9,9 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import refuse_output
+from halfseen.cli.inputs import perceived, refuse_output
 from halfseen.cli.messages import say, tell_error
+from halfseen.errors import ArgumentError, CloudError
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
@@ -20,8 +21,7 @@ if TYPE_CHECKING:
     from halfseen.workers import Workers
 
 HEAD = ["cloud", "objects", "upright", "lying", "cut", "half hidden", "most hidden"]
-ENDINGS = (".pcd", ".ply", ".npz")
-"""Of clouds that are looked for in a folder."""
+ENDINGS = (".pcd", ".ply", ".npz")  # of clouds that are looked for in a folder
 
 
 @click.command(epilog="Example: halfseen look table.pcd --picture table.png")
@@ -46,8 +46,6 @@ def look(
     and, if there is one, a picture rgb. Of several, or of a folder, every cloud has one line; those that cannot be
     read, or show no object, are named below, and the exit status is 2.
     """
-    from halfseen.errors import ArgumentError
-
     if len(clouds) == 1 and not clouds[0].is_dir():
         if picture is not None:
             refuse_output(picture, "a picture", [".png"], overwrite, [clouds[0], *([labels] if labels else [])])
@@ -60,12 +58,10 @@ def look(
 
 
 def _look_at(cloud: Path, is_json: bool, picture: Path | None, labels: Path | None) -> None:
-    from halfseen.perception import perceive, read_cloud
     from halfseen.perception.picture import draw, sentence
     from halfseen.tables.first_look import first_look
 
-    seen = read_cloud(cloud)
-    view = _with_objects(perceive(seen), cloud)
+    seen, view = perceived(cloud)
     found = first_look(view, seen, labels)
     if picture is not None:
         draw(view, picture)
@@ -99,8 +95,6 @@ def _table(view: "View", found: "FirstLook") -> list[str]:
 
 def _clouds_in(places: Sequence[Path]) -> list[Path]:
     """Clouds, and all those of folders, by name."""
-    from halfseen.errors import ArgumentError
-
     found = []
     for place in places:
         those = [place]
@@ -114,16 +108,13 @@ def _clouds_in(places: Sequence[Path]) -> list[Path]:
 
 def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> None:
     """Look at clouds and print what was seen, in their order; then refuse those that could not be looked at."""
-    from halfseen.errors import CloudError
-
     with Progress(len(clouds), "look", "clouds") as bar, workers.ready_if_worth() as pool:
-        found: dict[int, Any] = {}
-        for number, of_cloud in pool.each(partial(_seen_in, _named_facts if is_json else _row), clouds):
-            found[number] = of_cloud
+        found = []
+        for of_cloud in pool.in_order(partial(_seen_in, _named_facts if is_json else _row), clouds):
+            found.append(of_cloud)
             bar.update()
-    in_order = [found[number] for number in range(len(clouds))]
-    seen = [each for each in in_order if not isinstance(each, CloudError)]
-    refused = [each for each in in_order if isinstance(each, CloudError)]
+    seen = [each for each in found if not isinstance(each, CloudError)]
+    refused = [each for each in found if isinstance(each, CloudError)]
     if is_json:
         say(json.dumps(seen))
     elif seen:
@@ -136,11 +127,8 @@ def _look_at_many(clouds: Sequence[Path], workers: "Workers", is_json: bool) -> 
 
 def _seen_in(look: "Callable[[View, Path], Any]", cloud: Path) -> Any:
     """Look at a cloud; an error is given back, so that it stops none of the others."""
-    from halfseen.errors import CloudError
-    from halfseen.perception import perceive, read_cloud
-
     try:
-        return look(_with_objects(perceive(read_cloud(cloud)), cloud), cloud)
+        return look(perceived(cloud)[1], cloud)
     except CloudError as error:
         return error
 
@@ -154,16 +142,6 @@ def _row(view: "View", cloud: Path) -> list[str]:
     num_upright = sum(each.is_upright for each in view.objects)
     counts = [len(hidden), num_upright, len(hidden) - num_upright, view.num_cut, sum(each >= 0.5 for each in hidden)]
     return [str(cloud), *map(str, counts), f"{max(hidden):.2f}"]
-
-
-def _with_objects(view: "View", cloud: Path) -> "View":
-    """Refuse a view without objects."""
-    from halfseen.errors import CloudError
-
-    if not view.objects:
-        cut = f" but {view.num_cut} that the image border cuts" if view.num_cut else ""
-        raise CloudError(f"{cloud}: no objects on the table{cut}; put the table with its objects whole into the view")
-    return view
 
 
 def _facts(view: "View", found: "FirstLook | None") -> dict[str, Any]:

@@ -5,16 +5,18 @@ nobody foresaw has a line, too: the system refused, memory is short, input is to
 """
 
 import errno
+import json
 import os
 import re
 import sys
+from collections.abc import Iterable, Mapping
+from typing import Any
 
 import click
 
 _UNPRINTABLE = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 
-MOST_TOLD = 1200
-"""Characters of a line; of a longer one, which quotes a value, its middle is left out."""
+MOST_TOLD = 1200  # characters of a line; of a longer one, which quotes a value, its middle is left out
 
 EXTRAS = {
     "perception": ("lzf", "matplotlib", "plyfile", "pypcd4", "skimage"),
@@ -64,6 +66,16 @@ _REMEDIES = {
 def say(message: str) -> None:
     """Answer on stdout."""
     click.echo(printable(message))
+
+
+def tally(counts: Mapping[str, int]) -> str:
+    """Names with their counts."""
+    return ", ".join(f"{name} {count}" for name, count in counts.items()) or "none"
+
+
+def answer(report: Mapping[str, Any], lines: Iterable[str], as_json: bool) -> None:
+    """Answer on stdout: programs by one JSON object, people by lines."""
+    say(json.dumps(report, indent=2, allow_nan=False) if as_json else "\n".join(lines))
 
 
 def printable(text: str) -> str:

@@ -11,38 +11,25 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.messages import say
+from halfseen.errors import NothingRecordedError
 
 if TYPE_CHECKING:
     from halfseen.monitoring.answer import Monitored
 
-ALARM = 3
-"""Exit status."""
+ALARM = 3  # exit status
 
 
 @click.command(epilog="Example: halfseen monitor policy --logs next-logs --follow --page service.html")
 @click.argument("policy", type=options.PATH)
 @options.path("--logs", required=True, text="Folder of logs of its service, such as serve --record writes.")
 @options.flag("--follow", text="Go on as the log grows, until there is an alarm.")
-@click.option(
-    "--every",
-    type=click.FloatRange(0.1, 86400.0),
-    default=10.0,
-    show_default=True,
-    help="Of --follow: seconds between two looks at the log.",
-)
+@options.real("--every", min=0.1, max=86400.0, default=10.0, text="Of --follow: seconds between two looks at the log.")
 @options.path("--page", text="Write a page with the course of things.")
 @options.overwrite("a page that is")
 @options.as_json
 @options.seed("ties between equal values")
 def monitor(
-    policy: Path,
-    logs: Path,
-    follow: bool,
-    every: float,
-    page: Path | None,
-    overwrite: bool,
-    as_json: bool,
-    seed: int,
+    policy: Path, logs: Path, follow: bool, every: float, page: Path | None, overwrite: bool, as_json: bool, seed: int
 ) -> None:
     """Watch the policy in the folder POLICY by the logs of its service; exit status 3 on alarm.
 
@@ -51,7 +38,6 @@ def monitor(
     since when; and whether learning again may pay. It may be asked after every trajectory: in a whole lifetime
     without change, the chance of a false alarm is meant to be at most 5 %.
     """
-    from halfseen.errors import NothingRecordedError
     from halfseen.logs import read_logs
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy
@@ -75,7 +61,10 @@ def monitor(
         found = monitored(stored, read, seed)
         command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed)])
         if page is not None:
-            _write(page, found, read.reward_unit, command)
+            from halfseen.view.monitor_page import monitor_page
+            from halfseen.view.page import write_page
+
+            write_page(monitor_page(found, read.reward_unit, command), page, overwrite=True)
         report: dict[str, Any] = {"policy": str(policy), "logs": str(logs), "seed": seed, **found.as_dict()}
         text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))
         if text != said:
@@ -97,10 +86,3 @@ def lines(found: "Monitored") -> list[str]:
     first = ["Where to look first:", *(f"- {each}" for each in found.causes)] if found.causes else []
     pays = [found.relearning] if found.relearning else []
     return [found.sentence, *others, *first, *pays, *(f"note: {each}" for each in found.notes)]
-
-
-def _write(page: Path, found: "Monitored", unit: str | None, command: str) -> None:
-    from halfseen.view.monitor_page import monitor_page
-    from halfseen.view.page import write_page
-
-    write_page(monitor_page(found, unit, command), page, overwrite=True)

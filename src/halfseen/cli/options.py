@@ -12,8 +12,7 @@ from halfseen.workers import ENGINES
 
 PATH = click.Path(path_type=Path)
 ASSUMED, SHIPPED = "assumed", "shipped"
-WEIGHTING = ("kaplan-meier", "cox", "kernel")
-"""Censoring models that weight completed stages by 1/Ĝ."""
+WEIGHTING = ("kaplan-meier", "cox", "kernel")  # censoring models that weight completed stages by 1/Ĝ
 TRUST = {
     "probabilities": "are true, though they look as if no policy had had them",
     "covariates": "were known before the action, though they depend on it or on its outcome",
@@ -22,12 +21,9 @@ TRUST = {
 """What a log may be trusted in, against what it looks like; without, no verdict rests on it."""
 MOST_EPISODES, MOST_STAGES = 10_000_000, 1000
 """That a command plays, and that a trajectory has; programs that need more call the library, part by part."""
-MOST_WORKERS = 1024
-"""Processes; each takes some hundred MB."""
-MOST_REPLICATES = 100_000
-"""Each learns again; a thousand tell a band to a few percent."""
-MOST_SEED = 2**32 - 1
-"""Generators tell no others apart."""
+MOST_WORKERS = 1024  # processes; each takes some hundred MB
+MOST_REPLICATES = 100_000  # each learns again; a thousand tell a band to a few percent
+MOST_SEED = 2**32 - 1  # generators tell no others apart
 
 
 class _Place(click.Path):
@@ -86,19 +82,17 @@ def flag(*names: str, text: str) -> Any:
 
 def whole(*names: str, least: int, most: int, text: str, default: int | None = None) -> Any:
     """An option that is a whole number."""
-    kind = click.IntRange(least, most)
-    return click.option(*names, type=kind, default=default, show_default=default is not None, help=text)
+    return click.option(*names, type=click.IntRange(least, most), default=default, help=text)
 
 
-def share(*names: str, default: float, text: str, **more: Any) -> Any:
-    """An option between 0 and 1."""
-    kind = click.FloatRange(0.0, 1.0, **more)
-    return click.option(*names, type=kind, default=default, show_default=True, help=text)
+def real(*names: str, text: str, default: float | None = None, **bounds: Any) -> Any:
+    """An option that is a number within the bounds of `click.FloatRange`."""
+    return click.option(*names, type=click.FloatRange(**bounds), default=default, help=text)
 
 
 def word(*names: str, of: Any, text: str, default: str | None = None) -> Any:
     """An option that is one of some words."""
-    return click.option(*names, type=Choice(of), default=default, show_default=default is not None, help=text)
+    return click.option(*names, type=Choice(of), default=default, help=text)
 
 
 def names(option: str, text: str) -> Any:
@@ -125,7 +119,6 @@ def law(default: str | None, of: str = "") -> Any:
     return click.option(
         "--law",
         default=default,
-        show_default=default is not None,
         metavar="FOLDER",
         help=f"{of}Law of grasping and seeing: a folder that `halfseen cell calibrate` wrote, {SHIPPED} (with this "
         f"package), or {ASSUMED}.",
@@ -204,7 +197,9 @@ def _workers(*how: Any) -> Any:
 
 
 as_json = flag("--json", "as_json", text="Print one JSON object for programs.")
-unused_seed = click.option("--seed", type=int, default=0, help="Accepted by every command; nothing here is random.")
+unused_seed = click.option(
+    "--seed", type=int, expose_value=False, help="Accepted by every command; nothing here is random."
+)
 labels = path(
     "--labels",
     text="What looks dirty, instead of what the cloud's colour tells: .csv with columns object, label (dirty, clean, "

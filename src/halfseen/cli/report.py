@@ -1,6 +1,5 @@
 """``halfseen inspect``: what logs hold and what looks wrong; ``halfseen report``: one page of them and of a policy."""
 
-import json
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer
+from halfseen.errors import ArgumentError
 from halfseen.progress import Progress
 from halfseen.text_table import aligned
 
@@ -56,7 +56,7 @@ STAGES = {
 @options.missing
 @options.flag("--json", "as_json", text="Print one JSON object for programs, with every row.")
 @options.unused_seed
-def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool, seed: int) -> None:
+def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool) -> None:
     """Say what LOGS holds: trajectories, endings and causes, stages, actions, and what their weights rest on.
 
     LOGS may be finished, or what a recorder has written so far, torn by a crash or at work. What breaks no rule and
@@ -73,7 +73,7 @@ def inspect(logs: Path, missing: dict[str, str] | None, as_json: bool, seed: int
         bar.begin("look at the log")
         report = log_findings(read, positivity_of(read))
         report["missing"] = [] if read.filling is None else read.filling.lines()
-    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    answer(report, _lines(report), as_json)
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
@@ -146,7 +146,7 @@ USUAL: dict[str, Any] = {"propensity": "logged", "replicates": 100}
 @click.command(epilog="Example: halfseen report logs policy --out report.html --seed 1")
 @click.argument("logs", type=options.PATH)
 @click.argument("policy", type=options.PATH, required=False)
-@options.path("--out", default=Path("report.html"), show_default=True, text="The page.")
+@options.path("--out", default=Path("report.html"), text="The page.")
 @options.against
 @options.policys_censoring
 @options.propensity
@@ -217,17 +217,12 @@ def report(
         findings = find(stored, log, seed=seed, against=list(against) or None, on_progress=begin, **how)
         begin("draw")
         write_page(page_of(findings, command), out, overwrite=overwrite)
-    if as_json:
-        folders = {"page": str(out), "logs": str(logs)} | ({} if policy is None else {"policy_folder": str(policy)})
-        say(json.dumps(folders | findings.as_dict(), indent=2, allow_nan=False))
-        return
-    say(f"{answer_of(findings)}\nThe page: {out}")
+    folders = {"page": str(out), "logs": str(logs)} | ({} if policy is None else {"policy_folder": str(policy)})
+    answer(folders | findings.as_dict(), [answer_of(findings), f"The page: {out}"], as_json)
 
 
 def _refuse_without_policy(policy: Path | None, chosen: Mapping[str, Any]) -> None:
     """Refuse what is said of a policy where there is none."""
-    from halfseen.errors import ArgumentError
-
     given = next(iter(_given(chosen)), None)
     if policy is None and given is not None:
         option = f"--{given.replace('_', '-')}"

@@ -14,8 +14,10 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of
+from halfseen.cli.inputs import give_mapping, law_of
+from halfseen.cli.messages import tell_warning
 from halfseen.cli.options import SHIPPED
+from halfseen.errors import ArgumentError
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
 TOKEN, PASSWORD = "HALFSEEN_TOKEN", "HALFSEEN_OPCUA_PASSWORD"
 HERE = "127.0.0.1"
 SHORTEST_TOKEN = 16
+ABOVE_0: Any = {"min": 0.0, "min_open": True}
 OUT_OF_RANGE = ["answer", "step-back"]
 FALL_BACK = (
     "Rule (.csv or .toml) that decides where the policy does not; by default what its log did most in that stage."
@@ -47,7 +50,7 @@ class _ShareOrTable(click.ParamType):
 
 @click.command(epilog="Example: halfseen serve policy --record next-logs --explore 0.1")
 @click.argument("policy", type=options.PATH)
-@click.option("--host", default=HERE, show_default=True, help="Address to answer at; any other needs a token.")
+@click.option("--host", default=HERE, help="Address to answer at; any other needs a token.")
 @options.port
 @click.option("--token", envvar=TOKEN, help=f"That each request must bring; better in the environment, as {TOKEN}.")
 @options.path("--record", metavar="LOGS", text="Record what is decided into this folder of logs.")
@@ -55,7 +58,6 @@ class _ShareOrTable(click.ParamType):
     "--explore",
     type=_ShareOrTable(),
     default="0",
-    show_default=True,
     help="Share of decisions that are drawn at random among the actions that are possible; or a CSV table of what to "
     "try where, as `halfseen learn --exploration` writes.",
 )
@@ -71,32 +73,27 @@ class _ShareOrTable(click.ParamType):
     text="Rule of today (.csv or .toml): deal each trajectory to it or to the policy by chance, until it is clear "
     "which earns more. Needs --record.",
 )
-@click.option(
+@options.real(
     "--share",
-    type=click.FloatRange(0.0, 0.5, min_open=True),
+    **(ABOVE_0 | {"max": 0.5}),
     default=0.2,
-    show_default=True,
-    help="Of --against: the policy's share at first; it grows as the worst that is likely shrinks.",
+    text="Of --against: the policy's share at first; it grows as the worst that is likely shrinks.",
 )
-@click.option(
+@options.real(
     "--most-loss",
-    type=click.FloatRange(0.0, min_open=True),
-    help="Of --against: what the policy may lose against the rule in all [reward]; by default it is stopped once it is "
+    **ABOVE_0,
+    text="Of --against: what the policy may lose against the rule in all [reward]; by default it is stopped once it is "
     "seen to lose.",
 )
-@click.option(
-    "--time-limit",
-    type=click.FloatRange(0.0, min_open=True),
-    default=5.0,
-    show_default=True,
-    help="How long to wait for the policy until the rule decides [s].",
+@options.real(
+    "--time-limit", **ABOVE_0, default=5.0, text="How long to wait for the policy until the rule decides [s]."
 )
-@click.option(
+@options.real(
     "--monitor-every",
-    type=click.FloatRange(0.0, 86400.0),
+    min=0.0,
+    max=86400.0,
     default=30.0,
-    show_default=True,
-    help="Of --record: how long to wait at least until what is earned is held against the promise again, in a process "
+    text="Of --record: how long to wait at least until what is earned is held against the promise again, in a process "
     "of its own [s]; 0 for never.",
 )
 @click.option(
@@ -155,7 +152,6 @@ def serve(
     """
     import numpy as np
 
-    from halfseen.errors import ArgumentError
     from halfseen.monitoring.dealing import Terms
     from halfseen.serving.answering import Answering
     from halfseen.serving.app import app_of
@@ -167,7 +163,10 @@ def serve(
     from halfseen.serving.watching import Watch
 
     if is_template:
-        _give_template(policy, mapping)
+        from halfseen.policies import read_policy
+        from halfseen.serving.opcua.mapping import template_of
+
+        give_mapping(template_of(read_policy(policy)), mapping)
         return
     _check_token(host, token)
     _check_wire(controller, mapping, record)
@@ -178,18 +177,19 @@ def serve(
     if served.service.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
+    say = partial(print, flush=True)
     goes_on = record is not None and record.exists()
     kinds = {"is_of_tables": served.service.stored.is_table, "resumes": wire is not None}
     epsilon, table = (0.0, _table(served.service.stored, explore)) if isinstance(explore, Path) else (explore, None)
     with (
         bound_socket(host, port) as at,
         nullcontext() if record is None else RecordedTrajectories(record, **kinds) as trajectories,
-        nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, _said) as watch,
+        nullcontext() if record is None or not monitor_every else Watch(policy, record, monitor_every, say) as watch,
     ):
         rng, recent = np.random.default_rng(seed), Recent(watch)
         served.answering = Answering(epsilon, table, rng, trajectories, recent=recent)
         if against is not None and record is not None:
-            held = Comparison(served.service, against, record, Terms(share, most_loss), seed, _said)
+            held = Comparison(served.service, against, record, Terms(share, most_loss), seed, say)
             served.answering = replace(served.answering, comparison=held)
         address, number = at.getsockname()[:2]
         url = f"http://{f'[{address}]' if ':' in address else address}:{number}"
@@ -211,28 +211,11 @@ def _served(
     stays_within = not extrapolate and out_of_range != "answer"
     served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)
     if served.service.fall_back is None:
-        click.echo(f"halfseen: warning: {NOBODY}; until then, what the policy does not decide is refused", err=True)
+        tell_warning(f"{NOBODY}; until then, what the policy does not decide is refused")
     return served
 
 
-def _give_template(policy: Path, file: Path | None) -> None:
-    from halfseen.errors import ArgumentError
-    from halfseen.policies import read_policy
-    from halfseen.serving.opcua.mapping import template_of
-    from halfseen.writing import write_file
-
-    template = template_of(read_policy(policy))
-    if file is None:
-        click.echo(template, nl=False)
-    elif file.exists():
-        raise ArgumentError(f"--mapping is {file}, which is there already; name a file to be written")
-    else:
-        write_file(file, template)
-
-
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:
-    from halfseen.errors import ArgumentError
-
     if (controller is None) != (mapping is None):
         raise ArgumentError("--opcua and --mapping go together; `halfseen serve POLICY --mapping-template` prints one")
     if controller is None:
@@ -256,12 +239,7 @@ def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
     return wire
 
 
-def _said(sentence: str) -> None:
-    print(sentence, flush=True)
-
-
 def _table(stored: Any, path: Path) -> "ExplorationTable":
-    from halfseen.errors import ArgumentError
     from halfseen.policies.exploration_table import read_exploration
 
     if stored.is_table:
@@ -270,8 +248,6 @@ def _table(stored: Any, path: Path) -> "ExplorationTable":
 
 
 def _check_token(host: str, token: str | None) -> None:
-    from halfseen.errors import ArgumentError
-
     if token is not None and not (token.isascii() and token.isprintable() and len(token) >= SHORTEST_TOKEN):
         raise ArgumentError(
             f"--token has {len(token)} characters; give {SHORTEST_TOKEN} or more of ASCII, such as "
@@ -307,7 +283,7 @@ def _check_token(host: str, token: str | None) -> None:
 @click.option("--reward-unit", help="What rewards are counted in, such as parts.")
 @options.unused_seed
 def record(
-    source: Path | None, out: Path, listen: str | None, fsync: str, part_mb: int, reward_unit: str | None, seed: int
+    source: Path | None, out: Path, listen: str | None, fsync: str, part_mb: int, reward_unit: str | None
 ) -> None:
     """Record what JSON lines say, each answered by one; lines come from SOURCE, or from standard input.
 
@@ -325,7 +301,6 @@ def record(
     Where lines end, a trajectory in progress is cut with the cause input-ended. A line that is refused harms none after
     it.
     """  # noqa: D301
-    from halfseen.errors import ArgumentError
     from halfseen.logs import LogRecorder
     from halfseen.logs.protocol import record_lines
 
@@ -340,7 +315,6 @@ def record(
 
 
 def _lines_of(source: Path) -> BinaryIO:
-    from halfseen.errors import ArgumentError
     from halfseen.reading import NUMBERS, opened, reason_of
 
     try:

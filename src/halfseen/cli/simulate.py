@@ -1,6 +1,5 @@
 """``halfseen simulate``: record logs of a policy in the simulated world, some of them cut."""
 
-import json
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -9,14 +8,14 @@ import click
 
 from halfseen.cli import options
 from halfseen.cli.inputs import law_of, num_scenes, read_robots, scenes_of
-from halfseen.cli.messages import say
+from halfseen.cli.messages import answer, tally
+from halfseen.errors import ArgumentError
 from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
 
 CUT_KINDS = ("independent", "occlusion", "attempt")
 _HORIZON = 10
-_START, _TABLE = 4, 2
-"""What starting takes, and playing one table, where looking at one takes 1."""
+_START, _TABLE = 4, 2  # what starting takes, and playing one table, where looking at one takes 1
 
 
 @click.command(epilog="Example: halfseen simulate --out logs --episodes 500 --seed 1")
@@ -24,11 +23,20 @@ _START, _TABLE = 4, 2
 @options.path("--out", required=True, text="Folder that the logs are written to.")
 @options.whole("--episodes", least=1, most=options.MOST_EPISODES, default=1000, text="Number of trajectories.")
 @options.word("--policy", of=[UNIFORM, *HEURISTICS], default="history-penalty", text="Who decides.")
-@options.share(
-    "--random-share", default=0.5, text="Probability that a step takes an action uniformly at random instead."
+@options.real(
+    "--random-share",
+    min=0.0,
+    max=1.0,
+    default=0.5,
+    text="Probability that a step takes an action uniformly at random instead.",
 )
-@options.share(
-    "--cut-share", default=0.33, max_open=True, text="Proportion of the trajectories that is cut, in expectation."
+@options.real(
+    "--cut-share",
+    min=0.0,
+    max=1.0,
+    default=0.33,
+    max_open=True,
+    text="Proportion of the trajectories that is cut, in expectation.",
 )
 @options.word("--cut-kind", of=CUT_KINDS, default="independent", text="What cuts.")
 @options.whole(
@@ -68,8 +76,6 @@ def simulate(
     With --team, whichever robot is free decides, and a cut ends the table for all. The heuristics then leave alone what
     another robot is at, and count what a second costs the team.
     """
-    from halfseen.errors import ArgumentError
-
     if out.exists() and not overwrite:
         raise ArgumentError(f"{out}: it is there already; choose another folder, or pass --overwrite to replace it")
     num_clouds = num_scenes(clouds)
@@ -92,13 +98,10 @@ def simulate(
     report |= {"horizon": horizon, "law": law}
     if robots is not None:
         report |= {"team": str(team), "robots": [robot.name for robot in robots.robots]}
-    say(json.dumps(report, indent=2) if as_json else "\n".join(_lines(report)))
+    answer(report, _lines(report), as_json)
 
 
 def _lines(report: dict[str, Any]) -> list[str]:
-    def counts(named: dict[str, int]) -> str:
-        return ", ".join(f"{name} {count}" for name, count in named.items()) or "none"
-
     scenes, robots = report["scenes"], report.get("robots", [])
     return [
         f"{report['folder']}: {report['sentence']}",
@@ -106,6 +109,6 @@ def _lines(report: dict[str, Any]) -> list[str]:
         f"tables          {len(scenes)}, with {min(scenes.values())} to {max(scenes.values())} objects",
         *([f"robots          {len(robots)}: {', '.join(robots)}"] if robots else []),
         f"stages          {report['num_completed']} completed of {report['num_stages']} begun",
-        f"actions         {counts(report['actions'])}",
-        f"causes of cuts  {counts(report['causes'])}",
+        f"actions         {tally(report['actions'])}",
+        f"causes of cuts  {tally(report['causes'])}",
     ]

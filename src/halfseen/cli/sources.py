@@ -6,6 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from halfseen.errors import ArgumentError, LogError
 from halfseen.progress import Progress
 
 if TYPE_CHECKING:
@@ -46,12 +47,9 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
 
     Parameters
     ----------
-    source
-        As it was typed.
     is_mapped
         Whether a mapping says what it holds, so that a table is one of events and not of steps.
     """
-    from halfseen.errors import LogError
     from halfseen.logs.folder import is_remote, place_of
     from halfseen.logs.formats import is_older
     from halfseen.logs.formats.table_cells import is_event_table
@@ -123,8 +121,6 @@ def check_options(kind: str, reading: Reading) -> None:
     ArgumentError
         One is given.
     """
-    from halfseen.errors import ArgumentError
-
     for names, owners in OPTIONS_OF.items():
         for name in names:
             given = getattr(reading, name)
@@ -172,7 +168,6 @@ def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "L
 
 def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
     """Read a database by its queries, which options say, or a file."""
-    from halfseen.errors import ArgumentError
     from halfseen.logs.formats import Queries, read_event_mapping, read_event_table, read_queries, read_sql
     from halfseen.logs.formats.event_mapping import is_event_mapping
     from halfseen.logs.formats.sql_rows import read_rows, shown_url
@@ -197,7 +192,6 @@ def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
 
 def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
     """Read a table of any columns by a mapping."""
-    from halfseen.errors import ArgumentError
     from halfseen.logs.formats import read_event_table
     from halfseen.logs.formats.table_cells import refuse_workbook
 
@@ -213,7 +207,6 @@ def _read_events(source: str, how: Reading, missing: str | None) -> "Logs":
 
 def _read_bags(bags: list[Path], how: Reading) -> "Logs":
     """Read bags; each cloud of a stage is seen as objects, if that is asked for, and written to a folder, if any."""
-    from halfseen.errors import ArgumentError
     from halfseen.logs.formats import read_bag
 
     if how.mapping is None:

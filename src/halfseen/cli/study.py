@@ -10,13 +10,14 @@ from halfseen.cli import options
 from halfseen.cli.inputs import law_folder
 from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
+from halfseen.writing import refuse_unwritable
 
 if TYPE_CHECKING:
     from halfseen.workers import Workers
 
 
 @click.command(epilog="Example: halfseen study --out runs/study --repetitions 200 --resume")
-@options.path("--out", default="runs/study", show_default=True, text="Folder to fill.")
+@options.path("--out", default="runs/study", text="Folder to fill.")
 @click.option(
     "--repetitions",
     type=click.IntRange(max=options.MOST_EPISODES),
@@ -51,7 +52,6 @@ def study(
     from halfseen.scene import table_paths
     from halfseen.study.runner import chosen, run_study, without_laws
     from halfseen.study.setting import DEFAULT_REPETITIONS, Setting, look_at, under
-    from halfseen.writing import refuse_unwritable
 
     experiments, trajectories = chosen(only), list(clouds) or table_paths()
     experiments = without_laws(experiments) if no_laws else experiments

@@ -1,6 +1,7 @@
 """``halfseen watch``: a page in the browser that shows a run in 3-D, and why."""
 
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -8,9 +9,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from halfseen.cli import options
-from halfseen.cli.inputs import law_of, refuse_output
+from halfseen.cli.inputs import law_of, perceived, refuse_output
 from halfseen.cli.messages import say
 from halfseen.cli.options import SHIPPED
+from halfseen.errors import ArgumentError, PolicyError
 
 if TYPE_CHECKING:
     from halfseen.view import Watched
@@ -46,10 +48,7 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 @options.law(None, f"Of a cloud, where it is {SHIPPED} by default. ")
 @options.path("--clouds", text="Of logs: folder with the cloud of each stage.")
 @options.whole(
-    "--trajectory",
-    least=1,
-    most=options.MOST_EPISODES,
-    text="Of logs: which trajectory, from 1; by default the first.",
+    "--trajectory", least=1, most=options.MOST_EPISODES, text="Of logs: which trajectory, from 1; by default the first."
 )
 @click.option("--stages", callback=_span, metavar="FIRST-LAST", help="Only these, counted from 1.")
 @options.path(
@@ -61,20 +60,13 @@ def _span(_: click.Context, __: click.Parameter, given: str | None) -> tuple[int
 @options.port
 @options.unused_seed
 def watch(
-    source: Path,
-    export: tuple[Path, ...],
-    stages: tuple[int, int] | None,
-    overwrite: bool,
-    port: int,
-    seed: int,
-    **given: Any,
+    source: Path, export: tuple[Path, ...], stages: tuple[int, int] | None, overwrite: bool, port: int, **given: Any
 ) -> None:
     """Show in the browser what was seen and decided, in 3-D, and why. Nothing leaves this machine.
 
     SOURCE is a point cloud as `halfseen look` takes it, with --policy for what is decided there; a recording, as
     `halfseen cell run --record` writes it; or a folder of logs with --clouds, as `halfseen convert` writes them.
     """
-    from halfseen.errors import ArgumentError
     from halfseen.view.recording import MARKER
 
     for file in export:
@@ -101,8 +93,6 @@ def watch(
 
 def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
     """Some stages of what is shown."""
-    from halfseen.errors import ArgumentError
-
     first, last = span or (1, len(watched.stages))
     if last > len(watched.stages):
         raise ArgumentError(f"--stages is {first}-{last}, and there are {len(watched.stages)}; leave it out for all")
@@ -110,9 +100,9 @@ def _of_stages(span: tuple[int, int] | None, watched: "Watched") -> "Watched":
 
 
 def _serve(port: int, shown: "Iterable[Watched]") -> None:
-    from halfseen.view.live_page import served
+    from halfseen.view.viewer import Page
 
-    with served(port) as page:
+    with closing(Page(port)) as page:
         for number, watched in enumerate(shown):
             page.show(watched)
             if number == 0:
@@ -143,22 +133,16 @@ def _of_cloud(
     file: Path, policy: Path | None, history: Path | None, labels: Path | None, law: str | None
 ) -> "Iterator[Watched]":
     """What is seen, as soon as it is where no history tells of it, and then what is decided."""
-    from halfseen.errors import ArgumentError, CloudError
-    from halfseen.perception import perceive, read_cloud
     from halfseen.tables.first_look import first_look
     from halfseen.view.stages import watched_cloud
 
     for option, value in (("--history", history), ("--law", law)):
         if policy is None and value is not None:
             raise ArgumentError(f"{option} is for a decision; give a --policy, or leave {option} out")
-    cloud = read_cloud(file)
-    view = perceive(cloud)
-    if not view.objects:
-        raise CloudError(f"{file}: no objects on the table; put the table with its objects whole into the view")
+    cloud, view = perceived(file)
     if policy is None:
         yield watched_cloud(cloud, view, None, None, 0, first_look(view, cloud, labels))
         return
-    from halfseen.errors import PolicyError
     from halfseen.policies import decider_of, read_policy
     from halfseen.policies.folder.stored import UNDECIDED, refuse_team
     from halfseen.policies.observations import read_observation
@@ -169,7 +153,7 @@ def _of_cloud(
     if not stored.is_table:
         raise PolicyError(f"{policy}: it is no policy of tables, and {file} is a cloud; learn one from logs of tables")
     schema = stored.record["schema"]
-    known = law_of(law or SHIPPED) if schema.get("counts_views", False) else None
+    known = law_of(law or SHIPPED) if stored.counts_views else None
     if history is None:
         told = first_look(view, cloud, labels, schema["dirty_share"], *([known.seeing] if known else []))
         yield watched_cloud(cloud, view, None, None, 0, told)
@@ -179,7 +163,6 @@ def _of_cloud(
 
 
 def _of_logs(folder: Path, clouds: Path | None, number: int | None, policy: Path | None) -> "Iterator[Watched]":
-    from halfseen.errors import ArgumentError
     from halfseen.logs import read_logs
     from halfseen.policies import read_policy
     from halfseen.view.stages import watched_logs

@@ -17,8 +17,7 @@ from matplotlib.figure import Figure
 from halfseen import wording
 from halfseen.study.setting import Setting
 
-PieceOf = Mapping[str, Any]
-"""Plain numbers, as they are kept between runs."""
+PieceOf = Mapping[str, Any]  # plain numbers, as they are kept between runs
 
 
 CUT_KIND_NAMES = {
@@ -30,41 +29,38 @@ CUT_KIND_NAMES = {
 
 
 class Pieces(NamedTuple):
-    """All that an experiment brought."""
+    """All that an experiment brought; `measured` are times on this machine, empty where nothing is measured."""
 
     prepared: PieceOf
     measured: PieceOf
-    """Times, measured on this machine; empty where nothing is measured."""
     repetitions: list[PieceOf]
 
 
-Row = dict[str, Any]
-"""Row of a table."""
-Tables = dict[str, pd.DataFrame]
-"""Tables by the name of their file."""
+Row = dict[str, Any]  # row of a table
+Tables = dict[str, pd.DataFrame]  # tables by the name of their file
 
 
 class Drawing(NamedTuple):
-    """A figure and what stands beside it."""
+    """A figure and what stands beside it.
+
+    `name` is that of its files, `title` says what it shows in one sentence, and `draw` draws it under a title, or under
+    none if that is empty.
+    """
 
     name: str
-    """Of its files."""
     label: str
     title: str
-    """What it shows, in one sentence."""
     caption: str
     draw: Callable[[str], Figure]
-    """Draws it under a title; under none if that is empty."""
 
 
 class Listing(NamedTuple):
-    """A table for people."""
+    """A table for people; `groups` are rows by the heading over them, which may be empty."""
 
     label: str
     caption: str
     header: tuple[str, ...]
     groups: Mapping[str, list[tuple[str, ...]]]
-    """Rows by the heading over them, which may be empty."""
     is_folded: bool = True
 
     @classmethod
@@ -85,17 +81,18 @@ class Listing(NamedTuple):
 
 
 class Section(NamedTuple):
-    """What an experiment says."""
+    """What an experiment says.
+
+    `sentences` are claims with estimate and test, the most important first; `num_leading` of them stand at the head of
+    the report. It opens with `opening`, of one section at most, whose title is the sentence beside it.
+    """
 
     heading: str
     sentences: tuple[str, ...]
-    """Claims with estimate and test, the most important first."""
     drawings: tuple[Drawing, ...]
     listings: tuple[Listing, ...]
     num_leading: int = 1
-    """Sentences that stand at the head of the report."""
     opening: Drawing | None = None
-    """What the report opens with, its title being the sentence beside it; of one section at most."""
 
 
 @cache

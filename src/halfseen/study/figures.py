@@ -13,12 +13,10 @@ from halfseen.study.compare import where
 from halfseen.study.policies import LEARNED, Contender, Kind
 from halfseen.wording import amount, share
 
-INTERVAL = ["mean_reward", "low", "high"]
-"""Columns of a mean reward and its interval."""
+INTERVAL = ["mean_reward", "low", "high"]  # columns of a mean reward and its interval
 TRAJECTORIES_AXIS = "logged trajectories that the policy was learned from (log scale)"
 REWARD_AXIS = "mean reward of a trajectory, on fresh episodes"
-Looks = Mapping[str, dict[str, Any]]
-"""Colour, marker and name of each series."""
+Looks = Mapping[str, dict[str, Any]]  # colour, marker and name of each series
 
 
 def looks(colours: Mapping[str, str], names: Mapping[str, str]) -> dict[str, dict[str, Any]]:

@@ -51,15 +51,14 @@ from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
 from halfseen.world.logs import to_logs
 from halfseen.world.policy import GraspModel, Policy
 from halfseen.world.random import Key
-from halfseen.world.rollout import Episodes, Totals, evaluate_each, evaluate_some, play
+from halfseen.world.rollout import Episodes, evaluate_each, play
 from halfseen.world.scene import Scene
 from halfseen.world.state import Layout
 from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
 
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
-CUT_KIND: CutKind = "independent"
-"""How logs are cut where an experiment does not compare kinds of cuts."""
+CUT_KIND: CutKind = "independent"  # how logs are cut where an experiment does not compare kinds of cuts
 NAMELESS = (Scene(np.zeros((1, 1))),)
 """What tables are called tells nothing of laws; nor does the cause of a cut."""
 
@@ -128,16 +127,12 @@ class Source:
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
         """Play a policy on the episodes of a purpose that all policies share."""
-        return self.evaluate_some(policy, range(num_episodes), purpose)
+        return self.evaluate_each([policy], num_episodes, purpose)[0]
 
-    def evaluate_each(self, policies: Sequence[Policy], num_episodes: int) -> list[Played]:
-        """Play each policy on the episodes that all share."""
-        each = evaluate_each(self.world, self.layouts, policies, self.key(EVALUATION), num_episodes)
-        return [_played(one) for one in each]
-
-    def evaluate_some(self, policy: Policy, episodes: Sequence[int], purpose: int = EVALUATION) -> Played:
-        """Play a policy on some of them, by number."""
-        return _played(evaluate_some(self.world, self.layouts, policy, self.key(purpose), np.array(episodes)))
+    def evaluate_each(self, policies: Sequence[Policy], num_episodes: int, purpose: int = EVALUATION) -> list[Played]:
+        """Play each policy on the same episodes."""
+        each = evaluate_each(self.world, self.layouts, policies, self.key(purpose), num_episodes)
+        return [Played(*(np.asarray(of, dtype=np.float64) for of in (one.reward, one.robot_s))) for one in each]
 
     def decision_times_ms(self, contenders: Iterable[Contender], num_states: int, laws: bool) -> dict[str, float]:
         """Median decision times [ms], on one state of each of many trajectories, early and late ones in turn.
@@ -163,25 +158,22 @@ class Source:
         return [Played(start + one.advantage, one.robot_s) for one in each]
 
 
-def _played(totals: Totals) -> Played:
-    return Played(*(np.asarray(of_episode, dtype=np.float64) for of_episode in (totals.reward, totals.robot_s)))
-
-
 def log_of(cuts: CutEpisodes, world: WorldConfig) -> Logs:
     """Episodes as a log, from which attempts and laws are read; of the world, the share of dirty objects counts."""
     return to_logs(cuts, CUT_KIND, NAMELESS, world.dirty_share)
 
 
 class Learned(NamedTuple):
-    """What was learned from a log."""
+    """What was learned from a log.
+
+    `weights` are effective sample size and largest of the weights of eq. 3, `linear` is what linear eq. 3 learns
+    without laws, and `assisted` says with what laws, and what the policy is built on; None where it is `linear`.
+    """
 
     policy: Policy
     weights: dict[str, float]
-    """Effective sample size and largest of the weights of eq. 3."""
     linear: LinearTablePolicy
-    """What linear eq. 3 learns without laws."""
     assisted: Assisted | None = None
-    """With what laws, and what the policy is built on; None where it is `linear`."""
 
     @property
     def basis(self) -> str:
@@ -191,14 +183,16 @@ class Learned(NamedTuple):
 
 @dataclass(frozen=True)
 class LoggedTrajectories:
-    """Trajectories of a source that are learned from, however they are cut and treated."""
+    """Trajectories of a source that are learned from, however they are cut and treated.
+
+    `grasp` tells the probability of a grasp in the features. With `laws`, which are for weighted logs alone, laws are
+    fitted; without them eq. 3 is linear.
+    """
 
     source: Source
     episodes: Episodes
     grasp: Grasp = AUTO
-    """What tells the probability of a grasp in the features; None for the rule of succession."""
     laws: bool = True
-    """Whether laws are fitted, which is for weighted logs alone; without them eq. 3 is linear."""
 
     @cached_property
     def encoded(self) -> Encoded:

@@ -1,13 +1,10 @@
 """Who takes part: each policy's name, how people call it, its kind, how it is made, and how long it takes to decide."""
 
-import os
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import partial
-from pathlib import Path
+from timeit import timeit
 
 import numpy as np
 
@@ -18,6 +15,7 @@ from halfseen.shapes import Float
 from halfseen.tables.assisted import AssistedPolicy, Excess
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.tables.policy import LinearTablePolicy
+from halfseen.workers.threads import one_thread
 from halfseen.world import random
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
@@ -28,8 +26,7 @@ BEST = ("best_heuristic", "best_planner")
 """Roles of the heuristic and the planner that were the strongest on episodes of their own."""
 LOG_RANDOM_SHARE = 0.5
 """Probability with which a logged action was drawn uniformly at random; else it is the strongest heuristic's."""
-MOST_TIMED_S = 0.25
-"""Time that is spent on timing one policy, but for its last decision [s]."""
+MOST_TIMED_S = 0.25  # time that is spent on timing one policy, but for its last decision [s]
 FEWEST_TIMED = 3
 
 
@@ -52,21 +49,20 @@ COLOURS = {
     Kind.LINEAR: ORANGE,
     Kind.OPTIMUM: INK,
 }
-DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}
-"""Lines of planners; others are dashed evenly."""
+DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}  # lines of planners; others are dashed evenly
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A policy that takes part."""
+    """A policy that takes part, by its name in tables and its label for people.
+
+    `make` makes it for a world; None where it is learned or known only by its value.
+    """
 
     name: str
-    """In tables."""
     label: str
-    """For people."""
     kind: Kind
     make: Callable[[WorldConfig], Policy] | None = None
-    """Makes it for a world; None where it is learned or known only by its value."""
 
     @property
     def colour(self) -> str:
@@ -106,8 +102,7 @@ HEURISTICS = (
     _heuristic("greedy-penalty", "greedy, counting the penalty"),
     _heuristic("history-penalty", "history, counting the penalty"),
 )
-STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]
-"""Whom the logging policy follows."""
+STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]  # whom the logging policy follows
 
 
 def planner(num_simulations: int) -> Contender:
@@ -154,44 +149,16 @@ def timed_policy(who: Contender, world: WorldConfig, laws: bool) -> Policy:
 def decision_times_ms(
     policies: Mapping[str, Policy], states: Sequence[TableState]
 ) -> dict[str, Float[np.ndarray, " S"]]:
-    """Time of a decision of each policy, on one core [ms].
+    """Time of a decision of each policy, in one thread [ms].
 
     Each decides once on each state, the policies in turn, so that what slows the machine slows them alike; a policy
     stops once `MOST_TIMED_S` are spent on it.
     """
     key = random.key_of(0)
     times: dict[str, list[float]] = {name: [] for name in policies}
-    with one_core():
+    with one_thread():
         for state in states:
             for name, policy in policies.items():
                 if sum(times[name]) < 1e3 * MOST_TIMED_S or len(times[name]) < FEWEST_TIMED:
-                    times[name].append(1e3 * seconds(partial(policy.decide, state, key)))
+                    times[name].append(1e3 * timeit(partial(policy.decide, state, key), number=1))
     return {name: np.array(values) for name, values in times.items()}
-
-
-def seconds(function: Callable[[], object]) -> float:
-    """Time that a call takes [s]."""
-    begin = time.perf_counter()
-    function()
-    return time.perf_counter() - begin
-
-
-@contextmanager
-def one_core() -> Iterator[None]:
-    """Keep every thread of this process on one core, where the system can do that (Linux)."""
-    threads = Path("/proc/self/task")
-    if not hasattr(os, "sched_setaffinity") or not threads.is_dir():
-        yield
-        return
-    before = os.sched_getaffinity(0)
-
-    def pin(cores: set[int]) -> None:
-        for thread in threads.iterdir():
-            with suppress(ProcessLookupError):  # the thread has just ended
-                os.sched_setaffinity(int(thread.name), cores)
-
-    pin({min(before)})
-    try:
-        yield
-    finally:
-        pin(before)

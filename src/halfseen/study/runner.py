@@ -9,6 +9,7 @@ import shutil
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, is_dataclass, replace
 from functools import partial
+from operator import methodcaller
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -31,8 +32,7 @@ FINGERPRINT = "design.json"
 PREPARED = "prepared"
 TABULATING = 0.1
 """What measuring and tabulating an experiment take, where its repetitions take 1: about as long for each of them."""
-MOST_AT_ONCE = 8
-"""Repetitions that a worker makes in a row: short ones together take a few seconds."""
+MOST_AT_ONCE = 8  # repetitions that a worker makes in a row: short ones together take a few seconds
 
 
 def as_json(value: Any) -> str:
@@ -168,7 +168,7 @@ def run_all(
     with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:
         with workers.ready() as pool:
             left = [run for run in in_order if not run.store.has(PREPARED)]
-            for number, piece in pool.each(partial(_prepared, setting), [run.experiment for run in left]):
+            for number, piece in pool.each(methodcaller("prepare", setting), [run.experiment for run in left]):
                 left[number].store.keep(PREPARED, piece)
             missing = [run.missing() for run in in_order]
             bar.begin("study", sum(1.0 - len(those) / run.num for run, those in zip(in_order, missing, strict=True)))
@@ -185,10 +185,6 @@ def run_all(
             tables.append(run.tabulated(setting))
             bar.update(TABULATING)
     return tables
-
-
-def _prepared(setting: Setting, experiment: Experiment) -> PieceOf:
-    return experiment.prepare(setting)
 
 
 def _repeated(

@@ -3,7 +3,7 @@
 The report: `log_findings` and `policy_findings`, `policy_map` (numbers) → `findings` → `words`, `log_figures`,
 `policy_figures` (the same, to be read) → `page`. Decisions: `decision_picture`. Runs: `shapes` (solids, shadows, what
 they hide) → `stage_view` (one stage, whatever it comes from) → `stages`, `cell_watch` (where stages come from) and
-`recording`; two back ends draw a stage: `film` (pictures) and `viewer` with its `live_page` (3-D).
+`recording`; two back ends draw a stage: `film` (pictures) and `viewer` (3-D, a page or a file).
 """
 
 from typing import TYPE_CHECKING
@@ -30,19 +30,10 @@ __all__ = [
     "write_recording",
 ]
 
-__getattr__ = lazy_names(
-    __name__,
-    {
-        "CellWatch": "cell_watch",
-        "Hand": "stage_view",
-        "Option": "stage_view",
-        "Part": "stage_view",
-        "Shown": "stage_view",
-        "StageView": "stage_view",
-        "Watched": "stage_view",
-        "read_recording": "recording",
-        "watched_cloud": "stages",
-        "watched_logs": "stages",
-        "write_recording": "recording",
-    },
-)
+_NAMES = {
+    "cell_watch": "CellWatch",
+    "recording": "read_recording write_recording",
+    "stage_view": "Hand Option Part Shown StageView Watched",
+    "stages": "watched_cloud watched_logs",
+}
+__getattr__ = lazy_names(__name__, {name: module for module, names in _NAMES.items() for name in names.split()})

@@ -29,35 +29,24 @@ from halfseen.world import random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.policy import ExploringPolicy, Policy
 
-MOST_STAGES = 100
-"""So many are kept of a long run: each holds its cloud."""
+MOST_STAGES = 100  # so many are kept of a long run: each holds its cloud
 _BETWEEN_MOMENTS_S = 0.4
 _NUM_AROUND, _NUM_UP = 20, 5
 _ARMS, _WOOD = ((150, 158, 168), (214, 160, 96), (120, 170, 150)), (196, 170, 132)
 """Colours of the first arm, the second, and so on in turn; and of furniture."""
-_OF_THE_ROOM_M = 1.0
-"""What reaches farther from its middle is a wall or a floor, which the cloud shows [m]."""
+_OF_THE_ROOM_M = 1.0  # what reaches farther from its middle is a wall or a floor, which the cloud shows [m]
 _KINDS = mujoco.mjtGeom
 
 
 class TablesWatch:
-    """Follows tables, one after another.
+    """Follows tables, one after another, as `CellWatch` does.
 
-    Parameters
-    ----------
-    policy, horizon
-        As for `CellWatch`.
-    on_change
-        Called with what there is to show whenever it changes.
-
-    Attributes
-    ----------
-    watched
-        The last `MOST_STAGES` stages; None before the first.
+    `watched` are the last `MOST_STAGES` stages, None at first; `on_change` is called with it whenever it changes.
     """
 
-    def __init__(self, policy: Policy, horizon: int, on_change: Callable[[Watched], None] = lambda _: None) -> None:
-        self._policy, self._horizon, self.on_change = policy, horizon, on_change
+    def __init__(self, policy: Policy, horizon: int) -> None:
+        self._policy, self._horizon = policy, horizon
+        self.on_change: Callable[[Watched], None] = lambda _: None
         self.watched: Watched | None = None
 
     def follow(self, index: int, cell: Workcell) -> "CellWatch":
@@ -102,12 +91,7 @@ class CellWatch:
     """
 
     def __init__(
-        self,
-        cell: Workcell,
-        policy: Policy,
-        horizon: int,
-        name: str,
-        on_change: Callable[[], None] = lambda: None,
+        self, cell: Workcell, policy: Policy, horizon: int, name: str, on_change: Callable[[], None] = lambda: None
     ) -> None:
         self._cell, self._policy, self._horizon, self._name = cell, policy, horizon, name
         self._on_change = on_change
@@ -214,13 +198,6 @@ def _listed(numbers: Sequence[int]) -> str:
 
 def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
     """Say what a policy valued when it decided, and why it did.
-
-    Parameters
-    ----------
-    policy
-        Who decided.
-    moment
-        What, and from what.
 
     Returns
     -------

@@ -25,21 +25,18 @@ from halfseen.writing import write_file
 
 MOST_BARS = 8
 
-LIKELY = 0.05
-"""Chance of being the best from which an action has a bar, whatever it is worth."""
+LIKELY = 0.05  # chance of being the best from which an action has a bar, whatever it is worth
 
 WIDTH_INCHES = 7.2
 HEAD_INCHES, FOOT_INCHES = 0.5, 0.7
 LINE_INCHES, LETTER_SIZE, NUM_LETTERS = 0.215, 11.0, 84
 BAR_INCHES, LEAST_BARS_INCHES = 0.36, 1.2
 SHARE_OF_VIEW = 0.5
-BADGE_SHARE = 0.05
-"""Radius of the badge with the glyph, of the width that is shown."""
+BADGE_SHARE = 0.05  # radius of the badge with the glyph, of the width that is shown
 ROOM, LEAST_SHOWN = 1.35, 0.4
 """Of the image, so much more than the objects take is shown, and at least this share."""
 
-Glyph = Callable[[Axes, float, float, float], None]
-"""Draws what is done: axes, middle (right, down), radius."""
+Glyph = Callable[[Axes, float, float, float], None]  # draws what is done: axes, middle (right, down), radius
 
 
 def draw_decision(
@@ -49,8 +46,6 @@ def draw_decision(
 
     Parameters
     ----------
-    decision
-        What was decided, and why.
     path
         Where to; its ending says which of the two. The file appears whole or not at all, and missing parents are made.
     view

@@ -22,8 +22,7 @@ _FOCAL_PX = 0.75 * _WIDTH_PX
 _NEAREST_M = 0.05
 _MOMENT_MS, _STAGE_MS = 300, 1800
 _NUM_COLOURS = 96
-_EVERY = 5
-"""Every so manyth moment is drawn."""
+_EVERY = 5  # every so manyth moment is drawn
 _WORDS = (40, 40, 45, 255)
 
 Colour = tuple[int, int, int, int]
@@ -32,13 +31,6 @@ Pixels = Float[np.ndarray, "n 2"]
 
 def write_gif(watched: Watched, file: str | os.PathLike[str]) -> None:
     """Write a run as an animated GIF.
-
-    Parameters
-    ----------
-    watched
-        The run.
-    file
-        Where to.
 
     Raises
     ------

@@ -10,31 +10,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from halfseen.figures import (
-    INK,
-    LEGEND_ENTRY_INCHES,
-    LINES,
-    MOST_MARKERS,
-    NARROW_INCHES,
-    OURS,
-    SOFT,
-    draw_grid,
-    fitted,
-    legend_columns,
-)
+from halfseen import figures
+from halfseen.figures import INK, LINES, NARROW_INCHES, OURS, draw_grid, fitted, legend_columns
 from halfseen.view.log_findings import FINISHED, UNKNOWN_ACTION, EndingRows, FollowUp, Timeline
 from halfseen.wording import counted
 
-OTHERS, OTHERS_COLOUR = "other actions", SOFT
+OTHERS, OTHERS_COLOUR = "other actions", figures.SOFT
 UNKNOWN_COLOUR = "#b9b9b9"
 THICKEST_INCHES, MOST_INCHES, FEWEST_INCHES = 0.16, 4.6, 0.5
-GAP_ROWS = 0.02
-"""Room between two ways to end, as a share of all rows."""
+GAP_ROWS = 0.02  # room between two ways to end, as a share of all rows
 CAUSE_MARKERS = "XvD^*"
 LEGEND_COLUMNS, LEGEND_INCHES = 4, NARROW_INCHES - 0.2
 LINE_INCHES = 0.235
-MARGIN = 0.235
-"""Of the width, for the names of the ways to end."""
+MARGIN = 0.235  # of the width, for the names of the ways to end
 NAME_INCHES, NAME_LINE_INCHES = MARGIN * NARROW_INCHES - 0.15, 0.17
 UNFINISHED_OPACITY = 0.4
 
@@ -74,7 +62,7 @@ def draw_timeline(shown: Timeline, colours: dict[str, str]) -> Figure:
     for group, style in zip(shown.endings, markers, strict=True):
         keys.append(Line2D([], [], ls="", ms=7, label=group.name, **style))
     for key in keys:
-        key.set_label(fitted(key.get_label(), LEGEND_INCHES - LEGEND_ENTRY_INCHES, most_lines=1))
+        key.set_label(fitted(key.get_label(), LEGEND_INCHES - figures.LEGEND_ENTRY_INCHES, most_lines=1))
     columns = legend_columns([key.get_label() for key in keys], LEGEND_INCHES, LEGEND_COLUMNS)
     rows_inches = float(np.clip(THICKEST_INCHES * num_rows, FEWEST_INCHES, MOST_INCHES))
     names = [
@@ -128,7 +116,7 @@ def _draw_stages(axes: Axes, shown: Timeline, place: np.ndarray, colours: dict[s
         ]
         colour = UNKNOWN_COLOUR if action == UNKNOWN_ACTION else colours.get(str(action), OTHERS_COLOUR)
         style: Any = {"facecolors": colour, "edgecolors": "none", "alpha": 1.0 if is_completed else UNFINISHED_OPACITY}
-        axes.add_collection(PolyCollection(boxes, rasterized=len(stages) > MOST_MARKERS, **style))
+        axes.add_collection(PolyCollection(boxes, rasterized=len(stages) > figures.MOST_MARKERS, **style))
 
 
 def _markers(groups: Sequence[EndingRows]) -> list[dict[str, Any]]:

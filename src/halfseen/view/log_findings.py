@@ -15,11 +15,9 @@ from halfseen.logs.grouping import by_action, by_cause, by_robot, by_stage
 from halfseen.shapes import Float, Int
 
 NUM_RISK_TIMES = 7
-MOST_CAUSES = 5
-"""Rarer causes are one kind of ending."""
+MOST_CAUSES = 5  # rarer causes are one kind of ending
 FINISHED = "finished"
-MOST_ROWS = 160
-"""Trajectories in a timeline, at most."""
+MOST_ROWS = 160  # trajectories in a timeline, at most
 UNKNOWN_ACTION = "not recorded"
 
 
@@ -97,16 +95,9 @@ def endings(logs: Logs) -> dict[str, RowMask]:
 class FollowUp:
     """How long trajectories were watched, by Kaplan–Meier with the cuts for events.
 
-    Parameters
-    ----------
-    time_s
-        Where Ĝ steps, from 0 to the last observed end [s].
-    survival
-        Ĝ from each of these times on.
-    ends_s
-        Ends [s] of the trajectories that finished, and of those that each cause cut, the most frequent first.
-    risk_time_s, num_watched
-        Round times [s], and how many trajectories were still watched just before each.
+    Ĝ is `survival` from each of `time_s` on, where it steps, from 0 to the last observed end [s]. `ends_s` are those of
+    the trajectories that finished, and of those that each cause cut, the most frequent first. At round times [s],
+    `num_watched` trajectories were still watched just before.
     """
 
     time_s: Float[np.ndarray, " k"]
@@ -149,16 +140,8 @@ class EndingRows(NamedTuple):
 class Timeline:
     """Trajectories along time, a row each, by how they ended and then by length; of many, rows that stand for all.
 
-    Parameters
-    ----------
-    num_trajectories
-        Of the log.
-    endings
-        The ways to end, in the order of the rows.
-    end_s
-        Of each row [s].
-    stages
-        What was done when: row, begin_s, until_s [s], action, is_completed.
+    `endings` are the ways to end in the order of the rows, `end_s` the ends of the rows [s], and `stages` what was done
+    when: row, begin_s, until_s [s], action, is_completed.
     """
 
     num_trajectories: int

@@ -20,17 +20,7 @@ SMALLEST_P = 1e-12
 
 
 def monitor_page(found: Monitored, unit: str | None, command: str) -> str:
-    """Write the page, which tells the command that makes it again.
-
-    Parameters
-    ----------
-    found
-        What was found.
-    unit
-        What rewards are counted in.
-    command
-        What makes it again.
-    """
+    """Write the page, which tells the command that makes it again."""
     content = {"mark": MARK, "found": found, "figures": figures_of(found, unit), "command": command}
     return rendered("halfseen.view", "monitor.html.j2", content, counted=counted, significant=significant)
 

@@ -11,19 +11,13 @@ from matplotlib.figure import Figure
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import Estimate
 from halfseen.figures import inline_svg
+from halfseen.policies.folder.description import description
 from halfseen.policies.folder.stored import sources_in_words
 from halfseen.view import words
 from halfseen.view.findings import Findings, PolicyFindings
 from halfseen.view.log_figures import OTHERS_COLOUR, action_colours, draw_follow_up, draw_timeline, names_shown
 from halfseen.view.log_findings import UNKNOWN_ACTION
-from halfseen.view.policy_figures import (
-    draw_choices,
-    draw_curves,
-    draw_map,
-    draw_table_map,
-    draw_values,
-    drawn_actions,
-)
+from halfseen.view.policy_figures import draw_choices, draw_curves, draw_map, draw_table_map, draw_values, drawn_actions
 from halfseen.view.templates import rendered
 from halfseen.wording import as_sentence, counted, labelled, listed, percent, significant, with_interval
 from halfseen.writing import refuse_unwritable, write_file
@@ -31,8 +25,7 @@ from halfseen.writing import refuse_unwritable, write_file
 MARK = '<meta name="generator" content="halfseen report">'
 MARKED_CHARS = 1000
 MOST_ROWS = 30
-Drawing = tuple[str, list[Callable[[], Figure]]]
-"""What a figure shows, and its panels."""
+Drawing = tuple[str, list[Callable[[], Figure]]]  # what a figure shows, and its panels
 
 
 def page_of(findings: Findings, command: str) -> str:
@@ -196,18 +189,11 @@ def _value_row(
 def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
     """Say what of Q is not drawn."""
     schema, curves = policy.record["schema"], policy.curves
+    covariates, actions = schema.get("covariates", ()), schema["actions"]
     drawn = {
         "stages": (len({curve.stage for curve in curves}), schema["horizon"], "the first"),
-        "covariates": (
-            len({curve.covariate for curve in curves}),
-            len(schema.get("covariates", ())),
-            "those that sway the choice most",
-        ),
-        "actions": (
-            len([name for name in schema["actions"] if str(name) in colours]),
-            len(schema["actions"]),
-            "the first",
-        ),
+        "covariates": (len({curve.covariate for curve in curves}), len(covariates), "those that sway the choice most"),
+        "actions": (sum(str(name) in colours for name in actions), len(actions), "the first"),
     }
     parts = [f"{shown} of {all_} {what}, {which}" for what, (shown, all_, which) in drawn.items() if shown < all_]
     return "".join(f"; {part}" for part in parts)
@@ -215,31 +201,12 @@ def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
 
 def _policy_words(policy: PolicyFindings) -> list[tuple[str, str]]:
     record = policy.record
-    learner, schema, weights = record["learner"], record["schema"], record["diagnostics"]["weights"]
-    regs = sorted(value for row in record["reg"]["values"] for value in row)
-    reg = f"{regs[0]:.3g}" if regs[0] == regs[-1] else f"{regs[0]:.3g} to {regs[-1]:.3g}"
-    looks_at = "where objects stand, who hides whom, how dirty each seems, past attempts"
-    if record["kind"] == "flat":
-        looks_at = listed(schema["covariates"]) or "nothing but the stage"
-    censoring = str(learner["censoring"])
+    sources = sources_in_words(record)
     return [
-        ("looks at", looks_at),
-        ("chooses among", listed([str(name) for name in schema["actions"]])),
-        ("stages of a trajectory at most", str(schema["horizon"])),
-        ("Q", f"{learner['q_function']}, {learner['stages']} stages"),
-        (
-            "ridge penalty λ",
-            f"{reg}, {'chosen by cross-validation over trajectories' if learner['reg'] == 'cv' else 'as given'}",
-        ),
-        ("cuts, when it was learned", words.CENSORING_WORDS.get(censoring, censoring)),
+        *description(record),
+        ("chooses among", listed([str(name) for name in record["schema"]["actions"]])),
         ("learned from", record["log"]["sentence"].rstrip(".")),
-        *([("logs", sources_in_words(record))] if record["log"].get("sources") else []),
-        (
-            "its weights",
-            f"{counted(weights['num_seen'], 'stage')}, effective sample size "
-            f"{significant(weights['effective_sample_size'])}; the largest weight is "
-            f"{significant(weights['largest_weight'])}",
-        ),
+        *([("logs", sources)] if sources else []),
         *([("verdict when it was learned", record["verdict"]["sentence"])] if record.get("verdict") else []),
         *(("looked wrong in its log", one) for one in record.get("warnings", ())),
     ]

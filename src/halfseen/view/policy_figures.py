@@ -9,43 +9,28 @@ from matplotlib.colors import LinearSegmentedColormap, ListedColormap, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator, PercentFormatter
 
+from halfseen import figures
 from halfseen.evaluation import Estimate, Evaluation
-from halfseen.figures import (
-    ALARM,
-    FAINT,
-    INK,
-    LEGEND_ENTRY_INCHES,
-    NARROW_INCHES,
-    OURS,
-    SOFT,
-    THEIRS,
-    draw_grid,
-    fitted,
-    legend_columns,
-)
+from halfseen.figures import INK, NARROW_INCHES, OURS, draw_grid, fitted, legend_columns
 from halfseen.view.log_figures import LEGEND_INCHES, OTHERS_COLOUR
 from halfseen.view.policy_findings import QCurve
 from halfseen.view.policy_map import PolicyMap, TableMap
 from halfseen.view.words import gains_of, values_of
 from halfseen.wording import labelled, with_interval
 
-BOUND_SPANS = 1.0
-"""How far beyond the other intervals that of importance sampling is drawn, in their span."""
-VERDICT_COLOURS = {"better": OURS, "not better": ALARM, "inconclusive": SOFT}
+BOUND_SPANS = 1.0  # how far beyond the other intervals that of importance sampling is drawn, in their span
+VERDICT_COLOURS = {"better": OURS, "not better": figures.ALARM, "inconclusive": figures.SOFT}
 
 MOST_CHOICES = 9
 NUM_COLUMNS = {1: 1, 2: 2, 3: 3, 4: 2, 5: 3, 6: 3, 7: 4, 8: 4, 9: 3}
 """By number of panels: so many that at most one cell is left, which the legend then has."""
-FEW_STATES = 20
-"""Below so many, markers are hollow and lines thin."""
-LARGEST, SMALLEST = 90.0, 7.0
-"""Areas of markers [pt²]."""
+FEW_STATES = 20  # below so many, markers are hollow and lines thin
+LARGEST, SMALLEST = 90.0, 7.0  # areas of markers [pt²]
 MOST_TICKS = 8
 LEGEND_COLUMNS = 5
 
 MAP_WIDTH_INCHES, MAP_INCHES, STRIP_INCHES, ROW_INCHES = 3.1, 3.2, 1.15, 0.26
-TINT = 0.42
-"""Of a colour in an area; the rest is white, so that dots of the same colour stand out."""
+TINT = 0.42  # of a colour in an area; the rest is white, so that dots of the same colour stand out
 PANEL_NAME: Any = {"loc": "left", "fontsize": 10, "fontweight": "bold", "color": INK}
 DEEPENING = LinearSegmentedColormap.from_list("deepening", ["#f2f6fa", OURS, "#002c46"])
 
@@ -60,14 +45,14 @@ def draw_values(evaluation: Evaluation) -> Figure:
     values, gap = figure.subplots(2, 1, height_ratios=[3.0 + len(theirs), 1.4 * len(gains)])
     figure.subplots_adjust(left=0.235, right=0.70, top=0.98, bottom=0.14, hspace=0.62)
     rows = {
-        **{fitted(name, 1.6, most_lines=3): (value, THEIRS, False) for name, value in theirs.items()},
+        **{fitted(name, 1.6, most_lines=3): (value, figures.THEIRS, False) for name, value in theirs.items()},
         "learned, doubly robust": (evaluation.doubly_robust, OURS, True),
         "learned, importance\nsampling": (evaluation.importance_sampling, OURS, False),
         "learned, fitted Q": (evaluation.fitted_q, OURS, False),
     }
     core = [*theirs.values(), evaluation.doubly_robust, evaluation.fitted_q]
     _forest(values, rows, _limits(core, [evaluation.importance_sampling]))
-    values.axvline(evaluation.logging.value, color=FAINT, lw=1.0, zorder=0)
+    values.axvline(evaluation.logging.value, color=figures.FAINT, lw=1.0, zorder=0)
     values.set_xlabel(labelled("mean reward of a trajectory", evaluation.reward_unit))
     differences = {
         fitted(name, 1.6, most_lines=3): (gain, VERDICT_COLOURS[verdict], gain is evaluation.difference)
@@ -163,7 +148,8 @@ def _draw_action(axes: Axes, choices: Rows, name: str) -> None:
     area = np.maximum(LARGEST * count / count.max(), SMALLEST)
     many = count >= FEW_STATES
     place: Any = {"linewidths": 1.2, "clip_on": False, "zorder": 3}
-    for who, colour, marker, label in (("logged", THEIRS, "s", "what was done"), ("policy", OURS, "o", "the policy")):
+    whose = ("logged", figures.THEIRS, "s", "what was done"), ("policy", OURS, "o", "the policy")
+    for who, colour, marker, label in whose:
         share = np.array([np.nan if row[who][name] is None else row[who][name] for row in choices], dtype=float)
         for ends in pairwise(range(len(stage))):
             at = list(ends)
@@ -198,7 +184,7 @@ def draw_curves(curves: list[QCurve], colours: dict[str, str], unit: str | None 
     names = list(dict.fromkeys(curve.covariate for curve in curves))
     valued = {name for curve in curves for name in curve.q}
     actions = [name for name in colours if name in valued]
-    labels = [fitted(name, LEGEND_INCHES - LEGEND_ENTRY_INCHES, most_lines=1) for name in actions]
+    labels = [fitted(name, LEGEND_INCHES - figures.LEGEND_ENTRY_INCHES, most_lines=1) for name in actions]
     columns = legend_columns(labels, LEGEND_INCHES, LEGEND_COLUMNS)
     legend = 0.24 * -(-len(actions) // columns)
     height = 2.1 * len(stages) + 0.61 + legend

@@ -21,11 +21,9 @@ from halfseen.shapes import Float
 from halfseen.workers import ALONE, Workers
 
 MOST_STAGES, MOST_COVARIATES = 3, 4
-FEWEST_STATES = 10
-"""A stage of fewer has no curves and no map."""
+FEWEST_STATES = 10  # a stage of fewer has no curves and no map
 NUM_POINTS = 41
-MIDDLE = (0.05, 0.95)
-"""Q is shown between these quantiles of a covariate: beyond, it rests on few states."""
+MIDDLE = (0.05, 0.95)  # Q is shown between these quantiles of a covariate: beyond, it rests on few states
 SAME_COEFFICIENTS = 1e-6
 BAND_LEVEL = 0.95
 Band = Literal["bootstrap", "regression"]
@@ -101,16 +99,8 @@ def q_curves(
 
     Parameters
     ----------
-    stored
-        The policy.
-    logs
-        The log whose states it is followed through.
-    num_replicates, seed
-        Of the bootstrap.
     is_own_log
         Whether the policy may have been learned from this very log, so that resampling it tells of its errors.
-    workers
-        Who learns again.
 
     Returns
     -------

@@ -16,43 +16,24 @@ from halfseen.shapes import Bool, Float, Int
 from halfseen.view.policy_findings import FEWEST_STATES, MOST_STAGES, middle_of
 from halfseen.world.actions import TARGETED, ActionSpace
 
-NUM_CELLS, NUM_TABLE_CELLS = 90, 10
-"""Along each axis: of a map of states, and of one of objects."""
-SHOWN = (0.01, 0.99)
-"""A map reaches from one of these quantiles of a covariate to the other."""
+NUM_CELLS, NUM_TABLE_CELLS = 90, 10  # along each axis: of a map of states, and of one of objects
+SHOWN = (0.01, 0.99)  # a map reaches from one of these quantiles of a covariate to the other
 NEAR, FEWEST_NEAR = 0.5, 5
 """A place has support where so many logged states lie within this distance, in standard deviations."""
-LEAST_SUPPORTED = 0.05
-"""Of a map: less is not drawn."""
+LEAST_SUPPORTED = 0.05  # of a map: less is not drawn
 MOST_DOTS = 300
-FEWEST_OBJECTS = 20
-"""A cell of fewer is not coloured."""
+FEWEST_OBJECTS = 20  # a cell of fewer is not coloured
 NEEDED = {"location", "log_odds", "occlusion"}
 ON_TABLE = "TABLE"
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyMap:
-    """What a policy would do in one stage over one or two covariates; everything else stands in the middle.
+    """What a policy would do in one stage over one or two covariates; everything else stands in the `middle`.
 
-    Parameters
-    ----------
-    stage
-        From 1.
-    covariates
-        One name, or two: across and up.
-    across, up
-        Values of the covariates; `up` is None for a strip.
-    taken
-        Name of the action at each place, up by across.
-    is_supported
-        Where the log has states enough.
-    dots
-        Values of the covariates of logged states, evenly spaced ones where there are many.
-    done
-        What was done there.
-    middle
-        The other covariates: where they stand.
+    `taken` names the action at each place, up by across (`up` is None for a strip), and `is_supported` says where the
+    log has states enough. `dots` are covariates of logged states, evenly spaced ones where there are many, and `done`
+    is what was done there.
     """
 
     stage: int
@@ -76,10 +57,6 @@ def policy_maps(policy: DiscretePolicy, logs: Logs, telling: list[str]) -> list[
 
     Parameters
     ----------
-    policy
-        Of named actions.
-    logs
-        Whose states are shown.
     telling
         Covariates of numbers, those that sway the choice most first.
     """
@@ -142,14 +119,8 @@ def supported(
 class TableMap:
     """Of the objects on the tables of a log, by how dirty they seem and how much of them is hidden.
 
-    Parameters
-    ----------
-    chance_edges, hidden_edges
-        Of the cells: the probability of being dirty, and the hidden share.
-    num_objects
-        Of each cell, hidden share by probability; an object counts once in every state.
-    share
-        By verb, the share of these objects to which the policy would do it next; NaN where there are too few.
+    Cells have edges in the probability of being dirty and in the hidden share; an object counts once in every state.
+    `share` is, by verb, that of the objects to which the policy would do it next; NaN where there are too few.
     """
 
     chance_edges: Float[np.ndarray, " c"]

@@ -23,8 +23,7 @@ from halfseen.view.shapes import Mesh
 from halfseen.view.stage_view import Hand, Option, Part, Shown, StageView, Watched
 from halfseen.writing import placed
 
-MARKER = "recording.json"
-"""Every recording holds it."""
+MARKER = "recording.json"  # every recording holds it
 _FORMAT = 1
 _PARTS = "parts.npz"
 _STAGE = "stage-{:04d}.npz"
@@ -157,19 +156,9 @@ def _stage_of(arrays: Arrays) -> StageView:
         )
         for row, (number, is_dirty, occlusion, *middle_m) in enumerate(words["objects"])
     )
-    opening_m = words["opening_m"]
-    return StageView(
-        words["title"],
-        arrays["points_m"],
-        arrays["colours"],
-        arrays["eye_m"],
-        objects,
-        arrays["hides"],
-        tuple(Option(*each) for each in words["options"]),
-        words["action"],
-        words["reason"],
-        tuple(words["notes"]),
-        tuple(words["events"]),
-        arrays["poses"].astype(np.float64),
-        None if opening_m is None else Hand(arrays["way_m"], arrays["at_m"], arrays["axes"], opening_m),
-    )
+    seen, opening_m = (arrays["points_m"], arrays["colours"], arrays["eye_m"]), words["opening_m"]
+    options = tuple(Option(*each) for each in words["options"])
+    decided = words["action"], words["reason"], tuple(words["notes"]), tuple(words["events"])
+    hand = None if opening_m is None else Hand(arrays["way_m"], arrays["at_m"], arrays["axes"], opening_m)
+    poses = arrays["poses"].astype(np.float64)
+    return StageView(words["title"], *seen, objects, arrays["hides"], options, *decided, poses, hand)

@@ -21,15 +21,7 @@ _NUM_SAMPLES = 600
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A convex solid.
-
-    Parameters
-    ----------
-    vertices_m
-        Its corners [m].
-    faces
-        Three corners of each triangle, counter-clockwise as seen from outside.
-    """
+    """A convex solid: its corners [m], and three of them for each triangle, counter-clockwise as seen from outside."""
 
     vertices_m: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "triangles 3"]
@@ -67,7 +59,7 @@ def _normals(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
-def shadow(solid: Mesh, eye_m: Vector, longest_m: float = LONGEST_SHADOW_M) -> Mesh:
+def shadow(solid: Mesh, eye_m: Vector) -> Mesh:
     """Give a solid and what it hides from an eye, down to the table.
 
     Parameters
@@ -76,13 +68,11 @@ def shadow(solid: Mesh, eye_m: Vector, longest_m: float = LONGEST_SHADOW_M) -> M
         In coordinates of the table, whose plane is at height 0.
     eye_m
         Where the camera is, above the table [m].
-    longest_m
-        The shadow ends so far behind the solid at the latest [m].
     """
     ray_m = solid.vertices_m - eye_m
     with np.errstate(divide="ignore"):
         to_table = np.where(ray_m[:, 2] < 0, -eye_m[2] / ray_m[:, 2], np.inf)
-    stretch = np.clip(to_table, 1.0, 1.0 + longest_m / np.linalg.norm(ray_m, axis=1))
+    stretch = np.clip(to_table, 1.0, 1.0 + LONGEST_SHADOW_M / np.linalg.norm(ray_m, axis=1))
     return convex_mesh(np.concatenate([solid.vertices_m, eye_m + stretch[:, None] * ray_m]))
 
 
@@ -93,8 +83,6 @@ def is_behind(points_m: Points, solid: Mesh, eye_m: Vector) -> Bool[np.ndarray, 
     ----------
     points_m
         The points [m].
-    solid
-        What may be in the way.
     eye_m
         Where the camera is [m].
     """
@@ -115,10 +103,6 @@ def revealed_by(index: int, solids: Sequence[Mesh], eye_m: Vector) -> Points:
 
     Parameters
     ----------
-    index
-        Which is lifted.
-    solids
-        All that stand on the table.
     eye_m
         Where the camera is [m].
     """

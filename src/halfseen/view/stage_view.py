@@ -24,8 +24,7 @@ SHADOW, ARROW, GHOST, HAND = (40, 40, 60), (20, 20, 20), (0, 158, 115), (204, 12
 """Colours that can be told apart by colour-blind eyes (Okabe and Ito 2008)."""
 _FINGER_M, _RAISED_M = 0.06, 0.08
 """How long fingers are drawn, and how high above the middles of objects arrows are [m]."""
-_SMALLEST_SHARE = 0.02
-"""Hiding less of an object is not told."""
+_SMALLEST_SHARE = 0.02  # hiding less of an object is not told
 _TURN = np.deg2rad(40.0)
 _STYLE = "border-collapse:collapse;width:100%;font-size:0.85em;margin:0.4em 0 0.8em"
 _CELL = "padding:0.15em 0.4em;text-align:{align};border-bottom:1px solid rgba(128,128,128,0.25)"

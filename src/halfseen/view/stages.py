@@ -33,8 +33,7 @@ from halfseen.world.logs import states_of
 
 Transform = Float[np.ndarray, "4 4"]
 
-CLOUD = "cloud"
-"""Column of a log's stages: the file of each stage's cloud."""
+CLOUD = "cloud"  # column of a log's stages: the file of each stage's cloud
 _DARKEST, _LIGHTEST = 70, 200
 _SPREAD_PERCENT = 2.0
 
@@ -223,18 +222,17 @@ def options_of(
 
 
 class Known(NamedTuple):
-    """What is known of an object, seen now or not; places are in coordinates of the table."""
+    """What is known of an object, seen now or not; places are in coordinates of the table.
+
+    `number` is that by which decisions call it, `middle_m` where it was last seen [m], and `solid` None where it is not
+    in view.
+    """
 
     number: int
-    """By which decisions call it."""
     is_dirty: float
-    """P(DIRTY)."""
     occlusion: float
-    """Hidden share."""
     middle_m: Vector
-    """Where it was last seen [m]."""
     solid: Vessel | Hull | None
-    """None where it is not in view."""
 
 
 def shown_objects(known: Sequence[Known], eye_m: Vector, frame_from_table: Transform) -> tuple[Shown, ...]:
@@ -242,8 +240,6 @@ def shown_objects(known: Sequence[Known], eye_m: Vector, frame_from_table: Trans
 
     Parameters
     ----------
-    known
-        The objects.
     eye_m
         Where the camera is, in coordinates of the table [m].
     frame_from_table
@@ -271,8 +267,6 @@ def coloured_points(cloud: Cloud, frame_from_cloud: Transform) -> tuple[Points, 
 
     Parameters
     ----------
-    cloud
-        What the camera returned.
     frame_from_cloud
         Takes homogeneous points of the cloud to where they are shown.
     """

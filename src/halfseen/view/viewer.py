@@ -1,15 +1,14 @@
-"""A run in 3-D: its scene, the viewer's server on this machine, and one file that opens without a server.
+"""A run in 3-D: its scene, one file that opens without a server, and a page that is served to this machine alone.
 
-The viewer is viser. MuJoCo's own web viewer was tried beside it: it draws a MuJoCo model, so that each point of a cloud
-would be a geom (with 20,000 of the 300,000, Chromium on a software renderer stopped answering), its controls are drawn
-into the canvas, where no narrow screen can rearrange them, and it needs its server; viser draws points as points and
-keeps a scene as one file.
+The viewer is viser. MuJoCo's own draws a model, so that each of 300,000 points would be a geom; its controls lie in the
+canvas, where no narrow screen can rearrange them; and it needs its server.
 """
 
 import contextlib
 import io
 import json
 import os
+import threading
 from collections.abc import Iterator
 from importlib.resources import files
 from pathlib import Path
@@ -20,28 +19,15 @@ import numpy as np
 
 from halfseen.errors import ArgumentError
 from halfseen.installation import command_for
+from halfseen.view import stage_view
 from halfseen.view.shapes import Mesh
-from halfseen.view.stage_view import (
-    ARROW,
-    GHOST,
-    HAND,
-    SHADOW,
-    Colour,
-    Part,
-    Poses,
-    Shown,
-    StageView,
-    Watched,
-    dirty_colour,
-    stage_html,
-)
+from halfseen.view.stage_view import Colour, Part, Poses, Shown, StageView, Watched, dirty_colour, stage_html
 from halfseen.writing import write_file
 
 if TYPE_CHECKING:
     from viser import SceneApi, ViserServer
 
-HERE = "127.0.0.1"
-"""The only address that is served."""
+HERE = "127.0.0.1"  # the only address that is served
 LAYERS = {
     "cloud": "cloud",
     "shapes": "completed shapes, by P(DIRTY)",
@@ -63,13 +49,7 @@ _MOMENT_S, _STAGE_S = 0.2, 3.0
 
 
 class Scene:
-    """Draws stages into a scene of the viewer, one in place of another, in layers that can be hidden.
-
-    Parameters
-    ----------
-    scene
-        Of a `viser.ViserServer`.
-    """
+    """Draws stages into a scene of the viewer, one in place of another, in layers that can be hidden."""
 
     def __init__(self, scene: "SceneApi") -> None:
         self._scene: Any = scene
@@ -77,14 +57,10 @@ class Scene:
         # The viewer's picture of the surroundings takes most of the time of a renderer without a GPU.
         scene.configure_environment_map(None)
         scene.add_light_ambient("/light", intensity=2.2)
-        self._layers = {name: scene.add_frame(f"/{name}", show_axes=False) for name in LAYERS}
+        self.layers = {name: scene.add_frame(f"/{name}", show_axes=False) for name in LAYERS}
         self._drawn: list[Any] = []
         self._bodies: list[Any] = []
         self._parts: tuple[Part, ...] = ()
-
-    def set_visible(self, layer: str, is_visible: bool) -> None:
-        """Show or hide a layer."""
-        self._layers[layer].visible = is_visible
 
     def show(self, stage: StageView, parts: tuple[Part, ...]) -> None:
         """Draw a stage, and the bodies of the cell where it has poses."""
@@ -129,7 +105,7 @@ class Scene:
             larger_m = shown.middle_m + _LARGER * (shown.solid.vertices_m - shown.middle_m)
             larger = Mesh(larger_m, shown.solid.faces)
             yield self._mesh(f"/shapes/{name}", larger, dirty_colour(shown.is_dirty), 0.6)
-            yield self._mesh(f"/shadows/{name}", shown.shadow, SHADOW, 0.3)
+            yield self._mesh(f"/shadows/{name}", shown.shadow, stage_view.SHADOW, 0.3)
         above = tuple((shown.middle_m + _ABOVE_M).tolist())
         words = f"{name}: {shown.is_dirty:.2f}" + ("" if shown.solid is not None else ", out of view")
         yield self._scene.add_label(f"/shapes/{name}_name", words, position=above, anchor="bottom-center")
@@ -141,7 +117,7 @@ class Scene:
             yield self._scene.add_arrows(
                 f"/hides/{arrow.hider.number}_{arrow.hidden.number}",
                 arrow.ends_m[None].astype(np.float32),
-                np.array(ARROW, dtype=np.uint8),
+                np.array(stage_view.ARROW, dtype=np.uint8),
                 shaft_radius=radius_m,
                 head_radius=2.5 * radius_m + 0.002,
                 head_length=0.022,
@@ -149,11 +125,11 @@ class Scene:
         revealed_m = stage.revealed_m.astype(np.float32)
         if len(revealed_m):
             ghosts: Any = {"point_size": 0.004, "point_shape": "circle"}
-            yield self._scene.add_point_cloud("/reveals/points", revealed_m, GHOST, **ghosts)
+            yield self._scene.add_point_cloud("/reveals/points", revealed_m, stage_view.GHOST, **ghosts)
         if stage.hand is not None:
             way_m = np.stack([stage.hand.way_m[:-1], stage.hand.way_m[1:]], axis=1)
             for name, lines_m, thick_m in (("way", way_m, _WAY_M), ("hand", stage.hand.lines_m, _FINGER_WIDE_M)):
-                colour = np.array(HAND, dtype=np.uint8)
+                colour = np.array(stage_view.HAND, dtype=np.uint8)
                 lines_m = lines_m.astype(np.float32)
                 yield self._scene.add_line_segments(f"/grasp/{name}", lines_m, colour, thickness=thick_m)
 
@@ -177,30 +153,22 @@ def local_server(port: int) -> "ViserServer":
         def request_share_url(self, verbose: bool = True) -> None:
             """Share nothing."""
 
+        def stop(self) -> None:
+            """Serve no longer, without a word on standard output."""
+            with contextlib.redirect_stdout(io.StringIO()):
+                super().stop()
+
     with contextlib.redirect_stdout(io.StringIO()):
         server = _OfThisMachine(host=HERE, port=port, label="halfseen watch", verbose=False)
     # The viewer goes on to the next port where one is taken.
     if port and server.get_port() != port:
-        stop(server)
+        server.stop()
         raise ArgumentError(f"--port is {port}, and something else is served there; choose another port, or 0 for any")
     return server
 
 
-def stop(server: "ViserServer") -> None:
-    """Serve no longer, without a word on standard output."""
-    with contextlib.redirect_stdout(io.StringIO()):
-        server.stop()
-
-
 def write_html(watched: Watched, file: str | os.PathLike[str]) -> None:
     """Write a run as one page that opens in a browser without a server, and asks for nothing.
-
-    Parameters
-    ----------
-    watched
-        The run.
-    file
-        Where to.
 
     Raises
     ------
@@ -211,9 +179,8 @@ def write_html(watched: Watched, file: str | os.PathLike[str]) -> None:
     try:
         begins, scene = _played(server, watched)
     finally:
-        stop(server)
-    page = Template(files("halfseen.view").joinpath("standalone.html").read_text(encoding="utf-8"))
-    filled = page.substitute(
+        server.stop()
+    filled = Template(files("halfseen.view").joinpath("standalone.html").read_text(encoding="utf-8")).substitute(
         source=watched.source.replace("<", "&lt;"),
         stages=_script([stage_html(stage) for stage in watched.stages]),
         begins=_script(begins),
@@ -244,3 +211,132 @@ def _played(server: "ViserServer", watched: Watched) -> tuple[list[float], str]:
 def _script(value: Any) -> str:
     """A value for a script of the page: no text in it ends the script."""
     return json.dumps(value).replace("</", "<\\/").replace("<!--", "<\\!--")
+
+
+_LIVE_MOMENT_S, _LIVE_STAGE_S = 0.12, 2.0
+_EMPTY = '<div class="halfseen-stage" style="padding:0 0.75em"><p>looking …</p></div>'
+
+
+class Page:
+    """A page at `url` until it is closed: a stage in 3-D, its reasons beside it, a slider over the stages.
+
+    Raises
+    ------
+    ArgumentError
+        The viewer is not installed, or the port (0 for any that is free) is taken.
+    """
+
+    def __init__(self, port: int) -> None:
+        self._server = local_server(port)
+        self.url = f"http://{HERE}:{self._server.get_port()}"
+        self._lock = threading.RLock()
+        self._watched: Watched | None = None
+        self._index, self._is_playing = 0, False
+        self._stop = threading.Event()
+        self._scene = Scene(self._server.scene)
+        self._add_controls()
+
+    def close(self) -> None:
+        """Serve no longer."""
+        self._stop.set()
+        self._server.stop()
+
+    def wait(self) -> None:
+        """Serve until somebody interrupts."""
+        with contextlib.suppress(KeyboardInterrupt):
+            while not self._stop.wait(3600):
+                pass
+
+    def show(self, watched: Watched) -> None:
+        """Show a run; one that grew stays where it was, or goes on to its newest stage if it was at the last."""
+        with self._lock:
+            num_before = 0 if self._watched is None else len(self._watched.stages)
+            was_last = self._index + 1 >= num_before
+            self._watched = watched
+            num_stages = len(watched.stages)
+            self._slider.max = max(num_stages, 2)
+            self._slider.visible = self._buttons.visible = num_stages > 1
+            self._play.visible = num_stages > 1 or len(watched.stages[0].poses) > 1
+            if num_before == 0:
+                look_from_aside(self._server, watched)
+            self.go_to(num_stages - 1 if num_before and was_last else min(self._index, num_stages - 1))
+
+    def go_to(self, index: int) -> None:
+        """Show the stage with this number, from 0; the nearest if there is none."""
+        with self._lock:
+            if self._watched is None:
+                return
+            self._index = max(0, min(index, len(self._watched.stages) - 1))
+            if self._slider.value != self._index + 1:
+                self._slider.value = self._index + 1
+            stage = self._watched.stages[self._index]
+            with self._server.atomic():
+                self._scene.show(stage, self._watched.parts)
+                self._words.content = stage_html(stage)
+
+    def _add_controls(self) -> None:
+        gui = self._server.gui
+        gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+        gui.main_panel.dock_right()
+        self._slider: Any = gui.add_slider("stage", min=1, max=2, step=1, initial_value=1, visible=False)
+        self._buttons: Any = gui.add_button_group("step", ("back", "on"), visible=False)
+        self._play: Any = gui.add_button("play", visible=False)
+        self._words: Any = gui.add_html(_EMPTY)
+        with gui.add_folder("layers", expand_by_default=False):
+            for layer, words in LAYERS.items():
+                box: Any = gui.add_checkbox(words, True)
+                box.on_update(lambda _, layer=layer, box=box: setattr(self._scene.layers[layer], "visible", box.value))
+
+        @self._slider.on_update
+        def _(event: Any) -> None:
+            if event.client is not None:
+                self.go_to(int(self._slider.value) - 1)
+
+        @self._buttons.on_click
+        def _(_: Any) -> None:
+            self.go_to(self._index + (1 if self._buttons.value.startswith("on") else -1))
+
+        @self._play.on_click
+        def _(_: Any) -> None:
+            self._set_playing(not self._is_playing)
+
+    def _set_playing(self, is_playing: bool) -> None:
+        with self._lock:
+            self._is_playing = is_playing
+            self._play.label = "pause" if is_playing else "play"
+        if is_playing:
+            threading.Thread(target=self._run, daemon=True).start()
+
+    def _run(self) -> None:
+        """Play from the stage that is shown; from the first if that is the last."""
+        assert self._watched is not None, "what is played is there"
+        if self._index + 1 == len(self._watched.stages) > 1:
+            self.go_to(0)
+        while self._is_playing:
+            index = self._index
+            if not self._moved(self._watched.stages[index].poses, index) or not self._is_playing:
+                return
+            if index != self._index:
+                continue
+            if index + 1 >= len(self._watched.stages):
+                self._set_playing(False)
+                return
+            self.go_to(index + 1)
+
+    def _moved(self, poses: Poses, index: int) -> bool:
+        """Move the arm through a stage, or wait; False if the page was closed or paused meanwhile.
+
+        It ends early where somebody goes to another stage.
+        """
+        if len(poses) < 2:
+            return not self._stop.wait(_LIVE_STAGE_S) and self._is_playing
+        for moment in range(len(poses)):
+            with self._lock:
+                if self._index == index and self._is_playing:
+                    with self._server.atomic():
+                        self._scene.place(poses, moment)
+            if self._index != index:
+                return True
+            if not self._is_playing or self._stop.wait(_LIVE_MOMENT_S):
+                return False
+        return True

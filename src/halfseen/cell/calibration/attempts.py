@@ -23,13 +23,10 @@ from halfseen.logs.columns import as_floats, refuse, require_columns
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp_attempts import attempts
 
-FACTS = tuple(each.name for each in fields(Facts))
-"""What is seen of an object that may make it hard to grip."""
+FACTS = tuple(each.name for each in fields(Facts))  # what is seen of an object that may make it hard to grip
 GLANCES = ("glance_occlusions", "glance_held", "glance_dirty")
-HORIZON = 12
-"""Attempts on one table of a calibration, at most."""
-LARGEST_M = 100.0
-"""Of what stands on a table [m]."""
+HORIZON = 12  # attempts on one table of a calibration, at most
+LARGEST_M = 100.0  # of what stands on a table [m]
 _AT = ["trajectory", "stage", "object"]
 
 
@@ -112,20 +109,14 @@ LEVEL = 0.95
 
 
 class Share(NamedTuple):
-    """Of some attempts."""
+    """Of some attempts: the weighted share that held with its 95 % interval, and the weighted mean prediction."""
 
     held: float
-    """Weighted share that held."""
     low: float
-    """Lower end of its 95 % interval."""
     high: float
-    """Upper end."""
     predicted: float
-    """Weighted mean of what was predicted."""
     num_attempts: int
-    """Attempts."""
     num_tables: int
-    """Tables that they are of."""
 
     @property
     def difference(self) -> float:
@@ -138,14 +129,10 @@ def clustered_share(held: RowMask, predicted: Rows, weight: Rows, tables: Int[np
 
     Parameters
     ----------
-    held
-        Whether each decided attempt held.
     predicted
         Probability that was predicted; any constant where nothing was.
     weight
         1/Ĝ of each.
-    tables
-        Number of the table of each.
     """
     total, names = weight.sum(), np.unique(tables)
     # Rounding must not make a share of those that all held.

@@ -12,42 +12,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
+from halfseen import figures as pages
 from halfseen.arrays import Rows
-from halfseen.cell.calibration.attempts import (
-    HORIZON,
-    OCCLUSION_EDGES,
-    Share,
-    glances,
-    occlusion_bins,
-    shares_by,
-    trials,
-    wilson,
-)
+from halfseen.cell.calibration import attempts
+from halfseen.cell.calibration.attempts import OCCLUSION_EDGES, Share, glances, occlusion_bins, shares_by, trials
 from halfseen.cell.calibration.grasping import held_given_past
 from halfseen.cell.calibration.law import Law
-from halfseen.figures import (
-    BLUE,
-    PANEL_TITLE,
-    RED,
-    WIDTH_INCHES,
-    draw_bars,
-    draw_grid,
-    drawn,
-    named_curves,
-    write_legend,
-    write_title,
-)
+from halfseen.figures import BLUE, RED, WIDTH_INCHES, draw_bars, draw_grid, drawn
 from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 HELD_TITLE = "How often attempts held, and what the law that was fitted to them says"
-PARTS = 3
-"""Groups of attempts by width and by room, about alike in number."""
+PARTS = 3  # groups of attempts by width and by room, about alike in number
 _HELD_APART = 0.12
-Panels = Mapping[str, Mapping[str, Share]]
-"""Shares by the name of their group, by what they are grouped by."""
+Panels = Mapping[str, Mapping[str, Share]]  # shares by the name of their group, by what they are grouped by
 
 
 def held_shares(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Panels:
@@ -88,7 +68,7 @@ def draw_held(panels: Panels) -> Figure:
         As `held_shares` gives them.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 4.0))
-    top = write_title(figure, HELD_TITLE)
+    top = pages.write_title(figure, HELD_TITLE)
     ratios = [max(len(shares), 2.5) for shares in panels.values()]
     grid = figure.add_gridspec(
         1, len(panels), left=0.065, right=0.99, bottom=0.23, top=top - 0.20, wspace=0.08, width_ratios=ratios
@@ -97,7 +77,7 @@ def draw_held(panels: Panels) -> Figure:
     for one, (by, shares) in zip(axes, panels.items(), strict=True):
         _draw_panel(one, by, shares)
     axes[0].yaxis.set_major_formatter(PercentFormatter(1.0, 0))
-    write_legend(figure, named_curves(axes[0]), top - 0.02)
+    pages.write_legend(figure, pages.named_curves(axes[0]), top - 0.02)
     return figure
 
 
@@ -120,7 +100,7 @@ def _draw_panel(axes: Axes, by: str, shares: Mapping[str, Share]) -> None:
     axes.set_xlim(-0.5, len(shares) - 0.5)
     draw_grid(axes)
     axes.set_xlabel(f"{by};\nattempts")
-    axes.set_title(f"by {by.split(' [')[0]}", **PANEL_TITLE)
+    axes.set_title(f"by {by.split(' [')[0]}", **pages.PANEL_TITLE)
 
 
 def _parts(values: Rows) -> tuple[Int[np.ndarray, " n"], list[str]]:
@@ -140,14 +120,11 @@ LINES = {
 
 
 class Count(NamedTuple):
-    """Objects that were seen to about the same share."""
+    """Objects that were seen to about the same share (mean of their surface): those whose label said DIRTY, and all."""
 
     view: float
-    """Mean share of their surface."""
     num_labelled: int
-    """Those whose label said DIRTY."""
     seen: int
-    """All of them."""
 
 
 def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
@@ -160,8 +137,6 @@ def counted(rows: pd.DataFrame, seeing: PersistentSeeing) -> list[Count]:
     ----------
     rows
         Objects that are dirty, or that are clean, as `halfseen.cell.calibration.attempts.glances` gives them.
-    seeing
-        Its views are the ends of the groups.
     """
     columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
     labels = [
@@ -196,13 +171,11 @@ def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
 
     Parameters
     ----------
-    seeing
-        The curves.
     glances
         What they were fitted to, as `halfseen.cell.calibration.attempts.glances` gives it.
     """
     figure = Figure(figsize=(WIDTH_INCHES, 4.6))
-    top = write_title(figure, LABELS_TITLE)
+    top = pages.write_title(figure, LABELS_TITLE)
     axes = figure.add_axes((0.065, 0.12, 0.92, top - 0.18))
     for is_dirty in LINES:
         _draw_curve(axes, seeing, pd.DataFrame(glances[glances["is_dirty"] == is_dirty]), is_dirty)
@@ -213,7 +186,7 @@ def draw_labels(seeing: PersistentSeeing, glances: pd.DataFrame) -> Figure:
     draw_grid(axes)
     axes.legend(loc="upper left", frameon=False)
     axes.set_xlabel(
-        "share of its surface that was in view; marks: told/seen at the first label, and when held, 95 % intervals",
+        "share of its surface that was in view; marks: told/seen at the first label, and when held, 95 % intervals"
     )
     return figure
 
@@ -225,7 +198,7 @@ def _draw_curve(axes: Axes, seeing: PersistentSeeing, rows: pd.DataFrame, is_dir
     counts = counted(rows, seeing)
     across = np.array([count.view for count in counts]) + side * _LABELS_APART
     shares = [count.num_labelled / count.seen for count in counts]
-    ends = [(share, *wilson(share, float(count.seen))) for share, count in zip(shares, counts, strict=True)]
+    ends = [(share, *attempts.wilson(share, float(count.seen))) for share, count in zip(shares, counts, strict=True)]
     draw_bars(axes, across, np.array(ends).reshape(-1, 3), color=colour, marker=marker, linestyle="none")
     for place, (*_, high), count in zip(across, ends, counts, strict=True):
         offset: Any = {"textcoords": "offset points", "xytext": (-4.0 * side, 3.0)}
@@ -237,16 +210,8 @@ KINDS = ("svg", "png")
 
 
 def pictures_of(law: Law, logs: Logs) -> Mapping[str, Callable[[Path], None]]:
-    """Give what writes each picture, by the name of its file.
-
-    Parameters
-    ----------
-    law
-        What was estimated.
-    logs
-        What it was estimated from.
-    """
-    panels = held_shares(law.grasp.estimate, trials(logs, HORIZON))
+    """Give what writes each picture, by the name of its file."""
+    panels = held_shares(law.grasp.estimate, trials(logs, attempts.HORIZON))
     figures = {"held": partial(draw_held, panels), "labels": partial(draw_labels, law.seeing, glances(logs))}
     return {f"{name}.{kind}": partial(_write, draw, kind) for name, draw in figures.items() for kind in KINDS}
 

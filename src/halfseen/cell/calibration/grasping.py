@@ -32,8 +32,7 @@ CENTRES, SCALES = (
     {"is_lying": 1.0, "width_m": 0.02, "room_m": 0.03},
 )
 """Facts enter as (fact − centre) / scale: a standing cup 7.5 cm wide with 4 cm of room has offset 0."""
-NAMES = ("log_odds", "occlusion", *FACTS, "log_offset_std")
-"""Of the parameters, in their order."""
+NAMES = ("log_odds", "occlusion", *FACTS, "log_offset_std")  # of the parameters, in their order
 _PRIOR_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.log(0.5)])
 _PRIOR_STD = np.array([5.0, 5.0, 5.0, 2.0, 2.0, 1.0])
 _NUM_NEWTON_STEPS = 4
@@ -42,18 +41,9 @@ _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
 
 @dataclass(frozen=True)
 class GraspFit:
-    """What attempts tell of P(held).
+    """What attempts tell of P(held): estimates of `NAMES`, and their covariance, robust, tables being clusters.
 
-    Parameters
-    ----------
-    estimate
-        Of `NAMES`.
-    covariance
-        Of the estimates, robust, tables being clusters.
-    num_decided, num_cut
-        Attempts.
-    effective_sample_size
-        Of the weights.
+    Beside them stand the numbers of attempts that were decided and cut, and the effective sample size of the weights.
     """
 
     estimate: Float[np.ndarray, " p"]

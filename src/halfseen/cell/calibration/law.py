@@ -29,24 +29,22 @@ from halfseen.world.grasping import FittedGrasping
 from halfseen.world.scene import Scene
 from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
-FEWEST_MISSES = 5
-"""With fewer, a miss is taken to last as long as an attempt that holds."""
+FEWEST_MISSES = 5  # with fewer, a miss is taken to last as long as an attempt that holds
 
 
 class TimeFit(NamedTuple):
-    """Numbers of the durations."""
+    """Means of the logarithms of the durations of attempts that hold and that miss, and their standard deviation.
+
+    `rest_s` is the mean time of what follows an attempt, until the next decision [s].
+    """
 
     log_held_s: float
-    """Mean logarithm of the duration of an attempt that holds [log s]."""
     log_missed_s: float
-    """Likewise of one that misses [log s]."""
     log_std: float
-    """Standard deviation of both."""
     rest_s: float
-    """Mean time of what follows an attempt, until the next decision [s]."""
 
 
-def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
+def fit_times(trials: pd.DataFrame) -> TimeFit:
     """Fit the durations, each attempt weighted for those that were cut.
 
     Parameters
@@ -54,10 +52,8 @@ def fit_times(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> TimeFit:
     trials
         As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
         alone.
-    censoring
-        As in `halfseen.tables.grasp_models.BetaGrasp`.
     """
-    decided = checked_attempts(trials, censoring)
+    decided = checked_attempts(trials)
     rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
     attempt_s, watched_s = (rows[name].to_numpy(dtype=np.float64) for name in ("attempt_s", "time_s"))
     is_tried = attempt_s > 0.0
@@ -134,13 +130,7 @@ def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
 
 
 def found_by(intervals: list[Interval]) -> Float[np.ndarray, " knots"]:
-    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood.
-
-    Parameters
-    ----------
-    intervals
-        One interval an object.
-    """
+    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood."""
     knots = np.array([0.0, *VIEWS])
     low, high = np.array(intervals, dtype=np.float64).reshape(-1, 2).T
     # How much of each piece an interval holds; the last column is "never".
@@ -219,23 +209,11 @@ class Law:
         return replace(world, grasping=self.grasping, seeing=self.seeing, transport_s=self.time.rest_s)
 
     def grip(self, facts: Facts) -> float:
-        """Log-odds by which an object is easier to hold than a standing cup of usual width with usual room.
-
-        Parameters
-        ----------
-        facts
-            What is seen of it.
-        """
+        """Log-odds by which an object is easier to hold than a standing cup of usual width with usual room."""
         return float(_grips(self.grasp, pd.DataFrame([asdict(facts)]))[0])
 
     def scene(self, view: View) -> Scene:
-        """Give what a world needs to know of a table, grips included.
-
-        Parameters
-        ----------
-        view
-            What is seen.
-        """
+        """Give what a world needs to know of a table, grips included."""
         return self.gripped(view.scene(), facts_of(view))
 
     def gripped(self, scene: Scene, facts: Sequence[Facts]) -> Scene:
@@ -250,8 +228,6 @@ def fit_law(logs: Logs, horizon: int, limit_s: float) -> Law:
     ----------
     logs
         What a cell tried, with the truth about what is dirty.
-    horizon
-        Stages after which a table ended by itself.
     limit_s
         Longest time of an attempt [s].
     """

@@ -49,15 +49,7 @@ _AGAIN = f"make it again by `{LAW.maker}`"
 
 @dataclass(frozen=True, eq=False)
 class StoredLaw:
-    """A law that was read from a folder, and what is known of it.
-
-    Parameters
-    ----------
-    law
-        The law.
-    record
-        What law.json says.
-    """
+    """A law that was read from a folder, and what its law.json says."""
 
     law: Law
     record: Mapping[str, Any]
@@ -76,18 +68,12 @@ def write_law(
 
     Parameters
     ----------
-    law
-        What was estimated.
-    folder
-        Where to.
     more
         What else is to be kept: conditions, versions, how it was made.
     logs
         What it was estimated from; None if that is neither to be kept nor drawn.
     contrast
         Attempts of grasps that were planned from visible points alone, to be kept beside; None where there are none.
-    overwrite
-        Replace a law that is there.
 
     Raises
     ------
@@ -110,11 +96,6 @@ def write_law(
 
 def read_law(folder: str | Path) -> StoredLaw:
     """Read a law, and check all of it; no code of the folder is run.
-
-    Parameters
-    ----------
-    folder
-        The folder.
 
     Raises
     ------

@@ -58,6 +58,18 @@ class StoredPolicy:
         return self.record["schema"]["num_robots"] if self.record["kind"] in ("team", "team-laws") else None
 
     @property
+    def counts_views(self) -> bool:
+        """Whether it learned from logs that count how much of an object has been in view."""
+        return self.is_table and self.record["schema"].get("counts_views", False)
+
+    @property
+    def whom(self) -> str:
+        """For whom it decides."""
+        if self.num_robots is not None:
+            return f"a team of {self.num_robots} robot{'' if self.num_robots == 1 else 's'}"
+        return "one robot by itself" if self.is_table else "no table"
+
+    @property
     def horizon(self) -> int:
         """Number T of stages that a trajectory may have."""
         return int(self.record["schema"]["horizon"])
@@ -174,9 +186,7 @@ def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = 
     """
     if stored.num_robots is not None:
         where = "the policy" if folder is None else f"{folder}: it"
-        raise PolicyError(
-            f"{where} decides for a team of {stored.num_robots} robot{'' if stored.num_robots == 1 else 's'}, {trouble}"
-        )
+        raise PolicyError(f"{where} decides for {stored.whom}, {trouble}")
 
 
 def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:

@@ -9,12 +9,4 @@ from halfseen.study.experiments.planning import Planning
 from halfseen.study.experiments.regret import Regret
 from halfseen.study.experiments.reward import Reward
 
-EXPERIMENTS: tuple[Experiment, ...] = (
-    Reward(),
-    Planning(),
-    Censoring(),
-    Grasp(),
-    Attempts(),
-    Clutter(),
-    Regret(),
-)
+EXPERIMENTS: tuple[Experiment, ...] = (Reward(), Planning(), Censoring(), Grasp(), Attempts(), Clutter(), Regret())

@@ -37,16 +37,13 @@ from halfseen.study.setting import Setting
 from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.config import WorldConfig
 
-NUM_PREDICTION_BINS = 5
-"""Groups of attempts by what was predicted of them, alike in number."""
-SHOWN: Float[np.ndarray, " shown"] = np.linspace(0.0, 0.8, 17)
-"""Occlusions at which curves are told."""
+NUM_PREDICTION_BINS = 5  # groups of attempts by what was predicted of them, alike in number
+SHOWN: Float[np.ndarray, " shown"] = np.linspace(0.0, 0.8, 17)  # occlusions at which curves are told
 _Z = float(stats.norm.ppf(0.5 + LEVEL / 2))
 _STEP = 1e-5
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(41)
 ByTable = Float[np.ndarray, "tables repetitions"]
-Scores = dict[tuple[int, str, str], ByTable]
-"""Sums by table and repetition, by size of log, model and measure."""
+Scores = dict[tuple[int, str, str], ByTable]  # sums by table and repetition, by size of log, model and measure
 
 
 @dataclass(frozen=True)
@@ -172,8 +169,6 @@ def calibration_of(tried: pd.DataFrame, repetitions: Sequence[PieceOf]) -> pd.Da
 
     Parameters
     ----------
-    tried
-        All attempts.
     repetitions
         With rows (of `tried`), row_weight, and what each model said of them, learned from the largest log.
     """

@@ -47,12 +47,10 @@ MODEL_NAMES = {
 SVMS = (SVM, SVM_FACTS, SVM_SET)
 MEASURES = {"log_loss": "log-loss", "brier": "Brier score"}
 """What models are judged by, on tables that they have not seen; smaller is better."""
-SCORE = "log_loss"
-"""The measure that the answer is told by."""
+SCORE = "log_loss"  # the measure that the answer is told by
 PAIRS = ((SVM, BETA), (SVM_FACTS, BETA), (SVM_SET, BETA), (LAW, BETA), (SVM_SET, LAW))
 """Who is tested against whom; the first is the paper's claim."""
-SUREST = 1e-9
-"""No prediction counts as surer than this in the log-loss: one miss would cost endlessly much."""
+SUREST = 1e-9  # no prediction counts as surer than this in the log-loss: one miss would cost endlessly much
 COMPLETED, VISIBLE_ONLY = "completed", "visible-only"
 PLANNERS = {COMPLETED: law_folder.ATTEMPTS, VISIBLE_ONLY: law_folder.VISIBLE_ONLY}
 """Way to plan grasps, with hidden shape completed or by what is visible → folder of its attempts within a law's."""
@@ -70,19 +68,19 @@ COLUMNS = (
 )
 SEEN = ("occlusion", *FACTS)
 KINDS = NOW, HELD, MISSED = range(3)
-NUM_LANDMARKS, NUM_SVM_FOLDS = 50, 5
-"""As `SVMGrasp` has them."""
-Source = Mapping[str, Any]
-"""Attempts of one planner of grasps, and the regression."""
+NUM_LANDMARKS, NUM_SVM_FOLDS = 50, 5  # as `SVMGrasp` has them
+Source = Mapping[str, Any]  # attempts of one planner of grasps, and the regression
 
 
 class Split(NamedTuple):
-    """Numbers of tables; none is ever both learned from and held out."""
+    """Numbers of tables; none is ever both learned from and held out.
+
+    Those that are learned from are in the order in which they join the log: smaller logs are their beginnings. Those
+    that are held out are sorted.
+    """
 
     learned: Int[np.ndarray, " l"]
-    """In the order in which they join the log that is learned from: smaller logs are their beginnings."""
     held_out: Int[np.ndarray, " h"]
-    """Sorted."""
 
 
 @dataclass(frozen=True)
@@ -161,10 +159,7 @@ def _at(tried: pd.DataFrame, tables: Int[np.ndarray, " t"]) -> pd.DataFrame:
 def losses_of(probability: Rows, succeeded: RowMask) -> dict[str, Rows]:
     """Log-loss and Brier score of each attempt."""
     sure = np.clip(probability, SUREST, 1.0 - SUREST)
-    return {
-        "log_loss": -np.log(np.where(succeeded, sure, 1.0 - sure)),
-        "brier": np.square(probability - succeeded),
-    }
+    return {"log_loss": -np.log(np.where(succeeded, sure, 1.0 - sure)), "brier": np.square(probability - succeeded)}
 
 
 def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
@@ -225,15 +220,7 @@ def said_by_set_svm(learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
 
 
 def sets_of(trials: pd.DataFrame, centre: Float[np.ndarray, " d"], scale: Float[np.ndarray, " d"]) -> list[np.ndarray]:
-    """Give the set of each attempt: rows of an indicator of the kind, and what was seen, scaled.
-
-    Parameters
-    ----------
-    trials
-        Attempts, all past ones among them.
-    centre, scale
-        Of what is seen.
-    """
+    """Give the set of each attempt: rows of an indicator of the kind, and what was seen, scaled."""
     seen = (trials[list(SEEN)].to_numpy(dtype=np.float64) - centre) / scale
     kind = np.where(trials["succeeded"].isin([True]).to_numpy(), HELD, MISSED)
     objects, stages = trials["object"].to_numpy(), trials["stage"].to_numpy()

@@ -17,15 +17,14 @@ from halfseen.study import figures
 from halfseen.study.compare import estimated_in, records, row_of, three, where
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables, words
 from halfseen.study.experiments import attempts_repetition as names
-from halfseen.study.experiments.attempts_repetition import COMPLETED, LAW, MEASURES, MODEL_NAMES, PAIRS, VISIBLE_ONLY
+from halfseen.study.experiments.attempts_repetition import COMPLETED, LAW, MEASURES, MODEL_NAMES, PAIRS
 from halfseen.study.setting import Setting
 from halfseen.wording import amount, as_sentence, capitalised, estimated, interval, listed, p_value, percent
 
 ASSUMED = "assumed"
 BETTER, WORSE, UNDECIDED = "better", "worse", "no significant difference"
 ADVERBS = {BETTER: "better", WORSE: "worse", UNDECIDED: "neither clearly better nor worse"}
-SCORE, SCORE_DECIMALS = "log_loss", 4
-"""The measure that the answer is told by."""
+SCORE_DECIMALS = 4
 MODEL_COLOURS = {"rate": ORANGE, "beta": BLUE, "svm": RED, "svm-facts": SKY, "svm-set": PINK, LAW: INK}
 LOOKS = figures.looks(MODEL_COLOURS, MODEL_NAMES)
 NOUNS = {
@@ -35,7 +34,7 @@ NOUNS = {
     "svm-set": "the SVM with a set kernel over past attempts",
     LAW: "the logistic law",
 }
-PLANNED = {COMPLETED: "where hidden shape is completed", VISIBLE_ONLY: "where only visible points count"}
+PLANNED = {COMPLETED: "where hidden shape is completed", names.VISIBLE_ONLY: "where only visible points count"}
 WIDTH_WANTED, SHARE_OF_A_BIN = 0.03, 0.1
 """Half of the width that the interval of a calibration is to have, where a bin holds this share of the attempts."""
 POSES = {False: ("standing", SKY, "o"), True: ("lying", ORANGE, "s")}
@@ -65,11 +64,7 @@ def section_of(design: names.AttemptsRepetition, setting: Setting, tables: Table
         words("attempts", "caption", design=design, svms=scores[scores["model"].isin(names.SVMS)]),
         partial(_draw, tables),
     )
-    listings = (
-        *_tests(setting, tables["attempts_tests"]),
-        _numbers(scores),
-        _law(tables["attempts_law"]),
-    )
+    listings = (*_tests(setting, tables["attempts_tests"]), _numbers(scores), _law(tables["attempts_law"]))
     return Section(heading, sentences, (drawing,), listings, num_leading=3)
 
 
@@ -95,11 +90,10 @@ def _heading(row: Row) -> str:
 
 
 def _numbers(scores: pd.DataFrame) -> Listing:
-    def cell(measure: str) -> Callable[[Row], str]:
-        return lambda row: estimated_in(row, three(measure), SCORE_DECIMALS)
-
-    cells = {"model": lambda row: MODEL_NAMES[row["model"]], "tables": lambda row: str(row["num_tables"])}
-    cells |= {name: cell(measure) for measure, name in MEASURES.items()}
+    cells: dict[str, Callable[[Row], str]] = {"model": lambda row: MODEL_NAMES[row["model"]]}
+    cells["tables"] = lambda row: str(row["num_tables"])
+    for measure, name in MEASURES.items():
+        cells[name] = partial(estimated_in, names=three(measure), decimals=SCORE_DECIMALS)
     return Listing.of("The numbers of Figure 8", "", records(scores), cells)
 
 
@@ -118,7 +112,7 @@ def _law(law: pd.DataFrame) -> Listing:
 
 def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
     """Say from how many tables a model predicts better than another, worse, or neither."""
-    rows = records(tests, model=model, rival=rival, measure=SCORE)
+    rows = records(tests, model=model, rival=rival, measure=names.SCORE)
     sizes = {verdict: [str(row["num_tables"]) for row in rows if row["verdict"] == verdict] for verdict in ADVERBS}
     met = {verdict: of for verdict, of in sizes.items() if of}
     first, *rest = met
@@ -141,7 +135,7 @@ def numbers_of(row: Row) -> str:
 def claim(tables: Tables) -> str:
     """The answer to the paper's claim, by size of what was learned from."""
     tests, counts = tables["attempts_tests"], row_of(tables["attempts"], planner=COMPLETED)
-    last = records(tests, model=PAIRS[0][0], rival=PAIRS[0][1], measure=SCORE)[-1]
+    last = records(tests, model=PAIRS[0][0], rival=PAIRS[0][1], measure=names.SCORE)[-1]
     facts_of = {"by_size": by_size(tests, *PAIRS[0]), "numbers": numbers_of(last)}
     return words("attempts", "claim", counts=counts, last=last, **facts_of)
 
@@ -151,7 +145,7 @@ def others(tables: Tables) -> str:
     tests = tables["attempts_tests"]
     clauses = []
     for model, rival in PAIRS[1:]:
-        last = records(tests, model=model, rival=rival, measure=SCORE)[-1]
+        last = records(tests, model=model, rival=rival, measure=names.SCORE)[-1]
         size = last["num_tables"]
         clauses.append(f"{NOUNS[model]} predicts {by_size(tests, model, rival)} (from {size}: {numbers_of(last)})")
     return as_sentence("; ".join(clauses))

@@ -19,16 +19,7 @@ from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Listing, PieceOf,
 from halfseen.study.pipeline import Source
 from halfseen.study.setting import Setting
 from halfseen.study.treatments import TREATMENTS
-from halfseen.wording import (
-    MISSING,
-    NOT_SUPPORTED,
-    SUPPORTED,
-    Claim,
-    amount,
-    capitalised,
-    interval,
-    listed,
-)
+from halfseen.wording import MISSING, NOT_SUPPORTED, SUPPORTED, Claim, amount, capitalised, interval, listed
 from halfseen.world.cuts import CutKind
 
 DEFAULT = TREATMENTS[0]

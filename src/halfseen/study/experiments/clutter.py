@@ -22,19 +22,16 @@ from halfseen.wording import MISSING, amount, estimated
 from halfseen.world.config import WorldConfig
 
 ROW_INCHES, HEAD_INCHES, FOOT_INCHES = 1.42, 0.75, 1.25
-GAP = 0.28
-"""Between the two blocks, in widths of a panel."""
+GAP = 0.28  # between the two blocks, in widths of a panel
 STEPS = np.array([-0.25, -0.15, -0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.25])
 """Bounds of the colours, as distances from the share that is worth the trouble."""
-DARK = 0.15
-"""Distance from which on a field is so dark that its number is written in white."""
+DARK = 0.15  # distance from which on a field is so dark that its number is written in white
 MARKS = {places.LEARN: "▲", places.UNDECIDED: "?", places.ENOUGH: "", places.NO_SCALE: ""}
 LABEL_NAMES = {"gain": "labels", "facing": "shown"}
 LABEL_HEADS = {"gain": "share of right labels", "facing": "surface that a look shows"}
 SMALL = 8.0
 NORM = BoundaryNorm(STEPS, GAINS.N, extend="both")
-FEWEST = 3
-"""Places with a verdict below which nothing is said to stand out."""
+FEWEST = 3  # places with a verdict below which nothing is said to stand out
 LABEL_WORDS = {"gain": "how often a label is right in full view", "facing": "the surface that one look shows"}
 
 

@@ -29,8 +29,7 @@ UNDECIDED = "inconclusive"
 NO_SCALE = "heuristic earns nothing"
 """The heuristic earns next to nothing above FINISH at once, so that a share of that means nothing."""
 MAP_SEED, TABLES = 16, 2
-NEXT_TO_NOTHING = 0.05
-"""Share of what FINISH at once loses, above which a heuristic's earnings are a scale."""
+NEXT_TO_NOTHING = 0.05  # share of what FINISH at once loses, above which a heuristic's earnings are a scale
 RAW_SHAPE = 0.5
 """Of the gamma distribution of who hides whom; below 1, few pairs hide much and many hide next to nothing."""
 LawNumber = Literal["gain", "facing"]

@@ -313,13 +313,11 @@ def _tests(setting: Setting, tests: pd.DataFrame) -> Listing:
 
 
 def _numbers(grasp: pd.DataFrame) -> Listing:
-    def cell(measure: str) -> Callable[[Row], str]:
-        return lambda row: estimated_in(row, three(measure), _decimals(measure))
-
     cells: dict[str, Callable[[Row], str]] = {
         "model": lambda row: MODEL_NAMES[row["model"]],
         "logged trajectories": lambda row: str(row["num_trajectories"]),
     }
     names = ("log-loss", "Brier score", "reward, learned", "reward, heuristic")
-    cells |= {name: cell(measure) for name, measure in zip(names, MEASURES, strict=True)}
+    for name, measure in zip(names, MEASURES, strict=True):
+        cells[name] = partial(estimated_in, names=three(measure), decimals=_decimals(measure))
     return Listing.of("The numbers of Figure 5", "", records(grasp), cells)

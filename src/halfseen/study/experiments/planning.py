@@ -9,6 +9,7 @@ are measured and told beside.
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
+from timeit import repeat
 from typing import ClassVar
 
 import numpy as np
@@ -24,7 +25,7 @@ from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean
 from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Section, Tables, words
 from halfseen.study.figures import INTERVAL
 from halfseen.study.pipeline import CUT_KIND, Played, Source, episodes_in_turn
-from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner, seconds
+from halfseen.study.policies import HEURISTICS, LEARNED, Contender, Kind, by_name, horizon_planner, planner
 from halfseen.study.setting import Setting
 from halfseen.wording import MISSING, Claim, amount, counted, listed, significant
 from halfseen.world.policy import Policy
@@ -90,7 +91,7 @@ class Planning:
         times = source.decision_times_ms(self.contenders.values(), NUM_TIMED_STATES, self.laws)
         learn = partial(self._learned, source, source.cut_rate(self.cut_share, CUT_KIND))
         learn()
-        return {"decision_ms": times, "learning_s": float(np.median([seconds(learn) for _ in range(NUM_FITS)]))}
+        return {"decision_ms": times, "learning_s": float(np.median(repeat(learn, number=1, repeat=NUM_FITS)))}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
         """Play all policies: of each, which episodes it played and what each brought."""

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pandas as pd
 
+from halfseen import wording
 from halfseen.study import compare
 from halfseen.study.compare import EFFECT, estimated_in, learned_from, records, row_of, where
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables, words
@@ -24,19 +25,14 @@ from halfseen.wording import (
     SUPPORTED,
     Claim,
     amount,
-    capitalised,
-    counted,
     listed,
     share,
     share_in_words,
-    significant,
-    with_interval,
 )
 
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
 ROLES = {BEST[0]: "the strongest heuristic", BEST[1]: "the strongest planner, which knows the true model"}
-MARK = " *"
-"""Marks a difference that the test finds."""
+MARK = " *"  # marks a difference that the test finds
 
 
 @dataclass(frozen=True)
@@ -89,7 +85,7 @@ def claim(design: Reward, setting: Setting, figure1: pd.DataFrame, table1: pd.Da
         compare.gain_in(row),
         float(row["p_holm"]),
         setting.alpha,
-        f"{earned} on the same {counted(int(row['num_episodes']), 'episode')}",
+        f"{earned} on the same {wording.counted(int(row['num_episodes']), 'episode')}",
     )
 
 
@@ -224,11 +220,7 @@ def _numbers(design: Reward, setting: Setting, figure1: pd.DataFrame, peer: pd.D
             design, "The numbers of the learned policy in Figure 1", "", {"": where(figure1, policy=LEARNED.name)}, own
         ),
         _by_size(
-            design,
-            "What is made of logs, above the strongest heuristic",
-            words(design.name, "above"),
-            above,
-            gain,
+            design, "What is made of logs, above the strongest heuristic", words(design.name, "above"), above, gain
         ),
         _by_size(
             design, "Learned, or planned with fitted laws", of_peer, {"": peer}, marked, more=("mean over these",)
@@ -240,15 +232,15 @@ def _tests(design: Reward, setting: Setting, table1: pd.DataFrame) -> Listing:
     num_tests = table1["p_holm"].notna().sum()
     caption = words(design.name, "tests", design=design, setting=setting, num_tests=num_tests)
     headings = {
-        measure: f"{capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
+        measure: f"{wording.capitalised(name)}{f': “{CLAIM_WORDS[measure]}”' if measure in CLAIM_WORDS else ''}"
         for measure, name in MEASURES.items()
     }
 
     def written(row: Row, column: str) -> str:
-        return amount(row[column]) if compare.is_reward(row["measure"]) else significant(row[column])
+        return amount(row[column]) if compare.is_reward(row["measure"]) else wording.significant(row[column])
 
     def difference(row: Row) -> str:
-        mean, ends = with_interval(*(row[name] for name in EFFECT))
+        mean, ends = wording.with_interval(*(row[name] for name in EFFECT))
         return mean if ends == MISSING else f"{mean} ({ends})"
 
     cells: dict[str, Callable[[Row], str]] = {

@@ -22,10 +22,8 @@ from halfseen.wording import INCONCLUSIVE, SUPPORTED, Claim, amount, share_in_wo
 
 GAIN = three("gain")
 GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the true laws, on the same episodes"
-DODGE = 1.02
-"""Factor between neighbouring curves, which stand side by side rather than on one another."""
-PLAIN = ("greedy", "history")
-"""Rules of thumb that do not count what a wrong WASH costs."""
+DODGE = 1.02  # factor between neighbouring curves, which stand side by side rather than on one another
+PLAIN = ("greedy", "history")  # rules of thumb that do not count what a wrong WASH costs
 
 
 class Figure1:

@@ -42,8 +42,7 @@ MEASURES = {
 }
 """Measure → name for people; times of decisions are told and not tested, as they depend on the machine."""
 Rewards = Float[np.ndarray, " R"]
-Place = tuple[int, float]
-"""Size of a log, and the proportion of its trajectories that is cut."""
+Place = tuple[int, float]  # size of a log, and the proportion of its trajectories that is cut
 
 
 @dataclass(frozen=True)
