@@ -15,7 +15,7 @@ from halfseen.planners import (
     solve_discrete,
     solve_table,
 )
-from halfseen.planners.exact import Reached, drawn
+from halfseen.planners.exact_policies import Reached, drawn
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 from halfseen.world.state import initial_state, pad_scenes

@@ -233,17 +233,7 @@ _GONE = None, None
 
 @dataclass(frozen=True, eq=False)
 class GridWorld:
-    """One table of the world with each grip offset on Gauss–Hermite nodes of its prior.
-
-    Parameters
-    ----------
-    scene
-        The table.
-    config
-        The world.
-    num_grip_nodes
-        Number of grip offsets that an object can have.
-    """
+    """One table of the world with each grip offset on Gauss–Hermite nodes of its prior."""
 
     scene: Scene
     config: WorldConfig

@@ -106,14 +106,7 @@ def table_of(belief: Belief) -> Table:
 def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, "*B"] | None = None) -> Setting:
     """What how the objects stand makes of attempts and labels.
 
-    Parameters
-    ----------
-    worlds
-        The world as the robots find it, one for each law of grasping that there is.
-    table
-        What is believed.
-    robot
-        Which robot makes the first attempt, where each has a law of its own.
+    There is one world for each law of grasping; `robot` makes the first attempt, where each has a law of its own.
     """
     xp, occluded = library_of(table.hides), occlusions_in(table)
     helds, seconds = [], []
@@ -188,18 +181,8 @@ def tries_of(
 ) -> Float[Array, "2 ..."]:
     """E (worth of one more try, less its effort)₊ over the next label, and P(it is positive), by whom that is most.
 
-    Parameters
-    ----------
-    config
-        The world.
-    look
-        What labels may say.
-    chances
-        P(the try holds), under each law of grasping.
-    effort
-        Price of its seconds, likewise.
-    way
-        Those of the ways in which the objects are hidden that the chances are of.
+    `chances` are P(the try holds) under each law of grasping, `effort` is the price of its seconds, and `way` tells
+    in which of the ways the objects are hidden that the chances are of.
     """
     (by_dirt, washed), missed = wash_rewards(config)
     hit, says = look.hit[:, None, way], look.says[:, None, way]
@@ -251,18 +234,8 @@ def attempts_worth(
 ) -> Float[Array, "L 2 N *B"]:
     """Worth of WASH and LIFT of each object above leaving all.
 
-    Parameters
-    ----------
-    config
-        The world.
-    look
-        What may follow.
-    gains
-        By tries after a miss, a WASH and a LIFT of each object; in L ways to count them.
-    own_s
-        Expected time of an attempt, its transport included [s].
-    price_per_s
-        Price of a second of it [1/s].
+    `gains` are by tries after a miss, a WASH and a LIFT of each object, in L ways to count them; `own_s` is the
+    expected time of an attempt, its transport included [s], and a second of it costs `price_per_s` [1/s].
     """
     missed, held = look.expected[0][: HELD + 1]
     wash, lift = look.worth + price_per_s * own_s, (config.reward_lift_per_s + price_per_s) * own_s

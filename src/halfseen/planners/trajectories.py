@@ -92,16 +92,8 @@ def successor(
 ) -> Table:
     """What is believed after an attempt, by draws: one particle's future each.
 
-    Parameters
-    ----------
-    config
-        The world that is believed in.
-    table, look
-        Before the attempt, and what may follow it.
-    choice
-        What is attempted: WASH of each object in turn, then LIFT of each.
-    draws
-        Uniform in [0, 1): whether it is grasped, and what the look at each object says.
+    `choice` is WASH of each object in turn, then LIFT of each. `draws` are uniform in [0, 1): whether it is
+    grasped, and what the look at each object says.
     """
     xp, num_objects = library_of(table.is_dirty), len(table.is_there)
     lanes, objects, nodes = (np.arange(num) for num in (len(choice), num_objects, len(table.weights)))
@@ -154,20 +146,8 @@ def advantages(
 ) -> Float[Array, " R"]:
     """Sum of the advantages of each trajectory, its worth less Q° of its first action; 0 where it has one step to go.
 
-    Parameters
-    ----------
-    config
-        The world that is believed in.
-    table, look
-        Where each begins.
-    choice
-        Its first action, as `successor` has it.
-    draws
-        For as many steps as any may take.
-    planning_horizon
-        Actions, ≥ 2, the last of which is worth Q_1.
-    settings
-        Of the table, if all begin on one.
+    `choice` is the first action, as `successor` has it, and the last of `planning_horizon` ≥ 2 actions is worth
+    Q_1; `settings` are those of the table, if all begin on one.
     """
     xp, total, done, totals = library_of(table.is_dirty), _ZERO * draws[0, 0], [], []
     lanes, last_step = np.arange(len(choice)), table.steps_to_go - planning_horizon + 1

@@ -40,16 +40,8 @@ def encoded_states(
 ) -> Encoded:
     """Encode tables, and what was done at each.
 
-    Parameters
-    ----------
-    states
-        Tables, axes (n, T); of more trajectories than n, the first are encoded.
-    action
-        What was done.
-    is_state
-        Where there is a table; elsewhere features are 0, and FINISH alone is possible.
-    grasp
-        What tells the probability of a grasp in the features; None for the rule of succession.
+    Of more trajectories than there are actions of, the first are encoded. Where there is no table, features are 0,
+    and FINISH alone is possible. `grasp` tells the probability of a grasp; None for the rule of succession.
     """
     num_trajectories, at = len(is_state), np.nonzero(is_state)
     return encoded_at(at, mapped(lambda leaf: leaf[:num_trajectories][at], states), action, grasp)
@@ -64,18 +56,7 @@ def encoded_at(
 ) -> Encoded:
     """Encode the tables of some stages, (trajectory, stage) from 0, of one robot or several.
 
-    Parameters
-    ----------
-    at
-        Where they stand.
-    there
-        The tables, one axis.
-    action
-        What was done.
-    grasp
-        As `encoded_states` takes it.
-    choices
-        Which actions there are to choose from; elsewhere FINISH alone.
+    `choices` tells which actions there are to choose from; where no table stands, FINISH alone.
     """
     of_action = (table_features if there.robots is None else team_features)(there, grasp)
     is_possible = spread(choices(there), at, action.shape)
@@ -110,14 +91,7 @@ def states_alone(logs: Logs, horizon: int) -> TableState:
 def team_states(logs: Logs, horizon: int, num_robots: int | None = None) -> TableState:
     """Rebuild S_t of every stage of a log of several robots, axes (n, T).
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T, the decisions of all robots together.
-    num_robots
-        K, which the log must have; None for any.
+    `horizon` is T, the decisions of all robots together; the log must have `num_robots`, None for any.
 
     Raises
     ------
@@ -149,16 +123,7 @@ def check_team(logs: Logs, num_robots: int | None = None) -> None:
 def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool = False) -> Int[np.ndarray, "n T"]:
     """Action number of every stage; FINISH where the log has no stage, or no action.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T.
-    num_objects
-        N.
-    is_team
-        Whether several robots decided, who WAIT as well.
+    Where `is_team`, several robots decided, who WAIT as well.
 
     Raises
     ------

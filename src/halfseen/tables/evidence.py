@@ -186,13 +186,8 @@ class Evidence(NamedTuple):
 def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
     """Read a log, once for all numbers of its trajectories.
 
-    Parameters
-    ----------
-    logs
-        As `states_of` and `attempts` read them, of one robot or several; where its objects have a column grip, it is
-        used.
-    known
-        Of which the horizon, transport_s, speed, the limit of an attempt and the rewards are used.
+    The log may be of one robot or several; where its objects have a column grip, it is used. Of `known`, the
+    horizon, transport_s, speed, the limit of an attempt and the rewards are used.
 
     Raises
     ------

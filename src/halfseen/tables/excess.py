@@ -88,16 +88,7 @@ class Tried(NamedTuple):
 def fitted_excess(config: WorldConfig, layouts: Layout, seed: int, num_trajectories: int = NUM_TRAJECTORIES) -> Excess:
     """Simulate one robot in a known world, and fit E.
 
-    Parameters
-    ----------
-    config
-        The world.
-    layouts
-        Tables to begin with, in turn.
-    seed
-        Of all draws.
-    num_trajectories
-        How many are simulated.
+    Trajectories begin with the layouts in turn.
     """
     parts = [
         _simulated(config, layouts, np.arange(first, min(first + LANES, num_trajectories)), seed)
@@ -214,14 +205,7 @@ def fitted_team_excess(
 ) -> TeamExcess:
     """Simulate a team in a known world, and fit E.
 
-    Parameters
-    ----------
-    config, layouts, seed
-        As of `fitted_excess`.
-    num_states
-        In how many states actions are tried.
-    num_futures
-        In how many futures each.
+    Actions are tried in `num_states` states, each in `num_futures` futures.
     """
     states = visited(config, layouts, seed, num_states)
     key = random.fold_in(random.key_of(seed), np.arange(len(states.steps_to_go)))

@@ -239,12 +239,8 @@ def checked_attempts(
 ) -> Decided:
     """Read attempts and weigh those that were decided.
 
-    Parameters
-    ----------
-    data
-        Columns occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
-    censoring, truncate_at
-        As in `BetaGrasp`.
+    There are columns occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
+    Weights are as in `BetaGrasp`.
 
     Raises
     ------

@@ -89,14 +89,7 @@ def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
 def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspChoice:
     """Choose by attempts.
 
-    Parameters
-    ----------
-    tried
-        As `halfseen.tables.grasp_attempts.attempts` gives them, with the robot of each if there are several.
-    horizon
-        T.
-    num_robots
-        K.
+    `tried` is as `attempts` gives it, with the robot of each if there are several.
 
     Raises
     ------
@@ -183,15 +176,8 @@ def _by_succession(held: _HeldOut) -> Rows:
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
     """Make a grasp model that a policy can carry.
 
-    Parameters
-    ----------
-    grasp
-        None; a `GraspModel`, which is taken as it is; or a grasp estimator, which is tabulated, and first fitted to the
-        attempts of the log (as a copy) if it is not fitted.
-    logs
-        The log.
-    horizon
-        T.
+    None and a `GraspModel` are taken as they are. A grasp estimator is tabulated, and first fitted to the attempts
+    of the log (as a copy) if it is not fitted.
 
     Raises
     ------
@@ -223,13 +209,6 @@ def grasp_model_by(grasp: GraspEstimator, tried: pd.DataFrame, horizon: int) -> 
 
 def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
     """Fit by maximum a posteriori to decided attempts, weighted by 1/Ĝ; no effect where no grip was ever seen.
-
-    Parameters
-    ----------
-    model
-        Fitted.
-    tried
-        As `halfseen.tables.grasp_attempts.attempts` gives them.
 
     Raises
     ------

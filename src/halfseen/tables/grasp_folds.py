@@ -26,14 +26,7 @@ def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple
     Objects are dealt in the order of their success, so that both outcomes are in every fold: at least as many objects
     have either outcome as there are folds, and in this order they are neighbours.
 
-    Parameters
-    ----------
-    decided
-        The attempts.
-    num_folds
-        Folds, if so many objects failed and so many succeeded; else as many as did.
-    random_state
-        Seed.
+    There are `num_folds`, if so many objects failed and so many succeeded; else as many as did.
 
     Raises
     ------

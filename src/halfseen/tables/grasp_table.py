@@ -137,14 +137,7 @@ IN_FULL = GripEffect(per_grip=1.0)
 def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) -> GraspTable:
     """Ask a fitted model for all probabilities that a trajectory of `horizon` stages can need.
 
-    Parameters
-    ----------
-    model
-        The model.
-    horizon
-        T.
-    effect
-        How much a grip counts beside it.
+    `effect` is how much a grip counts beside it.
 
     Raises
     ------

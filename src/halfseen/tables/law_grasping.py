@@ -70,14 +70,7 @@ PRIOR_SPREAD = 0.25
 def choose_grasping(tried: Watched, limit_s: float, known: GraspLaw | None = None) -> AssumedGrasping | FittedGrasping:
     """Fit both families to attempts, and take the one that they speak for; of two alike the exponential one.
 
-    Parameters
-    ----------
-    tried
-        The attempts.
-    limit_s
-        τ, which is known [s].
-    known
-        A law about which that of its family is fitted; None for weak priors.
+    τ is `limit_s` [s]. About a law that is `known` that of its family is fitted; None for weak priors.
     """
     families: list[Exponential | Logistic] = [Logistic(tried, limit_s)]
     if misses_at_limit_alone(tried, limit_s):
@@ -126,14 +119,7 @@ _OF_EXPONENTIAL, _OF_LOGISTIC = _Quadrature.of(31), _Quadrature.of(15)
 class Exponential:
     """The exponential family; θ is a − log τ, b and log σ.
 
-    Parameters
-    ----------
-    tried
-        The attempts.
-    limit_s
-        τ [s].
-    known
-        θ about which it is fitted; None for a weak prior.
+    It is fitted about the θ that is `known`; None for a weak prior.
     """
 
     tried: Watched
@@ -211,14 +197,7 @@ class _Attempts(NamedTuple):
 class Logistic:
     """The logistic family; θ is a, b, log σ, mean log duration of what holds, what misses add to it, and log s.
 
-    Parameters
-    ----------
-    tried
-        The attempts.
-    limit_s
-        τ [s].
-    known
-        θ about which it is fitted; None for a weak prior.
+    It is fitted about the θ that is `known`; None for a weak prior.
     """
 
     tried: Watched

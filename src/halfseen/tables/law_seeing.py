@@ -69,15 +69,7 @@ FOUND = np.array([0.5, 0.1])
 
 @dataclass(frozen=True, eq=False)
 class Independent:
-    """Labels of which each is news.
-
-    Parameters
-    ----------
-    labels
-        The labels.
-    dirty_share
-        π.
-    """
+    """Labels of which each is news."""
 
     labels: Labels
     dirty_share: float
@@ -165,12 +157,7 @@ class Intervals(NamedTuple):
 class Persistent:
     """Labels that persist as long as the view does.
 
-    Parameters
-    ----------
-    told, dirty_share
-        As of `Independent`.
-    num_parts
-        Of what an object shows in full view, in which the curves are given.
+    The curves are given in `num_parts` of what an object shows in full view.
     """
 
     labels: Labels
@@ -254,17 +241,7 @@ def persistent_prior(facing: float, num_parts: int = NUM_PARTS) -> Prior:
 
 
 def intervals_of(labels: Labels, facing: float, num_parts: int = NUM_PARTS) -> Intervals:
-    """Take the labels of each object together.
-
-    Parameters
-    ----------
-    labels
-        The labels.
-    facing
-        Share of the surface that an object in full view shows.
-    num_parts
-        Of it, in which the curves are given.
-    """
+    """Take the labels of each object together."""
     _, from_end = np.unique(labels.object[::-1], return_index=True)
     last = Labels(*(values[::-1][from_end] for values in labels))
     # Where a look found nothing, what it showed is what the recorder counts as seen.

@@ -66,17 +66,7 @@ class WeightedLog(NamedTuple):
 
 
 def weighted_log(logs: Logs, states: TableState, *, is_team: bool = False) -> WeightedLog | str:
-    """Weigh the stages of a log; or say why that cannot be.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    states
-        Its tables, axes (n, T).
-    is_team
-        Whether several robots decided.
-    """
+    """Weigh the stages of a log; or say why that cannot be."""
     action = logged_actions(logs, states.horizon, states.num_objects, is_team=is_team)
     is_possible = np.ones((*action.shape, ActionSpace(states.num_objects).num_actions + is_team), dtype=bool)
     return weighed(trajectory_arrays(logs, Encoded(np.zeros((*action.shape, 1, 0)), is_possible, action), None), states)
@@ -99,19 +89,7 @@ CLEARLY_PAID = 4.0
 def with_lift_price(config: WorldConfig, log: WeightedLog) -> tuple[WorldConfig, str | None]:
     """Scale the price of LIFTs to what they paid, where the laws clearly say otherwise.
 
-    Parameters
-    ----------
-    config
-        The laws, and the price as it was read or told.
-    log
-        The log, weighted.
-
-    Returns
-    -------
-    WorldConfig
-        The laws, with the price.
-    str or None
-        What was changed, in words.
+    Given are the laws with that price, and what was changed, in words; None if nothing was.
     """
     space = ActionSpace(log.states.num_objects)
     at = np.nonzero((space.verb(log.action) == Verb.LIFT) & (log.weight > 0.0) & ~log.is_last)
@@ -271,14 +249,7 @@ def tested_on_team(
 ) -> LawTest:
     """Test the laws.
 
-    Parameters
-    ----------
-    config
-        The team with its fitted laws.
-    logs, states, brought
-        The log, its states and what its stages brought.
-    weight
-        δ / Ĝ(U⁻) of each stage; 0 where it was not completed.
+    `weight` is δ / Ĝ(U⁻) of each stage; 0 where it was not completed.
     """
     groups = {
         "grasps": _grasps(config, logs, states, weight),

@@ -151,16 +151,8 @@ def assisted_by_laws(
 ) -> Assisted:
     """Fit laws to a log, and learn with their help.
 
-    Parameters
-    ----------
-    logs
-        A log of one robot's tables.
-    model
-        Of linear eq. 3, fitted to the log but for Q.
-    linear
-        What that learns.
-    known, prior
-        As `TableLearner` takes them.
+    `model` is that of linear eq. 3, fitted to the log but for Q, and `linear` what that learns; `known` and `prior`
+    are as `TableLearner` takes them.
 
     Raises
     ------
@@ -197,20 +189,9 @@ def assisted_by(
 ) -> Assisted:
     """Learn from what a log tells of laws, and test them on it: what `assisted_by_laws` does once all is read.
 
-    Parameters
-    ----------
-    evidence
-        What it tells.
-    log
-        On which the laws are tested; or why they cannot be.
-    layouts
-        Tables that its trajectories began with.
-    known, prior
-        As `TableLearner` takes them; prices and times must be told.
-    seed
-        Of the synthetic trajectories.
-    without
-        Chooses what the policy is where the log contradicts the laws; it is given the rule of thumb.
+    `log` is that on which the laws are tested, or says why they cannot be; trajectories began with `layouts`.
+    Prices and times must be `known`. `without` is given the rule of thumb, and chooses what the policy is where the
+    log contradicts the laws.
     """
     laws = fitted_laws(evidence, known, prior)
     mending = mending_of(evidence.labels, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
@@ -241,17 +222,7 @@ class Chosen(NamedTuple):
 def rule_or_linear(
     rule: RulePolicy, linear: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
 ) -> Chosen:
-    """The rule, or linear eq. 3 where the log clearly speaks for that.
-
-    Parameters
-    ----------
-    rule, linear
-        The two.
-    model
-        Of linear eq. 3, fitted to the log but for Q.
-    trajectories, states
-        The log, as that model sees it.
-    """
+    """The rule, or linear eq. 3 where the log clearly speaks for that."""
     gain, low = gain_of(linear, rule, model, trajectories, states)
     if low > 0.0:
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"

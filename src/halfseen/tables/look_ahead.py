@@ -260,12 +260,7 @@ NUM_TEAM_EXCESS_FEATURES = 3 * NUM_VERBS + NUM_TEAM_FEATURES
 def team_described(state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A F"]:
     """Describe every action of the robot that decides.
 
-    Parameters
-    ----------
-    state
-        Tables of a team.
-    q
-        What the myopic look makes of each action; −∞ where it is impossible.
+    `q` is what the myopic look makes of each; −∞ where it is impossible.
     """
     xp = library_of(q)
     verb = np.append(ActionSpace(state.num_objects).verbs, WAIT)

@@ -153,16 +153,8 @@ class Tried(NamedTuple):
 def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) -> Present:
     """State of a table of which nothing is known but a view: labels at the prior, no attempts.
 
-    Parameters
-    ----------
-    scene
-        What the cloud shows.
-    horizon
-        T of the policy.
-    dirty_share
-        P(DIRTY) of an object before any label, as in the logs that the policy learned from; in (0, 1).
-    stage
-        The stage to decide, from 1.
+    `horizon` is T of the policy, and `dirty_share` P(DIRTY) of an object before any label, as in the logs that it
+    learned from, in (0, 1). Stages count from 1.
 
     Raises
     ------
@@ -176,12 +168,7 @@ def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) 
 def unknown(scene: Scene, dirty_share: float) -> Known:
     """What is known of objects that were never seen before.
 
-    Parameters
-    ----------
-    scene
-        What the cloud shows.
-    dirty_share
-        P(DIRTY) of an object before any label; in (0, 1).
+    `dirty_share` is P(DIRTY) of an object before any label, in (0, 1).
 
     Raises
     ------
@@ -197,18 +184,7 @@ def unknown(scene: Scene, dirty_share: float) -> Known:
 def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, stage: int) -> TableState:
     """State of a table on which every object stands that is known.
 
-    Parameters
-    ----------
-    hides
-        ``hides[i, j]`` is the share of object i that object j alone hides.
-    known
-        What is known of each.
-    tried
-        Their past attempts.
-    horizon
-        T of the policy.
-    stage
-        The stage to decide, from 1.
+    `horizon` is T of the policy, and stages count from 1.
 
     Raises
     ------
@@ -242,14 +218,8 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
 def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSeeing) -> Present:
     """Move the log-odds of DIRTY by a label of each object, as right as a law says at its occlusion.
 
-    Parameters
-    ----------
-    present
-        Where the trajectory stands; where its log-odds hold this look, only what is new to the history is labelled.
-    is_dirty
-        What each object of the cloud looks like; None where nothing can be said.
-    seeing
-        What labels tell.
+    Where the log-odds hold this look already, only what is new to the history is labelled. `is_dirty` is what each
+    object of the cloud looks like; None where nothing can be said.
     """
     occluded = np.asarray(occlusion(present.state), dtype=np.float64)
     log_odds, seen = (np.asarray(leaf, dtype=np.float64) for leaf in (present.state.log_odds, present.state.seen))

@@ -68,16 +68,7 @@ def read_back(
 ) -> Recorder:
     """Find the law whose labels would have moved the log-odds as they moved.
 
-    Parameters
-    ----------
-    labels
-        The labels.
-    law_of
-        The law of some numbers.
-    centre
-        Where the search begins; numbers that no label tells stay there.
-    bounds
-        Within which each number lies.
+    The search begins at `centre`, where numbers stay that no label tells; each lies within `bounds`.
     """
     from scipy.optimize import least_squares
 
@@ -122,14 +113,8 @@ class SeenBy(NamedTuple):
 def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
     """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
 
-    Parameters
-    ----------
-    labels
-        The labels; without any, the law's numbers are the prior's.
-    dirty_share
-        π, which is known.
-    known
-        A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
+    Without any labels, the law's numbers are the prior's. Where the recorder's law is not to be had, that is about
+    the law that is `known`; None for a weak prior.
     """
     families: list[Any] = [Independent(labels, dirty_share)]
     if labels.is_persistent:
@@ -155,14 +140,7 @@ NUM_KNOTS = 16
 def mending_of(labels: Labels, law: KnownSeeing, dirty_share: float) -> Mending | None:
     """Learn it from the labels of a log; None where it has none.
 
-    Parameters
-    ----------
-    labels
-        The labels, those of each object in order.
-    law
-        What they are to mean.
-    dirty_share
-        P(DIRTY) before any label.
+    `law` is what the labels are to mean, those of each object in order.
     """
     if not len(labels.trajectory):
         return None

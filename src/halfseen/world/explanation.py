@@ -169,11 +169,6 @@ def alike(state: TableState) -> Int[np.ndarray, " A"]:
     Two objects are interchangeable if all that is seen stays the same when they trade places: location, grip, log-odds,
     what was seen of them, past attempts, and who hides whom. Doing the same to either is then worth the same, whatever
     estimates say.
-
-    Parameters
-    ----------
-    state
-        One table.
     """
     there = np.asarray(state.is_on_table)
     known = np.stack([np.asarray(leaf, dtype=np.float64) for leaf in (state.log_odds, state.grip, state.seen)])

@@ -102,14 +102,8 @@ def check_log(logs: Logs) -> None:
 def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | None = None) -> TableLog:
     """Check a log of tables, and give its rows.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T, the decisions of all robots together; None where it is not known.
-    is_team
-        Whether it must tell of robots, and is checked for what it tells of them; None where it does.
+    `horizon` is T, the decisions of all robots together; None where it is not known. Where `is_team`, it must tell
+    of robots, and is checked for what it tells of them; None where it does.
 
     Raises
     ------

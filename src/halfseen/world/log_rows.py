@@ -165,11 +165,6 @@ def object_numbers(objects: pd.DataFrame) -> Int[np.ndarray, " rows"]:
     """Number of each row's object among all that its trajectory ever lists, from 0, in the order of their names.
 
     A trajectory lists what came into view so far, so that the same object may be another row of a later stage.
-
-    Parameters
-    ----------
-    objects
-        Columns trajectory and object.
     """
     trajectory, name = (
         pd.factorize(objects[column], sort=True)[0].astype(np.int64) for column in ("trajectory", "object")

@@ -180,12 +180,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     Objects are numbered as `object_numbers` does; one that is not in view yet is padding until it is. Where the log
     tells of robots, so do the states; where there is no row, nobody is at the table.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T, the decisions of all robots together.
+    `horizon` is T, the decisions of all robots together.
 
     Raises
     ------

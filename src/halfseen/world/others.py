@@ -68,15 +68,7 @@ WAITS = 0.5
 
 
 def makespans(state: TableState, others: Others) -> Float[Array, "*B A"]:
-    """Bound of what follows each action, WAIT last; 0 where nothing is left to do.
-
-    Parameters
-    ----------
-    state
-        Of a table with several robots.
-    others
-        Of that state.
-    """
+    """Bound of what follows each action, WAIT last; 0 where nothing is left to do."""
     robots: Any = state.robots
     workspace: Any = state.workspace
     xp, is_me, zero, num = library_of(state.log_odds), is_decider(state), np.float32(0.0), state.num_objects

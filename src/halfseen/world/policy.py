@@ -91,13 +91,8 @@ class ExploringPolicy:
 def check_fits(policy: Any, config: WorldConfig) -> None:
     """Refuse a policy that is not for a team, in itself or in what it builds upon.
 
-    Parameters
-    ----------
-    policy
-        What is to decide. By `num_robots` it tells for how many robots, unless it is for any number; by `num_stages`
-        for how many of their decisions, if it was learned for so many.
-    config
-        The team's.
+    By `num_robots` a policy tells for how many robots it is, unless it is for any number; by `num_stages` for how
+    many of their decisions, if it was learned for so many.
 
     Raises
     ------
