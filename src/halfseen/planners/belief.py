@@ -27,7 +27,6 @@ class Grip(NamedTuple):
     """What is believed of grip offsets, each its mean plus a hidden u."""
 
     mean: Float[Array, "*S"]
-    """As `TableState.grip` has it."""
     log_weights: Float[Array, "*S G"]
     """Log posterior weights of u on `offset_nodes`, not normalised."""
 
@@ -40,9 +39,7 @@ class Belief:
     is_on_table: Bool[Array, "*B N"]
     log_odds: Float[Array, "*B N"]
     seen: Float[Array, "*B N"]
-    """As `TableState.seen` has it."""
     grip: Grip
-    """Of each object; axes (B, N)."""
     steps_to_go: Int[Array, "*B"]
 
 

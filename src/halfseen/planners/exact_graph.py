@@ -48,7 +48,6 @@ class Node:
     tally: Tally
     work: Work
     shape: tuple[int, ...]
-    """Of its grid."""
     place: int | None
     """In its layer; None where no robot is to decide."""
     choices: dict[int, Choice] = field(default_factory=dict)
@@ -74,7 +73,6 @@ class Graph:
     max_states: int
     num_states: int = 0
     root: Arrival = field(init=False)
-    """The first look."""
     layers: list[dict[Key, Node]] = field(default_factory=list)
 
     def __post_init__(self) -> None:

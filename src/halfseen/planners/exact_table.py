@@ -59,7 +59,6 @@ class Cells(NamedTuple):
     """What is known of the object in each cell."""
 
     log_odds: Float[np.ndarray, " cells"]
-    """Of DIRTY."""
     seen: Float[np.ndarray, " cells"]
     """Share of the surface that counts as seen."""
 
@@ -73,7 +72,6 @@ class Look(NamedTuple):
     """One more label of an object: where each cell of its axis goes, and how likely that is."""
 
     looks: Looks
-    """What is kept of the looks then."""
     if_clean: Int[np.ndarray, " cells"]
     if_dirty: Int[np.ndarray, " cells"]
     says_dirty: Float[np.ndarray, " cells"]

@@ -111,7 +111,6 @@ class Meanwhile(NamedTuple):
     probability: float
     doing: Doing
     held: Held = NOTHING
-    """What it holds up in the air."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -36,14 +36,12 @@ class Table(NamedTuple):
 
     is_there: Bool[Array, " N *B"]
     is_dirty: Float[Array, " N *B"]
-    """P(DIRTY)."""
     weights: Float[Array, "G N *B"]
     """Posterior of each grip offset on its nodes."""
     seen: Float[Array, " N *B"]
     steps_to_go: Int[Array, "*B"]
     hides: Float[Array, "N N *B"]
     grip: Float[Array, " N *B"]
-    """Mean of the grip offset."""
 
 
 class Setting(NamedTuple):
@@ -60,7 +58,6 @@ class Outlook(NamedTuple):
     """What may follow one attempt at each object."""
 
     occluded: Float[Array, "M N *B"]
-    """As `Setting` has it."""
     likelihood: Float[Array, "2 G N *B"]
     """P(an attempt now misses, and holds) at each node of the grip offset."""
     expected: tuple[Float[Array, "W N *B"], ...]
@@ -157,8 +154,9 @@ def labels_in(config: WorldConfig, table: Table, occluded: Float[Array, "M N *B"
     return (xp.stack([says_dirty, _ONE - says_dirty], axis=1) * is_counted).astype(np.float32)
 
 
-def outlook_of(config: WorldConfig, table: Table, setting: Setting) -> Outlook:
-    """Look one attempt ahead, at each object."""
+def outlook_of(config: WorldConfig, table: Table, setting: Setting | None = None) -> Outlook:
+    """Look one attempt ahead, at each object; in the setting of a world's own law unless one is given."""
+    setting = setting_of((config,), table) if setting is None else setting
     expected = tuple((table.weights * each).sum(axis=1) for each in setting.attempts)
     hit = table.is_dirty * setting.label[0]
     says = hit + (_ONE - table.is_dirty) * setting.label[1]
@@ -282,6 +280,6 @@ def laid_out(finish: Float[Array, "*B"], values: Float[Array, "..."]) -> Float[A
 def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, "*B A"]:
     """Q_1 of every action of one robot, in closed form; −∞ where an action is impossible."""
     table = table_of(belief)
-    look = outlook_of(config, table, setting_of((config,), table))
+    look = outlook_of(config, table)
     left = left_price(config, table)
     return laid_out(left, left + rule_and_control(config, table, look)[0])

@@ -9,18 +9,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from halfseen.arrays import Array, library_of, mapped
+from halfseen.planners import one_step
 from halfseen.planners.belief import known_seeing
-from halfseen.planners.one_step import (
-    HELD,
-    Outlook,
-    Setting,
-    Table,
-    control_value,
-    labels_in,
-    outlook_of,
-    rule_and_control,
-    setting_of,
-)
+from halfseen.planners.one_step import HELD, Outlook, Setting, Table
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
@@ -65,7 +56,7 @@ class Settings(NamedTuple):
         setting = picked(self.each, self.bit @ table.is_there)
         if type(config.seeing) is AssumedSeeing:
             return setting
-        return setting._replace(label=labels_in(config, table, setting.occluded))
+        return setting._replace(label=one_step.labels_in(config, table, setting.occluded))
 
 
 def settings_of(config: WorldConfig, table: Table) -> Settings | None:
@@ -78,13 +69,13 @@ def settings_of(config: WorldConfig, table: Table) -> Settings | None:
     if num_sets > MOST_SETS:
         return None
     every = picked(table, np.zeros(num_sets, dtype=np.int64))
-    return Settings(bit, setting_of((config,), every._replace(is_there=(bit[:, None] & np.arange(num_sets)) > 0)))
+    every = every._replace(is_there=(bit[:, None] & np.arange(num_sets)) > 0)
+    return Settings(bit, one_step.setting_of((config,), every))
 
 
 def looked(config: WorldConfig, table: Table, settings: Settings | None) -> Outlook:
     """Look one attempt ahead; by how the objects stand, where that is known."""
-    setting = setting_of((config,), table) if settings is None else settings.of(config, table)
-    return outlook_of(config, table, setting)
+    return one_step.outlook_of(config, table, None if settings is None else settings.of(config, table))
 
 
 def successor(
@@ -175,11 +166,11 @@ def _followed(
     config: WorldConfig, table: Table, look: Outlook, last_step: Int[Array, " R"]
 ) -> tuple[Int[Array, " R"], Float[Array, " R"], Bool[Array, " R"]]:
     """What the rule does next, its advantage, and whether the trajectory ends with it."""
-    values = rule_and_control(config, table, look)
+    values = one_step.rule_and_control(config, table, look)
     xp, best = library_of(values), values[0].argmax(axis=0)
     rule, control = values[:, best, np.arange(len(best))]
     # Nothing is better than to finish, which is worth 0 here.
     is_finish = rule <= _ZERO
     is_last = (table.steps_to_go == 1) | (table.steps_to_go == last_step)
     worth = xp.where(is_finish, _ZERO, xp.where(is_last, rule, control))
-    return best, worth - control_value(table, look), is_finish | is_last
+    return best, worth - one_step.control_value(table, look), is_finish | is_last

@@ -125,7 +125,6 @@ class Watched(NamedTuple):
     occlusion: Rows
     """Hidden share when it began, in [0, 1]."""
     grip: Rows
-    """Mean of the object's grip offset."""
     watched_s: Rows
     """Time for which it was watched, without transport: until it held, missed or was cut; at most the limit [s]."""
     is_held: RowMask
@@ -143,14 +142,12 @@ class Labels(NamedTuple):
     occlusion: Rows
     """Hidden share in the look that it comes from; 0 of what is held up."""
     is_held: RowMask
-    """Whether it was held up in that look."""
     seen: Rows
     """Share of its surface that the recorder counted as seen before it; 0 in a log that counts none."""
     seen_after: Rows
     """The same after it."""
     says_dirty: RowMask
     was_dirty: RowMask
-    """Whether washing showed that the object was dirty."""
     was_clean: RowMask
     """Whether it showed that it was clean; of what was never washed nothing was shown."""
     moved: Rows

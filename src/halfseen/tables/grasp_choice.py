@@ -135,7 +135,6 @@ class _HeldOut(NamedTuple):
 
     decided: Decided
     trajectory: RowIds
-    """Rank of each attempt's trajectory."""
     grip: Rows
 
     @classmethod

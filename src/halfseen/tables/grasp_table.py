@@ -102,11 +102,8 @@ class History(NamedTuple):
     """What is known of an object before an attempt."""
 
     occlusion: Rows
-    """Hidden share in [0, 1]."""
     successes: Rows
-    """Past attempts that succeeded."""
     failures: Rows
-    """Past attempts that failed."""
 
 
 class GripEffect(NamedTuple):

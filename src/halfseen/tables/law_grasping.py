@@ -188,7 +188,6 @@ class _Attempts(NamedTuple):
     is_held: RowMask
     is_cut: RowMask
     rank: RowIds
-    """Number of its object, from 0."""
     first: RowIds
     """The first attempt at each object."""
 

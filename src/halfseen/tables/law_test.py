@@ -40,7 +40,7 @@ from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.planners.belief import belief_of, expected_attempt_s
-from halfseen.planners.one_step import HELD, left_price, outlook_of, setting_of, table_of
+from halfseen.planners.one_step import HELD, left_price, outlook_of, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.encoding import logged_actions
 from halfseen.tables.evidence import NUM_LEFT, Brought, beside_prices
@@ -275,7 +275,7 @@ def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[n
     table = table_of(belief_of(config, there))
     for k in range(config.num_robots if config.has_own_laws else 1):
         world = config.as_robot(k)
-        look = outlook_of(world, table, setting_of((world,), table))
+        look = outlook_of(world, table)
         is_its_own = (robot == k) | (not config.has_own_laws)
         expected = np.where(is_its_own, look.expected[0][HELD][target, number], expected)
     is_held = tried["succeeded"].to_numpy(dtype=bool)

@@ -31,19 +31,8 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Array, library_of
-from halfseen.planners.one_step import (
-    ATTEMPT_S,
-    MISSED,
-    MISSED_THEN_HELD,
-    NOW,
-    Outlook,
-    Table,
-    control_value,
-    outlook_of,
-    setting_of,
-    tries_then,
-    values_by,
-)
+from halfseen.planners import one_step
+from halfseen.planners.one_step import MISSED, MISSED_THEN_HELD, NOW, Outlook, Table
 from halfseen.shapes import Bool, Float
 from halfseen.tables.features import NUM_TEAM_FEATURES, team_features
 from halfseen.world.actions import VERB_NAMES, WAIT, ActionSpace
@@ -79,12 +68,13 @@ class Ahead(NamedTuple):
         return self.values[0]
 
 
-def ahead_of(config: WorldConfig, table: Table, look: Outlook | None = None) -> Ahead:
+def ahead_of(config: WorldConfig, table: Table) -> Ahead:
     """Look ahead, and describe what is seen."""
-    look = outlook_of(config, table, setting_of((config,), table)) if look is None else look
-    each = tries_then(config, look, (ZERO,))
-    values = values_by(config, table, look, each)
-    return Ahead(table, look, values, control_value(table, look), *_described(config, table, look, each[0], values))
+    look = one_step.outlook_of(config, table)
+    each = one_step.tries_then(config, look, (ZERO,))
+    values = one_step.values_by(config, table, look, each)
+    control = one_step.control_value(table, look)
+    return Ahead(table, look, values, control, *_described(config, table, look, each[0], values))
 
 
 class _Objects(NamedTuple):
@@ -129,7 +119,7 @@ def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Arra
     bare, bare_dirty, second = (
         if_there((hidden * each).sum(axis=1)) for each in (doubt * unseen, (p > 0.5) * unseen, reveal)
     )
-    own_s = config.transport_s + expected[ATTEMPT_S]
+    own_s = config.transport_s + expected[one_step.ATTEMPT_S]
     return _Objects(
         worth=worth,
         gain=gain,

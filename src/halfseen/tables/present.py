@@ -130,24 +130,18 @@ class Known(NamedTuple):
     """What is known of each object, besides its past attempts."""
 
     log_odds: PerObject
-    """Of DIRTY, given all labels."""
     seen: PerObject
     """Share of its surface that labels have told of."""
     lifts: PerObject
-    """Past lifts that held."""
     grip: PerObject
-    """Mean of its grip offset."""
 
 
 class Tried(NamedTuple):
     """A past attempt."""
 
     target: int
-    """Number of its object."""
     occlusion: float
-    """Hidden share of it then."""
     is_held: bool
-    """Whether it held."""
 
 
 def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) -> Present:

@@ -93,7 +93,7 @@ def moved_by(law: KnownSeeing, labels: Labels) -> Rows:
     return np.asarray(label_evidence(if_dirty, if_clean, labels.says_dirty), dtype=np.float64)
 
 
-def speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
+def _speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
     """Whether labels reject a law, given its log-likelihood and the best of its family."""
     from scipy.special import chdtri
 
@@ -107,7 +107,6 @@ class SeenBy(NamedTuple):
     recorder: AssumedSeeing | PersistentSeeing | None
     """The law that made the log's own log-odds; None where no law of the family did."""
     is_rejected: bool = False
-    """Whether the labels speak against it."""
 
 
 def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
@@ -128,8 +127,7 @@ def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = No
         return SeenBy(plain.law(plain.fitted(unaided)), None)
     family, recorder = found
     best = family.fitted(Prior(recorder.theta, family.prior.spread))
-    reached = family.log_likelihood(recorder.theta), family.log_likelihood(best)
-    if speaks_against(*reached, len(recorder.theta)):
+    if _speaks_against(family.likelihood(recorder.theta)[0], family.likelihood(best)[0], len(best)):
         return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
     return SeenBy(family.law(family.fitted(Prior(recorder.theta, RECORDER_SPREAD))), family.law(recorder.theta))
 

@@ -28,7 +28,6 @@ class Arrangement(NamedTuple):
     is_on_table: Bool[Array, "*B N"]
     """False in the dishwasher, and for padding."""
     occlusion: Float[Array, "*B N"]
-    """Hidden share of each object now."""
     grip: Float[Array, "*B N"]
     """Mean of each object's grip offset, from what is seen of it; 0 where nothing sets it apart."""
 
@@ -43,7 +42,6 @@ class Attempt(NamedTuple):
     hides: Float[Array, "*B N N"]
     """Who hides whom afterwards, as objects may have moved."""
     latent: Any
-    """The latent variable afterwards."""
 
 
 @runtime_checkable

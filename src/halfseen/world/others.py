@@ -26,11 +26,9 @@ class Others(NamedTuple):
     goes_on: Bool[Array, "*B K"]
     """Which of them will do something yet; who goes home no longer does."""
     is_at_object: Bool[Array, "*B K"]
-    """Which of them are at an object."""
     reached: Bool[Array, "*B N"]
     """What on the table those reach that go on."""
     taken: Bool[Array, "*B N"]
-    """What they are at."""
     num_at_work: Float[Array, "*B"]
     since_s: Float[Array, "*B"]
     """For how long those that are at work have been at it, in all [s]."""
