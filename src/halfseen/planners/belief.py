@@ -169,18 +169,3 @@ def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: 
     attempt_s = known_grasping(config).expected_s(occluded[..., None], grip_offsets(config, grip.mean))
     xp = library_of(attempt_s)
     return config.transport_s + xp.sum(softmax(grip.log_weights) * attempt_s, axis=-1)
-
-
-def dirty_after_label(
-    config: WorldConfig,
-    is_dirty: Float[Array, "*#S"],
-    seen: Float[Array, "*#S"],
-    occluded: Float[Array, "*#S"],
-    is_held: bool = False,
-) -> tuple[Float[Array, "*S"], Float[Array, "*S"], Float[Array, "*S"]]:
-    """P(the next label says dirty), and P(DIRTY) after either label."""
-    if_dirty, if_clean = known_seeing(config).positive(occluded, seen, is_held)
-    says_dirty = is_dirty * if_dirty + (1.0 - is_dirty) * if_clean
-    # Where nothing is new, no label says dirty.
-    mass = library_of(says_dirty).maximum(says_dirty, np.finfo(np.float32).tiny)
-    return says_dirty, is_dirty * if_dirty / mass, is_dirty * (1.0 - if_dirty) / (1.0 - says_dirty)

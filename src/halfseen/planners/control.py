@@ -43,35 +43,18 @@ class Controlled(NamedTuple):
         return self.value + self.advantage
 
 
-def controlled_rewards(
+def controlled(
     config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[np.ndarray, " B"]
-) -> Float[np.ndarray, " B"]:
+) -> Controlled:
     """Play the tables that `halfseen.world.rollout.evaluate_some` would, of one robot.
 
-    Parameters
-    ----------
-    config
-        The true world, whose laws have known probabilities.
-    layouts, policy, key, episode
-        As there.
-
-    Returns
-    -------
-    Float[ndarray, " B"]
-        Of the same mean as the reward of each trajectory, with less noise.
+    `config` is the true world.
 
     Raises
     ------
     ArgumentError
         The world's laws can only be drawn from.
     """
-    return controlled(config, layouts, policy, key, episode).reward
-
-
-def controlled(
-    config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[np.ndarray, " B"]
-) -> Controlled:
-    """What `controlled_rewards` says, in parts."""
     return in_parts(_controlled, config, layouts, policy, key, episode)
 
 

@@ -13,7 +13,8 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_table import NOTHING, Grid, GridWorld, Held, Look, Looks, Tally, expected_over_labels
+from halfseen.planners.exact_labels import Grid, Look, Looks, expected_over_labels
+from halfseen.planners.exact_table import NOTHING, GridWorld, Held, Tally
 from halfseen.planners.exact_team import IDLE, Team, Work
 
 GO_ON = -1

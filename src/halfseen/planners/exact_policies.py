@@ -9,7 +9,8 @@ import numpy as np
 from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
 from halfseen.planners.exact_graph import GO_ON, Arrival, Choice, Graph, Node
-from halfseen.planners.exact_table import Grid, GridWorld, Tally, spread_over_labels
+from halfseen.planners.exact_labels import Grid, spread_over_labels
+from halfseen.planners.exact_table import GridWorld, Tally
 from halfseen.planners.exact_team import PARKED, Team
 from halfseen.shapes import Float, Int
 from halfseen.world import random

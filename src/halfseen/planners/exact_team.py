@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_table import NOTHING, Counts, Grid, GridWorld, Held, Tally
+from halfseen.planners.exact_labels import Grid
+from halfseen.planners.exact_table import NOTHING, Counts, GridWorld, Held, Tally
 from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.world.actions import FINISH, WAIT, ActionSpace, Verb, wait_of
 from halfseen.world.config import WorldConfig

@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_table import GridWorld, Labels, labels_of, spread_over_labels
+from halfseen.planners.exact_labels import Labels, labels_of, spread_over_labels
+from halfseen.planners.exact_table import GridWorld
 from halfseen.shapes import Float
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping, KnownGrasping

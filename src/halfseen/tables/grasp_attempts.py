@@ -233,9 +233,7 @@ def checked_covariates(data: FrameLike, names: Sequence[str]) -> Float[np.ndarra
 
 
 def checked_attempts(
-    data: FrameLike,
-    censoring: str | CensoringModel = "kaplan-meier",
-    truncate_at: float | int | None = None,
+    data: FrameLike, censoring: str | CensoringModel = "kaplan-meier", truncate_at: float | int | None = None
 ) -> Decided:
     """Read attempts and weigh those that were decided.
 

@@ -135,11 +135,7 @@ class TableLearner(CensoredQLearner):
 
 
 def assisted_by_laws(
-    logs: Logs,
-    model: QModel,
-    linear: Policy,
-    known: WorldConfig | None = None,
-    prior: WorldConfig | None = None,
+    logs: Logs, model: QModel, linear: Policy, known: WorldConfig | None = None, prior: WorldConfig | None = None
 ) -> Assisted:
     """Fit laws to a log, and learn with their help.
 

@@ -142,11 +142,7 @@ def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Arra
 
 
 def _described(
-    config: WorldConfig,
-    table: Table,
-    look: Outlook,
-    gains: Float[Array, "2 M N *B"],
-    values: Float[Array, "2 C *B"],
+    config: WorldConfig, table: Table, look: Outlook, gains: Float[Array, "2 M N *B"], values: Float[Array, "2 C *B"]
 ) -> tuple[Float[Array, " 14 *B"], Float[Array, "30 2 N *B"]]:
     """Features of the table, and those of its own for each target."""
     xp, there = library_of(values), table.is_there
