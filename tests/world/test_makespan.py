@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from halfseen.world.actions import WAIT
-from halfseen.world.others import FADES_PER_S, WAITS, makespans, others_of
+from halfseen.world.actions import FADES_PER_S, WAIT, WAITS, makespans, others_of
 from picked import picked
 from played_teams import played, team_of
 

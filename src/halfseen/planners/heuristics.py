@@ -18,9 +18,8 @@ from halfseen.arrays import STATIC, Array, expit, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import expected_attempt_s, grasp_probability, grip_posterior, prior_grip
 from halfseen.shapes import Bool, Float
-from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider, of_robot, possible_actions, wait_of
+from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider, of_robot, others_of, possible_actions, wait_of
 from halfseen.world.config import WorldConfig
-from halfseen.world.others import others_of
 from halfseen.world.policy import Decision, GraspModel, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState, occlusion

@@ -16,9 +16,8 @@ from halfseen.planners import one_step
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import NOW, Outlook
 from halfseen.shapes import Bool, Float, Int
-from halfseen.world.actions import Verb, is_decider, possible_actions
+from halfseen.world.actions import Others, Verb, is_decider, others_of, possible_actions
 from halfseen.world.config import WorldConfig
-from halfseen.world.others import Others, others_of
 from halfseen.world.policy import Decision, surely
 from halfseen.world.random import Key
 from halfseen.world.state import Robots, TableState
