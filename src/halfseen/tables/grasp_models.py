@@ -26,8 +26,14 @@ from halfseen.learning.behaviour import Derivatives, minimise_each
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.logs.columns import FrameLike
 from halfseen.shapes import Bool, Float
-from halfseen.tables.grasp_attempts import Decided, checked_attempts, checked_covariates, checked_history, kinds
-from halfseen.tables.grasp_folds import splits_of
+from halfseen.tables.grasp_attempts import (
+    Decided,
+    checked_attempts,
+    checked_covariates,
+    checked_history,
+    kinds,
+    splits_of,
+)
 from halfseen.tables.grasp_table import History
 
 CENTRE = np.array([0.0, 0.0, np.log(2.0)])
