@@ -48,7 +48,6 @@ __all__ = [
     "solve_table",
     "solve_team",
 ]
-
 _NAMES = {
     "discrete": "DiscreteSolution solve_discrete",
     "exact": "TableOptimum TeamOptimum solve_table solve_team",

@@ -20,7 +20,6 @@ from halfseen.shapes import Bool, Float, Int
 from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
 
 _MAX_CACHED = 8192
-
 Looks: TypeAlias = tuple[int, ...]
 """What is kept of the looks at an object."""
 Grid: TypeAlias = Float[np.ndarray, "..."]

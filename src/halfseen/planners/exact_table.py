@@ -25,7 +25,6 @@ from halfseen.world.scene import Scene
 from halfseen.world.seeing import KnownSeeing
 
 _SAME_OCCLUSION_DIGITS = 12
-
 Counts: TypeAlias = tuple[int, ...]
 """One number for each occlusion that an object can have."""
 

@@ -31,7 +31,6 @@ from halfseen.world.transition import step, until_out_s
 NUM_PROPOSALS = 16
 """Attempts drawn for each robot that is at work; one of those that have not yet ended is taken."""
 NUM_FUTURES = 32
-
 Tree = TypeVar("Tree")
 
 

@@ -26,7 +26,6 @@ LEAST_LEFT = 0.3
 """What is at least expected to be left of an attempt that goes on, as a share of its expected time."""
 OUT_OF_REACH = np.float32(1e30)
 """Price of a try that nobody can make."""
-
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 

@@ -26,7 +26,6 @@ from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 
 _ZERO, _ONE, _NEVER, _TINY = np.float32(0.0), np.float32(1.0), np.float32(-np.inf), np.finfo(np.float32).tiny
-
 MISSED, HELD, MISSED_THEN_HELD, HELD_TWICE, ATTEMPT_S, NOW = range(6)
 """Rows of `Setting.attempts`; from the last on, P(it holds) in each of the ways but that in the hand."""
 

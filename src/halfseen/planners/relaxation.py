@@ -32,9 +32,7 @@ from halfseen.world.seeing import is_independent
 MAX_OBJECTS = 12
 MAX_ENUMERATED = 20_000
 """Number of things that may be told up to which all of them are gone through, where grip offsets lie on a grid."""
-
 _CELLS_AT_ONCE = 2_000_000
-
 REVEALED = ("looks", "hidden", "everything")
 """What an informant may tell, from little to much."""
 

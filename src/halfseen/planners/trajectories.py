@@ -22,7 +22,6 @@ MOST_SETS = 64
 """Sets of objects of one table for which it pays to find at once what each makes of attempts."""
 SPARED = 24
 """Trajectories that are over for which it does not pay to leave them out."""
-
 _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 Tree = TypeVar("Tree")
 

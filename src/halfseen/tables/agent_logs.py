@@ -42,7 +42,6 @@ from halfseen.world.log_rows import FREE, OUT, PARKED, TableLog
 
 SPENT = "decisions-spent"
 """Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
-
 _WAIT, _FINISH = VERB_NAMES[-1], Verb.FINISH.name
 _ATTEMPTS = tuple(VERB_NAMES[verb] for verb in TARGETED)
 _LEAST_S = 1e-6

@@ -20,15 +20,13 @@ from halfseen.tables.features import table_features, team_features
 from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, wait_of, worthwhile_actions
 from halfseen.world.log_checks import TABLE, checked_tables, robots_in
 from halfseen.world.log_rows import begun_objects
-from halfseen.world.logs import states_of
+from halfseen.world.logs import spread, states_of
 from halfseen.world.policy import GraspModel
 from halfseen.world.state import Layout, TableState
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
 """All of them; the first two are known as a trajectory begins."""
-
 NUM_AT_BEGIN = 2
-
 _VERBS = tuple(verb.name for verb in Verb)
 
 
@@ -62,13 +60,6 @@ def encoded_at(
     is_possible = spread(choices(there), at, action.shape)
     is_possible[~is_possible.any(axis=-1), FINISH] = True
     return Encoded(spread(of_action.astype(np.float64), at, action.shape), is_possible, action)
-
-
-def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:
-    """Put the values of some stages at their places, and zeros elsewhere."""
-    found = np.zeros((*shape, *values.shape[1:]), dtype=values.dtype)
-    found[at] = values
-    return found
 
 
 def states_alone(logs: Logs, horizon: int) -> TableState:

@@ -22,17 +22,12 @@ from halfseen.world.state import TableState
 
 _HIDES = 0.1
 """Share of another object from which on an object counts as hiding it."""
-
 _SURE = 0.9
 """P(DIRTY) from which on nobody asks what a wrong WASH costs."""
-
 _SAME_LOG_ODDS = 1e-5
-
 _MOST_TOLD = 2
 """Objects behind another that are told of one by one."""
-
 _HIDDEN = ((_HIDES, ""), (0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
-
 _DIRTY = (
     (0.1, "almost surely clean"),
     (0.25, "probably clean"),

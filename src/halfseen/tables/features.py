@@ -74,20 +74,14 @@ from halfseen.world.state import TableState, attempt_counts
 
 FEATURES_VERSION = 1
 """Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
-
 NUM_FEATURES = 22
-
 NUM_TABLE_FEATURES = 11
-
 WASH_DIRTY, WASH_EASE = NUM_TABLE_FEATURES + 2, NUM_TABLE_FEATURES + 4
 """Where the features of WASH hold P(DIRTY) and the ease of the target."""
-
 LEAST_IN_SIGHT = 1e-6
 """Share that one object leaves of another's silhouette at least: what is in sight without it follows by division."""
-
 LIKELY_ODDS = 3.0
 """Odds that a grasp holds at which the mean of a grip offset counts: the rule of succession starts from certainty."""
-
 ROUNDING = 1e-6
 """Differences of float32 numbers below this are 0."""
 
@@ -213,9 +207,7 @@ def _sight(state: TableState) -> tuple[Float[Array, "*B N"], Float[Array, "*B N 
 
 
 NUM_WASH, NUM_LIFT, NUM_TEAM, NUM_WAIT, NUM_FINISH = 12, 6, 18, 8, 2
-
 NUM_TEAM_FEATURES = NUM_WASH + NUM_LIFT + NUM_TEAM + 2 + 2 + NUM_WAIT + NUM_FINISH + 1
-
 _WIN_EASE, _SOON = 3, 9
 """Where the columns of a table hold win·ease and soon."""
 

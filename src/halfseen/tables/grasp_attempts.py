@@ -287,7 +287,6 @@ def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
 
 
 _COUNT = (lambda values: (values >= 0) & (values == np.floor(values)), "give a count, 0 or more")
-
 _MAY_BE: dict[str, tuple[Callable[[Rows], RowMask], str]] = {
     "occlusion": (lambda values: (values >= 0) & (values <= 1), "a hidden share lies in [0, 1]"),
     "successes": _COUNT,

@@ -42,21 +42,15 @@ from halfseen.world.log_checks import robots_in
 from halfseen.world.policy import GraspModel
 
 NUM_FOLDS = 5
-
 WORTH = 0.5
 """Share of the rule's squared error that the Beta must take away."""
-
 CLEARLY = 2.0
 """Standard errors by which it must take away more than that."""
-
 FEWEST_ATTEMPTS = 30
 """Decided attempts below which there is nothing to choose by."""
-
 GRIP_SPREAD = np.array([1.0, 0.5])
 """Standard deviations of the normal prior on shift and per_grip, about 0: few attempts say little of either."""
-
 KEPT = "the probability of a grasp is the rule of succession’s"
-
 BY_ROBOT = (
     "the probability of a grasp is learned from each robot’s own attempts: held out, these foretell them better than "
     "those of all"

@@ -21,7 +21,6 @@ from halfseen.shapes import Float
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33
-
 SURE = 1e-9
 """A probability is taken to be no nearer than this to 0 or 1."""
 

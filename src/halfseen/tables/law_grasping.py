@@ -60,9 +60,7 @@ from halfseen.world.grasping import AssumedGrasping, FittedGrasping, GraspLaw
 
 REACH = np.array([10.0, 15.0, 2.5, 5.0, 5.0, 4.0])
 """How far from the prior's mode a number of the logistic family may go."""
-
 _LOG_ROOT_2_PI = 0.5 * np.log(2.0 * np.pi)
-
 PRIOR_SPREAD = 0.25
 """Of a prior about a law that is given, as a share of the weak one's."""
 

@@ -56,10 +56,8 @@ from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, Persist
 Theta = Float[np.ndarray, " k"]
 """Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power; of
 the persistent one: logits of h, first of dirty objects, then of clean ones."""
-
 NUM_PARTS = 4
 """Equal parts of what an object shows in full view at whose ends the curves are given; they are given at 1 too."""
-
 FOUND = np.array([0.5, 0.1])
 """Share of the dirty objects, and of the clean ones, that the prior takes a look in full view to find."""
 

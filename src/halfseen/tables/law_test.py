@@ -181,7 +181,6 @@ def _ahead_at(config: WorldConfig, states: TableState, at: tuple[np.ndarray, ...
 
 FEWEST = 5
 """Trajectories of which a column must differ from 0."""
-
 USED = {Verb.FINISH: (0,), Verb.WASH: (0, 1, 2, 3, 4, 5), Verb.LIFT: (0, 2, 3, 5)}
 """Which of the descriptions are tested, by verb."""
 

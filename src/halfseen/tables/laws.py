@@ -44,10 +44,8 @@ IN_PLAIN_SIGHT = 0.05
 """Hidden share below which an object is in plain sight."""
 ENOUGH_LEFT = 5.0
 """Dirty objects expected to be left, from which on FINISHes that paid nothing say that leaving them costs nothing."""
-
 ENOUGH_HELD = 20
 """WASHes that held, from which on one reward of all of them is that of dirty objects and of clean ones."""
-
 SAME = 1e-3
 """By how much multiples of a price may be off, in units of it; and below which a reward is taken for 0."""
 

@@ -41,11 +41,8 @@ from halfseen.world.state import TableState
 
 EXCESS_VERSION = 1
 """Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
-
 NUM_TABLE, NUM_OWN = 14, 30
-
 NUM_EXCESS_FEATURES = NUM_TABLE + NUM_OWN
-
 ZERO, ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 
 
@@ -237,9 +234,7 @@ def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[
 
 TEAM_EXCESS_VERSION = 1
 """Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
-
 NUM_VERBS = len(VERB_NAMES)
-
 NUM_TEAM_EXCESS_FEATURES = 3 * NUM_VERBS + NUM_TEAM_FEATURES
 
 

@@ -29,22 +29,16 @@ from halfseen.world.seeing import AssumedSeeing, KnownSeeing, PersistentSeeing, 
 
 LEVEL = 0.01
 """Probability with which a right recorder is taken for a wrong one, at most."""
-
 MOVE_ROUNDING = 2e-3
 """Root mean square of what is left of moves that are rounded."""
-
 MOST = 0.95
 """Share of the moves that one law must have made."""
-
 ENOUGH = 1000
 """Moves among which a law is looked for; `MOST` of all must bear it out."""
-
 PARTS = (4, 12)
 """In how many parts of what an object shows in full view a recorder's own curves are looked for."""
-
 MOST_STEPS = 100
 """Of a search; a law that made the moves is found in far fewer."""
-
 RECORDER_SPREAD = 0.1
 """Standard deviation of the prior about the recorder's law, in logits."""
 

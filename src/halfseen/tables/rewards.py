@@ -168,13 +168,13 @@ def outcomes_of(
     doing = np.where(begins, verb[..., None], np.where(robots.is_busy, robots.verb, -1))
     at = np.where(begins, target[..., None], robots.target)
     since_s = np.where(begins, 0.0, robots.since_s) + duration_s[..., None]
-    has_ended = (doing > 0) & ~_next(robots.is_busy)
+    has_ended = (doing > 0) & ~following(robots.is_busy)
     if robots.is_out is not None:
         # What a robot was at when it dropped out was abandoned.
-        has_ended &= ~_next(robots.is_out)
+        has_ended &= ~following(robots.is_out)
     is_there = states.is_on_table
     is_dirty = np.where(is_there, expit(states.log_odds.astype(np.float64)), 0.0)
-    has_left = is_there & ~_next(is_there)
+    has_left = is_there & ~following(is_there)
     target_left = np.take_along_axis(has_left, at, axis=-1)
     columns = [
         (has_ended & (doing == Verb.WASH) & ~target_left).sum(axis=-1),
@@ -187,7 +187,8 @@ def outcomes_of(
     return np.stack(columns, axis=-1).astype(np.float64)
 
 
-def _next(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
+def following(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
+    """What each stage is followed by; False after the last."""
     return np.concatenate([flags[:, 1:], np.zeros_like(flags[:, :1])], axis=1)
 
 

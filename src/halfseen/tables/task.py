@@ -45,6 +45,7 @@ from halfseen.world.actions import (
     worthwhile_actions,
 )
 from halfseen.world.log_checks import robots_in
+from halfseen.world.logs import spread
 from halfseen.world.policy import GraspModel, Policy, check_decides_for
 from halfseen.world.state import TableState
 
@@ -243,10 +244,9 @@ class TeamTask(TableTask):
         # What was done is possible, whatever a policy would choose from.
         np.put_along_axis(encoded.is_possible, action[..., None], True, axis=2)
         if _unless_auto(self.base) is not None:
-            policy = encoding.spread(np.eye(encoded.is_possible.shape[-1])[decisions(self.base, there)], at, shape)
-        clock_s = np.full(shape, np.nan)
-        clock_s[at] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
-        ease = encoding.spread(ease_of(there, self._model).astype(np.float64), at, shape)
+            policy = spread(np.eye(encoded.is_possible.shape[-1])[decisions(self.base, there)], at, shape)
+        clock_s = spread(logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan), at, shape, np.nan)
+        ease = spread(ease_of(there, self._model).astype(np.float64), at, shape)
         outcome = _outcome(states, action, np.nan_to_num(np.diff(clock_s, axis=1, prepend=0.0)), ease)
         return encoded._replace(outcome=outcome, policy=policy)
 

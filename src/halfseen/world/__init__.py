@@ -66,7 +66,6 @@ __all__ = [
     "cut_at_drop_outs",
     "read_team",
 ]
-
 _NAMES = {
     "actions": "ActionSpace Verb",
     "config": "WorldConfig",

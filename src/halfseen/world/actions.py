@@ -41,10 +41,8 @@ class Verb(IntEnum):
 
 TARGETED = tuple(verb for verb in Verb if verb is not Verb.FINISH)
 """Verbs that are done to an object."""
-
 WAIT = 1 + len(TARGETED)
 """Verb of a robot that does nothing until the next event; the number of the action is `wait_of`."""
-
 VERB_NAMES = (*(verb.name for verb in Verb), "WAIT")
 """By number of the verb."""
 

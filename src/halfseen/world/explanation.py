@@ -17,7 +17,6 @@ from halfseen.world.state import TableState
 
 SAME_VALUE = 1e-6
 """Actions whose values in a draw differ by less are tied there [reward]: more than float32 can tell apart."""
-
 _SAME = 1e-4
 _NUM_SHOWN = 8
 

@@ -28,7 +28,6 @@ ATTEMPT_BY = "attempt_by"
 _LISTS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 _NEEDED = ("location", "occlusion", "log_odds", "lifts", *_LISTS)
 _NEEDED_OF_ROBOT = ("does", "since_s", "decisions_to_go")
-
 Values = Float[np.ndarray, " k"]
 Wrong = Bool[np.ndarray, " k"]
 

@@ -20,10 +20,8 @@ NOTHING = -1
 """Object of who is at none."""
 IDLE = {FREE: -1, PARKED: -2, OUT: -3}
 """Verbs of who is at nothing, below those of `Verb`."""
-
 OF_OBJECT = ("trajectory", "stage", "object")
 """Columns that name a row of the objects."""
-
 _UNKNOWN = -4
 
 

@@ -195,7 +195,6 @@ class AssumedSeeing:
 
 SAME_VIEW = 1e-6
 """Shares that differ by less are the same view: occlusions are rounded."""
-
 LEAST_DOUBT = 1e-6
 """What is new is found, and missed, with at least this probability, so that no label makes the truth certain."""
 
