@@ -11,8 +11,17 @@ from halfseen.learning import CensoredQLearner, NamedActions
 from halfseen.learning.rows import trajectory_arrays
 from halfseen.learning.task import Encoded, RewardedStages
 from halfseen.planners import GreedyPolicy
-from halfseen.tables import TeamTask, rewards
+from halfseen.tables import TeamTask
 from halfseen.tables.encoding import encoded_states
+from halfseen.tables.rewards import (
+    expected,
+    expected_rewards,
+    label_control_variates,
+    outcomes_of,
+    pays_of,
+    shaped,
+    wash_pay,
+)
 from halfseen.world import ActionSpace, ExploringPolicy, Scene, TableWorld, Verb, WorldConfig, random
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.logs import to_logs
@@ -55,11 +64,11 @@ def of_target(values, action):
 
 
 def reduced(stages):
-    return rewards.expected_rewards(stages, rewards.wash_pay([stages]))
+    return expected_rewards(stages, wash_pay([stages]))
 
 
 def test_it_finds_what_a_wash_pays(cuts, encoded, seen, weight):
-    rewards.expected = reduced(RewardedStages(encoded, seen.reward, weight, seen.is_last))
+    expected = reduced(RewardedStages(encoded, seen.reward, weight, seen.is_last))
     there = np.asarray(cuts.episodes.states.is_on_table)
     is_wash = SPACE.verb(encoded.action) == Verb.WASH
     used = (weight > 0) & ~seen.is_last & is_wash
@@ -68,16 +77,16 @@ def test_it_finds_what_a_wash_pays(cuts, encoded, seen, weight):
     dirty, clean, failed = CONFIG.reward_wash_dirty, CONFIG.reward_wash_clean, CONFIG.reward_wash_failed
     truth = np.where(left, is_dirty * dirty + (1.0 - is_dirty) * clean, failed)
     assert 0.2 < left[used].mean() < 0.8
-    np.testing.assert_allclose(rewards.expected[used & ~left], failed, atol=1e-6)
-    assert np.abs(rewards.expected - truth)[used].max() < 1.0 < np.abs(seen.reward - truth)[used].mean()
-    assert np.array_equal(rewards.expected[~used], seen.reward[~used])
+    np.testing.assert_allclose(expected[used & ~left], failed, atol=1e-6)
+    assert np.abs(expected - truth)[used].max() < 1.0 < np.abs(seen.reward - truth)[used].mean()
+    assert np.array_equal(expected[~used], seen.reward[~used])
 
 
 def test_the_weighted_mean_stays_what_it_was(cuts, encoded, seen, weight):
-    rewards.expected = reduced(RewardedStages(encoded, seen.reward, weight, seen.is_last))
-    assert (weight * rewards.expected).sum() == pytest.approx((weight * seen.reward).sum(), rel=1e-9)
+    expected = reduced(RewardedStages(encoded, seen.reward, weight, seen.is_last))
+    assert (weight * expected).sum() == pytest.approx((weight * seen.reward).sum(), rel=1e-9)
     flat = reduced(RewardedStages(encoded, seen.reward, (weight > 0) * 1.0, seen.is_last))
-    assert np.abs(flat - rewards.expected).max() > 1e-4, "the weights must matter"
+    assert np.abs(flat - expected).max() > 1e-4, "the weights must matter"
 
 
 def parts_of(stages, *ends):
@@ -87,7 +96,7 @@ def parts_of(stages, *ends):
 def test_parts_find_what_the_whole_does_and_without_a_wash_nothing_changes(encoded, seen, weight):
     stages = RewardedStages(encoded, seen.reward, weight, seen.is_last)
     parts = parts_of(stages, *range(90, len(weight) + 90, 90))
-    np.testing.assert_allclose(rewards.wash_pay(parts), rewards.wash_pay([stages]), rtol=1e-10)
+    np.testing.assert_allclose(wash_pay(parts), wash_pay([stages]), rtol=1e-10)
     lifted = encoded._replace(action=np.where(encoded.action > 0, SPACE.encode(Verb.LIFT, 0), 0))
     assert np.array_equal(reduced(stages._replace(encoded=lifted)), seen.reward)
 
@@ -108,7 +117,7 @@ def test_q_varies_less_between_logs():
 
 
 def test_control_variates_have_mean_zero_whatever_was_done(cuts, encoded, seen):
-    variates = rewards.label_control_variates(encoded)
+    variates = label_control_variates(encoded)
     verb = SPACE.verb(encoded.action)
     for one in (Verb.WASH, Verb.LIFT):
         rows = variates[seen.is_completed & ~seen.is_last & (verb == one)]
@@ -151,7 +160,7 @@ def trajectories():
 def test_what_ended_is_what_the_rewards_say(trajectories):
     action, states = trajectories.action, trajectories.states
     duration_s = np.where(trajectories.is_taken, trajectories.duration_s, 0.0)
-    ended = rewards.outcomes_of(states, TEAM_SPACE.verb(action), TEAM_SPACE.target(action), duration_s)
+    ended = outcomes_of(states, TEAM_SPACE.verb(action), TEAM_SPACE.target(action), duration_s)
     goes_on = trajectories.is_taken[:, 1:]
     failed, lift_s, stage_s, left = (ended[:, :-1, k][goes_on] for k in range(4))
     paid = trajectories.reward[:, :-1][goes_on]
@@ -170,29 +179,27 @@ def test_what_ended_is_what_the_rewards_say(trajectories):
 
 def test_prices_of_what_is_certain_are_found_in_the_whole_and_in_parts(trajectories):
     whole = rewarded(trajectories)
-    pays = rewards.pays_of([whole])
+    pays = pays_of([whole])
     np.testing.assert_allclose(pays.certain, (-1.0, -0.1, PRICE), atol=0.01)
     # An object that left pays 15 p − 10, and one that is left dirty costs 5; up to the coin that each of them is.
     np.testing.assert_allclose(pays.washed, (-10.0, 15.0), atol=4.0)
     np.testing.assert_allclose(pays.left, (-5.0,), atol=1.0)
-    in_parts = np.concatenate(rewards.pays_of(parts_of(whole, 90, 300)))
+    in_parts = np.concatenate(pays_of(parts_of(whole, 90, 300)))
     np.testing.assert_allclose(in_parts, np.concatenate(pays), rtol=1e-9, atol=1e-9)
 
 
 def test_shaped_rewards_add_up_to_what_was_paid_above_leaving_the_table(trajectories):
     stages = rewarded(trajectories)
-    pays = rewards.pays_of([stages])
-    above = rewards.shaped(stages, pays, stages.reward).sum(axis=1)
+    pays = pays_of([stages])
+    above = shaped(stages, pays, stages.reward).sum(axis=1)
     left = (1.0 / (1.0 + np.exp(-trajectories.states.log_odds[:, 0]))).sum(axis=1) * pays.left[0]
     np.testing.assert_allclose(above, stages.reward.sum(axis=1) - left, rtol=1e-6, atol=1e-4)
 
 
 def test_with_less_noise_the_mean_stays(trajectories):
     stages = rewarded(trajectories)
-    pays = rewards.pays_of([stages])
-    plain, reduced = (
-        rewards.shaped(stages, pays, reward) for reward in (stages.reward, rewards.expected(stages, pays))
-    )
+    pays = pays_of([stages])
+    plain, reduced = (shaped(stages, pays, reward) for reward in (stages.reward, expected(stages, pays)))
     gap = (reduced - plain).sum(axis=1)
     assert abs(gap.mean()) < 4.0 * gap.std(ddof=1) / np.sqrt(len(gap)) + 1e-9
     is_stage = stages.encoded.outcome[..., :6].any(axis=-1)
@@ -202,5 +209,5 @@ def test_with_less_noise_the_mean_stays(trajectories):
 def test_a_stage_that_was_cut_pays_nothing():
     trajectories = played(team_of(2), 40, seed=9)
     stages = rewarded(trajectories, 0.5)
-    pays, cut = rewards.pays_of([stages]), stages._replace(weight=np.zeros_like(stages.weight))
-    assert not rewards.shaped(cut, pays, rewards.expected(cut, pays)).any()
+    pays, cut = pays_of([stages]), stages._replace(weight=np.zeros_like(stages.weight))
+    assert not shaped(cut, pays, expected(cut, pays)).any()
