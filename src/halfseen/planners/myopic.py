@@ -18,8 +18,7 @@ from halfseen.planners.one_step import NOW, Outlook
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import Others, Verb, is_decider, others_of, possible_actions
 from halfseen.world.config import WorldConfig
-from halfseen.world.policy import Decision, surely
-from halfseen.world.random import Key
+from halfseen.world.policy import ByValue
 from halfseen.world.state import Robots, TableState
 
 LEAST_LEFT = 0.3
@@ -30,7 +29,7 @@ _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @record
-class MyopicPolicy:
+class MyopicPolicy(ByValue):
     """The best action by a look one step ahead.
 
     Parameters
@@ -52,11 +51,6 @@ class MyopicPolicy:
             q = one_step.one_step_q(self.config, belief_of(self.config, state))
             return q - q[..., :1]
         return _q_of_team(self.config, state, state.robots, others_of(state))
-
-    def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; nothing is drawn."""
-        q = self.q_values(state)
-        return surely(library_of(q).argmax(q, axis=-1))
 
 
 class _AtWork(NamedTuple):

@@ -28,7 +28,7 @@ from halfseen.tables.look_ahead import (
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.number import Number
-from halfseen.world.policy import Decision, GraspModel, surely
+from halfseen.world.policy import ByValue, GraspModel
 from halfseen.world.random import Key
 from halfseen.world.seeing import PersistentSeeing
 from halfseen.world.state import TableState
@@ -100,7 +100,7 @@ def _by_steps(each: Float[Array, "T ..."], to_go: Int[Array, "*B"]) -> Float[Arr
 
 
 @record
-class LawPolicy:
+class LawPolicy(ByValue):
     """Decides by fitted laws: argmax of `q_values`.
 
     Parameters
@@ -120,14 +120,6 @@ class LawPolicy:
     def horizon(self) -> int:
         """T."""
         return self.config.horizon
-
-    def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; deterministic."""
-        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
-
-    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """Q of every action; −∞ where an action is impossible, or never taken."""
-        raise NotImplementedError
 
     def mended(self, state: TableState) -> TableState:
         """The state, with log-odds as the laws have them."""
@@ -223,7 +215,7 @@ class TeamExcess:
 
 
 @record
-class AssistedTeamPolicy:
+class AssistedTeamPolicy(ByValue):
     """Decides one robot at a time: argmax of the myopic look under fitted laws and E, what it misses.
 
     Parameters
@@ -251,10 +243,6 @@ class AssistedTeamPolicy:
     def horizon(self) -> int:
         """The same."""
         return self.config.num_stages
-
-    def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; deterministic."""
-        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Worth of every action above leaving all as it is, WAIT last; −∞ where it is impossible."""

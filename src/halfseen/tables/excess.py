@@ -200,17 +200,12 @@ class TeamTried(NamedTuple):
     """By how much it did better than the myopic look says, in the mean of the futures."""
 
 
-def fitted_team_excess(
-    config: WorldConfig, layouts: Layout, seed: int, num_states: int = NUM_STATES, num_futures: int = NUM_FUTURES
-) -> TeamExcess:
-    """Simulate a team in a known world, and fit E.
-
-    Actions are tried in `num_states` states, each in `num_futures` futures.
-    """
-    states = visited(config, layouts, seed, num_states)
+def fitted_team_excess(config: WorldConfig, layouts: Layout, seed: int) -> TeamExcess:
+    """Simulate a team in a known world, and fit E."""
+    states = visited(config, layouts, seed, NUM_STATES)
     key = random.fold_in(random.key_of(seed), np.arange(len(states.steps_to_go)))
     parts = [
-        team_simulated(config, *mapped(lambda leaf, k=k: leaf[k : k + TEAM_LANES], (states, key)), num_futures)
+        team_simulated(config, *mapped(lambda leaf, k=k: leaf[k : k + TEAM_LANES], (states, key)), NUM_FUTURES)
         for k in range(0, len(key), TEAM_LANES)
     ]
     tried = TeamTried(*map(np.concatenate, zip(*parts, strict=True)))
