@@ -17,14 +17,8 @@ from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import laid_out, left_price, table_of
 from halfseen.shapes import Bool, Float, Int
-from halfseen.tables.look_ahead import (
-    NUM_EXCESS_FEATURES,
-    NUM_TABLE,
-    NUM_TEAM_EXCESS_FEATURES,
-    Ahead,
-    ahead_of,
-    team_described,
-)
+from halfseen.tables import look_ahead
+from halfseen.tables.look_ahead import NUM_TABLE, Ahead
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.number import Number
@@ -81,7 +75,7 @@ class Excess:
     def none(cls, horizon: int) -> "Excess":
         """E ≡ 0."""
         low, high = np.zeros((2, horizon, 2), dtype=np.float32)
-        return cls(np.zeros((horizon, 2, 1 + NUM_EXCESS_FEATURES), dtype=np.float32), low, high)
+        return cls(np.zeros((horizon, 2, 1 + look_ahead.NUM_EXCESS_FEATURES), dtype=np.float32), low, high)
 
     def __call__(self, ahead: Ahead) -> Float[Array, " C *B"]:
         """E of WASH and LIFT of each object."""
@@ -150,7 +144,7 @@ class AssistedPolicy(LawPolicy):
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Q of every action; −∞ where an action is impossible."""
-        ahead = ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
+        ahead = look_ahead.ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
         left = left_price(self.config, ahead.table)
         above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
         q = laid_out(left, left + above)
@@ -199,7 +193,7 @@ class TeamExcess:
     @classmethod
     def none(cls) -> "TeamExcess":
         """E ≡ 0."""
-        return cls(np.zeros(NUM_TEAM_EXCESS_FEATURES, dtype=np.float32), 0.0, 0.0)
+        return cls(np.zeros(look_ahead.NUM_TEAM_EXCESS_FEATURES, dtype=np.float32), 0.0, 0.0)
 
     def __call__(self, state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A"]:
         """E of every action, less the caution; 0 of the best one by `q`, which is what the myopic look makes of each.
@@ -207,7 +201,7 @@ class TeamExcess:
         WAIT, which is asked again after each event, is never made more of: errors would add up.
         """
         xp = library_of(q, self.coefficients)
-        values, best = team_described(state, q) @ self.coefficients, xp.argmax(q, axis=-1)[..., None]
+        values, best = look_ahead.team_described(state, q) @ self.coefficients, xp.argmax(q, axis=-1)[..., None]
         beside = xp.clip(values - at(values, best[..., 0])[..., None], self.low, self.high)
         beside = xp.concatenate([beside[..., :-1], xp.minimum(beside[..., -1:], np.float32(0.0))], axis=-1)
         is_best = xp.arange(q.shape[-1]) == best

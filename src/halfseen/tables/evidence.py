@@ -29,16 +29,13 @@ from halfseen.shapes import Bool, Float
 from halfseen.tables.encoding import logged_actions
 from halfseen.tables.grasp_attempts import attempts
 from halfseen.tables.present import logged_dirty_share
-from halfseen.tables.rewards import following, outcomes_of
+from halfseen.tables.rewards import LASTED_S, NUM_LEFT, following, outcomes_of
 from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider
 from halfseen.world.config import WorldConfig
 from halfseen.world.log_rows import begun_objects
 from halfseen.world.logs import spread, states_of
 from halfseen.world.seeing import SAME_VIEW
 from halfseen.world.state import TableState
-
-FAILED, LIFTED_S, LASTED_S, NUM_LEFT, DIRT_LEFT, DIRT_BEFORE = range(6)
-"""Columns of `outcomes_of`."""
 
 
 def is_plain_look(states: TableState) -> Bool[np.ndarray, "n T"]:

@@ -24,19 +24,11 @@ from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.learning.behaviour import Derivatives, Thetas, minimise_each
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
+from halfseen.tables import grasp_table
 from halfseen.tables.features import succession
 from halfseen.tables.grasp_attempts import Decided, attempts, checked_attempts, checked_covariates, kinds
 from halfseen.tables.grasp_models import Theta, fitted_thetas, predictive
-from halfseen.tables.grasp_table import (
-    SURE,
-    GraspByRobot,
-    GraspEstimator,
-    GraspTable,
-    GripEffect,
-    every_history,
-    table_of,
-    tabulate,
-)
+from halfseen.tables.grasp_table import SURE, GraspByRobot, GraspEstimator, GraspTable, GripEffect
 from halfseen.workers.threads import one_thread
 from halfseen.world.log_checks import robots_in
 from halfseen.world.policy import GraspModel
@@ -157,7 +149,7 @@ class _HeldOut(NamedTuple):
         """Tabulate a fit to some attempts, with what their grips count beside it."""
         own = self.decided.among(mine)
         effect = _fitted_effect(predictive(theta, own.history), own, self.grip[mine])
-        return table_of(predictive(theta, every_history(horizon)), horizon, effect)
+        return grasp_table.table_of(predictive(theta, grasp_table.every_history(horizon)), horizon, effect)
 
 
 def _by_succession(held: _HeldOut) -> Rows:
@@ -186,7 +178,7 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
             f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
         )
     if is_fitted(grasp):
-        return tabulate(grasp, horizon)
+        return grasp_table.tabulate(grasp, horizon)
     return grasp_model_by(grasp, attempts(logs, horizon), horizon)
 
 
@@ -197,7 +189,7 @@ def grasp_model_by(grasp: GraspEstimator, tried: pd.DataFrame, horizon: int) -> 
 
     estimator: Any = clone(grasp)
     model = estimator.fit(tried)
-    return tabulate(model, horizon, fit_grip_effect(model, tried))
+    return grasp_table.tabulate(model, horizon, fit_grip_effect(model, tried))
 
 
 def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:

@@ -43,9 +43,10 @@ from halfseen.planners.belief import belief_of, expected_attempt_s
 from halfseen.planners.one_step import HELD, left_price, outlook_of, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.encoding import logged_actions
-from halfseen.tables.evidence import NUM_LEFT, Brought, beside_prices
+from halfseen.tables.evidence import Brought, beside_prices
 from halfseen.tables.grasp_attempts import attempts, rows_of_attempts
 from halfseen.tables.look_ahead import Ahead, ahead_of
+from halfseen.tables.rewards import NUM_LEFT
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.log_rows import begun_objects

@@ -19,22 +19,11 @@ from halfseen.arrays import Rows
 from halfseen.logs import Logs
 from halfseen.planners.belief import grasp_probability, known_seeing, prior_grip
 from halfseen.shapes import Bool, Float
-from halfseen.tables.evidence import (
-    DIRT_BEFORE,
-    FAILED,
-    LASTED_S,
-    LIFTED_S,
-    NUM_LEFT,
-    Brought,
-    Evidence,
-    Watched,
-    beside_prices,
-    brought_by,
-    evidence_of,
-)
+from halfseen.tables.evidence import Brought, Evidence, Watched, beside_prices, brought_by, evidence_of
 from halfseen.tables.grasp_attempts import attempts, rows_of_attempts
 from halfseen.tables.law_grasping import choose_grasping
 from halfseen.tables.recorder import seeing_of
+from halfseen.tables.rewards import DIRT_BEFORE, FAILED, LASTED_S, LIFTED_S, NUM_LEFT
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping

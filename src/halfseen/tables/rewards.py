@@ -52,8 +52,10 @@ from halfseen.tables.features import WASH_DIRTY, WASH_EASE
 from halfseen.world.actions import ActionSpace, Verb, is_decider
 from halfseen.world.state import TableState
 
+FAILED, LIFTED_S, LASTED_S, NUM_LEFT, DIRT_LEFT, DIRT_BEFORE = range(6)
+"""Columns of `outcomes_of`."""
 NUM_OUTCOMES = 6
-_CERTAIN, _WASHED, _LEFT = slice(0, 3), slice(3, 5), slice(5, 6)
+_CERTAIN, _WASHED, _LEFT = slice(FAILED, NUM_LEFT), slice(NUM_LEFT, DIRT_BEFORE), slice(DIRT_BEFORE, NUM_OUTCOMES)
 """Which outcomes tell rewards that are certain, what objects that left pay, and what is left costs."""
 
 
@@ -212,7 +214,7 @@ def _as_arrays(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Use
     """What ended in the stages of a team, and what tells what."""
     assert stages.encoded.outcome is not None, "TeamTask.encode tells what ended"
     outcome = stages.encoded.outcome[..., :NUM_OUTCOMES]
-    is_whole, has_left = stages.weight > 0, outcome[..., 3] > 0
+    is_whole, has_left = stages.weight > 0, outcome[..., NUM_LEFT] > 0
     goes_on, parks = is_whole & ~stages.is_last, is_whole & stages.is_last & (stages.encoded.action == 0)
     return outcome, _Uses(goes_on & ~has_left, goes_on & has_left, parks)
 
@@ -242,6 +244,6 @@ def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
 
 def shaped(stages: RewardedStages, pays: Pays, reward: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
     """Measure rewards from leaving the table as it is."""
-    left = _as_arrays(stages)[0][..., 5]
+    left = _as_arrays(stages)[0][..., DIRT_BEFORE]
     after = np.where(stages.is_last, 0.0, np.pad(left[:, 1:], ((0, 0), (0, 1))))
     return np.where(stages.weight > 0, reward + pays.left[0] * (after - left), 0.0)

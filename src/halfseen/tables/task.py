@@ -34,16 +34,8 @@ from halfseen.tables.policy import (
     decisions,
     table_probabilities,
 )
-from halfseen.world.actions import (
-    FINISH,
-    TARGETED,
-    VERB_NAMES,
-    WAIT,
-    ActionSpace,
-    Verb,
-    possible_actions,
-    worthwhile_actions,
-)
+from halfseen.world import actions
+from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb
 from halfseen.world.log_checks import robots_in
 from halfseen.world.logs import spread
 from halfseen.world.policy import GraspModel, Policy, check_decides_for
@@ -239,7 +231,7 @@ class TeamTask(TableTask):
         action = encoding.logged_actions(logs, horizon, states.num_objects, is_team=True)
         at, shape, policy = stage_places(logs), action.shape, None
         there = mapped(lambda leaf: leaf[at], states)
-        choices = possible_actions if self.is_evaluating else worthwhile_actions
+        choices = actions.possible_actions if self.is_evaluating else actions.worthwhile_actions
         encoded = encoding.encoded_at(at, there, action, self._model, choices)
         # What was done is possible, whatever a policy would choose from.
         np.put_along_axis(encoded.is_possible, action[..., None], True, axis=2)
