@@ -332,11 +332,6 @@ def test_nonsense_is_refused(face, options, error, message):
         face(**options)
 
 
-def test_a_team_wants_places():
-    with pytest.raises(SceneError, match="places_m is None"):
-        TeamCupsEnv(Scene(np.zeros((1, 1))))
-
-
 @FACES
 def test_steps_out_of_turn_are_refused(face):
     env = face()

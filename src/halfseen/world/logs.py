@@ -126,18 +126,13 @@ def _robot_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[
     }
 
 
-def history_of(states: TableState) -> tuple[Float[np.ndarray, "*B N"], ...]:
-    """Occlusion, past successes and past failures of each object."""
-    return (occlusion(states), *attempt_counts(states))
-
-
 def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
     """What was seen of each object in the stages that were begun, both indexed from 0; of states with axes (n, T)."""
     is_object = states.is_object[:, 0][begun[:, 0]]
     row, target = np.nonzero(is_object)
     trajectory, stage = begun[row].T
     seen = mapped(lambda leaf: leaf[begun[:, 0], begun[:, 1]], replace(states, robots=None, workspace=None))
-    occluded, successes, failures = (values[row, target] for values in history_of(seen))
+    occluded, successes, failures = (values[row, target] for values in (occlusion(seen), *attempt_counts(seen)))
     is_attempt = seen.attempt_object[row] == target[:, None]
     shown = {"grip": seen.grip[row, target], "seen": seen.seen[row, target]}
     lists = {
