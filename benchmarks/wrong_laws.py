@@ -24,7 +24,7 @@ from halfseen.arrays import record
 from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.learning import CensoredQLearner
 from halfseen.planners import GreedyPolicy
-from halfseen.planners.control import controlled_rewards
+from halfseen.planners.control import controlled
 from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import EVALUATION, Source, random_key
 from halfseen.study.setting import look_at
@@ -148,7 +148,7 @@ def measured(case: str, index: int, sizes: list[int]) -> list[dict[str, Any]]:
         key = random_key(SEED, EVALUATION, index)
         if case in WORLDS:
             return evaluate(played, layouts, policy, key, NUM_RAW_TABLES).reward.astype(float)
-        return controlled_rewards(world, layouts, policy, key, np.arange(NUM_TABLES))
+        return controlled(world, layouts, policy, key, np.arange(NUM_TABLES)).reward
 
     def rule(config: WorldConfig) -> GreedyPolicy:
         return GreedyPolicy(config, uses_history=True, counts_penalty=True)

@@ -21,9 +21,9 @@ from peers.belief import ByIdentity, planned, pomdp_py
 
 from halfseen.planners.belief import (
     NUM_NODES,
-    dirty_after_label,
     expected_attempt_s,
     failure_log_probability,
+    known_seeing,
     offset_nodes,
     prior_grip,
 )
@@ -187,9 +187,7 @@ class TableModel(pomdp_py.BlackboxModel):
 
     def _accuracy(self, occluded: np.ndarray) -> np.ndarray:
         """Probability that the label of a dirty object says so."""
-        seen_at = np.float32(occluded)
-        told = dirty_after_label(self.config, np.ones_like(seen_at), np.zeros(()), seen_at)
-        return np.asarray(told[0], dtype=float)
+        return np.asarray(known_seeing(self.config).positive(np.float32(occluded), np.zeros(()))[0], dtype=float)
 
     def _label(self) -> None:
         """By object held (N for none) and mask: how likely the label patterns are, what they tell, and their names."""

@@ -138,10 +138,7 @@ def test_one_object_and_padding_and_what_has_left_are_never_drawn_from(monkeypat
 
 @pytest.mark.parametrize(
     "state",
-    [
-        replace(STATE, steps_to_go=np.int32(0)),
-        state_of_few([replace(cup, is_on_table=False) for cup in CUPS]),
-    ],
+    [replace(STATE, steps_to_go=np.int32(0)), state_of_few([replace(cup, is_on_table=False) for cup in CUPS])],
     ids=["no step", "no object"],
 )
 def test_a_trajectory_that_is_over_is_refused(state):

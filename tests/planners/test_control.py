@@ -7,7 +7,7 @@ import pytest
 
 from fitted_laws import FITTED
 from halfseen.planners import POMDPPolicy, named_policy
-from halfseen.planners.control import controlled, controlled_each, controlled_rewards, start_values
+from halfseen.planners.control import controlled, controlled_each, start_values
 from halfseen.world import AssumedGrasping, Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.policy import surely
 from halfseen.world.rollout import evaluate_some, play
@@ -48,14 +48,14 @@ def test_with_one_object_and_one_step_it_is_what_is_expected_of_the_action():
     p = first_beliefs(config, key, episodes)
     assert sorted(set(p.round(6))) == pytest.approx([0.3 / 1.1, 1.2 / 1.4], abs=1e-5)
     for action, expected in ((FINISH, -5.0 * p), (WASH, washed(config, p, 1))):
-        assert controlled_rewards(config, ALONE, Always(action), key, episodes) == pytest.approx(expected, abs=1e-4)
+        assert controlled(config, ALONE, Always(action), key, episodes).reward == pytest.approx(expected, abs=1e-4)
 
 
 def test_with_two_steps_its_mean_is_what_is_expected_by_hand():
     config = WorldConfig(grasping=AssumedGrasping(offset_std=0.0), horizon=2)
     episodes, key = np.arange(6000), random.key_of(4)
     p = first_beliefs(config, key, episodes)
-    gap = controlled_rewards(config, ALONE, Always(WASH), key, episodes) - washed(config, p, 2)
+    gap = controlled(config, ALONE, Always(WASH), key, episodes).reward - washed(config, p, 2)
     for which in (p > 0.5, p < 0.5):
         error = gap[which].std() / np.sqrt(which.sum())
         assert abs(gap[which].mean()) < max(4.0 * error, 1e-4)

@@ -1,10 +1,15 @@
-"""What every policy owes, anyone who wrote it."""
+"""What every policy owes, anyone who wrote it; and policies by name: one list for all who take a name."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from halfseen.arrays import known_to_jax, mapped
-from halfseen.planners import GreedyPolicy, POMDPPolicy
+from halfseen.cli import inputs
+from halfseen.planners import GreedyPolicy, MyopicPolicy, POMDPPolicy, ReservingPolicy, RolloutPolicy, named_policy
+from halfseen.planners.named import HEURISTICS, PLANNER, UNIFORM
+from halfseen.study.policies import HEURISTICS as CONTENDERS
 from halfseen.tables import LinearTablePolicy
 from halfseen.tables.features import NUM_FEATURES
 from halfseen.world import ExploringPolicy, Policy, Scene, UniformPolicy, Verb, WorldConfig, random
@@ -97,3 +102,32 @@ def test_under_jit_planners_decide_as_in_numpy(states, keys):
     for policy in (GreedyPolicy(CONFIG, uses_history=True), POMDPPolicy(CONFIG, 1), POMDPPolicy(CONFIG, 3, 16)):
         found = compiled(policy, mapped(jax.numpy.asarray, few), jax.numpy.asarray(keys[:12]))
         np.testing.assert_array_equal(found, policy.decide(few, keys[:12]).action)
+
+
+PAIR = WorldConfig(speed=(1.0, 1.5))
+
+
+@pytest.mark.parametrize("name", HEURISTICS)
+def test_a_heuristic_does_what_its_name_says_and_robots_of_a_team_reserve_by_it(name):
+    rule = GreedyPolicy(CONFIG, uses_history="history" in name, counts_penalty="penalty" in name)
+    for config, expected in ((CONFIG, rule), (PAIR, ReservingPolicy(PAIR, replace(rule, config=PAIR)))):
+        assert named_policy(name, config) == expected
+        assert named_policy(name, config, 0.5) == ExploringPolicy(expected, 0.5)
+    assert named_policy(name, PAIR, is_team=False) == replace(rule, config=PAIR)
+
+
+def test_others_go_by_names_too():
+    for config in (CONFIG, PAIR):
+        assert isinstance(named_policy(UNIFORM, config, 0.5), UniformPolicy)
+    planner = named_policy(PLANNER, CONFIG)
+    assert isinstance(planner, POMDPPolicy)
+    assert planner.planning_horizon == CONFIG.horizon
+    assert named_policy(PLANNER, PAIR) == RolloutPolicy(PAIR, MyopicPolicy(PAIR))
+    # One robot with a reach of its own is a team, too.
+    assert named_policy(PLANNER, CONFIG, is_team=True) == RolloutPolicy(CONFIG, MyopicPolicy(CONFIG))
+
+
+def test_the_study_and_the_cell_know_the_same_names():
+    assert [each.name for each in CONTENDERS] == list(HEURISTICS)
+    assert [each.policy(CONFIG) for each in CONTENDERS] == [named_policy(name, CONFIG) for name in HEURISTICS]
+    assert (*HEURISTICS, PLANNER) == inputs.NAMES

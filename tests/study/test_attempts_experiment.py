@@ -25,8 +25,7 @@ from halfseen.study.experiments.attempts_repetition import (
 )
 from halfseen.study.runner import as_json
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp_attempts import checked_attempts
-from halfseen.tables.grasp_folds import can_hold_out
+from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts
 
 TINY = Attempts(num_tables=(6, 12), num_folds=2)
 

@@ -186,9 +186,7 @@ def test_a_policy_of_another_number_of_robots_does_not_play(learned, num_robots)
 
 
 @pytest.mark.parametrize(
-    "change",
-    [{"action": "PUSH"}, {"object": None}],
-    ids=["a verb that nobody knows", "a verb without its object"],
+    "change", [{"action": "PUSH"}, {"object": None}], ids=["a verb that nobody knows", "a verb without its object"]
 )
 def test_what_a_team_does_not_know_is_refused(logs, change):
     stages = logs.stages.copy()

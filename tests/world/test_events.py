@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from naive_team import NaiveTeam
+from naive_world import NaiveTeam
 
 from halfseen.world import ActionSpace, Scene, Verb, WorldConfig, random
 from halfseen.world.actions import WAIT, possible_actions, wait_of

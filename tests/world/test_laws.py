@@ -20,7 +20,6 @@ from halfseen.world import (
     GraspLaw,
     KnownGrasping,
     KnownSeeing,
-    PersistentSeeing,
     SeeingLaw,
     UniformPolicy,
     Verb,
@@ -258,11 +257,6 @@ def test_no_label_makes_the_truth_certain(curves):
 def test_numbers_that_make_no_curve_are_refused(changes, message):
     with pytest.raises(ArgumentError, match=message):
         replace(SEEING, **changes)
-
-
-def test_numbers_must_be_given():
-    with pytest.raises(TypeError, match="missing"):
-        PersistentSeeing()
 
 
 def test_an_object_in_the_hand_shows_what_the_table_hid():

@@ -12,10 +12,9 @@ from halfseen.logs import Logs, read_logs
 from halfseen.planners.belief import grip_posterior
 from halfseen.tables.features import table_features
 from halfseen.world import ActionSpace, TableWorld, UniformPolicy, Verb, WorldConfig, cut_at_drop_outs
-from halfseen.world.actions import TARGETED, possible_actions
+from halfseen.world.actions import TARGETED, others_of, possible_actions
 from halfseen.world.cuts import cut, cut_rate
 from halfseen.world.logs import states_of, to_logs
-from halfseen.world.others import others_of
 from other_laws import Nudging, Persisting
 from own_laws import LOGISTIC, SCENE, world_of
 from picked import assert_same, picked

@@ -101,3 +101,8 @@ class Suspicious:
     def decide(self, state, key):
         worst = np.argmax(np.where(state.is_on_table, state.log_odds, -np.inf), axis=-1)
         return surely(1 + worst)
+
+
+ONE = Team((Robot((0.0, 0.0), 5.0),))
+FRAIL = Team((Robot((-0.5, 0.0), 0.8, drop_out_rate=0.1), Robot((0.5, 0.0), 0.8)))
+FRAIL3 = Team((*FRAIL.robots, Robot((0.0, -0.5), 0.8)))

@@ -198,12 +198,8 @@ def learn(
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, noted() as of_library:
         from halfseen.learning.discrete_policy import more_cautious_learner
-<<<<<<< HEAD
         from halfseen.logs.opening import parts_of
-=======
-        from halfseen.logs.stream import parts_of
         from halfseen.policies.exploration_table import as_csv
->>>>>>> cellsize
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.record import plain
         from halfseen.policies.learner_choice import learner_for

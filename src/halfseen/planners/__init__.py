@@ -4,9 +4,11 @@ Read down: `belief` (what can be known) → `heuristics` (rules of thumb, of one
 myopic look-ahead), `myopic` (with several robots) → `rollout` (what actions are worth if it decides ever after, those
 looked at most that promise most) → `pomdp` (looking h steps ahead, as a policy, or until the time is up),
 `explanation` (what each action is worth, and how sure that is), `control` (what a policy earns, with less luck). Of
-several robots: `futures` (rollouts, one robot at a time). `named` makes those that go by a name. What they are measured
-by: `exact` with `exact_graph` and `exact_table` (the best there is, on small tables), `relaxation` (what nobody can
-beat, on any). `discrete` stands apart: any POMDP given as arrays, solved exactly.
+several robots: `futures` (rollouts, one robot at a time). `named` makes those that go by a name.
+
+What they are measured by: `exact` (the best there is, on small tables), from `exact_labels`, `exact_table`,
+`exact_team`, `exact_graph` (what may become of a table) and `exact_policies` (what a policy earns there); `relaxation`
+(what nobody can beat, on any). `discrete` stands apart: any POMDP given as arrays, solved exactly.
 """
 
 from typing import TYPE_CHECKING
@@ -46,7 +48,6 @@ __all__ = [
     "solve_table",
     "solve_team",
 ]
-
 _NAMES = {
     "discrete": "DiscreteSolution solve_discrete",
     "exact": "TableOptimum TeamOptimum solve_table solve_team",

@@ -27,7 +27,6 @@ class Grip(NamedTuple):
     """What is believed of grip offsets, each its mean plus a hidden u."""
 
     mean: Float[Array, "*S"]
-    """As `TableState.grip` has it."""
     log_weights: Float[Array, "*S G"]
     """Log posterior weights of u on `offset_nodes`, not normalised."""
 
@@ -40,9 +39,7 @@ class Belief:
     is_on_table: Bool[Array, "*B N"]
     log_odds: Float[Array, "*B N"]
     seen: Float[Array, "*B N"]
-    """As `TableState.seen` has it."""
     grip: Grip
-    """Of each object; axes (B, N)."""
     steps_to_go: Int[Array, "*B"]
 
 
@@ -172,18 +169,3 @@ def expected_attempt_s(config: WorldConfig, occluded: Float[Array, "*S"], grip: 
     attempt_s = known_grasping(config).expected_s(occluded[..., None], grip_offsets(config, grip.mean))
     xp = library_of(attempt_s)
     return config.transport_s + xp.sum(softmax(grip.log_weights) * attempt_s, axis=-1)
-
-
-def dirty_after_label(
-    config: WorldConfig,
-    is_dirty: Float[Array, "*#S"],
-    seen: Float[Array, "*#S"],
-    occluded: Float[Array, "*#S"],
-    is_held: bool = False,
-) -> tuple[Float[Array, "*S"], Float[Array, "*S"], Float[Array, "*S"]]:
-    """P(the next label says dirty), and P(DIRTY) after either label."""
-    if_dirty, if_clean = known_seeing(config).positive(occluded, seen, is_held)
-    says_dirty = is_dirty * if_dirty + (1.0 - is_dirty) * if_clean
-    # Where nothing is new, no label says dirty.
-    mass = library_of(says_dirty).maximum(says_dirty, np.finfo(np.float32).tiny)
-    return says_dirty, is_dirty * if_dirty / mass, is_dirty * (1.0 - if_dirty) / (1.0 - says_dirty)

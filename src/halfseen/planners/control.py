@@ -15,18 +15,8 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import at, library_of, mapped
+from halfseen.planners import one_step
 from halfseen.planners.belief import belief_of
-from halfseen.planners.one_step import (
-    Outlook,
-    Table,
-    control_value,
-    laid_out,
-    left_price,
-    outlook_of,
-    rule_and_control,
-    setting_of,
-    table_of,
-)
 from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
@@ -53,35 +43,18 @@ class Controlled(NamedTuple):
         return self.value + self.advantage
 
 
-def controlled_rewards(
+def controlled(
     config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[np.ndarray, " B"]
-) -> Float[np.ndarray, " B"]:
+) -> Controlled:
     """Play the tables that `halfseen.world.rollout.evaluate_some` would, of one robot.
 
-    Parameters
-    ----------
-    config
-        The true world, whose laws have known probabilities.
-    layouts, policy, key, episode
-        As there.
-
-    Returns
-    -------
-    Float[ndarray, " B"]
-        Of the same mean as the reward of each trajectory, with less noise.
+    `config` is the true world.
 
     Raises
     ------
     ArgumentError
         The world's laws can only be drawn from.
     """
-    return controlled(config, layouts, policy, key, episode).reward
-
-
-def controlled(
-    config: WorldConfig, layouts: Layout, policy: Policy, key: Key, episode: Int[np.ndarray, " B"]
-) -> Controlled:
-    """What `controlled_rewards` says, in parts."""
     return in_parts(_controlled, config, layouts, policy, key, episode)
 
 
@@ -105,7 +78,7 @@ def start_values(
         layout = mapped(lambda leaf, some=some: leaf[some % len(leaf)], layouts)
         begun, _ = start(config, layout, random.split(random.fold_in(key, some), 3)[0])
         table, look = _looked(config, begun)
-        found.append(left_price(config, table) + control_value(table, look))
+        found.append(one_step.left_price(config, table) + one_step.control_value(table, look))
     return np.concatenate(found)
 
 
@@ -116,18 +89,18 @@ def _controlled(
     value, total, robot_s = np.zeros((3, len(episode)))
     for number, stage in enumerate(stages):
         table, look = _looked(config, stage.state)
-        of_state, left = control_value(table, look), left_price(config, table)
-        rule, control = rule_and_control(config, table, look)
+        of_state, left = one_step.control_value(table, look), one_step.left_price(config, table)
+        rule, control = one_step.rule_and_control(config, table, look)
         values = library_of(rule).where(table.steps_to_go == 1, rule, control)
         if number == 0:
             value = (left + of_state).astype(np.float64)
-        of_action = at(laid_out(np.zeros_like(left), values), stage.decision.action)
+        of_action = at(one_step.laid_out(np.zeros_like(left), values), stage.decision.action)
         total += np.where(stage.is_taken, of_action - of_state, 0.0)
         robot_s += np.where(stage.is_taken, stage.outcome.duration_s, 0.0)
     return Controlled(value, total, robot_s)
 
 
-def _looked(config: WorldConfig, state: TableState) -> tuple[Table, Outlook]:
+def _looked(config: WorldConfig, state: TableState) -> tuple[one_step.Table, one_step.Outlook]:
     """What is believed of tables, and what may follow one attempt."""
-    table = table_of(belief_of(config, state))
-    return table, outlook_of(config, table, setting_of((config,), table))
+    table = one_step.table_of(belief_of(config, state))
+    return table, one_step.outlook_of(config, table)

@@ -28,7 +28,6 @@ from halfseen.shapes import Float, Int
 
 _ROW_SUM = 1e-8
 _SAME = 1e-10
-
 Belief = Float[np.ndarray, " S"]
 Vectors = Float[np.ndarray, "v S"]
 

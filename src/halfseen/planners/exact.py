@@ -13,182 +13,32 @@ those by which the planners' beliefs integrate. More nodes come nearer to normal
 """
 
 import gc
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from halfseen.arrays import mapped
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import NUM_NODES
-from halfseen.planners.exact_graph import GO_ON, IDLE, PARKED, Arrival, Choice, Graph, Node, Team, Work
-from halfseen.planners.exact_table import NOTHING, Grid, GridWorld, Tally, spread_over_labels
-from halfseen.shapes import Float, Int
+from halfseen.planners.exact_graph import Graph, Node
+from halfseen.planners.exact_policies import Flow, Reached, actions_in, drawn, labelled, reached_in, states_of
+from halfseen.planners.exact_table import NOTHING, GridWorld, Tally
+from halfseen.planners.exact_team import IDLE, Team, Work
+from halfseen.shapes import Float
 from halfseen.world import random
-from halfseen.world.actions import FINISH, ActionSpace
+from halfseen.world.actions import ActionSpace
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Policy
 from halfseen.world.random import Key
 from halfseen.world.scene import Scene
-from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace
+from halfseen.world.state import TableState, Workspace
 
 MAX_STATES = 150_000_000
 """States that are taken on unless more are allowed: 1.2 GB of values."""
-_ASKED_AT_ONCE = 1024
-"""States in which a policy is asked at once, so that one that samples futures has room."""
 _SAME_LABELS = 1e-3
-
-
-class Reached(NamedTuple):
-    """States of a layer that some of P policies reach, those of a node side by side."""
-
-    place: Int[np.ndarray, " n"]
-    """Of its node in the layer."""
-    cell: Int[np.ndarray, " n"]
-    """In the node's grid."""
-    mass: Float[np.ndarray, "P n"]
-    """Probability that a trajectory of each policy comes here."""
-
-    def of(self, rows: Int[np.ndarray, " m"] | slice) -> "Reached":
-        """Keep some of them."""
-        return Reached(self.place[rows], self.cell[rows], self.mass[:, rows])
-
-    def by_node(self) -> Iterator[tuple[int, slice]]:
-        """Go through the nodes: place in the layer, and rows of its states."""
-        starts = np.flatnonzero(np.diff(self.place, prepend=-1)).tolist()
-        for start, end in zip(starts, [*starts[1:], len(self.place)], strict=True):
-            yield int(self.place[start]), slice(start, end)
-
-
-def reached_in(masses: dict[int, Grid]) -> Reached:
-    """The cells of a layer's grids in which some policy (the first axis) has mass, in the order of the layer."""
-    flat = {place: masses[place].reshape(len(masses[place]), -1) for place in sorted(masses)}
-    cells = {place: np.flatnonzero((mass > 0.0).any(axis=0)) for place, mass in flat.items()}
-    return Reached(
-        place=np.repeat(np.fromiter(flat, dtype=np.int64), [len(of_node) for of_node in cells.values()]),
-        cell=np.concatenate(list(cells.values())),
-        mass=np.concatenate([mass[:, cells[place]] for place, mass in flat.items()], axis=1),
-    )
-
-
-def drawn(reached: Reached, max_states: int, key: Key) -> Reached:
-    """Let each policy keep at most so many states, which then stand for all that it reaches."""
-    draw = float(random.uniform(key))
-    mass = np.stack([_thinned(of_policy, max_states, draw) for of_policy in reached.mass])
-    return reached._replace(mass=mass).of(np.flatnonzero((mass > 0.0).any(axis=0)))
-
-
-def _thinned(mass: Float[np.ndarray, " n"], max_states: int, draw: float) -> Float[np.ndarray, " n"]:
-    """Keep the likely states, and at random some of the others, which then stand for the rest.
-
-    No expectation changes [FearnheadClifford2003]_: a mass m < c becomes c with probability m/c, or else 0, and c is
-    such that as many states are left as are wanted.
-    """
-    if np.count_nonzero(mass) <= max_states:
-        return mass
-    ordered = np.sort(mass)[::-1]
-    others = np.cumsum(ordered[::-1])[::-1][:max_states]
-    share = others / np.arange(max_states, 0, -1)
-    num_likely = int(np.argmax(ordered[:max_states] < share))
-    is_likely = mass >= share[num_likely]
-    rest = np.flatnonzero(~is_likely & (mass > 0.0))
-    ladder = np.cumsum(mass[rest]) / share[num_likely]
-    # Evenly spaced draws add less noise than independent ones.
-    steps = draw + np.arange(max_states - num_likely)
-    lucky = rest[np.minimum(np.searchsorted(ladder, steps, side="right"), len(rest) - 1)]
-    kept = np.where(is_likely, mass, 0.0)
-    kept[lucky] = share[num_likely]
-    return kept
-
-
-def states_of(team: Team, nodes: Collection[Node]) -> TableState:
-    """What a policy is shown in each of some nodes, but for the labels.
-
-    Of attempts it is shown those at objects that have not left: the others are forgotten, so that there is room for all
-    that follow.
-    """
-    num, world, num_stages = len(nodes), team.world, team.config.num_stages
-    num_objects = world.num_objects
-    tallies = [node.tally for node in nodes]
-    tried = np.zeros((num, num_stages, 3))
-    tried[..., 0] = NO_ATTEMPT
-    for row, tally in zip(tried, tallies, strict=True):
-        attempts = _attempts(world, tally)
-        row[: len(attempts)] = np.reshape(attempts, (-1, 3))
-    lifts = [[0 if counted is None else sum(counted.successes) for counted in tally] for tally in tallies]
-    works = [node.work for node in nodes]
-    doings = np.array([[doing[:4] for doing in work.doings] for work in works]).reshape(num, -1, 4)
-    to_go, is_busy = np.array([work.to_go for work in works], dtype=np.int32), doings[..., 0] >= 0
-    robots = Robots(
-        is_busy=is_busy,
-        is_parked=doings[..., 0] == PARKED,
-        verb=np.maximum(doings[..., 0], 0).astype(np.int32),
-        target=doings[..., 1].astype(np.int32),
-        since_s=doings[..., 3].astype(np.float32),
-        decisions_to_go=to_go,
-    )
-    space = team.workspace
-
-    def each(values: np.ndarray) -> np.ndarray:
-        return np.broadcast_to(values, (num, *values.shape))
-
-    return TableState(
-        hides=each(world.scene.hides.astype(np.float32)),
-        is_object=np.ones((num, num_objects), dtype=bool),
-        is_on_table=np.array([[counted is not None for counted in tally] for tally in tallies]),
-        grip=each(world.grip.astype(np.float32)),
-        log_odds=np.zeros((num, num_objects), dtype=np.float32),
-        seen=np.zeros((num, num_objects), dtype=np.float32),
-        lifts=np.array(lifts, dtype=np.int32),
-        attempt_object=tried[..., 0].astype(np.int32),
-        attempt_occlusion=tried[..., 1].astype(np.float32),
-        attempt_succeeded=tried[..., 2] > 0.0,
-        steps_to_go=(to_go.sum(axis=1) + is_busy.sum(axis=1)).astype(np.int32),
-        robots=None if space is None else robots,
-        workspace=None if space is None else mapped(lambda leaf: each(np.asarray(leaf)), space),
-        decider=None if space is None else np.array([work.decider for work in works], dtype=np.int32),
-    )
-
-
-def _attempts(world: GridWorld, tally: Tally) -> list[tuple[int, float, bool]]:
-    """Attempts at what has not left: object, its occlusion, and whether it held."""
-    return [
-        (cup, world.occlusions[cup][level], is_held)
-        for cup, counted in enumerate(tally)
-        if counted is not None
-        for is_held, counts in ((False, counted.failures), (True, counted.successes))
-        for level, count in enumerate(counts)
-        for _ in range(count)
-    ]
-
-
-def labelled(world: GridWorld, states: TableState, nodes: list[Node], reached: Reached) -> TableState:
-    """The states that are reached of a layer, given what is shown in each of its nodes."""
-    shown = np.zeros((2, len(reached.place), world.num_objects), dtype=np.float32)
-    for place, rows in reached.by_node():
-        axes = np.unravel_index(reached.cell[rows], nodes[place].shape)
-        for cup, of_cup in enumerate(nodes[place].tally):
-            if of_cup is not None:
-                cells = world.labels[cup].cells(of_cup.looks)
-                shown[:, rows, cup] = cells.log_odds[axes[cup]], cells.seen[axes[cup]]
-    chosen = mapped(lambda leaf: leaf[reached.place], states)
-    return replace(chosen, log_odds=shown[0], seen=shown[1])
-
-
-def actions_in(states: TableState, reached: Reached, policies: Sequence[Policy], key: Key) -> Int[np.ndarray, "P n"]:
-    """Ask each policy in the states that it reaches, each with a key of its own; FINISH where it never comes."""
-    actions = np.full(reached.mass.shape, FINISH, dtype=np.int64)
-    keys = random.fold_in(random.fold_in(key[None], reached.place), reached.cell)
-    for of_policy, mass, policy in zip(actions, reached.mass, policies, strict=True):
-        asked = np.flatnonzero(mass > 0.0)
-        for rows in np.split(asked, range(_ASKED_AT_ONCE, len(asked), _ASKED_AT_ONCE)):
-            if len(rows):
-                of_policy[rows] = policy.decide(mapped(lambda leaf, rows=rows: leaf[rows], states), keys[rows]).action
-    return actions
 
 
 def place_of(graph: Graph, state: TableState) -> tuple[Node, tuple[int, ...]]:
@@ -311,7 +161,7 @@ class TeamOptimum:
         if max_states is not None and max_states < 1:
             raise ArgumentError(f"max_states is {max_states}; at least 1 is needed, or None for all")
         key, graph = random.key_of(0) if key is None else key, self._graph
-        flow = _Flow(graph, len(policies))
+        flow = Flow(graph, len(policies))
         for index, (layer, states) in enumerate(zip(graph.layers, self._states, strict=True)):
             if not flow.masses:
                 break
@@ -369,67 +219,6 @@ class TableOptimum(TeamOptimum):
             `state` is not one of this table within this horizon.
         """
         return int(np.argmax(self.q_values(state)))
-
-
-class _Flow:
-    """Where the trajectories of P policies go, and what they earn."""
-
-    def __init__(self, graph: Graph, num_policies: int) -> None:
-        self.graph, self.earned = graph, np.zeros(num_policies)
-        self.masses: dict[int, Grid] = {}
-        """Probability of each cell of a node that is about to decide, by its place, of each policy."""
-        self._arrive(graph.root, np.ones((num_policies, *(1,) * graph.world.num_objects)), np.arange(num_policies))
-
-    def go_on(self, nodes: list[Node], reached: Reached, actions: Int[np.ndarray, "P n"]) -> None:
-        """Let every policy act in the states of a layer, until the next decision.
-
-        Raises
-        ------
-        ArgumentError
-            An action is not possible.
-        """
-        self.masses = {}
-        for place, rows in reached.by_node():
-            node, mass, of_node = nodes[place], reached.mass[:, rows], actions[:, rows]
-            axes, choices = np.unravel_index(reached.cell[rows], node.shape), self.graph.choices(node)
-            for action in np.unique(of_node[mass > 0.0]).tolist():
-                if action not in choices:
-                    there = [cup for cup, counted in enumerate(node.tally) if counted is not None]
-                    raise ArgumentError(
-                        f"policy chose action {action} with objects {there} on the table; it must choose a possible one"
-                    )
-                choice, taken = choices[action], np.where(of_node == action, mass, 0.0)
-                self.earned += taken @ np.broadcast_to(self._paid(choice), node.shape)[axes]
-                if any(arrival.node for arrival in choice.ways):
-                    movers = np.flatnonzero(taken.any(axis=1))
-                    moved = np.zeros((len(movers), *node.shape))
-                    moved[:, *axes] = taken[movers]
-                    self._send(choice, moved, movers)
-
-    def _paid(self, choice: Choice) -> Grid | float:
-        """What it pays until the next decision, or until the end, where there is none."""
-        ends = [(arrival, probability) for arrival, probability in choice.ways.items() if arrival.node is None]
-        return sum((probability * self.graph.worth(arrival) for arrival, probability in ends), choice.reward)
-
-    def _send(self, choice: Choice, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
-        for arrival, probability in choice.ways.items():
-            if arrival.node is not None:
-                self._arrive(arrival, probability * mass, movers)
-
-    def _arrive(self, arrival: Arrival, mass: Grid, movers: Int[np.ndarray, " M"]) -> None:
-        node = arrival.node
-        assert node is not None, "the trajectory goes on"
-        gone = tuple(1 + cup for cup, counted in enumerate(node.tally) if counted is None)
-        mass = spread_over_labels(mass.sum(axis=gone, keepdims=True), arrival.looks, node.shape)
-        if node.place is None:
-            choice = node.choices[GO_ON]
-            self.earned[movers] += np.sum(mass * self._paid(choice), axis=tuple(range(1, mass.ndim)))
-            self._send(choice, mass, movers)
-        elif node.place in self.masses:
-            self.masses[node.place][movers] += mass
-        else:
-            self.masses[node.place] = np.zeros((len(self.earned), *node.shape))
-            self.masses[node.place][movers] = mass
 
 
 def solve_table(

@@ -31,19 +31,12 @@ from halfseen.world.transition import step, until_out_s
 NUM_PROPOSALS = 16
 """Attempts drawn for each robot that is at work; one of those that have not yet ended is taken."""
 NUM_FUTURES = 32
-
 Tree = TypeVar("Tree")
 
 
 @record
 class ForeseenSeeing:
-    """Labels by the probabilities of a law, given the truth and what is known: no latent variable is needed.
-
-    Parameters
-    ----------
-    law
-        Whose labels they are.
-    """
+    """Labels by the probabilities of a law, given the truth and what is known: no latent variable is needed."""
 
     law: KnownSeeing
 
@@ -162,20 +155,8 @@ def future_rewards(
 
     All actions meet the same hidden truth and the same draws.
 
-    Parameters
-    ----------
-    config
-        The world that is believed in.
-    state
-        Tables.
-    policy
-        What decides ever after, for all robots.
-    key
-        What is drawn from.
-    num_futures
-        S.
-    tried
-        Which of the possible actions are tried; None for all.
+    `policy` decides ever after, for all robots; `tried` says which of the possible actions are tried, by default
+    all.
     """
     xp, num_axes = library_of(state.is_on_table), state.steps_to_go.ndim
     wanted: Any = possible_actions(state) if tried is None else tried

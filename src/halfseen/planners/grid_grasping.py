@@ -7,10 +7,10 @@ import numpy as np
 from halfseen.arrays import Array, at, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import offset_prior
-from halfseen.shapes import Float, Int
+from halfseen.shapes import Float
 from halfseen.world import random
 from halfseen.world.grasping import Arrangement, AssumedGrasping, Attempt, KnownGrasping
-from halfseen.world.number import Number
+from halfseen.world.number import Number, Which
 from halfseen.world.random import Key
 
 _SUM_TO_ONE = 1e-6
@@ -66,12 +66,7 @@ class GridGrasping:
         return self.offset_std * xp.asarray(nodes, dtype=np.float32)[drawn]
 
     def attempt(
-        self,
-        table: Arrangement,
-        latent: Float[Array, "*B N"],
-        verb: Int[Array, "*B"],
-        target: Int[Array, "*B"],
-        key: Key,
+        self, table: Arrangement, latent: Float[Array, "*B N"], verb: Which, target: Which, key: Key
     ) -> Attempt:
         """Draw whether it holds, and then how long it takes; whatever is to be done with the object."""
         xp, (held_key, time_key) = library_of(key), random.split(key)

@@ -18,9 +18,8 @@ from halfseen.arrays import STATIC, Array, expit, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import expected_attempt_s, grasp_probability, grip_posterior, prior_grip
 from halfseen.shapes import Bool, Float
-from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider, of_robot, possible_actions, wait_of
+from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider, of_robot, others_of, possible_actions, wait_of
 from halfseen.world.config import WorldConfig
-from halfseen.world.others import others_of
 from halfseen.world.policy import Decision, GraspModel, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState, occlusion
@@ -109,7 +108,14 @@ class GreedyPolicy:
 
 
 @record
-class TeamOfRules:
+class _OfTeam:
+    """A rule of a team that builds on the `rule` of thumb of one robot."""
+
+    rule: GreedyPolicy
+
+
+@record
+class TeamOfRules(_OfTeam):
     """Every robot washes what promises most of what nobody else is at; it waits where that may change, or finishes.
 
     Parameters
@@ -117,8 +123,6 @@ class TeamOfRules:
     rule
         The rule of thumb of one robot.
     """
-
-    rule: GreedyPolicy
 
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose for each table; nothing is drawn."""
@@ -168,7 +172,7 @@ class ReservingPolicy:
 
 
 @record
-class RoundRobin:
+class RoundRobin(_OfTeam):
     """Objects are dealt to the robots in turn: each clears its own as if alone, and nobody helps.
 
     Object i falls to the (i modulo their number)-th of the robots that reach it and go on.
@@ -178,8 +182,6 @@ class RoundRobin:
     rule
         The rule of thumb of one robot.
     """
-
-    rule: GreedyPolicy
 
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose for each table; nothing is drawn."""
@@ -194,7 +196,7 @@ class RoundRobin:
 
 
 @record
-class OneAtATime:
+class OneAtATime(_OfTeam):
     """One robot works while the others wait: the lowest of those that go on, until nothing promises anything to it.
 
     It keeps its turn, as nobody can wait for who is not yet at work. Waiting costs decisions, so that a robot may have
@@ -205,8 +207,6 @@ class OneAtATime:
     rule
         The rule of thumb of one robot.
     """
-
-    rule: GreedyPolicy
 
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose for each table; nothing is drawn."""

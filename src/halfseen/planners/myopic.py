@@ -12,40 +12,24 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Array, library_of, record
+from halfseen.planners import one_step
 from halfseen.planners.belief import belief_of
-from halfseen.planners.one_step import (
-    ATTEMPT_S,
-    NOW,
-    Outlook,
-    attempts_worth,
-    laid_out,
-    limited,
-    one_step_q,
-    outlook_of,
-    setting_of,
-    table_of,
-    tries_after,
-    tries_of,
-    tries_then,
-)
+from halfseen.planners.one_step import NOW, Outlook
 from halfseen.shapes import Bool, Float, Int
-from halfseen.world.actions import Verb, is_decider, possible_actions
+from halfseen.world.actions import Others, Verb, is_decider, others_of, possible_actions
 from halfseen.world.config import WorldConfig
-from halfseen.world.others import Others, others_of
-from halfseen.world.policy import Decision, surely
-from halfseen.world.random import Key
+from halfseen.world.policy import ByValue
 from halfseen.world.state import Robots, TableState
 
 LEAST_LEFT = 0.3
 """What is at least expected to be left of an attempt that goes on, as a share of its expected time."""
 OUT_OF_REACH = np.float32(1e30)
 """Price of a try that nobody can make."""
-
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 
 
 @record
-class MyopicPolicy:
+class MyopicPolicy(ByValue):
     """The best action by a look one step ahead.
 
     Parameters
@@ -64,14 +48,9 @@ class MyopicPolicy:
     def q_values(self, state: TableState) -> Float[Array, "*B A"]:
         """Worth of each action, WAIT last, above leaving all as it is; −∞ where it is impossible."""
         if state.robots is None:
-            q = one_step_q(self.config, belief_of(self.config, state))
+            q = one_step.one_step_q(self.config, belief_of(self.config, state))
             return q - q[..., :1]
         return _q_of_team(self.config, state, state.robots, others_of(state))
-
-    def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; nothing is drawn."""
-        q = self.q_values(state)
-        return surely(library_of(q).argmax(q, axis=-1))
 
 
 class _AtWork(NamedTuple):
@@ -91,20 +70,21 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
     speed = xp.asarray(config.speed, dtype=np.float32)
     laws = tuple(config.as_robot(robot) for robot in range(config.num_robots if config.has_own_laws else 1))
     robot = state.decider if config.has_own_laws else xp.zeros_like(state.decider)
-    table = table_of(belief_of(config, state))
-    setting = setting_of(laws, table, robot)
+    table = one_step.table_of(belief_of(config, state))
+    setting = one_step.setting_of(laws, table, robot)
     # What another washes hides and is seen, but nobody tries it.
-    look = outlook_of(config, table, setting._replace(label=setting.label * ~_washed(state, robots, others)))
-    seconds = config.transport_s + xp.stack([each[ATTEMPT_S] for each in look.expected])
+    look = one_step.outlook_of(config, table, setting._replace(label=setting.label * ~_washed(state, robots, others)))
+    seconds = config.transport_s + xp.stack([each[one_step.ATTEMPT_S] for each in look.expected])
     everyone = others.goes_on | is_decider(state)
     with_me, without_me = (_at_work(config, state, robots, seconds, who) for who in (everyone, others.goes_on))
     own_s = xp.take_along_axis(seconds, robot[None, None], axis=0)[0] / speed[state.decider]
-    gains = limited(tries_after(tries_then(config, look, with_me.effort)), with_me.num_decisions)
-    values = attempts_worth(config, look, gains[None], own_s, with_me.reward_per_s)
+    tries = one_step.tries_after(one_step.tries_then(config, look, with_me.effort))
+    gains = one_step.limited(tries, with_me.num_decisions)
+    values = one_step.attempts_worth(config, look, gains[None], own_s, with_me.reward_per_s)
     # Anyone who is last to leave ends the trajectory, and nothing is looked at any more.
     finish = _value_now(config, look, without_me) * xp.any(others.goes_on, axis=-1)
     wait = _value_now(config, look, with_me) + with_me.reward_per_s * _wait_s(config, robots, others, seconds)
-    q = xp.concatenate([laid_out(finish, values), wait[..., None]], axis=-1)
+    q = xp.concatenate([one_step.laid_out(finish, values), wait[..., None]], axis=-1)
     return xp.where(possible_actions(state), q, np.float32(-np.inf))
 
 
@@ -138,8 +118,8 @@ def _at_work(
 
 def _value_now(config: WorldConfig, look: Outlook, team: _AtWork) -> Float[Array, "*B"]:
     """Value of the table as it stands."""
-    tries = tries_of(config, look, tuple(each[NOW] for each in look.expected), team.effort, way=0)
-    return limited(tries.sum(axis=2)[:, 0], team.num_decisions)
+    tries = one_step.tries_of(config, look, tuple(each[NOW] for each in look.expected), team.effort, way=0)
+    return one_step.limited(tries.sum(axis=2)[:, 0], team.num_decisions)
 
 
 def _wait_s(config: WorldConfig, robots: Robots, others: Others, seconds: Float[Array, "L N *B"]) -> Float[Array, "*B"]:

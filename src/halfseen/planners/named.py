@@ -56,12 +56,7 @@ def named_policy(
 def exploring(policy: "Policy", random_share: float) -> "Policy":
     """Let a policy take some actions uniformly at random.
 
-    Parameters
-    ----------
-    policy
-        Who decides else.
-    random_share
-        Probability that a step does so; at 0 the policy is given back.
+    A step does so with probability `random_share`; at 0 the policy is given back.
     """
     from halfseen.world import ExploringPolicy
 

@@ -26,7 +26,6 @@ from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 
 _ZERO, _ONE, _NEVER, _TINY = np.float32(0.0), np.float32(1.0), np.float32(-np.inf), np.finfo(np.float32).tiny
-
 MISSED, HELD, MISSED_THEN_HELD, HELD_TWICE, ATTEMPT_S, NOW = range(6)
 """Rows of `Setting.attempts`; from the last on, P(it holds) in each of the ways but that in the hand."""
 
@@ -36,14 +35,12 @@ class Table(NamedTuple):
 
     is_there: Bool[Array, " N *B"]
     is_dirty: Float[Array, " N *B"]
-    """P(DIRTY)."""
     weights: Float[Array, "G N *B"]
     """Posterior of each grip offset on its nodes."""
     seen: Float[Array, " N *B"]
     steps_to_go: Int[Array, "*B"]
     hides: Float[Array, "N N *B"]
     grip: Float[Array, " N *B"]
-    """Mean of the grip offset."""
 
 
 class Setting(NamedTuple):
@@ -60,7 +57,6 @@ class Outlook(NamedTuple):
     """What may follow one attempt at each object."""
 
     occluded: Float[Array, "M N *B"]
-    """As `Setting` has it."""
     likelihood: Float[Array, "2 G N *B"]
     """P(an attempt now misses, and holds) at each node of the grip offset."""
     expected: tuple[Float[Array, "W N *B"], ...]
@@ -106,14 +102,7 @@ def table_of(belief: Belief) -> Table:
 def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, "*B"] | None = None) -> Setting:
     """What how the objects stand makes of attempts and labels.
 
-    Parameters
-    ----------
-    worlds
-        The world as the robots find it, one for each law of grasping that there is.
-    table
-        What is believed.
-    robot
-        Which robot makes the first attempt, where each has a law of its own.
+    There is one world for each law of grasping; `robot` makes the first attempt, where each has a law of its own.
     """
     xp, occluded = library_of(table.hides), occlusions_in(table)
     helds, seconds = [], []
@@ -164,8 +153,9 @@ def labels_in(config: WorldConfig, table: Table, occluded: Float[Array, "M N *B"
     return (xp.stack([says_dirty, _ONE - says_dirty], axis=1) * is_counted).astype(np.float32)
 
 
-def outlook_of(config: WorldConfig, table: Table, setting: Setting) -> Outlook:
-    """Look one attempt ahead, at each object."""
+def outlook_of(config: WorldConfig, table: Table, setting: Setting | None = None) -> Outlook:
+    """Look one attempt ahead, at each object; in the setting of a world's own law unless one is given."""
+    setting = setting_of((config,), table) if setting is None else setting
     expected = tuple((table.weights * each).sum(axis=1) for each in setting.attempts)
     hit = table.is_dirty * setting.label[0]
     says = hit + (_ONE - table.is_dirty) * setting.label[1]
@@ -188,18 +178,8 @@ def tries_of(
 ) -> Float[Array, "2 ..."]:
     """E (worth of one more try, less its effort)₊ over the next label, and P(it is positive), by whom that is most.
 
-    Parameters
-    ----------
-    config
-        The world.
-    look
-        What labels may say.
-    chances
-        P(the try holds), under each law of grasping.
-    effort
-        Price of its seconds, likewise.
-    way
-        Those of the ways in which the objects are hidden that the chances are of.
+    `chances` are P(the try holds) under each law of grasping, `effort` is the price of its seconds, and `way` tells
+    in which of the ways the objects are hidden that the chances are of.
     """
     (by_dirt, washed), missed = wash_rewards(config)
     hit, says = look.hit[:, None, way], look.says[:, None, way]
@@ -251,18 +231,8 @@ def attempts_worth(
 ) -> Float[Array, "L 2 N *B"]:
     """Worth of WASH and LIFT of each object above leaving all.
 
-    Parameters
-    ----------
-    config
-        The world.
-    look
-        What may follow.
-    gains
-        By tries after a miss, a WASH and a LIFT of each object; in L ways to count them.
-    own_s
-        Expected time of an attempt, its transport included [s].
-    price_per_s
-        Price of a second of it [1/s].
+    `gains` are by tries after a miss, a WASH and a LIFT of each object, in L ways to count them; `own_s` is the
+    expected time of an attempt, its transport included [s], and a second of it costs `price_per_s` [1/s].
     """
     missed, held = look.expected[0][: HELD + 1]
     wash, lift = look.worth + price_per_s * own_s, (config.reward_lift_per_s + price_per_s) * own_s
@@ -309,6 +279,6 @@ def laid_out(finish: Float[Array, "*B"], values: Float[Array, "..."]) -> Float[A
 def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, "*B A"]:
     """Q_1 of every action of one robot, in closed form; −∞ where an action is impossible."""
     table = table_of(belief)
-    look = outlook_of(config, table, setting_of((config,), table))
+    look = outlook_of(config, table)
     left = left_price(config, table)
     return laid_out(left, left + rule_and_control(config, table, look)[0])

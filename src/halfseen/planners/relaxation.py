@@ -21,7 +21,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.errors import ArgumentError
-from halfseen.planners.exact_table import GridWorld, Labels, labels_of, spread_over_labels
+from halfseen.planners.exact_labels import Labels, labels_of, spread_over_labels
+from halfseen.planners.exact_table import GridWorld
 from halfseen.shapes import Float
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping, KnownGrasping
@@ -31,9 +32,7 @@ from halfseen.world.seeing import is_independent
 MAX_OBJECTS = 12
 MAX_ENUMERATED = 20_000
 """Number of things that may be told up to which all of them are gone through, where grip offsets lie on a grid."""
-
 _CELLS_AT_ONCE = 2_000_000
-
 REVEALED = ("looks", "hidden", "everything")
 """What an informant may tell, from little to much."""
 

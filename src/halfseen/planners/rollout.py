@@ -105,21 +105,7 @@ def rolled_out(
 def sampled_values(config: WorldConfig, state: TableState, key: Key, num_rollouts: int) -> Float[Array, "S A"]:
     """Worth of each of S rollouts of each action of one table.
 
-    Parameters
-    ----------
-    config
-        The world that is believed in.
-    state
-        One table.
-    key
-        What is drawn from.
-    num_rollouts
-        S.
-
-    Returns
-    -------
-    Float[Array, "S A"]
-        −∞ where an action is impossible. FINISH has one rollout, and its worth is exact.
+    It is −∞ where an action is impossible. FINISH has one rollout, and its worth is exact.
     """
     search = opened(config, mapped(lambda leaf: library_of(leaf).asarray(leaf)[None], state))
     xp, (num_actions,) = library_of(search.control), search.control.shape[1:]
@@ -150,21 +136,9 @@ def drawn(
 ) -> Search:
     """Add one rollout for each lane: lane l has the l-th of the actions that are left, in turn.
 
-    Parameters
-    ----------
-    search
-        Some tables.
-    promising
-        Their actions, the best first.
-    num_left
-        How many of them are drawn from.
-    lane
-        ints of the rollouts within their round.
-    draws
-        Of the round, by number l // num_left: all its actions meet the same draws. The first of them is that of the
-        first lane.
-    planning_horizon
-        Actions of a rollout, ≥ 2.
+    `promising` are the actions of each table, the best first, of which so many are left, and lanes are numbered
+    within their round. Draws go by l // num_left, as all actions of a round meet the same; the first of them is
+    that of the first lane.
     """
     xp, (num_tables, num_actions) = library_of(search.rule), search.rule.shape
     left, table = num_left[:, None], np.repeat(np.arange(num_tables), len(lane))
@@ -196,18 +170,9 @@ def searched(search: Search, key: Key, num_rollouts: int, planning_horizon: int,
     Sequential halving [KarninKorenSomekh2013]_: each round adds equally many rollouts of every action that is left,
     and the better half stays.
 
-    Parameters
-    ----------
-    search
-        Tables; where one has fewer than two steps to go, nothing is to be searched.
-    key
-        What is drawn from, for each.
-    num_rollouts
-        Of all actions together; about so many.
-    planning_horizon
-        Actions of a rollout, ≥ 2, the first included; the last one is worth Q_1.
-    horizon
-        Steps that are to go at most.
+    So many rollouts, about, are those of all actions together. Where a table has fewer than two steps to go,
+    nothing is to be searched. The last of `planning_horizon` ≥ 2 actions is worth Q_1; at most `horizon` steps are
+    to go.
     """
     sizes = halved(num_rollouts, search.rule.shape[-1])
     xp, lane = library_of(search.rule), np.arange(max(sizes[0], round(num_rollouts / len(sizes))))

@@ -9,18 +9,9 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from halfseen.arrays import Array, library_of, mapped
+from halfseen.planners import one_step
 from halfseen.planners.belief import known_seeing
-from halfseen.planners.one_step import (
-    HELD,
-    Outlook,
-    Setting,
-    Table,
-    control_value,
-    labels_in,
-    outlook_of,
-    rule_and_control,
-    setting_of,
-)
+from halfseen.planners.one_step import HELD, Outlook, Setting, Table
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
@@ -31,7 +22,6 @@ MOST_SETS = 64
 """Sets of objects of one table for which it pays to find at once what each makes of attempts."""
 SPARED = 24
 """Trajectories that are over for which it does not pay to leave them out."""
-
 _ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 Tree = TypeVar("Tree")
 
@@ -65,7 +55,7 @@ class Settings(NamedTuple):
         setting = picked(self.each, self.bit @ table.is_there)
         if type(config.seeing) is AssumedSeeing:
             return setting
-        return setting._replace(label=labels_in(config, table, setting.occluded))
+        return setting._replace(label=one_step.labels_in(config, table, setting.occluded))
 
 
 def settings_of(config: WorldConfig, table: Table) -> Settings | None:
@@ -78,13 +68,13 @@ def settings_of(config: WorldConfig, table: Table) -> Settings | None:
     if num_sets > MOST_SETS:
         return None
     every = picked(table, np.zeros(num_sets, dtype=np.int64))
-    return Settings(bit, setting_of((config,), every._replace(is_there=(bit[:, None] & np.arange(num_sets)) > 0)))
+    every = every._replace(is_there=(bit[:, None] & np.arange(num_sets)) > 0)
+    return Settings(bit, one_step.setting_of((config,), every))
 
 
 def looked(config: WorldConfig, table: Table, settings: Settings | None) -> Outlook:
     """Look one attempt ahead; by how the objects stand, where that is known."""
-    setting = setting_of((config,), table) if settings is None else settings.of(config, table)
-    return outlook_of(config, table, setting)
+    return one_step.outlook_of(config, table, None if settings is None else settings.of(config, table))
 
 
 def successor(
@@ -92,16 +82,8 @@ def successor(
 ) -> Table:
     """What is believed after an attempt, by draws: one particle's future each.
 
-    Parameters
-    ----------
-    config
-        The world that is believed in.
-    table, look
-        Before the attempt, and what may follow it.
-    choice
-        What is attempted: WASH of each object in turn, then LIFT of each.
-    draws
-        Uniform in [0, 1): whether it is grasped, and what the look at each object says.
+    `choice` is WASH of each object in turn, then LIFT of each. `draws` are uniform in [0, 1): whether it is
+    grasped, and what the look at each object says.
     """
     xp, num_objects = library_of(table.is_dirty), len(table.is_there)
     lanes, objects, nodes = (np.arange(num) for num in (len(choice), num_objects, len(table.weights)))
@@ -154,20 +136,8 @@ def advantages(
 ) -> Float[Array, " R"]:
     """Sum of the advantages of each trajectory, its worth less Q° of its first action; 0 where it has one step to go.
 
-    Parameters
-    ----------
-    config
-        The world that is believed in.
-    table, look
-        Where each begins.
-    choice
-        Its first action, as `successor` has it.
-    draws
-        For as many steps as any may take.
-    planning_horizon
-        Actions, ≥ 2, the last of which is worth Q_1.
-    settings
-        Of the table, if all begin on one.
+    `choice` is the first action, as `successor` has it, and the last of `planning_horizon` ≥ 2 actions is worth
+    Q_1; `settings` are those of the table, if all begin on one.
     """
     xp, total, done, totals = library_of(table.is_dirty), _ZERO * draws[0, 0], [], []
     lanes, last_step = np.arange(len(choice)), table.steps_to_go - planning_horizon + 1
@@ -195,11 +165,11 @@ def _followed(
     config: WorldConfig, table: Table, look: Outlook, last_step: Int[Array, " R"]
 ) -> tuple[Int[Array, " R"], Float[Array, " R"], Bool[Array, " R"]]:
     """What the rule does next, its advantage, and whether the trajectory ends with it."""
-    values = rule_and_control(config, table, look)
+    values = one_step.rule_and_control(config, table, look)
     xp, best = library_of(values), values[0].argmax(axis=0)
     rule, control = values[:, best, np.arange(len(best))]
     # Nothing is better than to finish, which is worth 0 here.
     is_finish = rule <= _ZERO
     is_last = (table.steps_to_go == 1) | (table.steps_to_go == last_step)
     worth = xp.where(is_finish, _ZERO, xp.where(is_last, rule, control))
-    return best, worth - control_value(table, look), is_finish | is_last
+    return best, worth - one_step.control_value(table, look), is_finish | is_last

@@ -43,7 +43,6 @@ __all__ = [
     "attempts",
     "fit_world",
 ]
-
 __getattr__ = lazy_names(
     __name__,
     {

@@ -25,16 +25,7 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.learning.rows import stage_places
-from halfseen.logs import Logs
-from halfseen.logs.columns import (
-    CUT,
-    FINISHED,
-    as_floats,
-    is_of_one_robot,
-    refuse,
-    require_columns,
-    robots_that_may_drop_out,
-)
+from halfseen.logs import Logs, columns
 from halfseen.shapes import Bool, Int
 from halfseen.world.actions import TARGETED, VERB_NAMES, Verb
 from halfseen.world.log_checks import ATTEMPT_BY, LOST, TABLE, checked_tables, robots_in
@@ -42,7 +33,6 @@ from halfseen.world.log_rows import FREE, OUT, PARKED, TableLog
 
 SPENT = "decisions-spent"
 """Cause of a cut: waiting had cost the robot decisions that it would have had alone."""
-
 _WAIT, _FINISH = VERB_NAMES[-1], Verb.FINISH.name
 _ATTEMPTS = tuple(VERB_NAMES[verb] for verb in TARGETED)
 _LEAST_S = 1e-6
@@ -69,7 +59,7 @@ def agent_view(logs: Logs, robot: int) -> Logs:
     """
     if robot not in set(logs.stages["robot"] if "robot" in logs.stages.columns else ()):
         raise ArgumentError(f"robot is {robot}, and it decides in no stage of the log; choose among its column robot")
-    require_columns("stages", logs.stages, (f"{robot}_reward",))
+    columns.require_columns("stages", logs.stages, (f"{robot}_reward",))
     log = checked_tables(logs, is_team=True)
     mine = _in_reach(log, _with_own_history(log, robot), log.is_reached[:, robot])
     stages, trajectories = _own_stages(logs, robot, _is_clear(logs, mine))
@@ -77,7 +67,7 @@ def agent_view(logs: Logs, robot: int) -> Logs:
         raise LogError(f"robot {robot} began nothing in any trajectory; there is nothing to learn from it alone")
     at = stages[[*_STAGE, "of_team"]].rename(columns={"of_team": "stage", "stage": "own"})
     own_objects = mine.merge(at, on=_STAGE).drop(columns="stage").rename(columns={"own": "stage"})
-    of_one = [name for name in logs.trajectories.columns if is_of_one_robot(name)]
+    of_one = [name for name in logs.trajectories.columns if columns.is_of_one_robot(name)]
     known = logs.trajectories.drop(columns=["end_s", "ending", "cause", *of_one])
     tables: Any = (
         stages.drop(columns="of_team"),
@@ -120,7 +110,7 @@ def _own_stages(logs: Logs, robot: int, is_clear: Bool[np.ndarray, " rows"]) -> 
     own["stage"] = own.groupby("trajectory").cumcount() + 1
     is_finished = is_seen & ~is_spent
     cause = ends["cause"].astype(object).mask(is_out, ends["out_cause"]).mask(is_spent, SPENT).mask(is_finished, None)
-    ending = np.where(is_finished, FINISHED, CUT)
+    ending = np.where(is_finished, columns.FINISHED, columns.CUT)
     trajectories: Any = pd.DataFrame(
         {"trajectory": ends["trajectory"], "end_s": elapsed_s, "ending": ending, "cause": cause}
     )
@@ -210,7 +200,7 @@ def _with_own_history(log: TableLog, robot: int) -> pd.DataFrame:
     is_latest = np.append(held.row[1:] != held.row[:-1], True)[: len(held.row)]
     is_own_lift = np.bincount(held.row, is_latest & ~is_mine, num_rows) == 0
     of_object = [objects["trajectory"], objects["object"]]
-    lifts = as_floats("objects", objects, "lifts")
+    lifts = columns.as_floats("objects", objects, "lifts")
     gained = lifts.groupby(of_object).diff().fillna(lifts)
     return objects.assign(
         attempt_occlusions=_lists(occluded.values, occluded.row, is_mine, num_rows),
@@ -255,7 +245,7 @@ def _robots_of_attempts(log: TableLog, robot: int) -> Int[np.ndarray, " attempts
     trouble = (
         "it was tried more often than by the WASH and LIFT of the stages; mend its past attempts, or give attempt_by"
     )
-    refuse(objects, tried.rows_with(made_by.isna().to_numpy()), trouble, (*_STAGE, "object"))
+    columns.refuse(objects, tried.rows_with(made_by.isna().to_numpy()), trouble, (*_STAGE, "object"))
     return made_by.to_numpy(dtype=np.int64)
 
 
@@ -263,7 +253,7 @@ def _begun_attempts(logs: Logs) -> pd.DataFrame:
     """Who tried which object of which trajectory, in order; what was abandoned is no attempt."""
     stages, (trajectory, _) = logs.stages, stage_places(logs)
     is_last, is_out = ~stages.duplicated(["trajectory", "robot"], keep="last"), np.zeros(len(stages), dtype=bool)
-    for robot in robots_that_may_drop_out(logs.trajectories):
+    for robot in columns.robots_that_may_drop_out(logs.trajectories):
         is_out |= logs.trajectories[f"{robot}_out_s"].notna().to_numpy()[trajectory] & (
             stages["robot"] == robot
         ).to_numpy(dtype=bool)

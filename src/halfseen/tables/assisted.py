@@ -17,18 +17,12 @@ from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import laid_out, left_price, table_of
 from halfseen.shapes import Bool, Float, Int
-from halfseen.tables.look_ahead import (
-    NUM_EXCESS_FEATURES,
-    NUM_TABLE,
-    NUM_TEAM_EXCESS_FEATURES,
-    Ahead,
-    ahead_of,
-    team_described,
-)
+from halfseen.tables import look_ahead
+from halfseen.tables.look_ahead import NUM_TABLE, Ahead
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.number import Number
-from halfseen.world.policy import Decision, GraspModel, surely
+from halfseen.world.policy import ByValue, GraspModel
 from halfseen.world.random import Key
 from halfseen.world.seeing import PersistentSeeing
 from halfseen.world.state import TableState
@@ -81,7 +75,7 @@ class Excess:
     def none(cls, horizon: int) -> "Excess":
         """E ≡ 0."""
         low, high = np.zeros((2, horizon, 2), dtype=np.float32)
-        return cls(np.zeros((horizon, 2, 1 + NUM_EXCESS_FEATURES), dtype=np.float32), low, high)
+        return cls(np.zeros((horizon, 2, 1 + look_ahead.NUM_EXCESS_FEATURES), dtype=np.float32), low, high)
 
     def __call__(self, ahead: Ahead) -> Float[Array, " C *B"]:
         """E of WASH and LIFT of each object."""
@@ -100,7 +94,7 @@ def _by_steps(each: Float[Array, "T ..."], to_go: Int[Array, "*B"]) -> Float[Arr
 
 
 @record
-class LawPolicy:
+class LawPolicy(ByValue):
     """Decides by fitted laws: argmax of `q_values`.
 
     Parameters
@@ -120,14 +114,6 @@ class LawPolicy:
     def horizon(self) -> int:
         """T."""
         return self.config.horizon
-
-    def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; deterministic."""
-        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
-
-    def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
-        """Q of every action; −∞ where an action is impossible, or never taken."""
-        raise NotImplementedError
 
     def mended(self, state: TableState) -> TableState:
         """The state, with log-odds as the laws have them."""
@@ -158,7 +144,7 @@ class AssistedPolicy(LawPolicy):
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Q of every action; −∞ where an action is impossible."""
-        ahead = ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
+        ahead = look_ahead.ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
         left = left_price(self.config, ahead.table)
         above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
         q = laid_out(left, left + above)
@@ -207,7 +193,7 @@ class TeamExcess:
     @classmethod
     def none(cls) -> "TeamExcess":
         """E ≡ 0."""
-        return cls(np.zeros(NUM_TEAM_EXCESS_FEATURES, dtype=np.float32), 0.0, 0.0)
+        return cls(np.zeros(look_ahead.NUM_TEAM_EXCESS_FEATURES, dtype=np.float32), 0.0, 0.0)
 
     def __call__(self, state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A"]:
         """E of every action, less the caution; 0 of the best one by `q`, which is what the myopic look makes of each.
@@ -215,7 +201,7 @@ class TeamExcess:
         WAIT, which is asked again after each event, is never made more of: errors would add up.
         """
         xp = library_of(q, self.coefficients)
-        values, best = team_described(state, q) @ self.coefficients, xp.argmax(q, axis=-1)[..., None]
+        values, best = look_ahead.team_described(state, q) @ self.coefficients, xp.argmax(q, axis=-1)[..., None]
         beside = xp.clip(values - at(values, best[..., 0])[..., None], self.low, self.high)
         beside = xp.concatenate([beside[..., :-1], xp.minimum(beside[..., -1:], np.float32(0.0))], axis=-1)
         is_best = xp.arange(q.shape[-1]) == best
@@ -223,7 +209,7 @@ class TeamExcess:
 
 
 @record
-class AssistedTeamPolicy:
+class AssistedTeamPolicy(ByValue):
     """Decides one robot at a time: argmax of the myopic look under fitted laws and E, what it misses.
 
     Parameters
@@ -251,10 +237,6 @@ class AssistedTeamPolicy:
     def horizon(self) -> int:
         """The same."""
         return self.config.num_stages
-
-    def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; deterministic."""
-        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Worth of every action above leaving all as it is, WAIT last; −∞ where it is impossible."""

@@ -20,15 +20,13 @@ from halfseen.tables.features import table_features, team_features
 from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, wait_of, worthwhile_actions
 from halfseen.world.log_checks import TABLE, checked_tables, robots_in
 from halfseen.world.log_rows import begun_objects
-from halfseen.world.logs import states_of
+from halfseen.world.logs import spread, states_of
 from halfseen.world.policy import GraspModel
 from halfseen.world.state import Layout, TableState
 
 TABLE_COVARIATES = ("num_objects", "mean_occlusion", ACTION, "target_occlusion")
 """All of them; the first two are known as a trajectory begins."""
-
 NUM_AT_BEGIN = 2
-
 _VERBS = tuple(verb.name for verb in Verb)
 
 
@@ -40,16 +38,8 @@ def encoded_states(
 ) -> Encoded:
     """Encode tables, and what was done at each.
 
-    Parameters
-    ----------
-    states
-        Tables, axes (n, T); of more trajectories than n, the first are encoded.
-    action
-        What was done.
-    is_state
-        Where there is a table; elsewhere features are 0, and FINISH alone is possible.
-    grasp
-        What tells the probability of a grasp in the features; None for the rule of succession.
+    Of more trajectories than there are actions of, the first are encoded. Where there is no table, features are 0,
+    and FINISH alone is possible. `grasp` tells the probability of a grasp; None for the rule of succession.
     """
     num_trajectories, at = len(is_state), np.nonzero(is_state)
     return encoded_at(at, mapped(lambda leaf: leaf[:num_trajectories][at], states), action, grasp)
@@ -64,30 +54,12 @@ def encoded_at(
 ) -> Encoded:
     """Encode the tables of some stages, (trajectory, stage) from 0, of one robot or several.
 
-    Parameters
-    ----------
-    at
-        Where they stand.
-    there
-        The tables, one axis.
-    action
-        What was done.
-    grasp
-        As `encoded_states` takes it.
-    choices
-        Which actions there are to choose from; elsewhere FINISH alone.
+    `choices` tells which actions there are to choose from; where no table stands, FINISH alone.
     """
     of_action = (table_features if there.robots is None else team_features)(there, grasp)
     is_possible = spread(choices(there), at, action.shape)
     is_possible[~is_possible.any(axis=-1), FINISH] = True
     return Encoded(spread(of_action.astype(np.float64), at, action.shape), is_possible, action)
-
-
-def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...]) -> np.ndarray:
-    """Put the values of some stages at their places, and zeros elsewhere."""
-    found = np.zeros((*shape, *values.shape[1:]), dtype=values.dtype)
-    found[at] = values
-    return found
 
 
 def states_alone(logs: Logs, horizon: int) -> TableState:
@@ -110,14 +82,7 @@ def states_alone(logs: Logs, horizon: int) -> TableState:
 def team_states(logs: Logs, horizon: int, num_robots: int | None = None) -> TableState:
     """Rebuild S_t of every stage of a log of several robots, axes (n, T).
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T, the decisions of all robots together.
-    num_robots
-        K, which the log must have; None for any.
+    `horizon` is T, the decisions of all robots together; the log must have `num_robots`, None for any.
 
     Raises
     ------
@@ -149,16 +114,7 @@ def check_team(logs: Logs, num_robots: int | None = None) -> None:
 def logged_actions(logs: Logs, horizon: int, num_objects: int, *, is_team: bool = False) -> Int[np.ndarray, "n T"]:
     """Action number of every stage; FINISH where the log has no stage, or no action.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T.
-    num_objects
-        N.
-    is_team
-        Whether several robots decided, who WAIT as well.
+    Where `is_team`, several robots decided, who WAIT as well.
 
     Raises
     ------

@@ -29,16 +29,13 @@ from halfseen.shapes import Bool, Float
 from halfseen.tables.encoding import logged_actions
 from halfseen.tables.grasp_attempts import attempts
 from halfseen.tables.present import logged_dirty_share
-from halfseen.tables.rewards import outcomes_of
+from halfseen.tables.rewards import LASTED_S, NUM_LEFT, following, outcomes_of
 from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider
 from halfseen.world.config import WorldConfig
 from halfseen.world.log_rows import begun_objects
-from halfseen.world.logs import states_of
+from halfseen.world.logs import spread, states_of
 from halfseen.world.seeing import SAME_VIEW
 from halfseen.world.state import TableState
-
-FAILED, LIFTED_S, LASTED_S, NUM_LEFT, DIRT_LEFT, DIRT_BEFORE = range(6)
-"""Columns of `outcomes_of`."""
 
 
 def is_plain_look(states: TableState) -> Bool[np.ndarray, "n T"]:
@@ -72,9 +69,8 @@ def brought_by(logs: Logs, states: TableState) -> Brought:
     """Read what each stage brought."""
     at, (num, horizon) = stage_places(logs), states.steps_to_go.shape
     action, space = logged_actions(logs, horizon, states.num_objects, is_team=True), ActionSpace(states.num_objects)
-    reward, clock_s = np.full((num, horizon), np.nan), np.full((num, horizon), np.nan)
-    for values, column in ((reward, "reward"), (clock_s, "elapsed_s")):
-        values[at] = logs.stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
+    columns = (logs.stages[name].to_numpy(dtype=np.float64, na_value=np.nan) for name in ("reward", "elapsed_s"))
+    reward, clock_s = (spread(column, at, (num, horizon), np.nan) for column in columns)
     is_stage = np.zeros((num, horizon + 1), dtype=bool)
     is_stage[at] = True
     lasted_s = np.nan_to_num(np.diff(clock_s, axis=1, prepend=0.0))
@@ -82,14 +78,13 @@ def brought_by(logs: Logs, states: TableState) -> Brought:
     assert robots is not None
     is_at_last = (is_decider(states) & (robots.decisions_to_go == 1)) | (robots.is_busy & (robots.decisions_to_go == 0))
     goes_on = np.isfinite(reward) & is_stage[:, 1:]
-    after = np.concatenate([states.is_on_table[:, 1:], np.zeros_like(states.is_on_table[:, :1])], axis=1)
     return Brought(
         outcomes_of(states, space.verb(action), space.target(action), lasted_s),
         reward,
         goes_on & ~np.any(is_at_last, axis=-1),
         np.isfinite(reward) & ~is_stage[:, 1:],
         is_stage[:, :-1] & (action == FINISH),
-        states.is_on_table & ~after,
+        states.is_on_table & ~following(states.is_on_table),
     )
 
 
@@ -110,7 +105,6 @@ def shown_by_washing(brought: Brought, config: WorldConfig) -> Bool[np.ndarray, 
 
 AT_LIMIT = 0.98
 """An attempt that lasted this share of its limit is at the limit: clocks are rounded."""
-
 NO_NEWS = 1e-4
 """Log-odds that move by less did not: what is left is rounding."""
 
@@ -125,7 +119,6 @@ class Watched(NamedTuple):
     occlusion: Rows
     """Hidden share when it began, in [0, 1]."""
     grip: Rows
-    """Mean of the object's grip offset."""
     watched_s: Rows
     """Time for which it was watched, without transport: until it held, missed or was cut; at most the limit [s]."""
     is_held: RowMask
@@ -143,14 +136,12 @@ class Labels(NamedTuple):
     occlusion: Rows
     """Hidden share in the look that it comes from; 0 of what is held up."""
     is_held: RowMask
-    """Whether it was held up in that look."""
     seen: Rows
     """Share of its surface that the recorder counted as seen before it; 0 in a log that counts none."""
     seen_after: Rows
     """The same after it."""
     says_dirty: RowMask
     was_dirty: RowMask
-    """Whether washing showed that the object was dirty."""
     was_clean: RowMask
     """Whether it showed that it was clean; of what was never washed nothing was shown."""
     moved: Rows
@@ -186,13 +177,8 @@ class Evidence(NamedTuple):
 def evidence_of(logs: Logs, known: WorldConfig) -> Evidence:
     """Read a log, once for all numbers of its trajectories.
 
-    Parameters
-    ----------
-    logs
-        As `states_of` and `attempts` read them, of one robot or several; where its objects have a column grip, it is
-        used.
-    known
-        Of which the horizon, transport_s, speed, the limit of an attempt and the rewards are used.
+    The log may be of one robot or several; where its objects have a column grip, it is used. Of `known`, the
+    horizon, transport_s, speed, the limit of an attempt and the rewards are used.
 
     Raises
     ------

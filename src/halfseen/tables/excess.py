@@ -88,16 +88,7 @@ class Tried(NamedTuple):
 def fitted_excess(config: WorldConfig, layouts: Layout, seed: int, num_trajectories: int = NUM_TRAJECTORIES) -> Excess:
     """Simulate one robot in a known world, and fit E.
 
-    Parameters
-    ----------
-    config
-        The world.
-    layouts
-        Tables to begin with, in turn.
-    seed
-        Of all draws.
-    num_trajectories
-        How many are simulated.
+    Trajectories begin with the layouts in turn.
     """
     parts = [
         _simulated(config, layouts, np.arange(first, min(first + LANES, num_trajectories)), seed)
@@ -209,24 +200,12 @@ class TeamTried(NamedTuple):
     """By how much it did better than the myopic look says, in the mean of the futures."""
 
 
-def fitted_team_excess(
-    config: WorldConfig, layouts: Layout, seed: int, num_states: int = NUM_STATES, num_futures: int = NUM_FUTURES
-) -> TeamExcess:
-    """Simulate a team in a known world, and fit E.
-
-    Parameters
-    ----------
-    config, layouts, seed
-        As of `fitted_excess`.
-    num_states
-        In how many states actions are tried.
-    num_futures
-        In how many futures each.
-    """
-    states = visited(config, layouts, seed, num_states)
+def fitted_team_excess(config: WorldConfig, layouts: Layout, seed: int) -> TeamExcess:
+    """Simulate a team in a known world, and fit E."""
+    states = visited(config, layouts, seed, NUM_STATES)
     key = random.fold_in(random.key_of(seed), np.arange(len(states.steps_to_go)))
     parts = [
-        team_simulated(config, *mapped(lambda leaf, k=k: leaf[k : k + TEAM_LANES], (states, key)), num_futures)
+        team_simulated(config, *mapped(lambda leaf, k=k: leaf[k : k + TEAM_LANES], (states, key)), NUM_FUTURES)
         for k in range(0, len(key), TEAM_LANES)
     ]
     tried = TeamTried(*map(np.concatenate, zip(*parts, strict=True)))

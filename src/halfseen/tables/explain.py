@@ -22,17 +22,12 @@ from halfseen.world.state import TableState
 
 _HIDES = 0.1
 """Share of another object from which on an object counts as hiding it."""
-
 _SURE = 0.9
 """P(DIRTY) from which on nobody asks what a wrong WASH costs."""
-
 _SAME_LOG_ODDS = 1e-5
-
 _MOST_TOLD = 2
 """Objects behind another that are told of one by one."""
-
 _HIDDEN = ((_HIDES, ""), (0.35, "partly hidden"), (0.65, "half hidden"), (np.inf, "mostly hidden"))
-
 _DIRTY = (
     (0.1, "almost surely clean"),
     (0.25, "probably clean"),
@@ -80,14 +75,8 @@ class TableExplanation:
     ) -> "TableExplanation":
         """Read them off a state.
 
-        Parameters
-        ----------
-        state
-            One table with an object on it.
-        dirty_share
-            P(DIRTY) of an object before any label; None if nobody knows it, and then all counts as told.
-        worst_wash
-            Least that a WASH pays [reward]; None if nobody knows.
+        `dirty_share` is P(DIRTY) of an object before any label; None if nobody knows it, and then all counts as
+        told. `worst_wash` is the least that a WASH pays [reward].
         """
         is_there, log_odds = np.asarray(state.is_on_table), np.asarray(state.log_odds, dtype=np.float64)
         seen = np.asarray(state.seen, dtype=np.float64)
@@ -133,13 +122,6 @@ class TableExplanation:
 
 def action_reason(explanation: TableExplanation, action: int) -> str:
     """Say what there is to be said of an action.
-
-    Parameters
-    ----------
-    explanation
-        What there is to be said.
-    action
-        A possible action.
 
     Examples
     --------
@@ -214,15 +196,6 @@ def _listed(parts: Sequence[Any], last_with: str = " and ") -> str:
 
 def implied(policy: LawPolicy, state: TableState, action: int) -> str:
     """Say what the laws of a policy's log imply for an action.
-
-    Parameters
-    ----------
-    policy
-        What decides.
-    state
-        One table, with an object on it.
-    action
-        A possible action.
 
     Examples
     --------

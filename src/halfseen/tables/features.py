@@ -67,27 +67,21 @@ import numpy as np
 from halfseen.arrays import Array, expit, library_of
 from halfseen.shapes import Bool, Float
 from halfseen.tables.grasp_table import GraspByRobot
-from halfseen.world.actions import TARGETED, ActionSpace, Verb, possible_actions
-from halfseen.world.others import Others, makespans, others_of, reached_by_decider
+from halfseen.world import actions
+from halfseen.world.actions import TARGETED, ActionSpace, Others, Verb
 from halfseen.world.policy import GraspModel
 from halfseen.world.state import TableState, attempt_counts
 
 FEATURES_VERSION = 1
 """Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
-
 NUM_FEATURES = 22
-
 NUM_TABLE_FEATURES = 11
-
 WASH_DIRTY, WASH_EASE = NUM_TABLE_FEATURES + 2, NUM_TABLE_FEATURES + 4
 """Where the features of WASH hold P(DIRTY) and the ease of the target."""
-
 LEAST_IN_SIGHT = 1e-6
 """Share that one object leaves of another's silhouette at least: what is in sight without it follows by division."""
-
 LIKELY_ODDS = 3.0
 """Odds that a grasp holds at which the mean of a grip offset counts: the rule of succession starts from certainty."""
-
 ROUNDING = 1e-6
 """Differences of float32 numbers below this are 0."""
 
@@ -213,16 +207,14 @@ def _sight(state: TableState) -> tuple[Float[Array, "*B N"], Float[Array, "*B N 
 
 
 NUM_WASH, NUM_LIFT, NUM_TEAM, NUM_WAIT, NUM_FINISH = 12, 6, 18, 8, 2
-
 NUM_TEAM_FEATURES = NUM_WASH + NUM_LIFT + NUM_TEAM + 2 + 2 + NUM_WAIT + NUM_FINISH + 1
-
 _WIN_EASE, _SOON = 3, 9
 """Where the columns of a table hold win·ease and soon."""
 
 
 def team_features(state: TableState, grasp: GraspModel | None = None) -> Float[Array, "*B A F"]:
     """φ(S, a) of every action of the robot that decides, WAIT last."""
-    xp, others, mine = library_of(state.log_odds), others_of(state), reached_by_decider(state)
+    xp, others, mine = library_of(state.log_odds), actions.others_of(state), actions.reached_by_decider(state)
     columns = table_columns(state, grasp)
     by_robot = [columns]
     if isinstance(grasp, GraspByRobot):
@@ -230,7 +222,7 @@ def team_features(state: TableState, grasp: GraspModel | None = None) -> Float[A
     each = _there(state, columns.table)
     two = each[..., [_WIN_EASE, _SOON]]
     own = _of_decider(_by_robot(state, [[one.table[k] for k in (_WIN_EASE, _SOON)] for one in by_robot]), state)
-    is_free = possible_actions(state)[..., ActionSpace(state.num_objects).of(Verb.WASH)]
+    is_free = actions.possible_actions(state)[..., ActionSpace(state.num_objects).of(Verb.WASH)]
     num_going_on = xp.sum(others.goes_on, axis=-1).astype(np.float32)
     at_work = xp.stack([others.num_at_work, others.since_s, num_going_on], axis=-1)
     shared = xp.where(others.reached[..., None], own, np.float32(0.0))
@@ -245,7 +237,7 @@ def team_features(state: TableState, grasp: GraspModel | None = None) -> Float[A
         _rows(state, 2, lift=shared),
         _rows(state, NUM_WAIT, wait=waits),
         _rows(state, NUM_FINISH, finish=leaves),
-        makespans(state, others)[..., None],
+        actions.makespans(state, others)[..., None],
     ]
     return xp.concatenate(groups, axis=-1)
 

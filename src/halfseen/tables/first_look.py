@@ -63,25 +63,14 @@ def first_look(
 
 
 def chances_of(present: Present) -> list[float]:
-    """P(DIRTY) of each object, by all labels so far.
-
-    Parameters
-    ----------
-    present
-        Where a trajectory stands.
-    """
+    """P(DIRTY) of each object, by all labels so far."""
     return expit(np.asarray(present.state.log_odds, dtype=np.float64)).tolist()
 
 
 def labels_in_words(labels: Sequence[Label], file: Path | None) -> str:
     """Say which objects look how, and by what.
 
-    Parameters
-    ----------
-    labels
-        One an object.
-    file
-        Where they were read; None for those by colour.
+    `file` is where they were read; None for those by colour.
     """
     named = {word: [k for k, label in enumerate(labels) if label.word == word] for word in WORDS.values()}
     listed = "; ".join(f"{word}: {', '.join(map(str, objects))}" for word, objects in named.items() if objects)
@@ -89,11 +78,5 @@ def labels_in_words(labels: Sequence[Label], file: Path | None) -> str:
 
 
 def chances_in_words(present: Present) -> str:
-    """Say how likely each object is dirty.
-
-    Parameters
-    ----------
-    present
-        Where a trajectory stands.
-    """
+    """Say how likely each object is dirty."""
     return f"P(dirty) is {', '.join(f'{k}: {chance:.2f}' for k, chance in enumerate(chances_of(present)))}"

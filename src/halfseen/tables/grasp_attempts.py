@@ -1,6 +1,6 @@
 """From the log of a table, of any number of robots, to the attempts to grasp that it holds, the cut ones included.
 
-And what a fit to attempts accepts: tables in, checked float64 and bool out, bad values named.
+And what a fit to attempts accepts: tables in, checked float64 and bool out, bad values named; and its folds.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -29,12 +29,9 @@ from halfseen.world.actions import TARGETED, Verb
 from halfseen.world.log_checks import checked_tables, robots_in
 from halfseen.world.log_rows import FREE, OUT, PARKED
 
-ATTEMPT_VERBS = tuple(verb.name for verb in TARGETED)
-
+NAME = "attempts"
 _KEY = ["trajectory", "stage", "object"]
-
 _HISTORY = ["occlusion", "successes", "failures"]
-
 _COLUMNS = [*_KEY, "occlusion", "grip", "successes", "failures", "succeeded", "time_s", "is_finished"]
 
 
@@ -73,7 +70,7 @@ def attempts(logs: Logs, horizon: int | None = None) -> pd.DataFrame:
         checked_tables(logs, is_team=True)
     ends, is_clear = _ends(logs), logs.is_finished[stage_places(logs)[0]] & (stages["action"] == Verb.WASH.name)
     rows = stages.assign(time_s=ends.after_s, next=ends.stage, is_last=_is_last(logs, horizon), is_clear=is_clear)
-    rows = pd.DataFrame(rows[stages["action"].isin(ATTEMPT_VERBS)])
+    rows = pd.DataFrame(rows[stages["action"].isin([verb.name for verb in TARGETED])])
     _refuse(rows, rows["object"].isna().to_numpy(), "nobody says which object was tried; name it in the column object")
     rows = rows.astype({"object": objects["object"].dtype})
     rows = rows.merge(objects, on=_KEY, how="left", validate="one_to_one")
@@ -168,9 +165,6 @@ def _refuse(rows: pd.DataFrame, wrong: Bool[np.ndarray, " rows"], trouble: str) 
     refuse(rows, wrong, lambda row: f"{action.iloc[row]} of object {shown(target.iloc[row])}: {trouble}")
 
 
-NAME = "attempts"
-
-
 class Decided(NamedTuple):
     """Attempts that came to their own end, weighted for those that did not."""
 
@@ -187,20 +181,12 @@ class Decided(NamedTuple):
     def among(self, kept: RowMask | Int[np.ndarray, " k"]) -> "Decided":
         """Keep some, by mask or by number, with the weights and the diagnostics that they had among all."""
         history = History(*(values[kept] for values in self.history))
-        succeeded, weight, group, row = (each[kept] for each in (self.succeeded, self.weight, self.group, self.row))
-        return Decided(history, succeeded, weight, group, self.diagnostics, row)
+        each = {name: getattr(self, name)[kept] for name in ("succeeded", "weight", "group", "row")}
+        return self._replace(history=history, **each)
 
 
 def kinds(*columns: Float[np.ndarray, " n"] | Bool[np.ndarray, " n"]) -> tuple[Int[np.ndarray, " k"], RowIds]:
-    """Number the rows of which all columns are alike: a fit needs to look at one of each kind alone.
-
-    Returns
-    -------
-    first : Int[ndarray, "k"]
-        A row of each kind.
-    kind : Int[ndarray, "n"]
-        Of each row.
-    """
+    """Tell rows apart that differ in a column: the first of each kind, all that a fit needs, and the kind of each."""
     code = np.zeros(len(columns[0]), dtype=np.int64)
     for column in columns:
         values, number = np.unique(column, return_inverse=True)
@@ -233,18 +219,12 @@ def checked_covariates(data: FrameLike, names: Sequence[str]) -> Float[np.ndarra
 
 
 def checked_attempts(
-    data: FrameLike,
-    censoring: str | CensoringModel = "kaplan-meier",
-    truncate_at: float | int | None = None,
+    data: FrameLike, censoring: str | CensoringModel = "kaplan-meier", truncate_at: float | int | None = None
 ) -> Decided:
     """Read attempts and weigh those that were decided.
 
-    Parameters
-    ----------
-    data
-        Columns occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
-    censoring, truncate_at
-        As in `BetaGrasp`.
+    There are columns occlusion, successes, failures and succeeded; optionally time_s and is_finished, and object.
+    Weights are as in `BetaGrasp`.
 
     Raises
     ------
@@ -307,7 +287,6 @@ def _flags(frame: pd.DataFrame, column: str, is_read: RowMask) -> RowMask:
 
 
 _COUNT = (lambda values: (values >= 0) & (values == np.floor(values)), "give a count, 0 or more")
-
 _MAY_BE: dict[str, tuple[Callable[[Rows], RowMask], str]] = {
     "occlusion": (lambda values: (values >= 0) & (values <= 1), "a hidden share lies in [0, 1]"),
     "successes": _COUNT,
@@ -332,3 +311,40 @@ def _refuse_value(frame: pd.DataFrame, column: str, wrong: Bool[np.ndarray, " ro
     if wrong.any():
         row = int(np.argmax(wrong))
         raise ArgumentError(f"{NAME}, row {row}: {column} is {frame[column].iloc[row]}; {remedy}")
+
+
+FEWEST_OBJECTS = 2
+"""Objects that failed, and that succeeded, without which none can be held out."""
+
+
+def can_hold_out(attempts: pd.DataFrame) -> bool:
+    """Say whether either outcome was seen of enough objects to hold some out, as anyone who chooses λ must."""
+    decided = attempts[attempts["is_finished"].astype(bool)]
+    succeeded = decided["succeeded"].astype(bool)
+    return all(decided.loc[rows, "object"].nunique() >= FEWEST_OBJECTS for rows in (succeeded, ~succeeded))
+
+
+def splits_of(decided: Decided, num_folds: int, random_state: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Deal attempts into folds: for each, which to fit to and which to hold out; an object's attempts stay together.
+
+    There are `num_folds`, if so many objects failed and so many succeeded; else as many as did. Objects are dealt in
+    the order of their success, in which those of one outcome are neighbours: both outcomes are in every fold.
+
+    Raises
+    ------
+    ArgumentError
+        There are fewer than 2 folds, or one outcome was seen of one object alone.
+    """
+    if num_folds < 2:
+        raise ArgumentError(f"num_folds is {num_folds}; cross-validation needs at least 2")
+    num_objects = [len(np.unique(decided.group[decided.succeeded == outcome])) for outcome in (False, True)]
+    if min(num_objects) < FEWEST_OBJECTS:
+        word = "failures" if num_objects[0] < FEWEST_OBJECTS else "successes"
+        raise ArgumentError(f"{word} were seen of one object alone, so none can be held out; record more objects")
+    num_folds = min(num_folds, *num_objects)
+    objects, place = np.unique(decided.group, return_inverse=True)
+    share = np.bincount(place, decided.succeeded) / np.bincount(place)
+    fold = np.empty(len(objects), dtype=np.int64)
+    shuffled = np.random.default_rng(random_state).permutation(len(objects))
+    fold[np.lexsort((shuffled, share))] = np.arange(len(objects)) % num_folds
+    return [(np.flatnonzero(fold[place] != k), np.flatnonzero(fold[place] == k)) for k in range(num_folds)]

@@ -24,39 +24,25 @@ from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.learning.behaviour import Derivatives, Thetas, minimise_each
 from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float
+from halfseen.tables import grasp_table
 from halfseen.tables.features import succession
 from halfseen.tables.grasp_attempts import Decided, attempts, checked_attempts, checked_covariates, kinds
 from halfseen.tables.grasp_models import Theta, fitted_thetas, predictive
-from halfseen.tables.grasp_table import (
-    SURE,
-    GraspByRobot,
-    GraspEstimator,
-    GraspTable,
-    GripEffect,
-    every_history,
-    table_of,
-    tabulate,
-)
+from halfseen.tables.grasp_table import SURE, GraspByRobot, GraspEstimator, GraspTable, GripEffect
 from halfseen.workers.threads import one_thread
 from halfseen.world.log_checks import robots_in
 from halfseen.world.policy import GraspModel
 
 NUM_FOLDS = 5
-
 WORTH = 0.5
 """Share of the rule's squared error that the Beta must take away."""
-
 CLEARLY = 2.0
 """Standard errors by which it must take away more than that."""
-
 FEWEST_ATTEMPTS = 30
 """Decided attempts below which there is nothing to choose by."""
-
 GRIP_SPREAD = np.array([1.0, 0.5])
 """Standard deviations of the normal prior on shift and per_grip, about 0: few attempts say little of either."""
-
 KEPT = "the probability of a grasp is the rule of succession’s"
-
 BY_ROBOT = (
     "the probability of a grasp is learned from each robot’s own attempts: held out, these foretell them better than "
     "those of all"
@@ -89,14 +75,7 @@ def choose_grasp(logs: Logs, horizon: int) -> GraspChoice:
 def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspChoice:
     """Choose by attempts.
 
-    Parameters
-    ----------
-    tried
-        As `halfseen.tables.grasp_attempts.attempts` gives them, with the robot of each if there are several.
-    horizon
-        T.
-    num_robots
-        K.
+    `tried` is as `attempts` gives it, with the robot of each if there are several.
 
     Raises
     ------
@@ -142,7 +121,6 @@ class _HeldOut(NamedTuple):
 
     decided: Decided
     trajectory: RowIds
-    """Rank of each attempt's trajectory."""
     grip: Rows
 
     @classmethod
@@ -171,7 +149,7 @@ class _HeldOut(NamedTuple):
         """Tabulate a fit to some attempts, with what their grips count beside it."""
         own = self.decided.among(mine)
         effect = _fitted_effect(predictive(theta, own.history), own, self.grip[mine])
-        return table_of(predictive(theta, every_history(horizon)), horizon, effect)
+        return grasp_table.table_of(predictive(theta, grasp_table.every_history(horizon)), horizon, effect)
 
 
 def _by_succession(held: _HeldOut) -> Rows:
@@ -183,15 +161,8 @@ def _by_succession(held: _HeldOut) -> Rows:
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
     """Make a grasp model that a policy can carry.
 
-    Parameters
-    ----------
-    grasp
-        None; a `GraspModel`, which is taken as it is; or a grasp estimator, which is tabulated, and first fitted to the
-        attempts of the log (as a copy) if it is not fitted.
-    logs
-        The log.
-    horizon
-        T.
+    None and a `GraspModel` are taken as they are. A grasp estimator is tabulated, and first fitted to the attempts
+    of the log (as a copy) if it is not fitted.
 
     Raises
     ------
@@ -207,7 +178,7 @@ def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:
             f"grasp is {grasp!r}; it is None, BetaGrasp(), SVMGrasp(), either of them fitted, or a GraspTable"
         )
     if is_fitted(grasp):
-        return tabulate(grasp, horizon)
+        return grasp_table.tabulate(grasp, horizon)
     return grasp_model_by(grasp, attempts(logs, horizon), horizon)
 
 
@@ -218,18 +189,11 @@ def grasp_model_by(grasp: GraspEstimator, tried: pd.DataFrame, horizon: int) -> 
 
     estimator: Any = clone(grasp)
     model = estimator.fit(tried)
-    return tabulate(model, horizon, fit_grip_effect(model, tried))
+    return grasp_table.tabulate(model, horizon, fit_grip_effect(model, tried))
 
 
 def fit_grip_effect(model: GraspEstimator, tried: pd.DataFrame) -> GripEffect:
     """Fit by maximum a posteriori to decided attempts, weighted by 1/Ĝ; no effect where no grip was ever seen.
-
-    Parameters
-    ----------
-    model
-        Fitted.
-    tried
-        As `halfseen.tables.grasp_attempts.attempts` gives them.
 
     Raises
     ------

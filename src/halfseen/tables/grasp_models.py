@@ -32,18 +32,15 @@ from halfseen.tables.grasp_attempts import (
     checked_covariates,
     checked_history,
     kinds,
+    splits_of,
 )
-from halfseen.tables.grasp_folds import splits_of
 from halfseen.tables.grasp_table import History
 
 CENTRE = np.array([0.0, 0.0, np.log(2.0)])
 """Mode of the weak normal prior on intercept, slope and log s: half succeed; strength of the rule of succession."""
-
 SPREAD = np.array([5.0, 5.0, 2.0])
 """Its standard deviations: wide, yet nothing runs away when all grasps succeed, or no object was tried twice."""
-
 Theta = Float[np.ndarray, "3"]
-
 Weights = Float[np.ndarray, "K n"]
 
 
@@ -189,7 +186,6 @@ def fitted_thetas(decided: Decided, weight: Weights) -> Float[np.ndarray, "K 3"]
 
 
 LINEAR_AND_GAUSSIAN = "linear+gaussian"
-
 SLACK = 0.01
 """Held-out losses that differ by less than this share of the least are taken as equal."""
 

@@ -21,7 +21,6 @@ from halfseen.shapes import Float
 from halfseen.world.state import TableState, attempt_counts, occlusion
 
 NUM_OCCLUSIONS = 33
-
 SURE = 1e-9
 """A probability is taken to be no nearer than this to 0 or 1."""
 
@@ -102,11 +101,8 @@ class History(NamedTuple):
     """What is known of an object before an attempt."""
 
     occlusion: Rows
-    """Hidden share in [0, 1]."""
     successes: Rows
-    """Past attempts that succeeded."""
     failures: Rows
-    """Past attempts that failed."""
 
 
 class GripEffect(NamedTuple):
@@ -137,14 +133,7 @@ IN_FULL = GripEffect(per_grip=1.0)
 def tabulate(model: GraspEstimator, horizon: int, effect: GripEffect = IN_FULL) -> GraspTable:
     """Ask a fitted model for all probabilities that a trajectory of `horizon` stages can need.
 
-    Parameters
-    ----------
-    model
-        The model.
-    horizon
-        T.
-    effect
-        How much a grip counts beside it.
+    `effect` is how much a grip counts beside it.
 
     Raises
     ------

@@ -60,9 +60,7 @@ from halfseen.world.grasping import AssumedGrasping, FittedGrasping, GraspLaw
 
 REACH = np.array([10.0, 15.0, 2.5, 5.0, 5.0, 4.0])
 """How far from the prior's mode a number of the logistic family may go."""
-
 _LOG_ROOT_2_PI = 0.5 * np.log(2.0 * np.pi)
-
 PRIOR_SPREAD = 0.25
 """Of a prior about a law that is given, as a share of the weak one's."""
 
@@ -70,14 +68,7 @@ PRIOR_SPREAD = 0.25
 def choose_grasping(tried: Watched, limit_s: float, known: GraspLaw | None = None) -> AssumedGrasping | FittedGrasping:
     """Fit both families to attempts, and take the one that they speak for; of two alike the exponential one.
 
-    Parameters
-    ----------
-    tried
-        The attempts.
-    limit_s
-        τ, which is known [s].
-    known
-        A law about which that of its family is fitted; None for weak priors.
+    τ is `limit_s` [s]. About a law that is `known` that of its family is fitted; None for weak priors.
     """
     families: list[Exponential | Logistic] = [Logistic(tried, limit_s)]
     if misses_at_limit_alone(tried, limit_s):
@@ -88,10 +79,6 @@ def choose_grasping(tried: Watched, limit_s: float, known: GraspLaw | None = Non
     fits = [(family, family.fitted()) for family in families]
     family, theta = max(fits, key=lambda fit: fit[0].score(fit[1]))
     return family.law(theta)
-
-
-def _about(weak: Prior, theta: np.ndarray | None) -> Prior:
-    return weak if theta is None else Prior(theta, PRIOR_SPREAD * weak.spread)
 
 
 def misses_at_limit_alone(tried: Watched, limit_s: float) -> bool:
@@ -123,28 +110,39 @@ _OF_EXPONENTIAL, _OF_LOGISTIC = _Quadrature.of(31), _Quadrature.of(15)
 
 
 @dataclass(frozen=True, eq=False)
-class Exponential:
-    """The exponential family; θ is a − log τ, b and log σ.
-
-    Parameters
-    ----------
-    tried
-        The attempts.
-    limit_s
-        τ [s].
-    known
-        θ about which it is fitted; None for a weak prior.
-    """
+class _Family:
+    """Laws of attempts that end within τ (`limit_s` [s]), fitted about the θ that is `known`; None for a weak prior."""
 
     tried: Watched
     limit_s: float
-    known: Float[np.ndarray, "3"] | None = None
+    known: Rows | None = None
+
+    @property
+    def weak(self) -> Prior:
+        """The prior where nothing is known."""
+        raise NotImplementedError
 
     @property
     def prior(self) -> Prior:
+        """The prior."""
+        return self.weak if self.known is None else Prior(self.known, PRIOR_SPREAD * self.weak.spread)
+
+    def loss(self, theta: Rows) -> tuple[float, Rows]:
+        """Negative log-posterior, and its gradient."""
+        raise NotImplementedError
+
+    def score(self, theta: Rows) -> float:
+        """What the family reaches, less the price of its numbers."""
+        return -self.loss(theta)[0] - len(theta) / 2.0 * float(np.log(max(len(self.tried.object), 1)))
+
+
+class Exponential(_Family):
+    """The exponential family; θ is a − log τ, b and log σ."""
+
+    @property
+    def weak(self) -> Prior:
         """Half of the attempts hold, occlusion changes nothing, and objects differ somewhat."""
-        weak = Prior(np.array([-np.log(np.log(2.0)), 0.0, np.log(0.5)]), np.array([2.0, 2.0, 1.0]))
-        return _about(weak, self.known)
+        return Prior(np.array([-np.log(np.log(2.0)), 0.0, np.log(0.5)]), np.array([2.0, 2.0, 1.0]))
 
     def theta_of(self, law: GraspLaw | None) -> Float[np.ndarray, "3"] | None:
         """θ of a law; None of one that is not of this family."""
@@ -165,10 +163,10 @@ class Exponential:
         )
 
     def score(self, theta: Float[np.ndarray, "3"]) -> float:
-        """What the family reaches, where it can have made the attempts at all."""
+        """What it reaches, where it can have made the attempts at all."""
         num_at_limit = int((self.tried.is_held & (self.tried.watched_s >= AT_LIMIT * self.limit_s)).sum())
         at_limit = num_at_limit * float(np.log((1.0 - AT_LIMIT) * self.limit_s))
-        return at_limit - self.loss(theta)[0] - _price(theta, self.tried)
+        return at_limit + super().score(theta)
 
     def loss(self, theta: Float[np.ndarray, "3"]) -> tuple[float, Float[np.ndarray, "3"]]:
         """Negative log-posterior, and its gradient."""
@@ -187,10 +185,6 @@ class Exponential:
         return self.prior.loss(theta, (tried.is_held * log_rate).sum() + log_integral.sum(), slope)
 
 
-def _price(theta: np.ndarray, tried: Watched) -> float:
-    return len(theta) / 2.0 * float(np.log(max(len(tried.object), 1)))
-
-
 class _Attempts(NamedTuple):
     """Attempts in the order of their objects, without those that tell nothing."""
 
@@ -202,34 +196,18 @@ class _Attempts(NamedTuple):
     is_held: RowMask
     is_cut: RowMask
     rank: RowIds
-    """Number of its object, from 0."""
     first: RowIds
     """The first attempt at each object."""
 
 
-@dataclass(frozen=True, eq=False)
-class Logistic:
-    """The logistic family; θ is a, b, log σ, mean log duration of what holds, what misses add to it, and log s.
-
-    Parameters
-    ----------
-    tried
-        The attempts.
-    limit_s
-        τ [s].
-    known
-        θ about which it is fitted; None for a weak prior.
-    """
-
-    tried: Watched
-    limit_s: float
-    known: Float[np.ndarray, "6"] | None = None
+class Logistic(_Family):
+    """The logistic family; θ is a, b, log σ, mean log duration of what holds, what misses add to it, and log s."""
 
     @property
-    def prior(self) -> Prior:
+    def weak(self) -> Prior:
         """Half of the attempts hold, whatever hides the object, and both results take half the limit."""
         mode = np.array([0.0, 0.0, np.log(0.5), np.log(self.limit_s / 2.0), 0.0, np.log(0.5)])
-        return _about(Prior(mode, np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0])), self.known)
+        return Prior(mode, np.array([2.0, 2.0, 1.0, 1.0, 1.0, 1.0]))
 
     def theta_of(self, law: GraspLaw | None) -> Float[np.ndarray, "6"] | None:
         """θ of a law; None of one that is not of this family."""
@@ -256,10 +234,6 @@ class Logistic:
         log_odds, per_occlusion, log_offset, log_held_s, longer, log_std = theta.tolist()
         stds = float(np.exp(log_offset)), float(np.exp(log_std))
         return FittedGrasping(log_odds, per_occlusion, stds[0], log_held_s, log_held_s + longer, stds[1], self.limit_s)
-
-    def score(self, theta: Float[np.ndarray, "6"]) -> float:
-        """What the family reaches."""
-        return -self.loss(theta)[0] - _price(theta, self.tried)
 
     @cached_property
     def _known(self) -> _Attempts:

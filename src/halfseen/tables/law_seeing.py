@@ -56,38 +56,41 @@ from halfseen.world.seeing import SAME_VIEW, AssumedSeeing, KnownSeeing, Persist
 Theta = Float[np.ndarray, " k"]
 """Of the independent family: logit of 2·(floor + gain) − 1, logit of (floor − ½) / (floor + gain − ½), log power; of
 the persistent one: logits of h, first of dirty objects, then of clean ones."""
-
-INDEPENDENT_PRIOR = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
-"""Right three times of four in full view, hardly better than a coin if hidden, straight between."""
-
 NUM_PARTS = 4
 """Equal parts of what an object shows in full view at whose ends the curves are given; they are given at 1 too."""
-
 FOUND = np.array([0.5, 0.1])
 """Share of the dirty objects, and of the clean ones, that the prior takes a look in full view to find."""
 
 
 @dataclass(frozen=True, eq=False)
-class Independent:
-    """Labels of which each is news.
-
-    Parameters
-    ----------
-    labels
-        The labels.
-    dirty_share
-        π.
-    """
+class _Family:
+    """Laws of the labels of objects, of which the share π (`dirty_share`) is dirty."""
 
     labels: Labels
     dirty_share: float
 
-    prior: ClassVar[Prior] = INDEPENDENT_PRIOR
-    bounds: ClassVar[tuple[float, float]] = (-8.0, 8.0)
+    bounds: ClassVar[tuple[float, float]]
+    """Of each number of θ."""
 
     def fitted(self, prior: Prior) -> Theta:
-        """θ of the largest posterior density, with a floor of at least ½."""
+        """θ of the largest posterior density."""
         return least(lambda theta: self.loss(theta, prior), prior.mode, [self.bounds] * len(prior.mode))
+
+    def loss(self, theta: Theta, prior: Prior) -> tuple[float, Theta]:
+        """Negative log-posterior, and its gradient."""
+        return prior.loss(theta, *self.likelihood(theta))
+
+    def likelihood(self, theta: Theta) -> tuple[float, Theta]:
+        """Log-likelihood of all objects, and its gradient."""
+        raise NotImplementedError
+
+
+class Independent(_Family):
+    """Labels of which each is news; their accuracy is at least ½."""
+
+    prior: ClassVar[Prior] = Prior(np.array([0.0, -3.0, 0.0]), np.array([1.5, 1.0, 0.5]))
+    """Right three times of four in full view, hardly better than a coin if hidden, straight between."""
+    bounds = (-8.0, 8.0)
 
     def law(self, theta: Theta) -> AssumedSeeing:
         """The law of these numbers."""
@@ -102,18 +105,13 @@ class Independent:
         shares = np.clip([2.0 * reach, (float(law.floor) - 0.5) / reach], 1e-3, 1.0 - 1e-3)
         return np.append(np.log(shares) - np.log1p(-shares), np.log(float(law.power)))
 
-    def log_likelihood(self, theta: Theta) -> float:
-        """Log-likelihood of all objects."""
-        return _of_objects(_accuracy(theta, self.labels.occlusion)[0], self.labels, self.dirty_share)[0]
-
-    def loss(self, theta: Theta, prior: Prior) -> tuple[float, Theta]:
-        """Negative log-posterior, and its gradient."""
+    def likelihood(self, theta: Theta) -> tuple[float, Theta]:
+        """Log-likelihood of all objects, and its gradient."""
         labels = self.labels
         right, slopes = _accuracy(theta, labels.occlusion)
         log_likelihood, is_dirty = _of_objects(right, labels, self.dirty_share)
         is_right = np.where(labels.says_dirty, is_dirty[labels.object], 1.0 - is_dirty[labels.object])
-        slope = (slopes * (is_right / right - (1.0 - is_right) / (1.0 - right))).sum(axis=1)
-        return prior.loss(theta, log_likelihood, slope)
+        return log_likelihood, (slopes * (is_right / right - (1.0 - is_right) / (1.0 - right))).sum(axis=1)
 
 
 def _shape(theta: Theta) -> tuple[np.float64, np.float64, np.float64]:
@@ -162,119 +160,84 @@ class Intervals(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class Persistent:
-    """Labels that persist as long as the view does.
+class Persistent(_Family):
+    """Labels that persist as long as the view does, with curves in `num_parts` of what shows in full view."""
 
-    Parameters
-    ----------
-    told, dirty_share
-        As of `Independent`.
-    num_parts
-        Of what an object shows in full view, in which the curves are given.
-    """
-
-    labels: Labels
-    dirty_share: float
     num_parts: int = NUM_PARTS
 
-    bounds: ClassVar[tuple[float, float]] = (-12.0, 12.0)
+    bounds = (-12.0, 12.0)
 
     @cached_property
     def facing(self) -> float:
-        """Share of the surface that an object in full view shows."""
-        return facing_of(self.labels)
+        """Share of the surface that an object in full view shows, as the recorder counted it; 1 where nothing tells.
+
+        It shows where a look at an object on the table found nothing: what counts as seen is then that share of what
+        was not hidden.
+        """
+        labels = self.labels
+        is_new = labels.seen_after > labels.seen + SAME_VIEW
+        is_plain = ~labels.is_held & ~labels.says_dirty & is_new & (labels.occlusion < 1.0)
+        if not is_plain.any():
+            return 1.0
+        shares = labels.seen_after[is_plain] / (1.0 - labels.occlusion[is_plain])
+        # As exact as views are told apart: what was recorded has the rounding of its arithmetic.
+        return float(np.clip(np.round(np.median(shares), 6), SAME_VIEW, 1.0))
+
+    @cached_property
+    def views(self) -> Float[np.ndarray, " pieces"]:
+        """Shares of the surface at which the curves are given."""
+        return np.unique(np.append(self.facing * np.arange(1, self.num_parts + 1) / self.num_parts, 1.0))
 
     @cached_property
     def prior(self) -> Prior:
         """Prior of the curves, where nothing else is known."""
-        return persistent_prior(self.facing, self.num_parts)
-
-    @cached_property
-    def _views(self) -> Float[np.ndarray, " pieces"]:
-        return views_of(self.facing, self.num_parts)
+        hazard = -np.expm1(np.log1p(-FOUND)[:, None] / self.num_parts)
+        hazard = np.where(self.views <= self.facing, hazard, FOUND[:, None])
+        return Prior((np.log(hazard) - np.log1p(-hazard)).ravel(), 1.5)
 
     @cached_property
     def _intervals(self) -> Intervals:
-        return intervals_of(self.labels, self.facing, self.num_parts)
-
-    def fitted(self, prior: Prior) -> Theta:
-        """θ of the largest posterior density."""
-        return least(lambda theta: self.loss(theta, prior), prior.mode, [self.bounds] * len(prior.mode))
+        """What the labels of each object say together."""
+        _, from_end = np.unique(self.labels.object[::-1], return_index=True)
+        last = Labels(*(values[::-1][from_end] for values in self.labels))
+        in_view = np.where(last.is_held, 1.0, self.facing * (1.0 - last.occlusion))
+        # Where a look found nothing, what it showed is what the recorder counts as seen.
+        shown = np.where(last.says_dirty, in_view, last.seen_after)
+        seen_by, shown_by = (_covered(share, self.views) for share in (last.seen, np.maximum(shown, last.seen)))
+        inside = np.where(last.says_dirty[:, None], shown_by - seen_by, 1.0 - shown_by)
+        covered = np.column_stack([inside, ~last.says_dirty])
+        is_possible = covered.any(axis=1)
+        return Intervals(covered[is_possible], last.was_dirty[is_possible], last.was_clean[is_possible])
 
     def law(self, theta: Theta) -> PersistentSeeing:
         """The law of these numbers."""
         curves = np.minimum(np.cumsum(masses(theta)[:, :-1], axis=1), 1.0)
         curves = np.maximum.accumulate(curves, axis=1)
-        return PersistentSeeing(self.facing, tuple(self._views.tolist()), *(tuple(curve) for curve in curves.tolist()))
+        return PersistentSeeing(self.facing, tuple(self.views.tolist()), *(tuple(curve) for curve in curves.tolist()))
 
     def theta_of(self, law: KnownSeeing) -> Theta | None:
         """The numbers of a law at the shares at which the curves are given; None of one of the other family."""
         if not isinstance(law, PersistentSeeing):
             return None
-        found = law.found_by(self._views)
+        found = law.found_by(self.views)
         before = np.pad(found, ((0, 0), (1, 0)))[:, :-1]
         hazard = np.clip((found - before) / np.maximum(1.0 - before, 1e-9), 1e-3, 1.0 - 1e-3)
         return (np.log(hazard) - np.log1p(-hazard)).ravel()
 
-    def log_likelihood(self, theta: Theta) -> float:
-        """Log-likelihood of all objects."""
-        return persistent_likelihood(theta, self._intervals, self.dirty_share)[0]
+    def likelihood(self, theta: Theta) -> tuple[float, Theta]:
+        """Log-likelihood of all objects, and its gradient."""
+        from scipy.special import expit
 
-    def loss(self, theta: Theta, prior: Prior) -> tuple[float, Theta]:
-        """Negative log-posterior, and its gradient."""
-        return prior.loss(theta, *persistent_likelihood(theta, self._intervals, self.dirty_share))
-
-
-def facing_of(labels: Labels) -> float:
-    """Share of the surface that an object in full view shows, as the recorder counted it; 1 where nothing tells.
-
-    It shows where a look at an object on the table found nothing: what counts as seen is then that share of what was
-    not hidden.
-    """
-    is_plain = (
-        ~labels.is_held & ~labels.says_dirty & (labels.seen_after > labels.seen + SAME_VIEW) & (labels.occlusion < 1.0)
-    )
-    if not is_plain.any():
-        return 1.0
-    shares = labels.seen_after[is_plain] / (1.0 - labels.occlusion[is_plain])
-    # As exact as views are told apart: what was recorded has the rounding of its arithmetic.
-    return float(np.clip(np.round(np.median(shares), 6), SAME_VIEW, 1.0))
-
-
-def views_of(facing: float, num_parts: int = NUM_PARTS) -> Float[np.ndarray, " pieces"]:
-    """Shares of the surface at which the curves are given."""
-    return np.unique(np.append(facing * np.arange(1, num_parts + 1) / num_parts, 1.0))
-
-
-def persistent_prior(facing: float, num_parts: int = NUM_PARTS) -> Prior:
-    """Prior of the curves."""
-    is_on_table = views_of(facing, num_parts) <= facing
-    hazard = np.where(is_on_table, -np.expm1(np.log1p(-FOUND)[:, None] / num_parts), FOUND[:, None])
-    return Prior((np.log(hazard) - np.log1p(-hazard)).ravel(), 1.5)
-
-
-def intervals_of(labels: Labels, facing: float, num_parts: int = NUM_PARTS) -> Intervals:
-    """Take the labels of each object together.
-
-    Parameters
-    ----------
-    labels
-        The labels.
-    facing
-        Share of the surface that an object in full view shows.
-    num_parts
-        Of it, in which the curves are given.
-    """
-    _, from_end = np.unique(labels.object[::-1], return_index=True)
-    last = Labels(*(values[::-1][from_end] for values in labels))
-    # Where a look found nothing, what it showed is what the recorder counts as seen.
-    shown = np.where(last.says_dirty, np.where(last.is_held, 1.0, facing * (1.0 - last.occlusion)), last.seen_after)
-    views = views_of(facing, num_parts)
-    seen_by, shown_by = (_covered(share, views) for share in (last.seen, np.maximum(shown, last.seen)))
-    inside = np.where(last.says_dirty[:, None], shown_by - seen_by, 1.0 - shown_by)
-    covered = np.column_stack([inside, ~last.says_dirty])
-    is_possible = covered.any(axis=1)
-    return Intervals(covered[is_possible], last.was_dirty[is_possible], last.was_clean[is_possible])
+        known, mass = self._intervals, masses(theta)
+        is_excluded = np.column_stack([known.was_clean, known.was_dirty])
+        share = np.where(is_excluded, 0.0, np.array([self.dirty_share, 1.0 - self.dirty_share]))
+        likelihood = (share * (known.covered @ mass.T)).sum(axis=1)
+        # Objects that are dirty, and clean, and tell in each piece, as many as are to be expected.
+        count = mass * ((share / likelihood[:, None]).T @ known.covered)
+        later = count.sum(axis=1, keepdims=True) - np.cumsum(count, axis=1)
+        hazard = expit(theta.reshape(2, -1))
+        slope = count[:, :-1] * (1.0 - hazard) - later[:, :-1] * hazard
+        return float(np.log(likelihood).sum()), slope.ravel()
 
 
 def _covered(share: Rows, views: Float[np.ndarray, " pieces"]) -> Float[np.ndarray, "n pieces"]:
@@ -290,19 +253,3 @@ def masses(theta: Theta) -> Float[np.ndarray, "2 parts"]:
     none = np.zeros((2, 1))
     before = np.hstack([none, np.cumsum(log_expit(-theta), axis=1)])
     return np.exp(before + np.hstack([log_expit(theta), none]))
-
-
-def persistent_likelihood(theta: Theta, known: Intervals, dirty_share: float) -> tuple[float, Theta]:
-    """Log-likelihood of the persistent family, and its gradient."""
-    from scipy.special import expit
-
-    mass = masses(theta)
-    is_excluded = np.column_stack([known.was_clean, known.was_dirty])
-    share = np.where(is_excluded, 0.0, np.array([dirty_share, 1.0 - dirty_share]))
-    likelihood = (share * (known.covered @ mass.T)).sum(axis=1)
-    # Objects that are dirty, and clean, and tell in each piece, as many as are to be expected.
-    count = mass * ((share / likelihood[:, None]).T @ known.covered)
-    later = count.sum(axis=1, keepdims=True) - np.cumsum(count, axis=1)
-    hazard = expit(theta.reshape(2, -1))
-    slope = count[:, :-1] * (1.0 - hazard) - later[:, :-1] * hazard
-    return float(np.log(likelihood).sum()), slope.ravel()

@@ -40,12 +40,13 @@ from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.planners.belief import belief_of, expected_attempt_s
-from halfseen.planners.one_step import HELD, left_price, outlook_of, setting_of, table_of
+from halfseen.planners.one_step import HELD, left_price, outlook_of, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.encoding import logged_actions
-from halfseen.tables.evidence import NUM_LEFT, Brought, beside_prices
+from halfseen.tables.evidence import Brought, beside_prices
 from halfseen.tables.grasp_attempts import attempts, rows_of_attempts
 from halfseen.tables.look_ahead import Ahead, ahead_of
+from halfseen.tables.rewards import NUM_LEFT
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.log_rows import begun_objects
@@ -66,17 +67,7 @@ class WeightedLog(NamedTuple):
 
 
 def weighted_log(logs: Logs, states: TableState, *, is_team: bool = False) -> WeightedLog | str:
-    """Weigh the stages of a log; or say why that cannot be.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    states
-        Its tables, axes (n, T).
-    is_team
-        Whether several robots decided.
-    """
+    """Weigh the stages of a log; or say why that cannot be."""
     action = logged_actions(logs, states.horizon, states.num_objects, is_team=is_team)
     is_possible = np.ones((*action.shape, ActionSpace(states.num_objects).num_actions + is_team), dtype=bool)
     return weighed(trajectory_arrays(logs, Encoded(np.zeros((*action.shape, 1, 0)), is_possible, action), None), states)
@@ -99,19 +90,7 @@ CLEARLY_PAID = 4.0
 def with_lift_price(config: WorldConfig, log: WeightedLog) -> tuple[WorldConfig, str | None]:
     """Scale the price of LIFTs to what they paid, where the laws clearly say otherwise.
 
-    Parameters
-    ----------
-    config
-        The laws, and the price as it was read or told.
-    log
-        The log, weighted.
-
-    Returns
-    -------
-    WorldConfig
-        The laws, with the price.
-    str or None
-        What was changed, in words.
+    Given are the laws with that price, and what was changed, in words; None if nothing was.
     """
     space = ActionSpace(log.states.num_objects)
     at = np.nonzero((space.verb(log.action) == Verb.LIFT) & (log.weight > 0.0) & ~log.is_last)
@@ -203,7 +182,6 @@ def _ahead_at(config: WorldConfig, states: TableState, at: tuple[np.ndarray, ...
 
 FEWEST = 5
 """Trajectories of which a column must differ from 0."""
-
 USED = {Verb.FINISH: (0,), Verb.WASH: (0, 1, 2, 3, 4, 5), Verb.LIFT: (0, 2, 3, 5)}
 """Which of the descriptions are tested, by verb."""
 
@@ -271,14 +249,7 @@ def tested_on_team(
 ) -> LawTest:
     """Test the laws.
 
-    Parameters
-    ----------
-    config
-        The team with its fitted laws.
-    logs, states, brought
-        The log, its states and what its stages brought.
-    weight
-        δ / Ĝ(U⁻) of each stage; 0 where it was not completed.
+    `weight` is δ / Ĝ(U⁻) of each stage; 0 where it was not completed.
     """
     groups = {
         "grasps": _grasps(config, logs, states, weight),
@@ -304,7 +275,7 @@ def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[n
     table = table_of(belief_of(config, there))
     for k in range(config.num_robots if config.has_own_laws else 1):
         world = config.as_robot(k)
-        look = outlook_of(world, table, setting_of((world,), table))
+        look = outlook_of(world, table)
         is_its_own = (robot == k) | (not config.has_own_laws)
         expected = np.where(is_its_own, look.expected[0][HELD][target, number], expected)
     is_held = tried["succeeded"].to_numpy(dtype=bool)

@@ -19,22 +19,11 @@ from halfseen.arrays import Rows
 from halfseen.logs import Logs
 from halfseen.planners.belief import grasp_probability, known_seeing, prior_grip
 from halfseen.shapes import Bool, Float
-from halfseen.tables.evidence import (
-    DIRT_BEFORE,
-    FAILED,
-    LASTED_S,
-    LIFTED_S,
-    NUM_LEFT,
-    Brought,
-    Evidence,
-    Watched,
-    beside_prices,
-    brought_by,
-    evidence_of,
-)
+from halfseen.tables.evidence import Brought, Evidence, Watched, beside_prices, brought_by, evidence_of
 from halfseen.tables.grasp_attempts import attempts, rows_of_attempts
 from halfseen.tables.law_grasping import choose_grasping
 from halfseen.tables.recorder import seeing_of
+from halfseen.tables.rewards import DIRT_BEFORE, FAILED, LASTED_S, LIFTED_S, NUM_LEFT
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import AssumedGrasping
@@ -44,10 +33,8 @@ IN_PLAIN_SIGHT = 0.05
 """Hidden share below which an object is in plain sight."""
 ENOUGH_LEFT = 5.0
 """Dirty objects expected to be left, from which on FINISHes that paid nothing say that leaving them costs nothing."""
-
 ENOUGH_HELD = 20
 """WASHes that held, from which on one reward of all of them is that of dirty objects and of clean ones."""
-
 SAME = 1e-3
 """By how much multiples of a price may be off, in units of it; and below which a reward is taken for 0."""
 
@@ -55,19 +42,8 @@ SAME = 1e-3
 def paid_in(logs: Logs, horizon: int, left: Rows) -> WorldConfig:
     """Read prices and times off a log; what it does not tell is as `WorldConfig` has it.
 
-    Parameters
-    ----------
-    logs
-        A log of tables.
-    horizon
-        T, of each robot.
-    left
-        Objects expected to be dirty on the table before each stage of the log.
-
-    Returns
-    -------
-    WorldConfig
-        With the assumed laws, whose limit of an attempt is that of the log.
+    `horizon` is T, of each robot, and `left` counts the objects expected to be dirty on the table before each
+    stage. The laws are the assumed ones, whose limit of an attempt is that of the log.
     """
     known, stages = WorldConfig(horizon=horizon), logs.stages
     reward = stages["reward"].to_numpy(dtype=np.float64, na_value=np.nan)
@@ -155,17 +131,7 @@ PRICE_ROUNDING = 1e-6
 def paid_in_team(logs: Logs, states: TableState) -> WorldConfig:
     """Read prices, times and speeds off the log of a team; what it does not tell is as `WorldConfig` has it.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    states
-        Its states, axes (n, T).
-
-    Returns
-    -------
-    WorldConfig
-        With the assumed laws, whose limit of an attempt is that of the log; robot 0 has speed 1.
+    The laws are the assumed ones, whose limit of an attempt is that of the log; robot 0 has speed 1.
     """
     num_robots = states.num_robots
     known = WorldConfig(horizon=states.steps_to_go.shape[1] // num_robots, speed=(1.0,) * num_robots)
@@ -292,14 +258,7 @@ class FittedLaws(NamedTuple):
 def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | None = None) -> FittedLaws:
     """Fit the laws to what a log tells of them.
 
-    Parameters
-    ----------
-    evidence
-        What it tells.
-    known
-        As `fit_world` takes it.
-    prior
-        Laws about which these are fitted; None for weak priors.
+    `known` is as `fit_world` takes it; the laws are fitted about `prior`, None for weak priors.
     """
     limit_s, labels = float(known.grasping.limit_s), evidence.labels
     grasping = choose_grasping(evidence.tried, limit_s, None if prior is None else prior.grasping)
@@ -321,15 +280,7 @@ def fitted_laws(evidence: Evidence, known: WorldConfig, prior: WorldConfig | Non
 
 
 def laws_in_words(laws: FittedLaws, tried: Watched) -> str:
-    """Say what fitted laws amount to for the attempts of their log, and for a first look.
-
-    Parameters
-    ----------
-    laws
-        The laws.
-    tried
-        The attempts.
-    """
+    """Say what fitted laws amount to for the attempts of their log, and for a first look."""
     config: Any = laws.config
     grip = prior_grip(tried.grip.astype(np.float32))
     chance = grasp_probability(config, tried.occlusion.astype(np.float32), grip)

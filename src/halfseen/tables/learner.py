@@ -30,21 +30,13 @@ from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.planners.belief import known_seeing
 from halfseen.shapes import Float
+from halfseen.tables import law_test
 from halfseen.tables.assisted import AssistedPolicy, AssistedTeamPolicy, RulePolicy
 from halfseen.tables.encoding import layouts_of, states_alone, team_states
 from halfseen.tables.evidence import Evidence, brought_by, evidence_of
 from halfseen.tables.excess import counting_time, fitted_excess, fitted_team_excess
 from halfseen.tables.grasp_choice import grasp_model_of
 from halfseen.tables.grasp_models import BetaGrasp
-from halfseen.tables.law_test import (
-    LawTest,
-    WeightedLog,
-    hotelling_test,
-    residuals_of,
-    tested_on_team,
-    weighted_log,
-    with_lift_price,
-)
 from halfseen.tables.laws import FittedLaws, fitted_laws, laws_in_words, paid_in, paid_in_team
 from halfseen.tables.policy import table_probabilities
 from halfseen.tables.recorder import mending_of, seeing_of
@@ -77,7 +69,7 @@ class Assisted(NamedTuple):
     basis: str
     """What it is built on: the model, a rule, or linear eq. 3 without laws."""
     laws: FittedLaws
-    test: LawTest
+    test: law_test.LawTest
     sentences: tuple[str, ...]
 
 
@@ -143,24 +135,12 @@ class TableLearner(CensoredQLearner):
 
 
 def assisted_by_laws(
-    logs: Logs,
-    model: QModel,
-    linear: Policy,
-    known: WorldConfig | None = None,
-    prior: WorldConfig | None = None,
+    logs: Logs, model: QModel, linear: Policy, known: WorldConfig | None = None, prior: WorldConfig | None = None
 ) -> Assisted:
     """Fit laws to a log, and learn with their help.
 
-    Parameters
-    ----------
-    logs
-        A log of one robot's tables.
-    model
-        Of linear eq. 3, fitted to the log but for Q.
-    linear
-        What that learns.
-    known, prior
-        As `TableLearner` takes them.
+    `model` is that of linear eq. 3, fitted to the log but for Q, and `linear` what that learns; `known` and `prior`
+    are as `TableLearner` takes them.
 
     Raises
     ------
@@ -182,13 +162,13 @@ def assisted_by_laws(
             rule = replace(rule, grasp=grasp_model_of(BetaGrasp(), logs, model.horizon))
         return rule_or_linear(rule, linear, model, model.lay_out(logs), states)
 
-    evidence, log = evidence_of(logs, known), weighted_log(logs, states)
+    evidence, log = evidence_of(logs, known), law_test.weighted_log(logs, states)
     return assisted_by(evidence, log, layouts_of(states), known, model.random_state, without, prior)
 
 
 def assisted_by(
     evidence: Evidence,
-    log: WeightedLog | str,
+    log: law_test.WeightedLog | str,
     layouts: Layout,
     known: WorldConfig,
     seed: int,
@@ -197,31 +177,21 @@ def assisted_by(
 ) -> Assisted:
     """Learn from what a log tells of laws, and test them on it: what `assisted_by_laws` does once all is read.
 
-    Parameters
-    ----------
-    evidence
-        What it tells.
-    log
-        On which the laws are tested; or why they cannot be.
-    layouts
-        Tables that its trajectories began with.
-    known, prior
-        As `TableLearner` takes them; prices and times must be told.
-    seed
-        Of the synthetic trajectories.
-    without
-        Chooses what the policy is where the log contradicts the laws; it is given the rule of thumb.
+    `log` is that on which the laws are tested, or says why they cannot be; trajectories began with `layouts`.
+    Prices and times must be `known`. `without` is given the rule of thumb, and chooses what the policy is where the
+    log contradicts the laws.
     """
     laws = fitted_laws(evidence, known, prior)
     mending = mending_of(evidence.labels, known_seeing(laws.config), evidence.dirty_share) if laws.is_mended else None
     sentences = [laws.sentence, laws_in_words(laws, evidence.tried)]
-    test = LawTest(0.0, 1.0, {})
+    test = law_test.LawTest(0.0, 1.0, {})
     if isinstance(log, str):
         sentences.append(log)
     else:
         log = log if mending is None else log._replace(states=mending(log.states))
-        config, priced = with_lift_price(laws.config, log)
-        laws, test = laws._replace(config=config), hotelling_test(residuals_of(config, log), len(log.weight))
+        config, priced = law_test.with_lift_price(laws.config, log)
+        laws, residuals = laws._replace(config=config), law_test.residuals_of(config, log)
+        test = law_test.hotelling_test(residuals, len(log.weight))
         sentences += [*([] if priced is None else [priced]), test.sentence]
     if not test.is_rejected:
         policy = AssistedPolicy(laws.config, mending, fitted_excess(laws.config, layouts, seed))
@@ -241,17 +211,7 @@ class Chosen(NamedTuple):
 def rule_or_linear(
     rule: RulePolicy, linear: Policy, model: QModel, trajectories: TrajectoryArrays, states: TableState
 ) -> Chosen:
-    """The rule, or linear eq. 3 where the log clearly speaks for that.
-
-    Parameters
-    ----------
-    rule, linear
-        The two.
-    model
-        Of linear eq. 3, fitted to the log but for Q.
-    trajectories, states
-        The log, as that model sees it.
-    """
+    """The rule, or linear eq. 3 where the log clearly speaks for that."""
     gain, low = gain_of(linear, rule, model, trajectories, states)
     if low > 0.0:
         why = f"the policy is linear eq. 3 without laws: it is worth {gain:.2g} more than the rule (at least {low:.2g})"
@@ -310,10 +270,10 @@ class TeamLearner(TableLearner):
     def _assisted(self, logs: Logs) -> Assisted:
         states = team_states(logs, self.horizon)
         laws = team_laws(logs, states, self.world, self.prior_law)
-        config, sentence, log = laws.config, laws.sentence, weighted_log(logs, states, is_team=True)
-        test = LawTest(0.0, 1.0, {})
+        config, sentence, log = laws.config, laws.sentence, law_test.weighted_log(logs, states, is_team=True)
+        test = law_test.LawTest(0.0, 1.0, {})
         if not isinstance(log, str):
-            test = tested_on_team(config, logs, states, brought_by(logs, states), log.weight)
+            test = law_test.tested_on_team(config, logs, states, brought_by(logs, states), log.weight)
         said = log if isinstance(log, str) else test.sentence
         if test.is_rejected:
             why = f"{said}, so the policy is what is learned without them"

@@ -31,19 +31,8 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import Array, library_of
-from halfseen.planners.one_step import (
-    ATTEMPT_S,
-    MISSED,
-    MISSED_THEN_HELD,
-    NOW,
-    Outlook,
-    Table,
-    control_value,
-    outlook_of,
-    setting_of,
-    tries_then,
-    values_by,
-)
+from halfseen.planners import one_step
+from halfseen.planners.one_step import MISSED, MISSED_THEN_HELD, NOW, Outlook, Table
 from halfseen.shapes import Bool, Float
 from halfseen.tables.features import NUM_TEAM_FEATURES, team_features
 from halfseen.world.actions import VERB_NAMES, WAIT, ActionSpace
@@ -52,11 +41,8 @@ from halfseen.world.state import TableState
 
 EXCESS_VERSION = 1
 """Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
-
 NUM_TABLE, NUM_OWN = 14, 30
-
 NUM_EXCESS_FEATURES = NUM_TABLE + NUM_OWN
-
 ZERO, ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
 
 
@@ -79,12 +65,13 @@ class Ahead(NamedTuple):
         return self.values[0]
 
 
-def ahead_of(config: WorldConfig, table: Table, look: Outlook | None = None) -> Ahead:
+def ahead_of(config: WorldConfig, table: Table) -> Ahead:
     """Look ahead, and describe what is seen."""
-    look = outlook_of(config, table, setting_of((config,), table)) if look is None else look
-    each = tries_then(config, look, (ZERO,))
-    values = values_by(config, table, look, each)
-    return Ahead(table, look, values, control_value(table, look), *_described(config, table, look, each[0], values))
+    look = one_step.outlook_of(config, table)
+    each = one_step.tries_then(config, look, (ZERO,))
+    values = one_step.values_by(config, table, look, each)
+    control = one_step.control_value(table, look)
+    return Ahead(table, look, values, control, *_described(config, table, look, each[0], values))
 
 
 class _Objects(NamedTuple):
@@ -129,7 +116,7 @@ def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Arra
     bare, bare_dirty, second = (
         if_there((hidden * each).sum(axis=1)) for each in (doubt * unseen, (p > 0.5) * unseen, reveal)
     )
-    own_s = config.transport_s + expected[ATTEMPT_S]
+    own_s = config.transport_s + expected[one_step.ATTEMPT_S]
     return _Objects(
         worth=worth,
         gain=gain,
@@ -152,11 +139,7 @@ def _objects(config: WorldConfig, table: Table, look: Outlook, gains: Float[Arra
 
 
 def _described(
-    config: WorldConfig,
-    table: Table,
-    look: Outlook,
-    gains: Float[Array, "2 M N *B"],
-    values: Float[Array, "2 C *B"],
+    config: WorldConfig, table: Table, look: Outlook, gains: Float[Array, "2 M N *B"], values: Float[Array, "2 C *B"]
 ) -> tuple[Float[Array, " 14 *B"], Float[Array, "30 2 N *B"]]:
     """Features of the table, and those of its own for each target."""
     xp, there = library_of(values), table.is_there
@@ -251,21 +234,14 @@ def _best_two(above: Float[Array, "2 N *B"]) -> tuple[Float[Array, "*B"], Float[
 
 TEAM_EXCESS_VERSION = 1
 """Coefficients mean nothing beside other features: raise this number whenever a feature changes."""
-
 NUM_VERBS = len(VERB_NAMES)
-
 NUM_TEAM_EXCESS_FEATURES = 3 * NUM_VERBS + NUM_TEAM_FEATURES
 
 
 def team_described(state: TableState, q: Float[Array, "*B A"]) -> Float[Array, "*B A F"]:
     """Describe every action of the robot that decides.
 
-    Parameters
-    ----------
-    state
-        Tables of a team.
-    q
-        What the myopic look makes of each action; −∞ where it is impossible.
+    `q` is what the myopic look makes of each; −∞ where it is impossible.
     """
     xp = library_of(q)
     verb = np.append(ActionSpace(state.num_objects).verbs, WAIT)

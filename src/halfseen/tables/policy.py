@@ -17,23 +17,15 @@ from halfseen.learning.q_space import KernelMap
 from halfseen.learning.rows import q_values
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.features import table_features, table_q, team_features
-from halfseen.world import random
+from halfseen.world import ExploringPolicy, Policy, UniformPolicy, random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, is_decider, possible_actions, worthwhile_actions
-from halfseen.world.policy import (
-    Decision,
-    ExploringPolicy,
-    GraspModel,
-    Policy,
-    UniformPolicy,
-    check_decides_for,
-    surely,
-)
+from halfseen.world.policy import ByValue, Decision, GraspModel, check_decides_for, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 
 
 @record
-class _LinearPolicy:
+class _LinearPolicy(ByValue):
     """argmax over possible actions of Q̂_h(S, a), with h the steps to go; with pessimism, less a margin.
 
     Parameters
@@ -59,10 +51,6 @@ class _LinearPolicy:
     is_seen: Bool[Array, "T V"] | None = None
     margin: Float[Array, "T K F F"] | None = None
     behaviour: Float[Array, "K G"] | None = None
-
-    def decide(self, state: TableState, key: Key) -> Decision:
-        """Choose; deterministic."""
-        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Q of every action, −∞ where an action is not to be chosen from.

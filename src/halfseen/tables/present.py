@@ -130,39 +130,25 @@ class Known(NamedTuple):
     """What is known of each object, besides its past attempts."""
 
     log_odds: PerObject
-    """Of DIRTY, given all labels."""
     seen: PerObject
     """Share of its surface that labels have told of."""
     lifts: PerObject
-    """Past lifts that held."""
     grip: PerObject
-    """Mean of its grip offset."""
 
 
 class Tried(NamedTuple):
     """A past attempt."""
 
     target: int
-    """Number of its object."""
     occlusion: float
-    """Hidden share of it then."""
     is_held: bool
-    """Whether it held."""
 
 
 def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) -> Present:
     """State of a table of which nothing is known but a view: labels at the prior, no attempts.
 
-    Parameters
-    ----------
-    scene
-        What the cloud shows.
-    horizon
-        T of the policy.
-    dirty_share
-        P(DIRTY) of an object before any label, as in the logs that the policy learned from; in (0, 1).
-    stage
-        The stage to decide, from 1.
+    `horizon` is T of the policy, and `dirty_share` P(DIRTY) of an object before any label, as in the logs that it
+    learned from, in (0, 1). Stages count from 1.
 
     Raises
     ------
@@ -176,12 +162,7 @@ def first_state(scene: Scene, horizon: int, dirty_share: float, stage: int = 1) 
 def unknown(scene: Scene, dirty_share: float) -> Known:
     """What is known of objects that were never seen before.
 
-    Parameters
-    ----------
-    scene
-        What the cloud shows.
-    dirty_share
-        P(DIRTY) of an object before any label; in (0, 1).
+    `dirty_share` is P(DIRTY) of an object before any label, in (0, 1).
 
     Raises
     ------
@@ -197,18 +178,7 @@ def unknown(scene: Scene, dirty_share: float) -> Known:
 def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, stage: int) -> TableState:
     """State of a table on which every object stands that is known.
 
-    Parameters
-    ----------
-    hides
-        ``hides[i, j]`` is the share of object i that object j alone hides.
-    known
-        What is known of each.
-    tried
-        Their past attempts.
-    horizon
-        T of the policy.
-    stage
-        The stage to decide, from 1.
+    `horizon` is T of the policy, and stages count from 1.
 
     Raises
     ------
@@ -242,14 +212,8 @@ def state_now(hides: Hides, known: Known, tried: Sequence[Tried], horizon: int, 
 def labelled(present: Present, is_dirty: Sequence[bool | None], seeing: KnownSeeing) -> Present:
     """Move the log-odds of DIRTY by a label of each object, as right as a law says at its occlusion.
 
-    Parameters
-    ----------
-    present
-        Where the trajectory stands; where its log-odds hold this look, only what is new to the history is labelled.
-    is_dirty
-        What each object of the cloud looks like; None where nothing can be said.
-    seeing
-        What labels tell.
+    Where the log-odds hold this look already, only what is new to the history is labelled. `is_dirty` is what each
+    object of the cloud looks like; None where nothing can be said.
     """
     occluded = np.asarray(occlusion(present.state), dtype=np.float64)
     log_odds, seen = (np.asarray(leaf, dtype=np.float64) for leaf in (present.state.log_odds, present.state.seen))

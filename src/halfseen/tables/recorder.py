@@ -29,22 +29,16 @@ from halfseen.world.seeing import AssumedSeeing, KnownSeeing, PersistentSeeing, 
 
 LEVEL = 0.01
 """Probability with which a right recorder is taken for a wrong one, at most."""
-
 MOVE_ROUNDING = 2e-3
 """Root mean square of what is left of moves that are rounded."""
-
 MOST = 0.95
 """Share of the moves that one law must have made."""
-
 ENOUGH = 1000
 """Moves among which a law is looked for; `MOST` of all must bear it out."""
-
 PARTS = (4, 12)
 """In how many parts of what an object shows in full view a recorder's own curves are looked for."""
-
 MOST_STEPS = 100
 """Of a search; a law that made the moves is found in far fewer."""
-
 RECORDER_SPREAD = 0.1
 """Standard deviation of the prior about the recorder's law, in logits."""
 
@@ -68,16 +62,7 @@ def read_back(
 ) -> Recorder:
     """Find the law whose labels would have moved the log-odds as they moved.
 
-    Parameters
-    ----------
-    labels
-        The labels.
-    law_of
-        The law of some numbers.
-    centre
-        Where the search begins; numbers that no label tells stay there.
-    bounds
-        Within which each number lies.
+    The search begins at `centre`, where numbers stay that no label tells; each lies within `bounds`.
     """
     from scipy.optimize import least_squares
 
@@ -102,7 +87,7 @@ def moved_by(law: KnownSeeing, labels: Labels) -> Rows:
     return np.asarray(label_evidence(if_dirty, if_clean, labels.says_dirty), dtype=np.float64)
 
 
-def speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
+def _speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
     """Whether labels reject a law, given its log-likelihood and the best of its family."""
     from scipy.special import chdtri
 
@@ -116,20 +101,13 @@ class SeenBy(NamedTuple):
     recorder: AssumedSeeing | PersistentSeeing | None
     """The law that made the log's own log-odds; None where no law of the family did."""
     is_rejected: bool = False
-    """Whether the labels speak against it."""
 
 
 def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = None) -> SeenBy:
     """Fit the family that the recorder of labels kept to, about the recorder's law unless labels speak against it.
 
-    Parameters
-    ----------
-    labels
-        The labels; without any, the law's numbers are the prior's.
-    dirty_share
-        π, which is known.
-    known
-        A law about which it is fitted where the recorder's is not to be had; None for a weak prior.
+    Without any labels, the law's numbers are the prior's. Where the recorder's law is not to be had, that is about
+    the law that is `known`; None for a weak prior.
     """
     families: list[Any] = [Independent(labels, dirty_share)]
     if labels.is_persistent:
@@ -143,8 +121,7 @@ def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = No
         return SeenBy(plain.law(plain.fitted(unaided)), None)
     family, recorder = found
     best = family.fitted(Prior(recorder.theta, family.prior.spread))
-    reached = family.log_likelihood(recorder.theta), family.log_likelihood(best)
-    if speaks_against(*reached, len(recorder.theta)):
+    if _speaks_against(family.likelihood(recorder.theta)[0], family.likelihood(best)[0], len(best)):
         return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
     return SeenBy(family.law(family.fitted(Prior(recorder.theta, RECORDER_SPREAD))), family.law(recorder.theta))
 
@@ -155,14 +132,7 @@ NUM_KNOTS = 16
 def mending_of(labels: Labels, law: KnownSeeing, dirty_share: float) -> Mending | None:
     """Learn it from the labels of a log; None where it has none.
 
-    Parameters
-    ----------
-    labels
-        The labels, those of each object in order.
-    law
-        What they are to mean.
-    dirty_share
-        P(DIRTY) before any label.
+    `law` is what the labels are to mean, those of each object in order.
     """
     if not len(labels.trajectory):
         return None

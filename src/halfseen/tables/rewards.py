@@ -52,19 +52,15 @@ from halfseen.tables.features import WASH_DIRTY, WASH_EASE
 from halfseen.world.actions import ActionSpace, Verb, is_decider
 from halfseen.world.state import TableState
 
+FAILED, LIFTED_S, LASTED_S, NUM_LEFT, DIRT_LEFT, DIRT_BEFORE = range(6)
+"""Columns of `outcomes_of`."""
 NUM_OUTCOMES = 6
-_CERTAIN, _WASHED, _LEFT = slice(0, 3), slice(3, 5), slice(5, 6)
+_CERTAIN, _WASHED, _LEFT = slice(FAILED, NUM_LEFT), slice(NUM_LEFT, DIRT_BEFORE), slice(DIRT_BEFORE, NUM_OUTCOMES)
 """Which outcomes tell rewards that are certain, what objects that left pay, and what is left costs."""
 
 
 def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
-    """1, left, left·p of every WASH, and zeros for every other action; `left` means something where S_{t+1} was seen.
-
-    Parameters
-    ----------
-    encoded
-        A log of tables.
-    """
+    """1, left, left·p of every WASH, zeros for any other action; `left` means something where S_{t+1} was seen."""
     verb, action = _space(encoded).verbs[encoded.action], encoded.action[..., None]
     is_dirty = np.take_along_axis(encoded.features[..., WASH_DIRTY], action, axis=2)[..., 0]
     after = np.take_along_axis(encoded.is_possible[:, 1:], action[:, :-1], axis=2)[..., 0]
@@ -74,13 +70,7 @@ def wash_outcomes(encoded: Encoded) -> Float[np.ndarray, "n T 3"]:
 
 
 def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
-    """Regress the rewards of WASH on what became of it, weighted: b_0, b_1 and b_2.
-
-    Parameters
-    ----------
-    parts
-        A log, whole or in parts.
-    """
+    """Regress the rewards of WASH on what became of it, weighted: b_0, b_1 and b_2."""
     kept = np.zeros((0, 4))
     for stages in parts:
         outcome = wash_outcomes(stages.encoded)
@@ -89,15 +79,7 @@ def wash_pay(parts: Iterable[RewardedStages]) -> tuple[float, ...]:
 
 
 def expected_rewards(stages: RewardedStages, pays: Sequence[float]) -> Float[np.ndarray, "n T"]:
-    """Replace the reward of each WASH by what is expected of it; where its trajectory came to its own end it stays.
-
-    Parameters
-    ----------
-    stages
-        What stages paid.
-    pays
-        The coefficients of `wash_pay`.
-    """
+    """Replace the reward of each WASH by what is expected of it; where its trajectory came to its own end it stays."""
     outcome = wash_outcomes(stages.encoded)
     return np.where(_is_reduced(stages, outcome), outcome @ np.array(pays), stages.reward)
 
@@ -125,10 +107,7 @@ def _least_squares(numbers: Float[np.ndarray, "K Z"], reward: Float[np.ndarray, 
 def label_control_variates(encoded: Encoded) -> Float[np.ndarray, "n T 8"]:
     """Control variates of a log of one robot's tables (`label_moves`).
 
-    Parameters
-    ----------
-    encoded
-        The log; what it tells of stages after which no state was seen means nothing.
+    What the log tells of stages after which no state was seen means nothing.
     """
     space = _space(encoded)
     washed = encoded.features[:, :, space.of(Verb.WASH)]
@@ -184,27 +163,20 @@ def outcomes_of(
 ) -> Float[np.ndarray, "n T 6"]:
     """What ended in each stage: failed WASHes, seconds of LIFTs, its own; objects that left, their Σ p; Σ p before.
 
-    Parameters
-    ----------
-    states
-        S_t of a team; what is no state holds no object.
-    verb, target
-        What was begun.
-    duration_s
-        Of each stage; 0 where it is not known [s].
+    What is no state of the team holds no object; durations are 0 where they are not known [s].
     """
     robots, begins = states.robots, is_decider(states)
     assert robots is not None
     doing = np.where(begins, verb[..., None], np.where(robots.is_busy, robots.verb, -1))
     at = np.where(begins, target[..., None], robots.target)
     since_s = np.where(begins, 0.0, robots.since_s) + duration_s[..., None]
-    has_ended = (doing > 0) & ~_next(robots.is_busy)
+    has_ended = (doing > 0) & ~following(robots.is_busy)
     if robots.is_out is not None:
         # What a robot was at when it dropped out was abandoned.
-        has_ended &= ~_next(robots.is_out)
+        has_ended &= ~following(robots.is_out)
     is_there = states.is_on_table
     is_dirty = np.where(is_there, expit(states.log_odds.astype(np.float64)), 0.0)
-    has_left = is_there & ~_next(is_there)
+    has_left = is_there & ~following(is_there)
     target_left = np.take_along_axis(has_left, at, axis=-1)
     columns = [
         (has_ended & (doing == Verb.WASH) & ~target_left).sum(axis=-1),
@@ -217,7 +189,8 @@ def outcomes_of(
     return np.stack(columns, axis=-1).astype(np.float64)
 
 
-def _next(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
+def following(flags: Bool[np.ndarray, "n T *K"]) -> Bool[np.ndarray, "n T *K"]:
+    """What each stage is followed by; False after the last."""
     return np.concatenate([flags[:, 1:], np.zeros_like(flags[:, :1])], axis=1)
 
 
@@ -241,19 +214,13 @@ def _as_arrays(stages: RewardedStages) -> tuple[Float[np.ndarray, "n T 6"], _Use
     """What ended in the stages of a team, and what tells what."""
     assert stages.encoded.outcome is not None, "TeamTask.encode tells what ended"
     outcome = stages.encoded.outcome[..., :NUM_OUTCOMES]
-    is_whole, has_left = stages.weight > 0, outcome[..., 3] > 0
+    is_whole, has_left = stages.weight > 0, outcome[..., NUM_LEFT] > 0
     goes_on, parks = is_whole & ~stages.is_last, is_whole & stages.is_last & (stages.encoded.action == 0)
     return outcome, _Uses(goes_on & ~has_left, goes_on & has_left, parks)
 
 
 def pays_of(parts: Iterable[RewardedStages]) -> Pays:
-    """Regress rewards on what ended, weighted, in one pass.
-
-    Parameters
-    ----------
-    parts
-        A log of a team, whole or in parts.
-    """
+    """Regress rewards on what ended, weighted, in one pass."""
     kept = [np.zeros((0, NUM_OUTCOMES + 1))] * len(_Uses._fields)
     for part in parts:
         outcome, uses = _as_arrays(part)
@@ -268,15 +235,7 @@ def pays_of(parts: Iterable[RewardedStages]) -> Pays:
 
 
 def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
-    """Rewards of a team, replaced by what is expected of them where that is less noisy.
-
-    Parameters
-    ----------
-    stages
-        What stages paid.
-    pays
-        As `pays_of` gives them.
-    """
+    """Rewards of a team, replaced by what is expected of them where that is less noisy."""
     outcome, uses = _as_arrays(stages)
     certain = outcome[..., _CERTAIN] @ np.array(pays.certain)
     reward = np.where(uses.washed, certain + outcome[..., _WASHED] @ np.array(pays.washed), stages.reward)
@@ -284,15 +243,7 @@ def expected(stages: RewardedStages, pays: Pays) -> Float[np.ndarray, "n T"]:
 
 
 def shaped(stages: RewardedStages, pays: Pays, reward: Float[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """Measure rewards from leaving the table as it is.
-
-    Parameters
-    ----------
-    stages, pays
-        As `expected` takes them.
-    reward
-        What is measured.
-    """
-    left = _as_arrays(stages)[0][..., 5]
+    """Measure rewards from leaving the table as it is."""
+    left = _as_arrays(stages)[0][..., DIRT_BEFORE]
     after = np.where(stages.is_last, 0.0, np.pad(left[:, 1:], ((0, 0), (0, 1))))
     return np.where(stages.weight > 0, reward + pays.left[0] * (after - left), 0.0)

@@ -23,20 +23,8 @@ from halfseen.learning.rows import stage_places
 from halfseen.learning.task import AUTO, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
-from halfseen.tables import rewards
+from halfseen.tables import encoding, rewards
 from halfseen.tables.agent_logs import agent_view
-from halfseen.tables.encoding import (
-    NUM_AT_BEGIN,
-    TABLE_COVARIATES,
-    check_team,
-    encoded_at,
-    encoded_states,
-    logged_actions,
-    spread,
-    states_alone,
-    table_covariates,
-    team_states,
-)
 from halfseen.tables.features import ease_of
 from halfseen.tables.grasp_choice import choose_grasp, grasp_model_of
 from halfseen.tables.policy import (
@@ -46,17 +34,10 @@ from halfseen.tables.policy import (
     decisions,
     table_probabilities,
 )
-from halfseen.world.actions import (
-    FINISH,
-    TARGETED,
-    VERB_NAMES,
-    WAIT,
-    ActionSpace,
-    Verb,
-    possible_actions,
-    worthwhile_actions,
-)
+from halfseen.world import actions
+from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb
 from halfseen.world.log_checks import robots_in
+from halfseen.world.logs import spread
 from halfseen.world.policy import GraspModel, Policy, check_decides_for
 from halfseen.world.state import TableState
 
@@ -114,8 +95,8 @@ class TableTask:
             An action is none that a table knows, or is done to an object that is not on it; several robots decided.
         """
         states = self._states(logs, horizon)
-        action = logged_actions(logs, horizon, states.num_objects)
-        return encoded_states(states, action, np.any(states.is_on_table, axis=-1), self._model)
+        action = encoding.logged_actions(logs, horizon, states.num_objects)
+        return encoding.encoded_states(states, action, np.any(states.is_on_table, axis=-1), self._model)
 
     def block_of_action(self, num_actions: int) -> Int[np.ndarray, " A"]:
         """Block of each action: its verb."""
@@ -127,8 +108,8 @@ class TableTask:
 
     def censoring_covariates(self, logs: Logs, names: Sequence[str] | None, is_by_trajectory: bool) -> pd.DataFrame:
         """What cuts may depend on, a row for each stage; None for all, or those known at the beginning."""
-        known = TABLE_COVARIATES[: NUM_AT_BEGIN if is_by_trajectory else None]
-        return table_covariates(logs, known if names is None else names)
+        known = encoding.TABLE_COVARIATES[: encoding.NUM_AT_BEGIN if is_by_trajectory else None]
+        return encoding.table_covariates(logs, known if names is None else names)
 
     def fitted_to_rewards(self, parts: Iterable[RewardedStages]) -> Any:
         """Fit the prices to a log in parts."""
@@ -155,7 +136,7 @@ class TableTask:
         return table_probabilities(policy, self._states(logs, horizon))
 
     def _states(self, logs: Logs, horizon: int) -> TableState:
-        return states_alone(logs, horizon)
+        return encoding.states_alone(logs, horizon)
 
     @property
     def _model(self) -> GraspModel | None:
@@ -210,7 +191,7 @@ class TeamTask(TableTask):
         PolicyError
             The base is for another number of robots.
         """
-        check_team(logs, self.num_robots)
+        encoding.check_team(logs, self.num_robots)
         return super().fitted(logs, horizon)._with_base(logs, horizon)
 
     def _with_base(self, logs: Logs, horizon: int) -> "TeamTask":
@@ -247,17 +228,16 @@ class TeamTask(TableTask):
             An action is none of a team's, or a column is missing.
         """
         states = self._states(logs, horizon)
-        action = logged_actions(logs, horizon, states.num_objects, is_team=True)
+        action = encoding.logged_actions(logs, horizon, states.num_objects, is_team=True)
         at, shape, policy = stage_places(logs), action.shape, None
         there = mapped(lambda leaf: leaf[at], states)
-        choices = possible_actions if self.is_evaluating else worthwhile_actions
-        encoded = encoded_at(at, there, action, self._model, choices)
+        choices = actions.possible_actions if self.is_evaluating else actions.worthwhile_actions
+        encoded = encoding.encoded_at(at, there, action, self._model, choices)
         # What was done is possible, whatever a policy would choose from.
         np.put_along_axis(encoded.is_possible, action[..., None], True, axis=2)
         if _unless_auto(self.base) is not None:
             policy = spread(np.eye(encoded.is_possible.shape[-1])[decisions(self.base, there)], at, shape)
-        clock_s = np.full(shape, np.nan)
-        clock_s[at] = logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan)
+        clock_s = spread(logs.stages["elapsed_s"].to_numpy(dtype=np.float64, na_value=np.nan), at, shape, np.nan)
         ease = spread(ease_of(there, self._model).astype(np.float64), at, shape)
         outcome = _outcome(states, action, np.nan_to_num(np.diff(clock_s, axis=1, prepend=0.0)), ease)
         return encoded._replace(outcome=outcome, policy=policy)
@@ -288,7 +268,7 @@ class TeamTask(TableTask):
         return LinearTeamPolicy(**self._in_single_precision(learned), **given)
 
     def _states(self, logs: Logs, horizon: int) -> TableState:
-        return team_states(logs, horizon, self.num_robots)
+        return encoding.team_states(logs, horizon, self.num_robots)
 
 
 def _outcome(

@@ -2,10 +2,9 @@
 
 Read down: `random` (draws), `grasping`, `seeing` (the laws; another robot or gripper is another law of grasping) →
 `config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `robots`
-(who works at the table) → `actions` (the verbs), `others` (what other robots are at) → `attempts`, `transition` (one
-step) → `policy` (what decides), `explanation` (how sure that is) → `rollout` (many tables to their end) → `cuts` →
-`logs` with `log_rows`, `log_checks` (to and from logs) → `table_world`, `envs` with `observations`, `pettingzoo_env`
-(the faces).
+(who works at the table) → `actions` (the verbs, and what other robots are at) → `attempts`, `transition` (one step) →
+`policy` (what decides), `explanation` (how sure that is) → `rollout` (many tables to their end) → `cuts` → `logs` with
+`log_rows`, `log_checks` (to and from logs) → `table_world`, `envs` with `observations`, `pettingzoo_env` (the faces).
 """
 
 from typing import TYPE_CHECKING
@@ -67,7 +66,6 @@ __all__ = [
     "cut_at_drop_outs",
     "read_team",
 ]
-
 _NAMES = {
     "actions": "ActionSpace Verb",
     "config": "WorldConfig",

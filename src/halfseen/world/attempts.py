@@ -5,16 +5,17 @@ from dataclasses import replace
 import numpy as np
 
 from halfseen.arrays import Array, at, chosen, library_of
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Bool, Float
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import Arrangement, Attempt
+from halfseen.world.number import Amounts, Flags, Which
 from halfseen.world.random import Key
 from halfseen.world.seeing import Glimpse
 from halfseen.world.state import NO_ATTEMPT, HiddenState, TableState, numbered, occlusion_by
 
 
-def is_target(state: TableState, target: Int[Array, "*B"]) -> Bool[Array, "*B N"]:
+def is_target(state: TableState, target: Which) -> Bool[Array, "*B N"]:
     """Which object an action is done to."""
     return numbered(target, state.num_objects)
 
@@ -23,8 +24,8 @@ def attempted(
     config: WorldConfig,
     state: TableState,
     hidden: HiddenState,
-    verb: Int[Array, "*B"],
-    target: Int[Array, "*B"],
+    verb: Which,
+    target: Which,
     key: Key,
     occluded: Float[Array, "*B N"],
 ) -> Attempt:
@@ -44,13 +45,7 @@ def attempted(
     )
 
 
-def action_reward(
-    config: WorldConfig,
-    verb: Int[Array, "*B"],
-    is_grasped: Bool[Array, "*B"],
-    is_dirty: Bool[Array, "*B"],
-    duration_s: Float[Array, "*B"],
-) -> Float[Array, "*B"]:
+def action_reward(config: WorldConfig, verb: Which, is_grasped: Flags, is_dirty: Flags, duration_s: Amounts) -> Amounts:
     """What an action pays by itself, without what is left when the trajectory ends."""
     xp = library_of(verb)
     washed = xp.where(is_dirty, config.reward_wash_dirty, config.reward_wash_clean)
@@ -59,9 +54,7 @@ def action_reward(
     return xp.where(verb == Verb.WASH, wash, lift).astype(np.float32)
 
 
-def price_of_left(
-    config: WorldConfig, state: TableState, hidden: HiddenState, ends: Bool[Array, "*B"]
-) -> Float[Array, "*B"]:
+def price_of_left(config: WorldConfig, state: TableState, hidden: HiddenState, ends: Flags) -> Amounts:
     """What is paid for what is left dirty where the trajectory ends."""
     xp = library_of(ends)
     dirty_left = xp.sum(state.is_on_table & hidden.is_dirty, axis=-1).astype(np.float32)
@@ -69,12 +62,7 @@ def price_of_left(
 
 
 def after_attempt(
-    state: TableState,
-    verb: Int[Array, "*B"],
-    target: Int[Array, "*B"],
-    tried: Attempt,
-    occlusion_then: Float[Array, "*B"],
-    robot: Int[Array, "*B"] | None = None,
+    state: TableState, verb: Which, target: Which, tried: Attempt, occlusion_then: Amounts, robot: Which | None = None
 ) -> TableState:
     """What is seen of the table once an attempt is over, before the camera looks; its object was hidden so far then."""
     xp, by = library_of(verb), state.attempt_robot

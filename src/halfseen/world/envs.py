@@ -68,6 +68,8 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         trajectories.
     render_mode
         None, or ``"ansi"`` for a text.
+    team
+        Robots, each with a reach of its own; see `TeamCupsEnv`.
 
     Raises
     ------
@@ -95,17 +97,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         config: WorldConfig | None = None,
         cut_rate: float | int = 0.0,
         render_mode: str | None = None,
-    ) -> None:
-        self._set_up(scenes, None, num_objects, config, cut_rate, render_mode)
-
-    def _set_up(
-        self,
-        scenes: Scene | Sequence[Scene] | None,
-        team: Team | None,
-        num_objects: int | None,
-        config: WorldConfig | None,
-        cut_rate: float | int,
-        render_mode: str | None,
+        team: Team | None = None,
     ) -> None:
         if not 0.0 <= cut_rate < np.inf:
             raise ArgumentError(f"cut_rate is {cut_rate}; give cuts per second, finite and ≥ 0")
@@ -250,14 +242,8 @@ class TeamCupsEnv(CupsEnv):
         for six cups.
     team
         The robots; None for two, left and right of the table.
-    num_objects
-        N, padding included; by default that of the largest scene.
-    config
-        The numbers of the world.
-    cut_rate
-        Rate of cuts [1/s].
-    render_mode
-        None, or ``"ansi"`` for a text.
+    num_objects, config, cut_rate, render_mode
+        As of `CupsEnv`.
 
     Raises
     ------
@@ -286,5 +272,4 @@ class TeamCupsEnv(CupsEnv):
         cut_rate: float | int = 0.0,
         render_mode: str | None = None,
     ) -> None:
-        robots = default_team() if team is None else team
-        self._set_up(scenes, robots, num_objects, config, cut_rate, render_mode)
+        super().__init__(scenes, num_objects, config, cut_rate, render_mode, default_team() if team is None else team)

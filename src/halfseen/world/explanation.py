@@ -17,7 +17,6 @@ from halfseen.world.state import TableState
 
 SAME_VALUE = 1e-6
 """Actions whose values in a draw differ by less are tied there [reward]: more than float32 can tell apart."""
-
 _SAME = 1e-4
 _NUM_SHOWN = 8
 
@@ -169,11 +168,6 @@ def alike(state: TableState) -> Int[np.ndarray, " A"]:
     Two objects are interchangeable if all that is seen stays the same when they trade places: location, grip, log-odds,
     what was seen of them, past attempts, and who hides whom. Doing the same to either is then worth the same, whatever
     estimates say.
-
-    Parameters
-    ----------
-    state
-        One table.
     """
     there = np.asarray(state.is_on_table)
     known = np.stack([np.asarray(leaf, dtype=np.float64) for leaf in (state.log_odds, state.grip, state.seen)])

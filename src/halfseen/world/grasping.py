@@ -16,7 +16,7 @@ from halfseen.arrays import Array, at, chosen, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
-from halfseen.world.number import Number
+from halfseen.world.number import Amounts, Flags, Number, Which
 from halfseen.world.random import Key
 
 
@@ -28,7 +28,6 @@ class Arrangement(NamedTuple):
     is_on_table: Bool[Array, "*B N"]
     """False in the dishwasher, and for padding."""
     occlusion: Float[Array, "*B N"]
-    """Hidden share of each object now."""
     grip: Float[Array, "*B N"]
     """Mean of each object's grip offset, from what is seen of it; 0 where nothing sets it apart."""
 
@@ -36,14 +35,13 @@ class Arrangement(NamedTuple):
 class Attempt(NamedTuple):
     """How one attempt went."""
 
-    is_held: Bool[Array, "*B"]
+    is_held: Flags
     """Whether the object was grasped (pushed, …: whether the verb worked)."""
-    duration_s: Float[Array, "*B"]
+    duration_s: Amounts
     """Positive; without transport [s]."""
     hides: Float[Array, "*B N N"]
     """Who hides whom afterwards, as objects may have moved."""
     latent: Any
-    """The latent variable afterwards."""
 
 
 @runtime_checkable
@@ -72,9 +70,7 @@ class GraspLaw(Protocol):
         """
         ...
 
-    def attempt(
-        self, table: Arrangement, latent: Any, verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
-    ) -> Attempt:
+    def attempt(self, table: Arrangement, latent: Any, verb: Which, target: Which, key: Key) -> Attempt:
         """Attempt a verb on an object that stands on the table.
 
         Parameters
@@ -143,12 +139,7 @@ class AssumedGrasping:
         return self.offset_std * random.normal(key, num_objects)
 
     def attempt(
-        self,
-        table: Arrangement,
-        latent: Float[Array, "*B N"],
-        verb: Int[Array, "*B"],
-        target: Int[Array, "*B"],
-        key: Key,
+        self, table: Arrangement, latent: Float[Array, "*B N"], verb: Which, target: Which, key: Key
     ) -> Attempt:
         """Draw the time to grasp; whatever is to be done with the object."""
         offset = at(table.grip, target) + at(latent, target)
@@ -208,12 +199,7 @@ class FittedGrasping:
         return self.offset_std * random.normal(key, num_objects)
 
     def attempt(
-        self,
-        table: Arrangement,
-        latent: Float[Array, "*B N"],
-        verb: Int[Array, "*B"],
-        target: Int[Array, "*B"],
-        key: Key,
+        self, table: Arrangement, latent: Float[Array, "*B N"], verb: Which, target: Which, key: Key
     ) -> Attempt:
         """Draw whether it holds, and then how long it took; whatever is to be done with the object."""
         held_key, time_key = random.split(key)
@@ -307,9 +293,7 @@ class GraspingByRobot:
         """Draw the latent variable of each law, all from the same key."""
         return tuple(law.draw_latent(num_objects, key) for law in self.laws)
 
-    def attempt(
-        self, table: Arrangement, latent: tuple[Any, ...], verb: Int[Array, "*B"], target: Int[Array, "*B"], key: Key
-    ) -> Attempt:
+    def attempt(self, table: Arrangement, latent: tuple[Any, ...], verb: Which, target: Which, key: Key) -> Attempt:
         """Attempt as the robot does; the latents of the other laws stay as they are."""
         each = [law.attempt(table, own, verb, target, key) for law, own in zip(self.laws, latent, strict=True)]
         latents = tuple(

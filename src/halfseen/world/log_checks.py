@@ -28,7 +28,6 @@ ATTEMPT_BY = "attempt_by"
 _LISTS = ("hidden_by", "attempt_occlusions", "attempt_succeeded")
 _NEEDED = ("location", "occlusion", "log_odds", "lifts", *_LISTS)
 _NEEDED_OF_ROBOT = ("does", "since_s", "decisions_to_go")
-
 Values = Float[np.ndarray, " k"]
 Wrong = Bool[np.ndarray, " k"]
 
@@ -102,14 +101,8 @@ def check_log(logs: Logs) -> None:
 def checked_tables(logs: Logs, horizon: int | None = None, *, is_team: bool | None = None) -> TableLog:
     """Check a log of tables, and give its rows.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T, the decisions of all robots together; None where it is not known.
-    is_team
-        Whether it must tell of robots, and is checked for what it tells of them; None where it does.
+    `horizon` is T, the decisions of all robots together; None where it is not known. Where `is_team`, it must tell
+    of robots, and is checked for what it tells of them; None where it does.
 
     Raises
     ------

@@ -20,10 +20,8 @@ NOTHING = -1
 """Object of who is at none."""
 IDLE = {FREE: -1, PARKED: -2, OUT: -3}
 """Verbs of who is at nothing, below those of `Verb`."""
-
 OF_OBJECT = ("trajectory", "stage", "object")
 """Columns that name a row of the objects."""
-
 _UNKNOWN = -4
 
 
@@ -165,11 +163,6 @@ def object_numbers(objects: pd.DataFrame) -> Int[np.ndarray, " rows"]:
     """Number of each row's object among all that its trajectory ever lists, from 0, in the order of their names.
 
     A trajectory lists what came into view so far, so that the same object may be another row of a later stage.
-
-    Parameters
-    ----------
-    objects
-        Columns trajectory and object.
     """
     trajectory, name = (
         pd.factorize(objects[column], sort=True)[0].astype(np.int64) for column in ("trajectory", "object")

@@ -126,18 +126,13 @@ def _robot_columns(cuts: CutEpisodes, begun: Int[np.ndarray, "rows 2"]) -> dict[
     }
 
 
-def history_of(states: TableState) -> tuple[Float[np.ndarray, "*B N"], ...]:
-    """Occlusion, past successes and past failures of each object."""
-    return (occlusion(states), *attempt_counts(states))
-
-
 def objects_of(states: TableState, begun: Int[np.ndarray, "rows 2"]) -> pa.Table:
     """What was seen of each object in the stages that were begun, both indexed from 0; of states with axes (n, T)."""
     is_object = states.is_object[:, 0][begun[:, 0]]
     row, target = np.nonzero(is_object)
     trajectory, stage = begun[row].T
     seen = mapped(lambda leaf: leaf[begun[:, 0], begun[:, 1]], replace(states, robots=None, workspace=None))
-    occluded, successes, failures = (values[row, target] for values in history_of(seen))
+    occluded, successes, failures = (values[row, target] for values in (occlusion(seen), *attempt_counts(seen)))
     is_attempt = seen.attempt_object[row] == target[:, None]
     shown = {"grip": seen.grip[row, target], "seen": seen.seen[row, target]}
     lists = {
@@ -180,12 +175,7 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     Objects are numbered as `object_numbers` does; one that is not in view yet is padding until it is. Where the log
     tells of robots, so do the states; where there is no row, nobody is at the table.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    horizon
-        T, the decisions of all robots together.
+    `horizon` is T, the decisions of all robots together.
 
     Raises
     ------
@@ -196,19 +186,19 @@ def states_of(logs: Logs, horizon: int) -> TableState:
     frame, shape = log.objects, (logs.num_trajectories, horizon, log.num_objects)
     at = (*_stage_places(logs, frame), log.target)
 
-    def spread(values: Any, dtype: Any) -> np.ndarray:
-        return _spread(np.asarray(values, dtype=dtype), at, shape)
+    def each(values: Any, dtype: Any) -> np.ndarray:
+        return spread(np.asarray(values, dtype=dtype), at, shape)
 
     types = {"grip": np.float32, "log_odds": np.float32, "seen": np.float32, "lifts": np.int32}
-    numbers = {name: spread(frame.get(name, 0), dtype) for name, dtype in types.items()}
+    numbers = {name: each(frame.get(name, 0), dtype) for name, dtype in types.items()}
     # Lists go by the objects of their stage; states by those of the trajectory.
     hidden_by = log.lists("hidden_by")
     hider = log.target[log.first[hidden_by.row] + hidden_by.place]
     hides = (*(index[hidden_by.row] for index in at), hider)
     return TableState(
-        hides=_spread(hidden_by.values.astype(np.float32), hides, (*shape, shape[-1])),
-        is_object=spread(True, bool),
-        is_on_table=spread(frame["location"] == TABLE, bool),
+        hides=spread(hidden_by.values.astype(np.float32), hides, (*shape, shape[-1])),
+        is_object=each(True, bool),
+        is_on_table=each(frame["location"] == TABLE, bool),
         **numbers,
         **_attempts(log, at, (*shape[:2], horizon)),
         steps_to_go=np.broadcast_to(horizon - np.arange(horizon, dtype=np.int32), shape[:2]),
@@ -221,9 +211,9 @@ def _stage_places(logs: Logs, frame: pd.DataFrame) -> tuple[Int[np.ndarray, " ro
     return pd.Index(logs.trajectory_ids).get_indexer(frame["trajectory"]), frame["stage"].to_numpy() - 1
 
 
-def _spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...], fill: int = 0) -> np.ndarray:
-    """Put values at their places, and what fills it elsewhere."""
-    found = np.full(shape, fill, dtype=values.dtype)
+def spread(values: np.ndarray, at: tuple[np.ndarray, ...], shape: tuple[int, ...], fill: float | int = 0) -> np.ndarray:
+    """Put values at their places along the axes of a shape, and what fills it elsewhere."""
+    found = np.full((*shape, *values.shape[1:]), fill, dtype=values.dtype)
     found[at] = values
     return found
 
@@ -241,12 +231,12 @@ def _attempts(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, ...])
         )
     place = trajectory, stage, slot
     found = {
-        "attempt_object": _spread(target.astype(np.int32), place, shape, NO_ATTEMPT),
-        "attempt_occlusion": _spread(occluded.values.astype(np.float32), place, shape),
-        "attempt_succeeded": _spread(succeeded.values.astype(bool), place, shape),
+        "attempt_object": spread(target.astype(np.int32), place, shape, NO_ATTEMPT),
+        "attempt_occlusion": spread(occluded.values.astype(np.float32), place, shape),
+        "attempt_succeeded": spread(succeeded.values.astype(bool), place, shape),
     }
     if log.num_robots and ATTEMPT_BY in log.objects.columns:
-        found["attempt_robot"] = _spread(log.lists(ATTEMPT_BY).values.astype(np.int32), place, shape)
+        found["attempt_robot"] = spread(log.lists(ATTEMPT_BY).values.astype(np.int32), place, shape)
     return found
 
 
@@ -254,22 +244,22 @@ def _of_robots(log: TableLog, at: tuple[np.ndarray, ...], shape: tuple[int, int,
     """Who decides, what each robot is at, and who can work where."""
     of_stage, (verb, target) = _stage_places(log.logs, log.logs.stages), np.moveaxis(log.does, -1, 0)
 
-    def spread(values: np.ndarray, dtype: Any) -> np.ndarray:
-        return _spread(values.astype(dtype), of_stage, (*shape[:2], *values.shape[1:]))
+    def each(values: np.ndarray, dtype: Any) -> np.ndarray:
+        return spread(values.astype(dtype), of_stage, shape[:2])
 
     is_out, near = verb == IDLE[OUT], log.lists("near")
     may_drop_out = is_out.any() or len(robots_that_may_drop_out(log.logs.trajectories)) > 0
     robots = Robots(
-        is_busy=spread(verb >= 0, bool),
-        is_parked=spread(verb == IDLE[PARKED], bool),
-        verb=spread(np.maximum(verb, 0), np.int32),
-        target=spread(target, np.int32),
-        since_s=spread(log.of_robots("since_s"), np.float32),
-        decisions_to_go=spread(log.of_robots("decisions_to_go"), np.int32),
-        is_out=spread(is_out, bool) if may_drop_out else None,
+        is_busy=each(verb >= 0, bool),
+        is_parked=each(verb == IDLE[PARKED], bool),
+        verb=each(np.maximum(verb, 0), np.int32),
+        target=each(target, np.int32),
+        since_s=each(log.of_robots("since_s"), np.float32),
+        decisions_to_go=each(log.of_robots("decisions_to_go"), np.int32),
+        is_out=each(is_out, bool) if may_drop_out else None,
     )
     other = log.target[log.first[near.row] + near.values.astype(np.int64)]
-    is_near = _spread(np.ones(len(other), dtype=bool), (*(index[near.row] for index in at), other), (*shape, shape[-1]))
-    is_in_reach = np.moveaxis(_spread(log.is_reached, at, (*shape, log.num_robots)), -1, -2)
+    is_near = spread(np.ones(len(other), dtype=bool), (*(index[near.row] for index in at), other), (*shape, shape[-1]))
+    is_in_reach = np.moveaxis(spread(log.is_reached, at, shape), -1, -2)
     workspace = Workspace(np.ascontiguousarray(is_in_reach), is_near)
-    return {"robots": robots, "workspace": workspace, "decider": spread(log.decider, np.int32)}
+    return {"robots": robots, "workspace": workspace, "decider": each(log.decider, np.int32)}

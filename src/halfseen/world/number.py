@@ -1,4 +1,4 @@
-"""What a parameter of the world may be."""
+"""What a parameter of the world may be, and what each table of a batch has one of."""
 
 from collections.abc import Callable, Mapping
 from math import isfinite
@@ -6,12 +6,17 @@ from typing import Any, TypeAlias, TypeGuard
 
 import numpy as np
 
+from halfseen.arrays import Array
 from halfseen.errors import ArgumentError
+from halfseen.shapes import Bool, Float, Int
 
 Number: TypeAlias = float | int | Any
 """A plain number, or what JAX makes of it inside a compiled call."""
 PlainNumber: TypeAlias = int | float | np.integer | np.floating
-
+Which: TypeAlias = Int[Array, "*B"]
+"""Number of a verb, an object or a robot, for each table of a batch."""
+Flags: TypeAlias = Bool[Array, "*B"]
+Amounts: TypeAlias = Float[Array, "*B"]
 _PARAMETERS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
     "reach_m": (lambda value: value > 0, "a finite number above 0 [m]"),
     "speed": (lambda value: value > 0, "a finite number above 0"),

@@ -1,6 +1,5 @@
 """A team's table behind PettingZoo's interface of agents that act in turn (AEC): an agent a robot."""
 
-from collections.abc import Sequence
 from copy import deepcopy
 from typing import Any, ClassVar
 
@@ -9,12 +8,9 @@ from gymnasium import spaces
 from pettingzoo import AECEnv
 
 from halfseen.errors import ArgumentError
-from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE
 from halfseen.world.envs import TeamCupsEnv
 from halfseen.world.observations import Observation
-from halfseen.world.robots import Team
-from halfseen.world.scene import Scene
 
 
 class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
@@ -51,18 +47,10 @@ class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):
         "render_fps": 1,
     }
 
-    def __init__(
-        self,
-        scenes: Scene | Sequence[Scene] | None = None,
-        team: Team | None = None,
-        num_objects: int | None = None,
-        config: WorldConfig | None = None,
-        cut_rate: float | int = 0.0,
-        render_mode: str | None = None,
-    ) -> None:
+    def __init__(self, *settings: Any, **named: Any) -> None:
         super().__init__()
-        self.table = TeamCupsEnv(scenes, team, num_objects, config, cut_rate, render_mode)
-        self.render_mode, self.agents = render_mode, []
+        self.table = TeamCupsEnv(*settings, **named)
+        self.render_mode, self.agents = self.table.render_mode, []
         self.possible_agents = [f"robot_{r}" for r in range(self.table.config.num_robots)]
         mask = spaces.MultiBinary(self.table.num_actions)
         seen = spaces.Dict({"observation": self.table.observation_space, "action_mask": mask})

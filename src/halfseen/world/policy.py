@@ -3,6 +3,7 @@
 What the probability of a grasp may be taken from: one interface for what was learned and what is known.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
@@ -44,6 +45,16 @@ def uniformly(is_possible: Bool[Array, "*B A"], key: Key) -> Decision:
     """Each possible action with the same probability."""
     num_possible = library_of(is_possible).sum(is_possible, axis=-1).astype(np.float32)
     return Decision(random.one_of(key, is_possible), 1.0 / num_possible)
+
+
+class ByValue:
+    """Takes the action that its own `q_values` put first; nothing is drawn."""
+
+    q_values: Callable[..., Any]
+
+    def decide(self, state: TableState, key: Key) -> Decision:
+        """Choose; deterministic."""
+        return surely(library_of(state.log_odds).argmax(self.q_values(state), axis=-1))
 
 
 @record
@@ -91,13 +102,8 @@ class ExploringPolicy:
 def check_fits(policy: Any, config: WorldConfig) -> None:
     """Refuse a policy that is not for a team, in itself or in what it builds upon.
 
-    Parameters
-    ----------
-    policy
-        What is to decide. By `num_robots` it tells for how many robots, unless it is for any number; by `num_stages`
-        for how many of their decisions, if it was learned for so many.
-    config
-        The team's.
+    By `num_robots` a policy tells for how many robots it is, unless it is for any number; by `num_stages` for how
+    many of their decisions, if it was learned for so many.
 
     Raises
     ------

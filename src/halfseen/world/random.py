@@ -14,7 +14,6 @@ from halfseen.arrays import first_last, library_of
 from halfseen.shapes import Bool, Float, Int, UInt32
 
 Key = UInt32[Any, "*B 2"]
-
 _PARITY = np.uint32(0x1BD11BDA)
 _ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 _TURNS = [[(np.array(by, dtype=np.uint32), np.array(32 - by, dtype=np.uint32)) for by in of] for of in _ROTATIONS]

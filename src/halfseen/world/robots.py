@@ -76,10 +76,7 @@ class Robot:
 def check_robot(given: Mapping[str, Any]) -> None:
     """Refuse what no robot is: see `Robot`.
 
-    Parameters
-    ----------
-    given
-        Its parameters; those that have a default may be left out, but for the name.
+    What has a default may be left out, but for the name.
 
     Raises
     ------

@@ -46,11 +46,9 @@ class LookOutcome(NamedTuple):
     """What one look told; of what was not seen it may hold anything."""
 
     log_odds: Float[Array, "*B N"]
-    """Log-odds of DIRTY given all looks so far."""
     seen: Float[Array, "*B N"]
     """Share of the surface in [0, 1] that looks have told of; 0 for a law to which every look is news."""
     latent: Any
-    """The latent variable afterwards."""
 
 
 @runtime_checkable
@@ -197,7 +195,6 @@ class AssumedSeeing:
 
 SAME_VIEW = 1e-6
 """Shares that differ by less are the same view: occlusions are rounded."""
-
 LEAST_DOUBT = 1e-6
 """What is new is found, and missed, with at least this probability, so that no label makes the truth certain."""
 

@@ -17,12 +17,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.arrays import Array, at, chosen, library_of
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Bool, Float
 from halfseen.world import random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions
 from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import Attempt
+from halfseen.world.number import Amounts, Flags, Which
 from halfseen.world.random import Key
 from halfseen.world.state import (
     HiddenState,
@@ -42,11 +43,11 @@ _DROP_OUT_KEY = 29
 class Outcome(NamedTuple):
     """What one stage brought."""
 
-    reward: Float[Array, "*B"]
+    reward: Amounts
     """Price of its seconds included and, where the trajectory ends, that of what is left dirty."""
-    duration_s: Float[Array, "*B"]
+    duration_s: Amounts
     """Positive, but where several robots are free at once [s]."""
-    is_over: Bool[Array, "*B"]
+    is_over: Flags
     """Whether the trajectory has come to its own end."""
     paid_alone: Float[Array, "*B K"] | None = None
     """What the stage would have paid each of several robots had it been alone: its own attempts that ended, the price
@@ -88,13 +89,7 @@ def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
 
 
 def step(
-    config: WorldConfig,
-    state: TableState,
-    hidden: HiddenState,
-    action: Int[Array, "*B"],
-    key: Key,
-    *,
-    any_action: bool = False,
+    config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, *, any_action: bool = False
 ) -> tuple[TableState, HiddenState, Outcome]:
     """Let the robot that decides begin an action, and wait for the next decision.
 
@@ -129,7 +124,7 @@ def step(
 
 
 def _step_alone(
-    config: WorldConfig, state: TableState, hidden: HiddenState, action: Int[Array, "*B"], key: Key
+    config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key
 ) -> tuple[TableState, HiddenState, Outcome]:
     """What one robot alone begins ends, and nothing comes between."""
     xp, actions = library_of(action), ActionSpace(state.num_objects)
@@ -147,14 +142,14 @@ def _ended(
     config: WorldConfig,
     state: TableState,
     hidden: HiddenState,
-    verb: Int[Array, "*B"],
-    target: Int[Array, "*B"],
+    verb: Which,
+    target: Which,
     tried: Attempt,
-    was_hidden: Float[Array, "*B"],
+    was_hidden: Amounts,
     key: Key,
-    robot: Int[Array, "*B"] | None = None,
+    robot: Which | None = None,
     in_the_air: Bool[Array, "*B N"] | bool = False,
-) -> tuple[TableState, HiddenState, Float[Array, "*B"]]:
+) -> tuple[TableState, HiddenState, Amounts]:
     """What is seen and hidden once an attempt is over and the camera has looked, and what it paid."""
     state = after_attempt(state, verb, target, tried, was_hidden, robot)
     is_lifted = is_target(state, target) & (tried.is_held & (verb == Verb.LIFT))[..., None]
@@ -163,12 +158,7 @@ def _ended(
 
 
 def _step_of_several(
-    config: WorldConfig,
-    state: TableState,
-    hidden: HiddenState,
-    action: Int[Array, "*B"],
-    key: Key,
-    is_possible: Bool[Array, "*B"] | None,
+    config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
 ) -> tuple[TableState, HiddenState, Outcome]:
     """Let the robot that decides begin an action, and what is pending end until somebody is to decide."""
     xp = library_of(action)
@@ -199,7 +189,7 @@ def _pending(hidden: HiddenState) -> Pending:
     return hidden.pending
 
 
-def _is_over(state: TableState) -> Bool[Array, "*B"]:
+def _is_over(state: TableState) -> Flags:
     """Whether all robots are done for good, or the table is clear."""
     xp = library_of(state.is_on_table)
     return xp.all(_robots(state).is_done, axis=-1) | ~xp.any(state.is_on_table, axis=-1)
@@ -221,18 +211,13 @@ def _added(total: Outcome, later: Outcome) -> Outcome:
     return Outcome(reward, duration_s, total.is_over, alone + later.paid_alone, out_s)
 
 
-def _is_one(robots: Robots, robot: Int[Array, "*B"]) -> Bool[Array, "*B K"]:
+def _is_one(robots: Robots, robot: Which) -> Bool[Array, "*B K"]:
     """Which of the robots has that number."""
     return library_of(robot).arange(robots.num_robots) == robot[..., None]
 
 
 def _begun(
-    config: WorldConfig,
-    state: TableState,
-    hidden: HiddenState,
-    action: Int[Array, "*B"],
-    key: Key,
-    is_possible: Bool[Array, "*B"] | None,
+    config: WorldConfig, state: TableState, hidden: HiddenState, action: Which, key: Key, is_possible: Flags | None
 ) -> tuple[TableState, HiddenState]:
     """Draw how the action of the robot that decides will go."""
     xp, actions, robots, pending = library_of(action), ActionSpace(state.num_objects), _robots(state), _pending(hidden)
@@ -271,7 +256,7 @@ def _begun(
     return replace(state, robots=robots), replace(hidden, grasp_latent=tried.latent, pending=pending)
 
 
-def _to_the_table(verb: Int[Array, "*B"]) -> Int[Array, "*B"]:
+def _to_the_table(verb: Which) -> Which:
     """To the table, who waits does nothing, as who finishes."""
     return library_of(verb).where(verb == WAIT, Verb.FINISH, verb)
 
@@ -302,11 +287,7 @@ def _next_event(
 
 
 def _own_price(
-    config: WorldConfig,
-    was_done: Bool[Array, "*B K"],
-    state: TableState,
-    hidden: HiddenState,
-    passed_s: Float[Array, "*B"],
+    config: WorldConfig, was_done: Bool[Array, "*B K"], state: TableState, hidden: HiddenState, passed_s: Amounts
 ) -> Float[Array, "*B K"]:
     """Price of the seconds of each robot that goes on, and of what is left in its reach where it came to its end."""
     xp, robots = library_of(was_done), _robots(state)
@@ -321,13 +302,8 @@ def _own_price(
 
 
 def _at_end(
-    config: WorldConfig,
-    state: TableState,
-    hidden: HiddenState,
-    robot: Int[Array, "*B"],
-    passed_s: Float[Array, "*B"],
-    key: Key,
-) -> tuple[TableState, HiddenState, Float[Array, "*B"]]:
+    config: WorldConfig, state: TableState, hidden: HiddenState, robot: Which, passed_s: Amounts, key: Key
+) -> tuple[TableState, HiddenState, Amounts]:
     """What is seen and hidden once a robot has ended what it was at, and what that pays."""
     robots, pending, xp = _robots(state), _pending(hidden), library_of(robot)
     verb, target, is_held = (at(values, robot) for values in (robots.verb, robots.target, pending.is_held))
@@ -347,7 +323,7 @@ def _at_end(
 
 
 def _at_drop_out(
-    state: TableState, hidden: HiddenState, robot: Int[Array, "*B"], passed_s: Float[Array, "*B"]
+    state: TableState, hidden: HiddenState, robot: Which, passed_s: Amounts
 ) -> tuple[TableState, HiddenState]:
     """What is seen and hidden once a robot has dropped out: the table is as it was."""
     robots, pending = _freed(_robots(state), _pending(hidden), robot, passed_s)
@@ -356,9 +332,7 @@ def _at_drop_out(
     return replace(state, robots=robots), replace(hidden, pending=pending)
 
 
-def _freed(
-    robots: Robots, pending: Pending, robot: Int[Array, "*B"], passed_s: Float[Array, "*B"]
-) -> tuple[Robots, Pending]:
+def _freed(robots: Robots, pending: Pending, robot: Which, passed_s: Amounts) -> tuple[Robots, Pending]:
     """A robot after so many seconds is at nothing any more, and neither is who waited."""
     xp, never = library_of(robot), np.float32(np.inf)
     is_free = _is_one(robots, robot) | (robots.is_busy & (robots.verb == WAIT))

@@ -105,13 +105,13 @@ def test_one_seed_gives_the_same_numbers_again_and_another_others():
 @pytest.mark.slow
 @pytest.mark.parametrize("config", CONFIGS)
 def test_it_earns_more_than_the_look_alone(config):
-    from halfseen.planners.control import controlled_rewards
+    from halfseen.planners.control import controlled
 
     layouts, episodes = LAYOUTS, np.arange(3000)
     excess = fitted_excess(config, layouts, seed=0, num_trajectories=3000)
     key = random.key_of(11)
     with_excess, alone = (
-        controlled_rewards(config, layouts, policy, key, episodes)
+        controlled(config, layouts, policy, key, episodes).reward
         for policy in (AssistedPolicy(config, excess=excess), AssistedPolicy(config))
     )
     gain = with_excess - alone

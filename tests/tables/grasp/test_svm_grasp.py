@@ -8,8 +8,7 @@ from tried import beta_attempts, cut_some
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVC
 from halfseen.tables import BetaGrasp, SVMGrasp
-from halfseen.tables.grasp_attempts import checked_attempts
-from halfseen.tables.grasp_folds import splits_of
+from halfseen.tables.grasp_attempts import checked_attempts, splits_of
 from halfseen.tables.grasp_models import linear_and_gaussian
 
 

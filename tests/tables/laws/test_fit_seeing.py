@@ -10,20 +10,12 @@ from simulated_tables import CALIBRATED, SEEING, evidence
 
 from fitted_laws import FITTED
 from halfseen.tables.evidence import Labels, of_first
-from halfseen.tables.law_seeing import (
-    INDEPENDENT_PRIOR,
-    Independent,
-    Persistent,
-    facing_of,
-    masses,
-    persistent_prior,
-    views_of,
-)
+from halfseen.tables.law_seeing import Independent, Persistent, masses
 from halfseen.tables.recorder import seeing_of
 from halfseen.world import AssumedSeeing, PersistentSeeing, WorldConfig
 from halfseen.world.seeing import label_evidence
 
-SHARE, FACING = 0.6, 0.3
+SHARE = 0.6
 RNG = np.random.default_rng(3)
 CUTS = [(0.0, "independent"), (0.5, "attempt"), (0.5, "occlusion")]
 
@@ -42,13 +34,8 @@ def some_labels(num=80, num_objects=15, seed=0):
 
 def looks(num_objects, law, seed=0, num_looks=4, recorder=None):
     """Looks at objects one by one, as a law has them; those that show nothing new leave no label."""
-    rng, target = np.random.default_rng(seed), np.arange(num_objects)
-    is_dirty, shown, seen, each = (
-        rng.random(num_objects) < SHARE,
-        rng.integers(3, size=num_objects),
-        np.zeros(num_objects),
-        [],
-    )
+    rng, target, seen, each = np.random.default_rng(seed), np.arange(num_objects), np.zeros(num_objects), []
+    is_dirty, shown = rng.random(num_objects) < SHARE, rng.integers(3, size=num_objects)
     truth = (shown == 1) & is_dirty, (shown == 1) & ~is_dirty
     for _ in range(num_looks):
         is_held = rng.random(num_objects) < 0.15
@@ -67,21 +54,23 @@ def looks(num_objects, law, seed=0, num_looks=4, recorder=None):
 
 def persistent_law(theta):
     curves = np.cumsum(masses(theta)[:, :-1], axis=1)
-    return PersistentSeeing(FACING, tuple(views_of(FACING)), *(tuple(curve) for curve in curves))
+    return PersistentSeeing(KNOWN.facing, tuple(KNOWN.views), *(tuple(curve) for curve in curves))
 
 
 LABELS = looks(60, SEEING)
-PRIOR = persistent_prior(FACING)
+KNOWN = Persistent(LABELS, SHARE)
+
+
+def fitted_law(family):
+    return family.law(family.fitted(family.prior))
 
 
 def fit_independent(told, share):
-    family = Independent(told, share)
-    return family.law(family.fitted(family.prior))
+    return fitted_law(Independent(told, share))
 
 
 def fit_persistent(told, share):
-    family = Persistent(told, share)
-    return family.law(family.fitted(family.prior))
+    return fitted_law(Persistent(told, share))
 
 
 class Family(NamedTuple):
@@ -94,20 +83,21 @@ class Family(NamedTuple):
     """P(DIRTY is said) of a label, if it is dirty and if it is clean."""
 
 
+NEWS = Independent(some_labels(), SHARE)
 INDEPENDENT = Family(
     some_labels(),
-    Independent(some_labels(), SHARE).law,
-    lambda theta: Independent(some_labels(), SHARE).loss(theta, INDEPENDENT_PRIOR),
-    INDEPENDENT_PRIOR,
-    [INDEPENDENT_PRIOR.mode, np.array([0.4, -1.0, 0.4]), np.array([-1.0, -4.0, -0.6])],
+    NEWS.law,
+    lambda theta: NEWS.loss(theta, NEWS.prior),
+    NEWS.prior,
+    [NEWS.prior.mode, np.array([0.4, -1.0, 0.4]), np.array([-1.0, -4.0, -0.6])],
     lambda law, occlusion, seen, is_held: (law.accuracy(occlusion), 1.0 - law.accuracy(occlusion)),
 )
 PERSISTENT = Family(
     LABELS,
     persistent_law,
-    lambda theta: Persistent(LABELS, SHARE).loss(theta, PRIOR),
-    PRIOR,
-    [PRIOR.mode, PRIOR.mode + RNG.normal(size=10), 2.0 * RNG.normal(size=10)],
+    lambda theta: KNOWN.loss(theta, KNOWN.prior),
+    KNOWN.prior,
+    [KNOWN.prior.mode, KNOWN.prior.mode + RNG.normal(size=10), 2.0 * RNG.normal(size=10)],
     lambda law, occlusion, seen, is_held: law.positive(occlusion, seen, is_held),
 )
 BOTH = pytest.mark.parametrize("family", [INDEPENDENT, PERSISTENT], ids=["independent", "persistent"])
@@ -150,7 +140,7 @@ def test_curves_rise_whatever_the_parameters(scale):
 
 @pytest.mark.parametrize("law", [SEEING, FITTED.seeing])
 def test_how_much_an_object_shows_is_what_the_recorder_counted(law):
-    assert facing_of(looks(20, law)) == law.facing
+    assert Persistent(looks(20, law), SHARE).facing == law.facing
 
 
 def test_in_a_cell_that_sees_all_sides_lifting_shows_no_more():

@@ -29,8 +29,7 @@ from halfseen.logs import read_logs
 from halfseen.shapes import Float, Int
 from halfseen.study.experiment import PieceOf, Row
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp_attempts import checked_attempts
-from halfseen.tables.grasp_folds import can_hold_out, splits_of
+from halfseen.tables.grasp_attempts import can_hold_out, checked_attempts, splits_of
 from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp, linear_and_gaussian, smoothest
 from halfseen.workers.threads import one_thread
 

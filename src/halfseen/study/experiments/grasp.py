@@ -24,9 +24,8 @@ from halfseen.study.experiment import Drawing, Listing, PieceOf, Pieces, Row, Se
 from halfseen.study.pipeline import CUT_KIND, HELD_OUT, Source
 from halfseen.study.policies import STRONGEST_RULE
 from halfseen.study.setting import Setting
-from halfseen.tables.grasp_attempts import attempts
+from halfseen.tables.grasp_attempts import attempts, can_hold_out
 from halfseen.tables.grasp_choice import fit_grip_effect
-from halfseen.tables.grasp_folds import can_hold_out
 from halfseen.tables.grasp_models import BetaGrasp, SVMGrasp
 from halfseen.tables.grasp_table import GraspEstimator, tabulate
 from halfseen.wording import SUPPORTED, Claim, amount, capitalised, listed
