@@ -2,11 +2,12 @@
 
 python benchmarks/service.py [--lifetimes 200] [--trajectories 10000] [--changes 200] [--policies 4] [--out FILE]
 
-Policies are learned, as `halfseen learn` does by default, from 400 trajectories each of two cells, the bin and the pick
-cell, a part of which is cut. Each then serves lifetimes in which nothing changes, and cells that have changed:
+Policies are learned, as `halfseen learn` does by default, from 400 trajectories each of the bin, the pick cell and the
+clinic of `worlds/clinic.py`, a part of which is cut. The clinic was kept aside: nothing was chosen on it, and it has a
+hidden state. Each policy then serves lifetimes in which nothing changes, and cells that have changed:
 
-- wear: after 300 trajectories, a grasp fetches less at once and less and less over 600 more: what the policy earns in
-  the bin falls from .61 to about .32, and on to −.14;
+- wear: after 300 trajectories, a grasp fetches less, or a treatment cures less often, at once, and less and less over
+  600 more: what the policy earns in the bin falls from .61 to about .32, and on to −.14;
 - swapped: from the first on, two covariates change places between the cell and the policy, which decides and records
   so.
 
@@ -20,6 +21,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -27,6 +29,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from tqdm import tqdm
+from worlds.clinic import SYMPTOMS, TREATMENTS, Clinic
 from worlds.examples import Bin, bin_cell, cell_parts, cell_trajectories
 
 from halfseen.logs import Logs
@@ -87,7 +90,22 @@ class CellInService:
             return cell_trajectories.simulate(num, seed)
 
 
-WORLDS: dict[str, Any] = {"bin": BinInService(), "pick cell": CellInService()}
+class ClinicInService:
+    """The clinic; treatments cure less often."""
+
+    actions, swapped, part = TREATMENTS, SYMPTOMS[:2], None
+
+    def learned_from(self, num: int, seed: int) -> Logs:
+        return Clinic().log(num, seed)
+
+    def log(self, chances: Chances, num: int, seed: int, wear: float = 0.0) -> Logs:
+        clinic, stages = Clinic(), count(1)
+        clinic.cures = clinic.cures * (1.0 - 1.3 * wear)
+        clinic.logging = lambda symptoms, _: chances(pd.DataFrame(symptoms, columns=pd.Index(SYMPTOMS)), next(stages))
+        return clinic.log(num, seed)
+
+
+WORLDS: dict[str, Any] = {"bin": BinInService(), "pick cell": CellInService(), "clinic": ClinicInService()}
 
 
 def chances_of(stored: StoredPolicy, world: Any) -> Chances:

@@ -16,16 +16,18 @@ from pandas.api.types import is_numeric_dtype
 
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.policies.folder.promised_parts import WHATS, expanded_as, outcome_rows, residuals
+from halfseen.policies.folder.promised_parts import WHATS, expanded_as, moves, outcome_rows, residuals
 from halfseen.shapes import Bool, Float, Int
 
-Kind = Literal["input", "reward", "duration", "cut", "swap"]
+Kind = Literal["input", "reward", "duration", "cut", "swap", "move"]
 
 ERRORS, MISFIT = 2.0, 0.1
 """What a mean residual may be off: so many standard errors of the log's model, whose line may be bent by a tenth of the
 residuals' deviation."""
 LEAST_DEVIATION = 0.1
 """Of the largest among the actions: what always brought the same may now bring a little else."""
+ZERO_OF = 3.0
+"""What never happened in n steps has a chance of at most 3 / n, at 95 %."""
 MOST_PAIRS = 15
 """Of covariates that may be swapped; others differ so much that each shows it by itself."""
 _NOTHING = (np.zeros(0), np.zeros(0), np.zeros(0, dtype=int))
@@ -52,7 +54,8 @@ class Stream:
     is_number
         Whether bins have an order that means something.
     residuals, trajectory
-        Of a part: each residual from the log's model, and the place of its trajectory.
+        Of a part: each residual from the log's model, and the place of its trajectory; of a covariate that never
+        changed within a trajectory, 1 for each step in which it did.
     tolerance
         What the model may be off there, either way.
     reach
@@ -84,8 +87,8 @@ class Stream:
         """In words."""
         if self.kind == "input":
             return f"{self.about} in stage {self.stage}"
-        if self.kind == "swap":
-            return f"{self.about} swapped"
+        if self.kind in {"swap", "move"}:
+            return f"{self.about} {'swapped' if self.kind == 'swap' else 'within a trajectory'}"
         return "cuts" if self.kind == "cut" else f"{self.kind} of {self.about}"
 
 
@@ -175,6 +178,16 @@ def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: 
         about = f"{one} and {other}"
         found.append(_together("swap", about, pieces, np.zeros(0), logs.num_trajectories, reach, num_states))
     return found
+
+
+def move_streams(unmoved: Any, logs: Logs) -> list[Stream]:
+    """Whether covariates that never changed within a trajectory of the log do, step by step."""
+    streams = []
+    for name in [name for name in (unmoved or {}).get("names", ()) if name in logs.stages.columns]:
+        trajectory, has_moved = moves(logs, name)
+        piece = (has_moved.astype(float), np.full(len(trajectory), ZERO_OF / unmoved["num"]), trajectory)
+        streams.append(_together("move", name, [piece], np.zeros(0), logs.num_trajectories, 1.0, unmoved["num"]))
+    return streams
 
 
 def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:

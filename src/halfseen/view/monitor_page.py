@@ -14,8 +14,8 @@ from halfseen.view.page import MARK
 from halfseen.view.templates import rendered
 from halfseen.wording import counted, labelled, significant
 
-NAMES = {"promise": "promise", "inputs": "inputs", "parts": "parts of the cell"}
-COLOURS = {"promise": OURS, "inputs": GREEN, "parts": PINK}
+NAMES = {"rewards": "rewards", "promise": "promise", "inputs": "inputs", "parts": "parts of the cell"}
+COLOURS = {"rewards": SOFT, "promise": OURS, "inputs": GREEN, "parts": PINK}
 SMALLEST_P = 1e-12
 
 

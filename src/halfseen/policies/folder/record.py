@@ -101,6 +101,13 @@ class PromisedPart(Struct):
             raise ValueError("its covariance is not that of its coefficients")
 
 
+class Unmoved(Struct):
+    """Covariates that never changed from a stage to the next, and how many such steps there were."""
+
+    names: list[str]
+    num: Annotated[int, Meta(ge=0)]
+
+
 class Promise(Struct):
     """What states a policy was learned for, what it was said to be worth there, and how its cell behaved.
 
@@ -112,6 +119,7 @@ class Promise(Struct):
     brings: tuple[float, float] | None = None
     parts: list[PromisedPart] = []
     first_states: list[list[float]] = []
+    unmoved: Unmoved | None = None
 
     def __post_init__(self) -> None:
         if len({len(each) for each in self.first_states}) > 1:
