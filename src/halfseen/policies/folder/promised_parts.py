@@ -71,10 +71,9 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
 
 def moves(logs: Logs, name: str) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
     """Of each step from a stage to the next, the place of its trajectory, and whether a covariate changed."""
-    place, values = stage_places(logs)[0], logs.stages[name]
-    before, is_later = values.shift(), place[1:] == place[:-1]
-    is_same = (values == before).to_numpy(dtype=bool, na_value=False) | (values.isna() & before.isna()).to_numpy()
-    return place[1:][is_later], ~is_same[1:][is_later]
+    place, values = stage_places(logs)[0], logs.stages[name].to_numpy()
+    is_later = place[1:] == place[:-1]
+    return place[1:][is_later], np.asarray(values[1:] != values[:-1], dtype=bool)[is_later]
 
 
 def _unmoved(logs: Logs, names: Sequence[str]) -> dict[str, Any]:
