@@ -10,7 +10,7 @@ from halfseen.monitoring.joint import pair_payoffs
 
 def naive_wealth(payoffs):
     """Of one gambler: the mean over the times from which on it bets, and over its ways."""
-    num, num_states = payoffs.shape
+    num = len(payoffs)
     hazards = betting.SHAPE / (betting.SCALE + np.arange(num))
     waits = np.cumprod(np.append(1.0 - betting.FROM_FIRST, 1.0 - hazards))
     chances = np.append(betting.FROM_FIRST, waits[:-1] * hazards)

@@ -5,8 +5,8 @@ ever reaches 1/α is at most α (Ville's inequality). So 1 / (largest wealth so 
 procedure [Holm1979]_ over several of them errs with a chance of α in a whole lifetime.
 
 A gambler bets from a random time on, drawn from a prior of when a change comes, and in one of several ways; the wealth
-is the mean over times and ways, so it costs about the logarithm of how unlikely the prior held the change. The prior has
-a long tail: a lifetime has no end. Whatever is not bet yet is kept.
+is the mean over times and ways, so it costs about the logarithm of how unlikely the prior held the change. A lifetime
+has no end, so the prior has a long tail. Whatever is not bet yet is kept.
 """
 
 from collections.abc import Sequence

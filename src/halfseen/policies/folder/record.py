@@ -28,11 +28,15 @@ Counts = dict[str, int]
 
 
 class Seen(Struct):
-    """What the states of some stages looked like: ranges of numbers, and counts of the categories of text."""
+    """What the states of some stages looked like: ranges of numbers, and counts of the categories of text.
+
+    Margins are how far below and above its range a number may lie by chance.
+    """
 
     stages: tuple[int, int]
     ranges: dict[str, tuple[float, float] | Counts]
     num_states: int = 0
+    margins: dict[str, tuple[Annotated[float, Meta(ge=0.0)], Annotated[float, Meta(ge=0.0)]]] = {}
 
     def __post_init__(self) -> None:
         # msgspec 0.22 reads past its memory where a tuple is in a union with a dict whose values are bounded.
