@@ -30,6 +30,11 @@ ALARM = 3
     show_default=True,
     help="Of --follow: seconds between two looks at the log.",
 )
+@click.option(
+    "--since",
+    metavar="TRAJECTORY|DATE",
+    help="Watch anew from the trajectory of this name on, or from a date on, as after mending; it is then the first.",
+)
 @options.path("--page", text="Write a page with the course of things.")
 @options.overwrite("a page that is")
 @options.as_json
@@ -39,6 +44,7 @@ def monitor(
     logs: Path,
     follow: bool,
     every: float,
+    since: str | None,
     page: Path | None,
     overwrite: bool,
     as_json: bool,
@@ -53,6 +59,7 @@ def monitor(
     """
     from halfseen.errors import NothingRecordedError
     from halfseen.logs import read_logs
+    from halfseen.logs.since import since as later
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy
 
@@ -63,20 +70,27 @@ def monitor(
         for module in ("jinja2", "matplotlib"):
             extra(module, "study")
         check_page_target(page, overwrite)
-    stored, said = read_policy(policy), ""
+    stored, said, anew = read_policy(policy), "", [] if since is None else ["--since", since]
     while True:
         try:
             read = read_logs(logs, missing=stored.missing())
+            read = read if since is None else later(read, since)
         except NothingRecordedError:
             if not follow:
                 raise
             time.sleep(every)
             continue
         found = monitored(stored, read, seed)
-        command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed)])
+        command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed), *anew])
         if page is not None:
             _write(page, found, read.reward_unit, command)
-        report: dict[str, Any] = {"policy": str(policy), "logs": str(logs), "seed": seed, **found.as_dict()}
+        report: dict[str, Any] = {
+            "policy": str(policy),
+            "logs": str(logs),
+            "since": since,
+            "seed": seed,
+            **found.as_dict(),
+        }
         text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))
         if text != said:
             say(text)
