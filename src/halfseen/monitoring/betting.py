@@ -24,7 +24,8 @@ SHAPE, SCALE = 0.5, 100.0
 STAKE = 0.9
 """Share of the wealth that a bet may lose."""
 POWER, SHIFT = 0.65, 0.5
-"""Bets that ranks are low: density of a beta distribution, and of normal values that lie so many deviations lower."""
+"""Bets that ranks are low: density of a beta distribution, and of normal values that lie so many deviations lower; they
+were chosen on other policies than those of `benchmarks/service.py`."""
 LEAST = 1e-12
 """Of a p-value, where a density has no bound."""
 

@@ -134,7 +134,7 @@ class NamedDecider:
         by_range = {name: {name: value} for name, value in values.items()}
         if self.stays_within:
             refuse_outside(ranges, by_range, self.margins(stage))
-        elif not self.extrapolates:
+        if not self.extrapolates:
             refuse_far(ranges, by_range)
         names = [str(name) for name in policy.actions]
         intervals, chance_best = self._certainty(valued, stage, names)

@@ -35,6 +35,9 @@ FARTHEST = 1.0
 CHANCE = 0.01
 """Of a trajectory of the logs' own cell, that it leaves the margin of any range, by either end."""
 
+LARGEST = float(np.finfo(np.float64).max)
+"""Of a margin."""
+
 NO_MARGINS: Margins = MappingProxyType({})
 
 ROUNDING = 1e-6
@@ -70,11 +73,11 @@ def margin(largest: Float[np.ndarray, " n"], num_ranges: int) -> float:
     1.4
     """
     num, top = len(largest), int(np.ceil(np.sqrt(len(largest))))
-    if num <= top:
+    if num <= top or num * CHANCE >= 2.0 * num_ranges:
         return 0.0
     ordered = np.sort(largest)
-    excess = float(ordered[-top:].mean() - ordered[-top - 1])
-    return excess * max(0.0, float(np.log(2.0 * num_ranges / (num * CHANCE))))
+    excess = float(np.sum(ordered[-top:] / top - ordered[-top - 1] / top))
+    return min(excess * float(np.log(2.0 * num_ranges / (num * CHANCE))), LARGEST)
 
 
 def middle_of(seen: Range) -> float | str:
