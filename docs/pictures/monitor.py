@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.figure import Figure
 
-from halfseen.figures import ALARM, GREEN, INK, OURS, PINK, draw_grid
+from halfseen.figures import ALARM, GREEN, INK, ORANGE, OURS, PINK, draw_grid
 from pictures.example_policy import BIN_CELL, example_policy
 from pictures.examples import importable
 from pictures.picture import Table, plot, whole
@@ -16,7 +16,7 @@ from pictures.style import figure
 importable("bin_cell")
 
 NUM, WORN_FROM, WEAR, EVERY = 600, 300, 0.3, 5
-COLOURS = {"promise": OURS, "inputs": GREEN, "parts": PINK}
+COLOURS = {"rewards": OURS, "promise": ORANGE, "inputs": GREEN, "parts": PINK}
 
 
 def _monitored() -> Table:

@@ -4,6 +4,7 @@ import json
 from functools import partial
 
 import numpy as np
+import pandas as pd
 import pytest
 import shell
 
@@ -68,6 +69,19 @@ def test_an_alarm_is_status_3_and_named_first(folders):
     assert result.output.startswith("Alarm at trajectory ")
     assert "x in stage 1 is larger than in the log, since about trajectory 1 (1 to " in result.output.splitlines()[0]
     assert "Where to look first:" in result.output
+
+
+def test_after_mending_it_watches_anew(folders, tmp_path):
+    broken, mended = read_logs(folders / "moved"), read_logs(folders / "next")
+    later = [table.assign(trajectory=table["trajectory"] + 300) for table in (mended.stages, mended.trajectories)]
+    both = zip((broken.stages, broken.trajectories), later, strict=True)
+    Logs(*(pd.concat(each, ignore_index=True) for each in both)).write(tmp_path / "both")
+    asked = (folders / "policy", "--logs", tmp_path / "both")
+    assert told(*asked).exit_code == 3
+    result = told(*asked, "--since", 300)
+    assert (result.exit_code, result.output.startswith("No alarm: in 300 trajectories")) == (0, True)
+    with refused("since is 900, and the log has no such trajectory"):
+        told(*asked, "--since", 900)
 
 
 def test_json_has_all_of_it(folders):

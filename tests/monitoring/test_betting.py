@@ -9,20 +9,20 @@ from halfseen.monitoring.joint import pair_payoffs
 
 
 def naive_wealth(payoffs):
-    """Of one gambler, state by state and rate by rate."""
-    num, num_states = payoffs.shape
-    shares = {(r, s): 1.0 / (len(betting.RATES) * num_states) for r in betting.RATES for s in range(num_states)}
+    """Of one gambler: the mean over the times from which on it bets, and over its ways."""
+    num = len(payoffs)
+    hazards = betting.SHAPE / (betting.SCALE + np.arange(num))
+    waits = np.cumprod(np.append(1.0 - betting.FROM_FIRST, 1.0 - hazards))
+    chances = np.append(betting.FROM_FIRST, waits[:-1] * hazards)
     course = []
-    for k in range(num):
-        for r in betting.RATES:
-            all_of_it = sum(shares[r, s] for s in range(num_states))
-            for s in range(num_states):
-                shares[r, s] = ((1.0 - r) * shares[r, s] + r * all_of_it / num_states) * payoffs[k, s]
-        course.append(np.log(sum(shares.values())))
+    for end in range(1, num + 1):
+        begins = [0, *range(end)]
+        ways = [np.prod(payoffs[begin:end, 1:], axis=0).mean() for begin in begins]
+        course.append(np.log(chances[: end + 1] @ ways + waits[end]))
     return np.array(course)
 
 
-def test_wealth_is_what_a_loop_over_states_finds():
+def test_wealth_is_the_mean_over_times_and_ways():
     p = np.random.default_rng(0).random((60, 2)) ** 1.5
     p[10:20, 1] = np.nan
     payoffs = betting.rank_payoffs(p)
@@ -34,7 +34,8 @@ def test_wealth_is_what_a_loop_over_states_finds():
 
 def test_no_bet_has_a_mean_above_one_while_nothing_has_changed():
     middles = (np.arange(100_000) + 0.5) / 100_000
-    np.testing.assert_allclose(betting.rank_payoffs(middles[:, None]).mean(axis=0), 1.0, atol=1e-9)
+    for is_less in (False, True):
+        np.testing.assert_allclose(betting.rank_payoffs(middles[:, None], is_less=is_less).mean(axis=0), 1.0, atol=0.01)
     outcomes = np.array([[-2.0], [1.0], [1.0], [0.0]])
     assert (betting.mean_payoffs(outcomes, np.ones((4, 1)), np.zeros(1)).mean(axis=0) <= 1.0 + 1e-12).all()
     left = np.array([-1.0, 1.0])
@@ -95,10 +96,11 @@ def test_the_interval_of_a_change_holds_it_as_often_as_said():
 
 
 @pytest.mark.slow
-def test_wealth_reaches_twenty_in_one_of_twenty_lifetimes_at_most():
+@pytest.mark.parametrize("is_less", [False, True])
+def test_wealth_reaches_twenty_in_one_of_twenty_lifetimes_at_most(is_less):
     rng, num = np.random.default_rng(4), 400
     bins = rng.choice(6, size=(2000, num), p=[0.3, 0.3, 0.2, 0.1, 0.05, 0.05])
     draws = rng.random((2000, num))
     p = np.column_stack([betting.rank_p_values(bins[:, k], 6, np.zeros(6), draws[:, k]) for k in range(num)])
-    share = (betting.p_values(betting.log_wealth(betting.rank_payoffs(p)))[-1] <= 0.05).mean()
+    share = (betting.p_values(betting.log_wealth(betting.rank_payoffs(p, is_less=is_less)))[-1] <= 0.05).mean()
     assert share <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / num)

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.stats import norm
 
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
@@ -95,7 +96,9 @@ def test_a_swap_is_asked_of_states_where_it_would_matter(stored):
         [as_is], [turned] = (residuals(part, features, np.array([row.reward])) for features in (here, there))
         terms = np.append(1.0, expanded_as(part, here))
         bent = 0.1 * max(part["deviation"], 0.1 * max(one["deviation"] for one in models.values()))
-        tolerance = 2.0 * np.sqrt(terms @ np.array(part["covariance"]) @ terms + bent**2)
+        tolerance = norm.ppf(1.0 - 0.01 / 2 / len(promise["parts"])) * np.sqrt(
+            terms @ np.array(part["covariance"]) @ terms + bent**2
+        )
         if abs(as_is - turned) > 2.0 * tolerance:
             due.append((row.trajectory, np.sign(as_is - turned) * as_is, tolerance))
     assert 5 < len(due) < 60

@@ -12,7 +12,7 @@ from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
 from halfseen.policies.certainty import QError
 from halfseen.policies.named_decider import flat_reason
-from halfseen.policies.ranges import beyond, refuse_far
+from halfseen.policies.ranges import beyond, margin, refuse_far
 from halfseen.policies.table_decider import table_reason
 from halfseen.tables import LinearTablePolicy
 from halfseen.tables.explain import TableExplanation
@@ -195,6 +195,37 @@ def test_a_decider_that_stays_within_refuses_whatever_is_outside():
     for asked, says in ((seen(1.0000001), "outside the logs"), (seen(0.5, 2), "no trajectory of the logs came")):
         with pytest.raises(OutOfRangeError, match=says):
             decider.decide(asked)
+
+
+def test_what_chance_explains_is_decided_with_a_warning_and_more_is_refused_with_the_margin():
+    decider = decider_of(FLAT, lambda _: {"x": (0.0, 1.0)}, stays_within=True, margins=lambda _: {"x": (0.25, 0.5)})
+    for x in (-0.25, 1.5):
+        assert decider.decide(seen(x)).warnings == (f"x is {x:g}, outside the logs (0 to 1); Q is extrapolated",)
+    for x in (-0.2500001, 1.75):
+        with pytest.raises(OutOfRangeError, match=r"farther outside the logs than chance explains \(-0.25 to 1.5\)"):
+            decider.decide(seen(x))
+
+
+@pytest.mark.parametrize(
+    ("largest", "expected"),
+    [
+        ([2.0] * 50, 0.0),
+        ([1.0], 0.0),
+        # The three largest of nine exceed the next by (1 + 2 + 6) / 3.
+        ([0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 2.0, 3.0, 7.0], 3.0 * np.log(2.0 * 4 / (9 * 0.01))),
+    ],
+)
+def test_a_margin_is_the_mean_excess_times_the_log_of_how_much_chance_is_to_be_left(largest, expected):
+    assert margin(np.array(largest), 4) == pytest.approx(expected)
+
+
+@pytest.mark.slow
+def test_fresh_states_of_many_covariates_are_seldom_outside():
+    rng, shares = np.random.default_rng(0), []
+    for _ in range(40):
+        log, fresh = rng.exponential(size=(100, 20)), rng.exponential(size=(2000, 20))
+        shares.append((fresh > log.max(axis=0) + [margin(column, 20) for column in log.T]).any(axis=1).mean())
+    assert np.mean(shares) < 0.02
 
 
 # Reasons in words: what speaks for an action beside the next best

@@ -18,6 +18,7 @@ from halfseen.policies import decider_of
 from halfseen.policies.folder import log_digest, read_policy, write_policy
 from halfseen.policies.folder.kinds import kind_named
 from halfseen.policies.folder.table_kinds import TEAM_VERSION
+from halfseen.policies.ranges import margin
 from halfseen.tables import BetaGrasp
 from halfseen.tables.assisted import Mending, RulePolicy
 from halfseen.tables.features import FEATURES_VERSION, table_features, team_features
@@ -148,6 +149,7 @@ def test_the_record_says_what_was_learned_from_and_the_ranges_of_each_stage_or_o
     every = log.stages["x1"]
     second = every[log.stages["stage"] == 2]
     assert stored.ranges(2) == {"x1": (second.min(), second.max()), "x2": (0.0, 2.0)}
+    assert stored.margins(2)["x1"] == (margin(-second.to_numpy(), 2), margin(second.to_numpy(), 2))
     write_policy(FLAT(stages="pooled").fit(log), log, tmp_path / "pooled")
     assert read_policy(tmp_path / "pooled").ranges(2)["x1"] == (every.min(), every.max())
 

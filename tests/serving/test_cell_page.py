@@ -136,7 +136,7 @@ def alarm(policy, tmp_path):
         watch.found = {"error": "its folder promises nothing"}
         assert "Not watched: its folder promises nothing" in check_page(asked.get("/"))
         watch.every_s = watch._next_s = float("inf")
-        run(asked, np.random.default_rng(0), 60, gain=9.0)
+        run(asked, np.random.default_rng(0), 120, gain=9.0)
         watch.found = found_of(policy, tmp_path / "logs")
         return watch.found, asked.get("/"), asked.get("/state").json()
 

@@ -1,6 +1,7 @@
 """A server fills in what a state lacks: as act does, within an episode as a log, and records what the policy saw."""
 
 import json
+from shutil import copytree
 
 import numpy as np
 import pandas as pd
@@ -74,3 +75,18 @@ def test_what_has_no_rule_is_refused_in_one_line(tmp_path):
     with client_of(tmp_path / "policy") as client:
         assert "covariate 'colour' is null" in refused(client.post("/decide", json={"x": 1.0, "colour": None}), 422)
         assert "there is no 'x'" in refused(client.post("/decide", json={"colour": "red"}), 422)
+
+
+def test_a_policy_with_a_flag_records_on_after_one_without_and_the_other_way_round(folder, tmp_path):
+    log, plain, serving, logs = holed_log(0.0), tmp_path / "plain", tmp_path / "policy", tmp_path / "logs"
+    write_policy(CensoredQLearner.of_paper(2, ACTIONS, ["x", "colour", "is_heavy"], reg=0.1).fit(log), log, plain)
+    copytree(plain, serving)
+    with client_of(serving, logs) as client:
+        client.event_hooks = {}  # what may be asked changes
+        for policy, seen in ((plain, {"is_heavy": 1}), (folder, {}), (plain, {"is_heavy": 0})):
+            copytree(policy, serving, dirs_exist_ok=True)
+            client.post("/reload").raise_for_status()
+            client.post("/decide", json={"x": 0.5, "colour": "red", **seen}).raise_for_status()
+            client.post("/reward", json={"reward": 1.0}).raise_for_status()
+            client.post("/end", json={"ending": "finished"}).raise_for_status()
+    assert read_logs(logs).stages["is_heavy_missing"].tolist() == [0, 1, 0]

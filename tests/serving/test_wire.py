@@ -17,6 +17,7 @@ from halfseen.logs import read_logs
 from halfseen.monitoring.dealing import Terms
 from halfseen.policies.folder import write_policy
 from halfseen.serving import Answering, Comparison, RecordedTrajectories, Served, app_of
+from halfseen.serving.models import Wired
 from halfseen.serving.opcua.controller import Controller, Snapshot
 from halfseen.serving.opcua.mapping import read_mapping, template_of
 from halfseen.serving.opcua.wire import REQUESTS_LOST, Wire
@@ -293,9 +294,19 @@ def test_http_tells_how_the_wire_stands_and_decides_nothing_beside_it(side):
     with TestClient(app_of(side.wire.served, wire=side.wire), base_url="http://127.0.0.1") as client:
         for path in ("/decide", "/reward", "/end"):
             assert "the controller at opc.tcp://" in refused(client.post(path, json={}), 409)
-        told = client.get("/health").json()["wire"]
-    assert (told["url"], told["state"]) == (URL, "Preoperational")
-    assert client.get("/openapi.json").status_code == 200
+        told = client.get("/health").json()
+        assert client.get("/openapi.json").status_code == 200
+    assert (told["wire"]["url"], told["wire"]["state"], told["status"]) == (URL, "Preoperational", "not deciding")
+
+
+@pytest.mark.parametrize(
+    ("state", "error", "status"),
+    [("Ready", None, "ok"), ("ResultReady", None, "ok"), ("Error", "views is bad", "not deciding")],
+)
+def test_health_is_ok_while_the_wire_is(side, state, error, status):
+    side.wire.facts = Wired(URL, state, error, 1)
+    client = TestClient(app_of(side.wire.served, wire=side.wire), base_url="http://127.0.0.1")
+    assert client.get("/health").json()["status"] == status
 
 
 @pytest.mark.parametrize(

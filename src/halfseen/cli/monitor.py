@@ -24,12 +24,25 @@ ALARM = 3  # exit status
 @options.path("--logs", required=True, text="Folder of logs of its service, such as serve --record writes.")
 @options.flag("--follow", text="Go on as the log grows, until there is an alarm.")
 @options.real("--every", min=0.1, max=86400.0, default=10.0, text="Of --follow: seconds between two looks at the log.")
+@click.option(
+    "--since",
+    metavar="TRAJECTORY|DATE",
+    help="Watch anew from the trajectory of this name on, or from a date on, as after mending; it is then the first.",
+)
 @options.path("--page", text="Write a page with the course of things.")
 @options.overwrite("a page that is")
 @options.as_json
 @options.seed("ties between equal values")
 def monitor(
-    policy: Path, logs: Path, follow: bool, every: float, page: Path | None, overwrite: bool, as_json: bool, seed: int
+    policy: Path,
+    logs: Path,
+    follow: bool,
+    every: float,
+    since: str | None,
+    page: Path | None,
+    overwrite: bool,
+    as_json: bool,
+    seed: int,
 ) -> None:
     """Watch the policy in the folder POLICY by the logs of its service; exit status 3 on alarm.
 
@@ -39,6 +52,7 @@ def monitor(
     without change, the chance of a false alarm is meant to be at most 5 %.
     """
     from halfseen.logs import read_logs
+    from halfseen.logs.joining import since as later
     from halfseen.monitoring.monitor import monitored
     from halfseen.policies.folder import read_policy
 
@@ -49,23 +63,25 @@ def monitor(
         for module in ("jinja2", "matplotlib"):
             extra(module, "study")
         check_page_target(page, overwrite)
-    stored, said = read_policy(policy), ""
+    stored, said, anew = read_policy(policy), "", [] if since is None else ["--since", since]
     while True:
         try:
             read = read_logs(logs, missing=stored.missing())
+            read = read if since is None else later(read, since)
         except NothingRecordedError:
             if not follow:
                 raise
             time.sleep(every)
             continue
         found = monitored(stored, read, seed)
-        command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed)])
+        command = shlex.join(["halfseen", "monitor", str(policy), "--logs", str(logs), "--seed", str(seed), *anew])
         if page is not None:
             from halfseen.view.monitor_page import monitor_page
             from halfseen.view.page import write_page
 
             write_page(monitor_page(found, read.reward_unit, command), page, overwrite=True)
-        report: dict[str, Any] = {"policy": str(policy), "logs": str(logs), "seed": seed, **found.as_dict()}
+        asked = {"policy": str(policy), "logs": str(logs), "since": since, "seed": seed}
+        report: dict[str, Any] = {**asked, **found.as_dict()}
         text = json.dumps(report, indent=None if follow else 2, allow_nan=False) if as_json else "\n".join(lines(found))
         if text != said:
             say(text)

@@ -172,6 +172,11 @@ Missing: TypeAlias = str | Mapping[str, str | Fill] | Filling | None
 """A rule for all covariates, rules or fills by covariate (``"*"`` for all others), or what was learned from a log."""
 
 
+def is_flag(name: str, names: Collection[str]) -> bool:
+    """Whether a column says where one of these was missing."""
+    return name.endswith(FLAG) and name.removesuffix(FLAG) in names
+
+
 def share_of(num_missing: int, num_stages: int) -> str:
     """Write how many stages lack a covariate: 12 of 400 stages (3 %)."""
     return f"{num_missing:,} of {num_stages:,} stages ({100.0 * num_missing / num_stages:.2g} %)"

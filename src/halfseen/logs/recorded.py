@@ -27,6 +27,7 @@ import pyarrow as pa
 from halfseen.errors import LogError, NothingRecordedError, within
 from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_own_reward, shown
 from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
+from halfseen.logs.missing import is_flag
 from halfseen.logs.units import common_unit
 from halfseen.reading import reason_of
 
@@ -90,8 +91,16 @@ def tables_of(trajectories: Iterable["RecordedTrajectory"]) -> dict[str, Any]:
     stages = built.get("stages")
     if stages is not None and "probability" in stages.column_names:
         is_never_given = stages["probability"].null_count == stages.num_rows
-        built["stages"] = stages.drop_columns(["probability"]) if is_never_given else stages
-    return built
+        stages = stages.drop_columns(["probability"]) if is_never_given else stages
+    return built if stages is None else {**built, "stages": _with_whole_flags(stages)}
+
+
+def _with_whole_flags(stages: pa.Table) -> pa.Table:
+    """Where the policy of the time had no flag, nothing was said to be missing."""
+    for k, name in enumerate(stages.column_names):
+        if is_flag(name, stages.column_names) and stages[name].null_count:
+            stages = stages.set_column(k, name, stages[name].fill_null(0))
+    return stages
 
 
 def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory"]:

@@ -13,6 +13,7 @@ import numpy as np
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import LARGEST_FRACTION, OWN_NAMES, STEPPED_BACK, is_of_one_robot, shown
+from halfseen.logs.missing import is_flag
 
 _LARGEST_WHOLE = 2**63
 
@@ -196,7 +197,8 @@ def _row(
 ) -> tuple[dict[str, Any], Kinds]:
     """Values as JSON holds them, and their kinds; `also` those of what is there besides.
 
-    Those of a trajectory, which are columns, may be None or missing; covariates are the same in every row.
+    Those of a trajectory, which are columns, may be None or missing; covariates are the same in every row, but for
+    flags of missing ones, which one policy has and another has not.
     """
     if not isinstance(values, Mapping):
         raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
@@ -215,11 +217,12 @@ def _row(
         row[name], kind = _plain(value, where, what)
         kinds[name] = kind if is_new or known is None else _common_kind(known[name], kind, where, what)
     if known is not None and word != "column":
-        for name in (name for name in known if name not in kinds):
+        for name in (name for name in known if name not in kinds and not is_flag(name, kinds)):
             what = f"{word} {_written(name)} is missing, though it was there before"
             raise LogError(f"{where}: {what}; give it in every row")
-        for name in (name for name in kinds if name not in known):
+        for name in (name for name in kinds if name not in known and not is_flag(name, known)):
             raise LogError(f"{where}: {word} {_written(name)} was not there before; give the same in every row")
+        kinds = {**known, **kinds}
     return row, kinds
 
 

@@ -4,22 +4,30 @@ A test martingale multiplies its wealth by payoffs whose mean is at most 1 while
 ever reaches 1/α is at most α (Ville's inequality). So 1 / (largest wealth so far) is a p-value at any time, and Holm's
 procedure [Holm1979]_ over several of them errs with a chance of α in a whole lifetime.
 
-Bets are shared out among states, one of which does not bet, and move between them at a small rate, as in the simple
-jumper of [VovkEtAl2021]_: so wealth lasts until a change, whenever it comes, and then follows it.
+A gambler bets from a random time on, drawn from a prior of when a change comes, and in one of several ways; the wealth
+is the mean over times and ways, so it costs about the logarithm of how unlikely the prior held the change. A lifetime
+has no end, so the prior has a long tail. Whatever is not bet yet is kept.
 """
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.special import ndtri
 
 from halfseen.shapes import Float, Int
 
-RATES = (1e-2, 1e-3, 1e-4)
-"""Of moving between states; wealth is divided equally among them."""
+FROM_FIRST = 0.2
+"""Chance, by the prior, of a change before the first trajectory."""
+SHAPE, SCALE = 0.5, 100.0
+"""Hazard of a change with trajectory t if there was none: SHAPE / (SCALE + t − 1)."""
 STAKE = 0.9
 """Share of the wealth that a bet may lose."""
-
+POWER, SHIFT = 0.65, 0.5
+"""Bets that ranks are low: density of a beta distribution, and of normal values that lie so many deviations lower; they
+were chosen on other policies than those of `benchmarks/service.py`."""
+LEAST = 1e-12
+"""Of a p-value, where a density has no bound."""
 
 NUM_STATES = 7
 LOSSES = np.array([0.0, 0.05, 0.1, 0.2, 0.3, 0.6, 1.0])
@@ -34,24 +42,43 @@ def log_wealth(payoffs: Float[np.ndarray, "n F S"]) -> Float[np.ndarray, "n F"]:
     Parameters
     ----------
     payoffs
-        By round, what each gambler's wealth in each state is multiplied by; 1 in the first state.
+        By round, what each gambler's wealth in each state is multiplied by; 1 in the first state, which waits.
     """
     num, num_gamblers, num_states = payoffs.shape
-    stay, move = (1.0 - np.array(RATES))[:, None, None], (np.array(RATES) / num_states)[:, None, None]
-    shares = np.full((len(RATES), num_gamblers, num_states), 1.0 / (len(RATES) * num_states))
+    shares = np.full((num_gamblers, num_states), FROM_FIRST / (num_states - 1))
+    shares[:, 0] = 1.0 - FROM_FIRST
     totals = np.empty((num, num_gamblers))
     for k, payoff in enumerate(payoffs):
-        shares = (stay * shares + move * shares.sum(axis=2, keepdims=True)) * payoff
-        totals[k] = shares.sum(axis=(0, 2))
+        begins = shares[:, :1] * (SHAPE / (SCALE + k))
+        shares[:, :1] -= begins
+        shares[:, 1:] += begins / (num_states - 1)
+        shares *= payoff
+        totals[k] = shares.sum(axis=1)
         shares /= totals[k][:, None]
     return np.cumsum(np.log(totals), axis=0)
 
 
-def rank_payoffs(p: Float[np.ndarray, "n F"]) -> Float[np.ndarray, "n F S"]:
-    """Bets that p-values are small, large, at both ends or in the middle; none where there is no p-value (NaN)."""
-    slope, ends = 2.0 * p - 1.0, np.cos(2.0 * np.pi * p)
-    bets = np.stack([0.0 * p, slope, -slope, 0.4 * slope, -0.4 * slope, ends, -ends], axis=2)
-    return 1.0 + STAKE * np.nan_to_num(bets)
+def rank_payoffs(p: Float[np.ndarray, "n F"], *, is_less: bool = False) -> Float[np.ndarray, "n F S"]:
+    """Bets that p-values are small, large, at both ends or in the middle; none where there is no p-value (NaN).
+
+    Parameters
+    ----------
+    p
+        p-values.
+    is_less
+        Bet on small ones alone.
+    """
+    there = np.nan_to_num(p, nan=0.5)
+    small, ends = _low_densities(there), STAKE * np.cos(2.0 * np.pi * there)
+    # As many states as the others, two ways three times.
+    ways = 3 * small if is_less else [*small, *_low_densities(1.0 - there), 1.0 + ends, 1.0 - ends]
+    payoffs = np.stack([np.ones_like(there), *ways], axis=2)
+    return np.where(np.isnan(p)[..., None], 1.0, payoffs)
+
+
+def _low_densities(p: Float[np.ndarray, "n F"]) -> list[Float[np.ndarray, "n F"]]:
+    p = np.clip(p, LEAST, 1.0 - LEAST)
+    return [POWER * p ** (POWER - 1.0), np.exp(-SHIFT * ndtri(p) - 0.5 * SHIFT**2)]
 
 
 def mean_payoffs(

@@ -12,7 +12,7 @@ from halfseen.evaluation.kept import drifts_of
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring.streams import Stream, part_residuals
-from halfseen.policies.folder.promised_parts import outcome_rows
+from halfseen.policies.folder.promised_parts import moves, outcome_rows
 
 CLEARLY = 4.0
 """Standard errors from which on a part is named."""
@@ -24,6 +24,8 @@ def differs(part: Stream, at: int) -> str:
     """Say by how much an action differs from what the log says, from one trajectory on."""
     if part.kind == "swap":
         return f"covariates {part.about} {SWAPPED}"
+    if part.kind == "move":
+        return f"{part.about} changes within a trajectory, as it never did in the log"
     return part_words(part.kind, part.about, float(part.residuals[part.trajectory >= at].mean()))
 
 
@@ -102,7 +104,21 @@ def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> 
             found.append(
                 (abs(z), f"{part_words(part['what'], part['action'], float(left.mean()))} ({len(left)} stages)")
             )
-    return (*_swapped(promise, looks_at, later), *(words for _, words in sorted(found, reverse=True)))
+    swapped = _swapped_moves(promise, looks_at, later) or _swapped(promise, looks_at, later)
+    return (*swapped, *(words for _, words in sorted(found, reverse=True)))
+
+
+def _swapped_moves(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
+    """Name two columns of which the one that never changed within a trajectory does, and the other no longer."""
+    unmoved = (promise.get("unmoved") or {}).get("names", ())
+    has_moved = {name: moves(logs, name)[1].any() for name in looks_at.columns if name in logs.stages.columns}
+    one = [name for name in unmoved if has_moved.get(name)]
+    other = [name for name, moved in has_moved.items() if name not in unmoved and not moved]
+    if len(one) != 1 or len(other) != 1:
+        return ()
+    return (
+        f"covariates {one[0]} and {other[0]} {SWAPPED}: within a trajectory the former changes now, not the latter",
+    )
 
 
 def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:

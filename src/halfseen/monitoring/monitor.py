@@ -1,7 +1,7 @@
 """A policy in service: what it earns beside what was promised, what has changed, and since when.
 
-Three families of bets share the chance of a false alarm in a whole lifetime, 5 %: 2.5 % is that of the promised
-interval itself, the rest is `ALPHAS`. What is promised is the value, and what actions bring in a state altogether.
+Four families of bets share the chance of a false alarm in a whole lifetime, 5 %, as `ALPHAS`; .5 % is that of the
+promise itself. Most goes to what all actions bring, as whatever harms shows there.
 """
 
 from dataclasses import dataclass
@@ -26,14 +26,24 @@ from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, is
 from halfseen.monitoring.joint import pair_payoffs
 from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
 from halfseen.monitoring.relearning import MEND_FIRST, num_needed, relearning
-from halfseen.monitoring.streams import Stream, input_streams, own_alone, part_streams, swap_streams, whole_stream
+from halfseen.monitoring.streams import (
+    Stream,
+    input_streams,
+    move_streams,
+    own_alone,
+    part_streams,
+    swap_streams,
+    whole_stream,
+)
 from halfseen.policies.folder import StoredPolicy
 from halfseen.policies.folder.promised_parts import own_stages
 from halfseen.policies.shares import action_shares
 from halfseen.shapes import Bool, Float
 from halfseen.wording import counted
 
-ALPHAS = {"promise": 0.017, "inputs": 0.004, "parts": 0.004}
+ALPHAS = {"rewards": 0.025, "promise": 0.006, "inputs": 0.006, "parts": 0.006}
+SURELY = 2.576
+"""Standard errors below what was promised, from which on less is earned; by chance in .5 %."""
 OWN = 0.9
 """Share of the actions that are the policy's, from which on what is earned is what it earns."""
 RUNNING = "still-running"
@@ -109,19 +119,21 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     else:
         against, num = parts[:-1], logs.num_trajectories
         against += swap_streams(parts, promise["parts"], looks_at, logs, promise["stages"])
+        against += move_streams(promise.get("unmoved"), logs)
         payoffs["parts"] = np.concatenate([payoffs["parts"], _against_log(against, num)], axis=1)
-        whole = own_alone([whole_stream(parts, promise["parts"], num)] * 2, is_own)
-        payoffs["promise"] = np.concatenate([_ranked(whole[:1], logs, seed + 2), _against_log(whole[1:], num)], axis=1)
+        whole = own_alone([whole_stream(parts, promise["parts"], num)], is_own)
+        payoffs["rewards"] = _ranked(whole, logs, seed + 2, is_less=True)
+        payoffs["promise"] = _against_log(whole, num)
         parts = [*parts, *against]
     if looks_at.num_features > 1 and promise.get("first_states"):
         joint = _joint(looks_at, logs, promise["first_states"], seed)
         payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
     outcomes = _own_outcomes(stored, logs, is_own, promise, notes)
     if outcomes is not None and promise.get("value"):
-        least = np.array([promise["value"]["low"]])
+        least = np.array([promise["value"]["value"] - SURELY * promise["value"]["standard_error"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
         payoffs["promise"] = np.concatenate([*([payoffs["promise"]] if whole else []), promised], axis=1)
-    streams = {"inputs": inputs, "parts": parts, "promise": whole}
+    streams = {"inputs": inputs, "parts": parts, "rewards": whole, "promise": whole}
     return Bets(logs, payoffs, streams, outcomes, tuple(notes))
 
 
@@ -172,12 +184,12 @@ def looks_at_of(policy: Any) -> Covariates:
     return Covariates(tuple(getattr(policy, "covariates", ())), getattr(policy, "categories", {}))
 
 
-def _ranked(streams: list[Stream], logs: Logs, seed: int) -> Float[np.ndarray, "n F S"]:
+def _ranked(streams: list[Stream], logs: Logs, seed: int, *, is_less: bool = False) -> Float[np.ndarray, "n F S"]:
     draws = np.random.default_rng(seed).random((logs.num_trajectories, len(streams)))
     p = np.empty(draws.shape)
     for k, each in enumerate(streams):
         p[:, k] = betting.rank_p_values(each.bins, len(each.counts), each.counts, draws[:, k])
-    return betting.rank_payoffs(p)
+    return betting.rank_payoffs(p, is_less=is_less)
 
 
 def _against_log(parts: list[Stream], num: int) -> Float[np.ndarray, "n P S"]:
@@ -273,7 +285,7 @@ def _findings(
     found, streams = [], ways.get(family, [])
     for k in np.flatnonzero(betting.holm(p[-1], ALPHAS[family])):
         if k < len(streams):
-            against_log = k > (0 if family == "promise" else len(promise.get("parts", ()))) and family != "inputs"
+            against_log = family == "promise" or (family == "parts" and k > len(promise.get("parts", ())))
             change, name = (_since_log if against_log else _since)(streams[k]), streams[k].name
             words = (differs if against_log else moved)(streams[k], change.at)
         elif family == "promise" and outcomes is not None:

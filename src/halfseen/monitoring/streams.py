@@ -13,19 +13,22 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 from pandas.api.types import is_numeric_dtype
+from scipy.special import ndtri
 
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.policies.folder.promised_parts import WHATS, expanded_as, outcome_rows, residuals
+from halfseen.policies.folder.promised_parts import WHATS, expanded_as, moves, outcome_rows, residuals
 from halfseen.shapes import Bool, Float, Int
 
-Kind = Literal["input", "reward", "duration", "cut", "swap"]
+Kind = Literal["input", "reward", "duration", "cut", "swap", "move"]
 
-ERRORS, MISFIT = 2.0, 0.1
-"""What a mean residual may be off: so many standard errors of the log's model, whose line may be bent by a tenth of the
-residuals' deviation."""
+OFF, MISFIT = 0.01, 0.1
+"""What a mean residual may be off: as many standard errors as any of the log's models exceeds with this chance, and a
+tenth of the residuals' deviation, by which its line may be bent."""
 LEAST_DEVIATION = 0.1
 """Of the largest among the actions: what always brought the same may now bring a little else."""
+ZERO_OF = 3.0
+"""What never happened in n steps has a chance of at most 3 / n, at 95 %."""
 MOST_PAIRS = 15
 """Of covariates that may be swapped; others differ so much that each shows it by itself."""
 _NOTHING = (np.zeros(0), np.zeros(0), np.zeros(0, dtype=int))
@@ -52,7 +55,8 @@ class Stream:
     is_number
         Whether bins have an order that means something.
     residuals, trajectory
-        Of a part: each residual from the log's model, and the place of its trajectory.
+        Of a part: each residual from the log's model, and the place of its trajectory; of a covariate that never
+        changed within a trajectory, 1 for each step in which it did.
     tolerance
         What the model may be off there, either way.
     reach
@@ -84,8 +88,8 @@ class Stream:
         """In words."""
         if self.kind == "input":
             return f"{self.about} in stage {self.stage}"
-        if self.kind == "swap":
-            return f"{self.about} swapped"
+        if self.kind in {"swap", "move"}:
+            return f"{self.about} {'swapped' if self.kind == 'swap' else 'within a trajectory'}"
         return "cuts" if self.kind == "cut" else f"{self.kind} of {self.about}"
 
 
@@ -111,6 +115,7 @@ def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
     """Residuals of rewards and durations of each action, their sum over a trajectory; and whether it was cut."""
     rows, streams = outcome_rows(logs), []
     largest = {what: max(part["deviation"] for part in parts if part["what"] == what) for what in WHATS if parts}
+    errors = float(ndtri(1.0 - 0.5 * OFF / max(len(parts), 1)))
     for part in parts:
         some = rows[rows["action"].astype(str) == part["action"]]
         left, trajectory = part_residuals(part, looks_at, some), _places(logs, some)
@@ -120,7 +125,7 @@ def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
         spread = _spread(bins, total.index, logs.num_trajectories, -1).astype(int)
         deviation = max(float(part["deviation"]), LEAST_DEVIATION * largest[part["what"]], 1e-9)
         reach = max(*np.abs(part["residuals"]["values"]), 3.0 * deviation)
-        tolerance = _tolerance(part, looks_at, some, deviation)
+        tolerance = errors * _error(part, looks_at, some, deviation)
         rest = (np.zeros(num_bins), True, left, trajectory, tolerance, reach, part["num_states"])
         streams.append(Stream(part["what"], part["action"], None, values, spread, *rest))
     is_cut = (~logs.is_finished).astype(int)
@@ -177,6 +182,16 @@ def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: 
     return found
 
 
+def move_streams(unmoved: Any, logs: Logs) -> list[Stream]:
+    """Whether covariates that never changed within a trajectory of the log do, step by step."""
+    streams = []
+    for name in [name for name in (unmoved or {}).get("names", ()) if name in logs.stages.columns]:
+        trajectory, has_moved = moves(logs, name)
+        piece = (has_moved.astype(float), np.full(len(trajectory), ZERO_OF / unmoved["num"]), trajectory)
+        streams.append(_together("move", name, [piece], np.zeros(0), logs.num_trajectories, 1.0, unmoved["num"]))
+    return streams
+
+
 def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:
     """Pairs of numbers that differ from state to state, those first whose distributions are most alike."""
     seen = {name: one for each in first if each["stage"] == 1 for name, one in each["covariates"].items()}
@@ -221,14 +236,14 @@ def own_alone(streams: list[Stream], is_own: Bool[np.ndarray, " n"]) -> list[Str
     ]
 
 
-def _tolerance(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Float[np.ndarray, " m"]:
-    """By how much the log's model may be off in each of these rows."""
+def _error(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Float[np.ndarray, " m"]:
+    """Standard error of the log's model in each of these rows."""
     if not len(rows):
         return np.zeros(0)
     features = np.column_stack([np.ones(len(rows)), expanded_as(part, looks_at.encode(rows))])
     covariance = np.asarray(part["covariance"])
     variance = np.einsum("ij,jk,ik->i", features, covariance, features)
-    return ERRORS * np.sqrt(np.maximum(variance, 0.0) + (MISFIT * deviation) ** 2)
+    return np.sqrt(np.maximum(variance, 0.0) + (MISFIT * deviation) ** 2)
 
 
 def part_residuals(part: Mapping[str, Any], looks_at: Covariates, rows: Any) -> Float[np.ndarray, " m"]:

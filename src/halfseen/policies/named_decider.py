@@ -1,6 +1,6 @@
 """Decisions of a policy of named actions: from the covariates of one stage, and why."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from io import BytesIO
 from pathlib import Path
@@ -17,12 +17,14 @@ from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import SAME_VALUE, Decision, lead, next_best, values_by_name
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.ranges import (
+    Margins,
     Range,
     Ranges,
     RangesOfStage,
     beyond,
     everything,
     middle_of,
+    no_margins,
     refuse_far,
     refuse_outside,
 )
@@ -67,7 +69,9 @@ class NamedDecider:
     q_error
         What is known of the errors of its Q; None if nothing.
     stays_within
-        Whether to refuse whatever lies outside these ranges, however near.
+        Whether to refuse whatever lies outside these ranges by more than their margins.
+    margins
+        By stage, how far outside these ranges something may lie by chance.
     """
 
     policy: DiscretePolicy
@@ -75,6 +79,7 @@ class NamedDecider:
     extrapolates: bool = False
     q_error: QError | None = None
     stays_within: bool = False
+    margins: Callable[[int], Margins] = no_margins
 
     def decide(self, observation: NamedObservation) -> Decision:
         """Take the possible action with the largest Q, with pessimism less its margin.
@@ -128,8 +133,8 @@ class NamedDecider:
         ranges = self.ranges(stage)
         by_range = {name: {name: value} for name, value in values.items()}
         if self.stays_within:
-            refuse_outside(ranges, by_range)
-        elif not self.extrapolates:
+            refuse_outside(ranges, by_range, self.margins(stage))
+        if not self.extrapolates:
             refuse_far(ranges, by_range)
         names = [str(name) for name in policy.actions]
         intervals, chance_best = self._certainty(valued, stage, names)

@@ -1,5 +1,6 @@
 """From a policy in a folder, or one in memory, to what decides by it; and from files to what it decides from."""
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -9,7 +10,7 @@ from halfseen.policies.certainty import QError
 from halfseen.policies.decision import Decider
 from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
 from halfseen.policies.named_decider import NamedDecider, NamedObservation, read_covariates
-from halfseen.policies.ranges import RangesOfStage, everything
+from halfseen.policies.ranges import Margins, RangesOfStage, everything, no_margins
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw
@@ -24,6 +25,7 @@ def decider_of(
     q_error: QError | None = None,
     least_rewards: dict[str, float] | None = None,
     stays_within: bool = False,
+    margins: Callable[[int], Margins] = no_margins,
 ) -> Decider:
     """Put a policy behind the port.
 
@@ -41,7 +43,9 @@ def decider_of(
     least_rewards
         Of each verb of a table, the least that it paid in the logs [reward]; None if nobody knows.
     stays_within
-        Of named actions: True to refuse whatever lies outside these ranges, however near.
+        Of named actions: True to refuse whatever lies outside these ranges by more than their margins.
+    margins
+        By stage, how far outside something may lie by chance; nothing for ranges of one's own.
 
     Raises
     ------
@@ -59,9 +63,10 @@ def decider_of(
             q_error=policy.q_error,
             least_rewards=policy.least_rewards,
             stays_within=stays_within,
+            margins=policy.margins,
         )
     if isinstance(policy, DiscretePolicy):
-        return NamedDecider(policy, ranges, extrapolates, q_error, stays_within)
+        return NamedDecider(policy, ranges, extrapolates, q_error, stays_within, margins)
     # Tables load the world, which takes longer than a decision on named actions.
     from halfseen.policies.table_decider import TableDecider
     from halfseen.world.policy import Policy

@@ -1,9 +1,18 @@
-"""What lies outside what the logs showed: there Q is extrapolated, and far outside it says nothing."""
+"""What lies outside what the logs showed: there Q is extrapolated, and far outside it says nothing.
+
+The next of n independent values lies outside the n before in 2 of n + 1 cases, and with many covariates nearly every
+state does in one of them. A margin leaves room for that: beyond the largest of n by excess · ln(2 d / (n CHANCE)) for d
+ranges, with the mean excess of the ⌈√n⌉ largest over the next one, as tails are about exponential [Weissman1978]_.
+"""
 
 from collections.abc import Callable, Mapping
+from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+
 from halfseen.errors import OutOfRangeError
+from halfseen.shapes import Float
 
 Range = tuple[float, float] | Mapping[str, int]
 """Least and largest value of what is a number; of text, how many states showed each category."""
@@ -14,11 +23,22 @@ Ranges = Mapping[str, Range]
 RangesOfStage = Callable[[int], Ranges | None]
 """Ranges that the logs showed where Q of a stage was learned; None if no trajectory came so far."""
 
+Margins = Mapping[str, tuple[float, float]]
+"""How far below and above its range what is a number may lie by chance."""
+
 Values = Mapping[str, Mapping[str, Any]]
 """For each name of a range, whose value, and which."""
 
 FARTHEST = 1.0
 """Ranges beyond its own end, as wide as itself, from which on a value is far outside."""
+
+CHANCE = 0.01
+"""Of a trajectory of the logs' own cell, that it leaves the margin of any range, by either end."""
+
+LARGEST = float(np.finfo(np.float64).max)
+"""Of a margin."""
+
+NO_MARGINS: Margins = MappingProxyType({})
 
 ROUNDING = 1e-6
 """Relative error of what is worked out in single precision, as the states of tables are."""
@@ -28,6 +48,36 @@ NO_TRAJECTORY = "no trajectory of the logs came to this stage"
 def everything(stage: int) -> Ranges:
     """No ranges are known, so nothing lies outside."""
     return {}
+
+
+def no_margins(stage: int) -> Margins:
+    """Nothing outside is taken for chance."""
+    return NO_MARGINS
+
+
+def margin(largest: Float[np.ndarray, " n"], num_ranges: int) -> float:
+    """How far beyond the largest of n values the next may lie by chance; 0 where ties make that unlikely.
+
+    Parameters
+    ----------
+    largest
+        The largest value of each trajectory.
+    num_ranges
+        How many ranges share `CHANCE`.
+
+    Examples
+    --------
+    Of 100 exponential values, the next lies more than ln 4 beyond the largest in 1 of 400 cases.
+
+    >>> round(margin(-np.log((np.arange(100) + 0.5) / 100.0), 2), 1)
+    1.4
+    """
+    num, top = len(largest), int(np.ceil(np.sqrt(len(largest))))
+    if num <= top or num * CHANCE >= 2.0 * num_ranges:
+        return 0.0
+    ordered = np.sort(largest)
+    excess = float(np.sum(ordered[-top:] / top - ordered[-top - 1] / top))
+    return min(excess * float(np.log(2.0 * num_ranges / (num * CHANCE))), LARGEST)
 
 
 def middle_of(seen: Range) -> float | str:
@@ -51,17 +101,33 @@ def beyond(ranges: Ranges | None, values: Values, rounding: float = 0.0) -> tupl
     return tuple(f"{one}; Q is extrapolated" for one in found)
 
 
-def refuse_outside(ranges: Ranges | None, values: Values) -> None:
-    """Refuse what lies outside at all.
+def refuse_outside(ranges: Ranges | None, values: Values, margins: Margins = NO_MARGINS) -> None:
+    """Refuse what lies outside by more than its margin; of what has none, at all.
+
+    Parameters
+    ----------
+    ranges
+        What the logs showed.
+    values
+        For each name of a range, whose value, and which.
+    margins
+        Of ranges of numbers.
 
     Raises
     ------
     OutOfRangeError
-        Something does; it is named with its value and the range.
+        Something does; it is named with its value and what it might have been.
     """
-    found = [NO_TRAJECTORY] if ranges is None else _outside(ranges, values, 0.0)
-    if found:
-        raise OutOfRangeError(found[0])
+    if ranges is None:
+        raise OutOfRangeError(NO_TRAJECTORY)
+    for name, seen in ranges.items():
+        below, above = margins.get(name, (0.0, 0.0))
+        wider = seen if isinstance(seen, Mapping) else (seen[0] - below, seen[1] + above)
+        outside = [one for one in values[name].items() if not _is_within(wider, one[1], 0.0)]
+        if outside:
+            whose, value = outside[0]
+            where = "farther outside the logs than chance explains" if below or above else "outside the logs"
+            raise OutOfRangeError(f"{whose} is {_beyond(wider, value, where)}")
 
 
 def _outside(ranges: Ranges, values: Values, rounding: float) -> list[str]:
@@ -113,11 +179,11 @@ def _is_far(seen: tuple[float, float], value: float) -> bool:
     return max(low - value, value - high) > FARTHEST * width * (1.0 + ROUNDING)
 
 
-def _beyond(seen: Range, value: Any) -> str:
+def _beyond(seen: Range, value: Any, where: str = "outside the logs") -> str:
     if isinstance(seen, Mapping):
         return f"{value}, which no state of the logs showed at this stage"
     is_value, (low, high) = _distinct(float(value), seen)
-    return f"{is_value}, outside the logs ({low} to {high})"
+    return f"{is_value}, {where} ({low} to {high})"
 
 
 def _distinct(value: float, seen: tuple[float, float]) -> tuple[str, tuple[str, str]]:

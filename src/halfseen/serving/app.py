@@ -174,7 +174,9 @@ async def _reload(served: Served, request: Request) -> models.Reloaded:
 
 
 async def _health(wire: "Wire | None", served: Served, request: Request) -> models.Health:
-    return served.health if wire is None else replace(served.health, wire=wire.facts)
+    if wire is None:
+        return served.health
+    return replace(served.health, status="ok" if wire.facts.is_deciding else "not deciding", wire=wire.facts)
 
 
 async def _openapi(served: Served, request: Request) -> dict[str, Any]:

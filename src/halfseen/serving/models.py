@@ -199,11 +199,16 @@ class Wired(Struct, frozen=True):
     error: Annotated[str | None, _is("Why nothing is decided; null if nothing is wrong.")]
     request: Annotated[int | None, _is("Number of the last request; null before the first.")]
 
+    @property
+    def is_deciding(self) -> bool:
+        """Whether a controller is there, and nothing is wrong."""
+        return self.error is None and self.state != "Preoperational"
+
 
 class Health(Struct, frozen=True):
     """That a server answers, and what."""
 
-    status: Literal["ok"]
+    status: Annotated[Literal["ok", "not deciding"], _is("The latter while nothing is decided over the wire.")]
     policy: Digest
     kind: Annotated[str, _is("Of the policy.")]
     rule: StepBacks

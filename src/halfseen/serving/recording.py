@@ -76,8 +76,6 @@ class RecordedTrajectories:
     is_of_tables
         Whether stages are of tables: then what would break a rule of theirs is not recorded, and a trajectory can be
         gone on from.
-    keeps_events
-        As `LogRecorder` takes it.
     resumes
         Whether a trajectory that was in progress when the folder was left goes on, and this one is left so, too; then
         `elapsed_s` must be given always.
@@ -88,11 +86,9 @@ class RecordedTrajectories:
         The folder cannot be recorded into.
     """
 
-    def __init__(
-        self, folder: Path, *, is_of_tables: bool = False, keeps_events: bool = True, resumes: bool = False
-    ) -> None:
+    def __init__(self, folder: Path, *, is_of_tables: bool = False, resumes: bool = False) -> None:
         check = self._check_table if is_of_tables else None
-        self._recorder = LogRecorder(folder, check=check, keeps_events=keeps_events or resumes)
+        self._recorder = LogRecorder(folder, check=check, keeps_events=True)
         self._is_of_tables, self._resumes = is_of_tables, resumes
         self._checked: Logs | None = None
         self._trajectory: TrajectoryRecorder | None = None
@@ -155,7 +151,7 @@ class RecordedTrajectories:
 
     @property
     def columns(self) -> Mapping[str, Any]:
-        """Of the trajectory in progress, where events are kept; none where none is."""
+        """Of the trajectory in progress; none where none is."""
         return {} if self._trajectory is None or not self.events else self.events[0]["columns"]
 
     @property
@@ -165,7 +161,7 @@ class RecordedTrajectories:
 
     @property
     def events(self) -> tuple[dict[str, Any], ...]:
-        """Of the trajectory that began last, where they are kept."""
+        """Of the trajectory that began last."""
         last = self._recorder.trajectory
         return () if last is None else last.events
 

@@ -42,7 +42,7 @@ class Served:
     law
         Of tables, what a cell's law tells of labels; None for the assumed one.
     stays_within
-        Of named actions, whether the rule decides whatever lies outside what the logs showed, however near.
+        Of named actions, whether the rule decides whatever lies farther outside the logs than chance explains.
     rule
         A file with the rule; None for what the log did most.
     limit_s

@@ -7,15 +7,15 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from halfseen.figures import ALARM, BAND_OPACITY, GREEN, NARROW_INCHES, OURS, PINK, SOFT, draw_grid, inline_svg
+from halfseen.figures import ALARM, BAND_OPACITY, GREEN, NARROW_INCHES, ORANGE, OURS, PINK, SOFT, draw_grid, inline_svg
 from halfseen.monitoring.answer import Monitored
 from halfseen.monitoring.monitor import ALPHAS
 from halfseen.view.page import MARK
 from halfseen.view.templates import rendered
 from halfseen.wording import counted, labelled, significant
 
-NAMES = {"promise": "promise", "inputs": "inputs", "parts": "parts of the cell"}
-COLOURS = {"promise": OURS, "inputs": GREEN, "parts": PINK}
+NAMES = {"rewards": "rewards", "promise": "promise", "inputs": "inputs", "parts": "parts of the cell"}
+COLOURS = {"rewards": OURS, "promise": ORANGE, "inputs": GREEN, "parts": PINK}
 SMALLEST_P = 1e-12
 
 

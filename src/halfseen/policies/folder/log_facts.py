@@ -15,6 +15,7 @@ from halfseen.logs import Logs, LogsSummary
 from halfseen.logs.summary import SummaryTally
 from halfseen.policies.folder.arrays import PolicyKind
 from halfseen.policies.folder.stored import TABLE_RANGES
+from halfseen.policies.ranges import margin
 from halfseen.shapes import Float, Int
 
 NUM_KNOTS = 21
@@ -144,8 +145,24 @@ def _seen_named(logs: Logs, policy: Any, is_by_stage: bool) -> list[dict[str, An
             len(part),
             {name: _shown(part[name], policy.categories.get(name)) for name in policy.covariates},
         )
+        | {"margins": _margins(part, policy)}
         for first, last, part in parts
     ]
+
+
+def _margins(part: Any, policy: Any) -> dict[str, tuple[float, float]]:
+    """Of numbers, by the least and the largest value of each trajectory, which are independent."""
+    numbers = [name for name in policy.covariates if name not in policy.categories]
+    if not numbers:
+        return {}
+    each = part.groupby("trajectory", sort=False)[numbers].agg(["min", "max"])
+    return {
+        name: (
+            margin(-each[name, "min"].to_numpy(dtype=np.float64), len(policy.covariates)),
+            margin(each[name, "max"].to_numpy(dtype=np.float64), len(policy.covariates)),
+        )
+        for name in numbers
+    }
 
 
 def _shown(values: Any, categories: Sequence[str] | None) -> Any:
@@ -174,8 +191,10 @@ def _entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> di
 def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
     """What two parts of a log have seen of the same stages."""
     ranges = {name: _wider(seen, other["ranges"][name]) for name, seen in one["ranges"].items()}
-    last = max(one["stages"][1], other["stages"][1])
-    return _entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
+    last, entry_margins = max(one["stages"][1], other["stages"][1]), one.get("margins", {})
+    margins = {name: tuple(map(max, each, other["margins"][name])) for name, each in entry_margins.items()}
+    joined = _entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
+    return joined | ({"margins": margins} if margins else {})
 
 
 def _wider(one: Any, other: Any) -> Any:

@@ -3,9 +3,11 @@
 Of each action, reward and log duration are a ridge regression on the covariates, and, where there are ten stages for
 each, on their products; the covariance of the coefficients is kept, and the distribution of what is left of them, the
 residuals. The range of what a trajectory can bring is added up backwards over stages, as no trajectory was seen to do
-better: M_t = max(most after which one had ended, M_{t+1} + most of the others).
+better: M_t = max(most after which one had ended, M_{t+1} + most of the others). Covariates that never changed within a
+trajectory, as a part's weight, are named.
 """
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -13,9 +15,10 @@ import pandas as pd
 
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
+from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
 from halfseen.policies.folder.log_facts import distribution_of
-from halfseen.shapes import Bool, Float
+from halfseen.shapes import Bool, Float, Int
 
 RIDGE = 1.0
 """On standardised covariates, beside as many ones as there are states."""
@@ -28,6 +31,8 @@ MOST_FEATURES = 200
 """Where there are more, as of a state that is one of many names, no action is."""
 WHATS = ("reward", "duration")
 DECIMALS = 9
+FEWEST_STEPS = 50
+"""From a stage to the next, in which something never changed."""
 
 
 def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
@@ -44,7 +49,8 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
     -------
     dict
         ``brings``: the least and the most that a trajectory brings; ``parts``: for each action and of ``WHATS`` its
-        model; ``first_states``: states that trajectories began with, one a row, as numbers.
+        model; ``first_states``: states that trajectories began with, one a row, as numbers; ``unmoved``: covariates
+        that never changed within a trajectory, and in how many steps.
     """
     least, most = (-_most(logs, -1.0), _most(logs, 1.0))
     if not (isinstance(policy, NamedActionPolicy) and hasattr(policy, "decide")):
@@ -58,7 +64,21 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
             parts += [part_of(str(action), what, features, some[what].to_numpy(float)) for what in WHATS]
     first: Any = logs.stages[logs.stages["stage"] == 1]
     kept = first.iloc[np.unique(np.linspace(0, len(first) - 1, min(MOST_STATES, len(first))).astype(int))]
-    return {"brings": [least, most], "parts": parts, "first_states": looks_at.encode(kept).tolist()}
+    states = {"first_states": looks_at.encode(kept).tolist(), "unmoved": _unmoved(logs, looks_at.columns)}
+    return {"brings": [least, most], "parts": parts, **states}
+
+
+def moves(logs: Logs, name: str) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
+    """Of each step from a stage to the next, the place of its trajectory, and whether a covariate changed."""
+    place, values = stage_places(logs)[0], logs.stages[name].to_numpy()
+    is_later = place[1:] == place[:-1]
+    return place[1:][is_later], np.asarray(values[1:] != values[:-1], dtype=bool)[is_later]
+
+
+def _unmoved(logs: Logs, names: Sequence[str]) -> dict[str, Any]:
+    has_moved = {name: moves(logs, name)[1] for name in names}
+    num = min((len(each) for each in has_moved.values()), default=0)
+    return {"names": [name for name, each in has_moved.items() if num >= FEWEST_STEPS and not each.any()], "num": num}
 
 
 def outcome_rows(logs: Logs) -> Any:

@@ -28,11 +28,15 @@ Counts = dict[str, int]
 
 
 class Seen(Struct):
-    """What the states of some stages looked like: ranges of numbers, and counts of the categories of text."""
+    """What the states of some stages looked like: ranges of numbers, and counts of the categories of text.
+
+    Margins are how far below and above its range a number may lie by chance.
+    """
 
     stages: tuple[int, int]
     ranges: dict[str, tuple[float, float] | Counts]
     num_states: int = 0
+    margins: dict[str, tuple[Annotated[float, Meta(ge=0.0)], Annotated[float, Meta(ge=0.0)]]] = {}
 
     def __post_init__(self) -> None:
         # msgspec 0.22 reads past its memory where a tuple is in a union with a dict whose values are bounded.
@@ -101,6 +105,13 @@ class PromisedPart(Struct):
             raise ValueError("its covariance is not that of its coefficients")
 
 
+class Unmoved(Struct):
+    """Covariates that never changed from a stage to the next, and how many such steps there were."""
+
+    names: list[str]
+    num: Annotated[int, Meta(ge=0)]
+
+
 class Promise(Struct):
     """What states a policy was learned for, what it was said to be worth there, and how its cell behaved.
 
@@ -112,6 +123,7 @@ class Promise(Struct):
     brings: tuple[float, float] | None = None
     parts: list[PromisedPart] = []
     first_states: list[list[float]] = []
+    unmoved: Unmoved | None = None
 
     def __post_init__(self) -> None:
         if len({len(each) for each in self.first_states}) > 1:

@@ -108,14 +108,25 @@ class StoredPolicy:
 
     def ranges(self, stage: int) -> dict[str, Range] | None:
         """What the log showed of each covariate, where Q of this stage was taught; None if nowhere."""
+        entry = self._seen(stage)
+        if entry is None:
+            return None
+        return {
+            name: seen if isinstance(seen, dict) else (float(seen[0]), float(seen[1]))
+            for name, seen in entry["ranges"].items()
+        }
+
+    def margins(self, stage: int) -> dict[str, tuple[float, float]]:
+        """How far below and above these ranges a state of the log's own cell may lie by chance."""
+        entry = self._seen(stage) or {}
+        return {name: (float(below), float(above)) for name, (below, above) in entry.get("margins", {}).items()}
+
+    def _seen(self, stage: int) -> dict[str, Any] | None:
         is_by_stage = self.record["reg"].get("rows") == "stage"
         for entry in self.record["seen"]:
             first, last = entry["stages"]
             if first <= stage <= last or not is_by_stage:
-                return {
-                    name: seen if isinstance(seen, dict) else (float(seen[0]), float(seen[1]))
-                    for name, seen in entry["ranges"].items()
-                }
+                return entry
         return None
 
 
