@@ -1,8 +1,7 @@
 """Values of a policy by scope-rl's sequential estimators, which know of no cuts, with their bootstrap intervals.
 
 Trajectories that ended early are filled up to the horizon with stages of reward 0 that any policy would take. Q of
-those that need one is fitted backwards, by stage and action quadratic in the covariates, for each half of the
-trajectories on the other half.
+those that need one is fitted backwards, by stage and action, for each half of the trajectories on the other half.
 """
 
 from collections.abc import Mapping
@@ -11,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from sklearn.linear_model import Ridge
+from sklearn.linear_model import RidgeCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
 from worlds.policies import Drawn
@@ -26,7 +25,8 @@ ESTIMATORS = {
     "self-normalised DR": "SelfNormalizedDR",
     "direct": "DirectMethod",
 }
-NUM_BOOTSTRAPS, LEVEL, LITTLE = 100, 0.95, 1e-3
+NUM_BOOTSTRAPS, LEVEL = 100, 0.95
+REGS = np.logspace(-2.0, 3.0, 11)
 Interval = tuple[float, float, float]
 """Value, lower and upper end."""
 
@@ -87,15 +87,16 @@ def backwards(world: World, policy: Drawn, frame: pd.DataFrame) -> Mapping[int, 
 
 
 def q_of_stage(world: World, rows: pd.DataFrame, target: pd.Series) -> Any:
-    covariates = list(world.covariates)
-    models: list[Any] = []
+    """Of each action, quadratic, with λ by leave-one-out; never beyond what was seen."""
+    covariates, models = list(world.covariates), []
     for name in world.actions:
         taken = (rows["action"] == name).to_numpy()
-        model = make_pipeline(StandardScaler(), PolynomialFeatures(2), Ridge(LITTLE * max(taken.sum(), 1)))
+        model = make_pipeline(StandardScaler(), PolynomialFeatures(2, include_bias=False), RidgeCV(REGS))
         models.append(model.fit(rows.loc[taken, covariates], target[taken]) if taken.any() else None)
+    low, high = target.min(), target.max()
 
     def q(frame: pd.DataFrame) -> np.ndarray:
         each = [np.zeros(len(frame)) if m is None else m.predict(frame[covariates]) for m in models]
-        return np.column_stack(each)
+        return np.clip(np.column_stack(each), low, high)
 
     return q

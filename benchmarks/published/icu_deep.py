@@ -82,7 +82,8 @@ def tables(report: dict[str, Any]) -> str:
         [f"{row['setting']}, {row['size']:,}", *("{:.4f} ± {:.4f}".format(*row[name]) for name in NAMES)]
         for row in report["rows"]
     ]
-    return markdown(head, rows)
+    caption = f"*{report['package']}; means ± a standard error of the first {report['repetitions']} logs*"
+    return f"{caption}\n\n{markdown(head, rows)}"
 
 
 def main() -> None:
