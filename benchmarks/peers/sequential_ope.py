@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from sklearn.dummy import DummyRegressor
 from sklearn.linear_model import RidgeCV
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
@@ -26,6 +27,7 @@ ESTIMATORS = {
     "direct": "DirectMethod",
 }
 NUM_BOOTSTRAPS, LEVEL = 100, 0.95
+FEWEST = 10
 REGS = np.logspace(-2.0, 3.0, 11)
 Interval = tuple[float, float, float]
 """Value, lower and upper end."""
@@ -87,16 +89,18 @@ def backwards(world: World, policy: Drawn, frame: pd.DataFrame) -> Mapping[int, 
 
 
 def q_of_stage(world: World, rows: pd.DataFrame, target: pd.Series) -> Any:
-    """Of each action, quadratic, with λ by leave-one-out; never beyond what was seen."""
-    covariates, models = list(world.covariates), []
+    """Of each action, quadratic, with λ by leave-one-out, or a mean where it is rare; never beyond what was seen."""
+    covariates, models = list(world.covariates), list[Any]()
     for name in world.actions:
         taken = (rows["action"] == name).to_numpy()
+        if taken.sum() < FEWEST:
+            models.append(DummyRegressor().fit(rows[covariates], target))
+            continue
         model = make_pipeline(StandardScaler(), PolynomialFeatures(2, include_bias=False), RidgeCV(REGS))
-        models.append(model.fit(rows.loc[taken, covariates], target[taken]) if taken.any() else None)
+        models.append(model.fit(rows.loc[taken, covariates], target[taken]))
     low, high = target.min(), target.max()
 
     def q(frame: pd.DataFrame) -> np.ndarray:
-        each = [np.zeros(len(frame)) if m is None else m.predict(frame[covariates]) for m in models]
-        return np.clip(np.column_stack(each), low, high)
+        return np.clip(np.column_stack([model.predict(frame[covariates]) for model in models]), low, high)
 
     return q

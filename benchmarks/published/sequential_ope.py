@@ -1,6 +1,6 @@
 """The value of a policy from logs of four stages: ours beside the sequential estimators of scope-rl.
 
-python benchmarks/published/sequential_ope.py [--out …/sequential_ope.json] [--repetitions 16] [--sizes 400 2000]
+python benchmarks/published/sequential_ope.py [--out …/sequential_ope.json] [--repetitions 24] [--sizes 400 2000]
 
 Logs are of the pick cell of the examples, where the value of every policy is known; the policy is the best one.
 Probabilities are logged. scope-rl knows of no cuts, so it is given the trajectories
@@ -67,8 +67,8 @@ def tables(report: dict[str, Any]) -> str:
     ]
     error = max(row["of"][name]["error"] for row in report["rows"] for name in names)
     caption = (
-        f"*The best policy of the pick cell, from {report['repetitions']} logs: bias, root mean square error, intervals that "
-        f"hold. scope-rl knows of no cuts and is given what finished. Standard errors of the bias ≤ {error:.3f}*"
+        f"*The best policy of the pick cell, from {report['repetitions']} logs: bias, root mean square error, share of "
+        f"intervals that hold. scope-rl knows of no cuts and is given what finished. Errors of the bias ≤ {error:.3f}*"
     )
     return f"{caption}\n\n{markdown(['log', *names], rows)}"
 
@@ -78,7 +78,7 @@ def cell(found: dict[str, float]) -> str:
 
 
 def main() -> None:
-    parser = asked(__doc__, "sequential_ope", 16)
+    parser = asked(__doc__, "sequential_ope", 24)
     parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES), help="trajectories of a log")
     options = parser.parse_args()
     if find_spec("scope_rl") is None:
