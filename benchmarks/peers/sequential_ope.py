@@ -81,11 +81,19 @@ def backwards(world: World, policy: Drawn, frame: pd.DataFrame) -> Mapping[int, 
     later, found = pd.Series(0.0, index=frame["trajectory"].unique()), {}
     for stage in range(len(world.actions_by_stage), 0, -1):
         rows = frame[frame["stage"] == stage]
+        if rows.empty:
+            found[stage] = nothing(world)
+            continue
         found[stage] = q_of_stage(world, rows, rows["reward"] + later[rows["trajectory"]].to_numpy())
         value = (policy.probabilities(rows, stage) * found[stage](rows)).sum(axis=1)
         later = pd.Series(0.0, index=later.index)
         later[rows["trajectory"]] = value
     return found
+
+
+def nothing(world: World) -> Any:
+    """Q of a stage that no trajectory reached."""
+    return lambda frame: np.zeros((len(frame), len(world.actions)))
 
 
 def q_of_stage(world: World, rows: pd.DataFrame, target: pd.Series) -> Any:
