@@ -2,6 +2,7 @@
 
 import json
 from importlib.util import find_spec
+from pathlib import Path
 
 import numpy as np
 import pandas as pd
@@ -81,6 +82,22 @@ def test_kept_results_make_tables(module):
     printed = module.tables(stored(module.__name__.removeprefix("published.")))
     assert printed.count("\n") >= 5
     assert "nan" not in printed
+
+
+def test_the_page_says_of_real_trials_and_of_cuts_what_the_results_do():
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "published.md").read_text(encoding="utf-8")
+    *some, whole = stored("real_grasps")["rows"]
+    ahead = {(row["size"], name): lead for row in some for name, lead in row["ahead of ours"].items()}
+    for key in ((400, "logistic"), (400, "ours, one λ"), (1600, "ours, one λ")):
+        mean, error = (100.0 * each for each in ahead[key])
+        assert f"{abs(mean):.1f} ± {error:.1f}".replace(" 0.", " .") in page
+    gains = [100.0 * (one["value"][0] - whole["logged"]) for one in whole["of"].values()]
+    assert f"by {min(gains):.0f} to {max(gains):.0f} points" in page
+    assert [name for name, one in whole["of"].items() if one["verdict"] == "better"] == ["our SVM"]
+    biases = [{name: each["bias"] for name, each in row["of"].items()} for row in stored("sequential_ope")["rows"][2:]]
+    ours, theirs = [each.pop("ours") for each in biases], [bias for each in biases for bias in each.values()]
+    assert [round(min(ours), 2), round(max(ours), 2)] == [0.03, 0.05]
+    assert [round(min(theirs), 1), round(max(theirs), 1)] == [0.2, 0.3]
 
 
 @pytest.mark.skipif(find_spec("scope_rl") is not None, reason="scope-rl is installed")
