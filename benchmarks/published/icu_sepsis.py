@@ -10,7 +10,6 @@ a log never shows the expert decides, whoever learned. *Told* is a yardstick: it
 action is best, and looks one step ahead.
 """
 
-import sys
 from collections.abc import Callable
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
@@ -18,7 +17,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from peers.side_by_side import asked, markdown, run
+from peers.side_by_side import asked, markdown, run, skip
 from peers.tabular import (
     Counts,
     behaviour_cloning,
@@ -78,7 +77,7 @@ def icu() -> tuple[FiniteWorld, np.ndarray, np.ndarray]:
     try:
         assets = Path(str(distribution("icu-sepsis").locate_file("icu_sepsis/envs/assets")))
     except PackageNotFoundError:
-        sys.exit(f"icu-sepsis is not installed: pip install --no-deps {PACKAGE}")
+        skip(f"icu-sepsis is not installed: pip install --no-deps {PACKAGE}")
     with np.load(assets / "dynamics.npz") as dynamics:
         chance, start, sofa = dynamics["tx_mat"], dynamics["d_0"], dynamics["sofa_scores"]
         expert, by_entry = dynamics["expert_policy"], dynamics["r_mat"].max(axis=(0, 1))

@@ -23,7 +23,7 @@ from unittest.mock import MagicMock
 
 import numpy as np
 import pandas as pd
-from peers.side_by_side import asked, markdown, run
+from peers.side_by_side import asked, markdown, run, skip
 from scipy.stats import binomtest
 from sklearn.linear_model import LogisticRegression
 
@@ -68,7 +68,7 @@ def loaded() -> Any:
         with stand_ins():
             return importlib.import_module("obp")
     except ModuleNotFoundError as error:
-        sys.exit(f"{error.name} is not installed: pip install --no-deps --ignore-requires-python {PACKAGE} PyYAML")
+        skip(f"{error.name} is not installed: pip install --no-deps --ignore-requires-python {PACKAGE} PyYAML")
 
 
 class PositionPolicy:
