@@ -272,15 +272,16 @@ def rate_of(share: float, rule: Rule, rng: np.random.Generator) -> float:
     return brentq(lambda rate: np.mean(-np.expm1(-rate * length)) - share, 0.0, 1.0) if share else 0.0
 
 
-def clairvoyant() -> float:
-    """Value of the best route for one who sees which rocks are good: no policy is worth more."""
+def best_routes() -> Float[np.ndarray, "256 9"]:
+    """Value of the best route by which rocks are good, as a number of eight bits, and place: a rock, or the start.
+
+    For one who sees which rocks are good; no policy is worth more.
+    """
     places = np.vstack([ROCKS, START])
-    steps = np.abs(places[:, None] - ROCKS).sum(axis=-1) + 1
-    value = np.empty((2**NUM, len(places)))
+    gain = DISCOUNT ** np.abs(places[:, None] - ROCKS).sum(axis=-1)
     out = PAY * DISCOUNT ** (SIZE - 1 - places[:, 0])
-    for left in range(2**NUM):
-        ways = [
-            DISCOUNT ** steps[:, k] * (PAY / DISCOUNT + value[left ^ 1 << k, k]) for k in range(NUM) if left >> k & 1
-        ]
-        value[left] = np.max([out, *ways], axis=0)
-    return float(value[:, NUM].mean())
+    value = np.empty((2**NUM, len(places)))
+    for good in range(2**NUM):
+        ways = [gain[:, k] * (PAY + DISCOUNT * value[good ^ 1 << k, k]) for k in range(NUM) if good >> k & 1]
+        value[good] = np.max([out, *ways], axis=0)
+    return value
