@@ -13,7 +13,7 @@ many simulations a decision as a core makes in a second, as this machine may be 
 
 import gc
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -48,6 +48,8 @@ SIZES = (300, 1000, 5000)
 EPISODES, REPLAYS = 4000, 200
 EXPLORES = {"heuristic": 0.3, "chance": 1.0}
 CUTS = {"uncut": 0.0, "half cut": 0.5}
+PUBLISHED = {"POMCP": 20.71, "SARSOP": 21.39}
+"""By Silver and Veness, NIPS 2010, for the same map."""
 
 
 def beliefs(seen: Seen) -> pd.DataFrame:
@@ -94,8 +96,9 @@ def learned(played: Played, design: Design, rate: float, seed: int) -> Rule:
     return lambda seen, stage: policy.probabilities(design.covariates(seen), stage)
 
 
-def earned(rule: Rule, choices: Choices) -> float:
-    return float(play(EPISODES, rule, choices, np.random.default_rng(99)).returns.mean())
+def earned(rule: Rule, choices: Choices) -> tuple[float, float]:
+    """Value of a policy, and its standard error, on the worlds that all are judged by."""
+    return mean_and_error(play(EPISODES, rule, choices, np.random.default_rng(99)).returns)
 
 
 def measured(logger: str, cut: str, size: int, num: int) -> dict[str, Any]:
@@ -106,7 +109,7 @@ def measured(logger: str, cut: str, size: int, num: int) -> dict[str, Any]:
     for seed in range(num):
         played = play(size, rule, BY_RANK, np.random.default_rng([seed, size]))
         for name, design in DESIGNS.items():
-            values[name].append(round(earned(learned(played, design, rate, seed), design.choices), 3))
+            values[name].append(round(earned(learned(played, design, rate, seed), design.choices)[0], 3))
     return {"log": f"{logger}, {cut}", "size": size, "values": values}
 
 
@@ -143,17 +146,24 @@ def compared(returns: list[float]) -> dict[str, Any]:
 def tables(report: dict[str, Any]) -> str:
     """Values in one table, below those that no log is needed for."""
     rows = [
-        [f"{row['log']}, {row['size']:,}", *(f"{np.mean(values):.1f}" for values in row["values"].values())]
+        [
+            f"{row['log']}, {row['size']:,}",
+            *(f"{np.mean(each):.1f} ({min(each):.1f})" for each in row["values"].values()),
+        ]
         for row in report["rows"]
     ]
-    known = [f"{name} {value:.1f}" for name, value in report["known"].items()]
+    known = {"clairvoyant": report["clairvoyant"], **report["known"]}
+    facts = [f"published: {listed(PUBLISHED)}", f"here, with errors up to {report['error']:.2f}: {listed(known)}"]
     if report["POMCP"]:
-        (value, error), pomcp = mean_and_error(report["POMCP"]["returns"]), report["POMCP"]
-        known.append(
-            f"POMCP {value:.1f} ± {error:.1f}, {told(pomcp['ahead'], 1)} above the heuristic on the same "
-            f"{len(pomcp['ahead'])} worlds, by {pomcp['simulations']:,} simulations a decision"
-        )
-    return f"*{'; '.join(known)}*\n\n{markdown(['log', *DESIGNS], rows)}"
+        returns, ahead, number = (report["POMCP"][name] for name in ("returns", "ahead", "simulations"))
+        pace = f"POMCP by {number:,} simulations a decision {told(returns, 1)} in {len(returns)} worlds"
+        facts.append(f"{pace}, {told(ahead, 1)} ahead of the heuristic there")
+    facts.append(f"learned: mean of {report['repetitions']} logs (lowest)")
+    return f"*{'; '.join(facts)}*\n\n{markdown(['log', *DESIGNS], rows)}"
+
+
+def listed(values: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} {value:.1f}" for name, value in values.items())
 
 
 def main() -> None:
@@ -163,11 +173,12 @@ def main() -> None:
     parser.add_argument("--episodes", type=int, default=12, help="of POMCP; 0 leaves it out (%(default)s)")
     parser.add_argument("--simulations", type=int, default=0, help="of POMCP a decision; 0 for a second of this core")
     options = parser.parse_args()
-    known = {"clairvoyant": best_routes()[:, NUM].mean()}
-    known |= {"heuristic": earned(heuristic(), BY_RANK)}
-    known |= {f"log of {name}": earned(heuristic(share), BY_RANK) for name, share in EXPLORES.items()}
+    rules = {"heuristic": 0.0} | {f"log of {name}": share for name, share in EXPLORES.items()}
+    known = {name: earned(heuristic(share), BY_RANK) for name, share in rules.items()}
     facts = {
-        "known": {name: round(float(value), 3) for name, value in known.items()},
+        "known": {name: round(value, 3) for name, (value, _) in known.items()},
+        "error": round(max(error for _, error in known.values()), 3),
+        "clairvoyant": round(float(best_routes()[:, NUM].mean()), 3),
         "POMCP": planner(options.episodes, options.simulations) if options.episodes else None,
     }
     cells = [(log, cut, size, options.repetitions) for log in options.logs for cut in CUTS for size in options.sizes]
