@@ -1,6 +1,6 @@
 """RockSample(7, 8) [Smith and Simmons 2004]: a policy learned from logs of a heuristic, beside a planner.
 
-python benchmarks/published/rocksample.py [--out …/rocksample.json] [--repetitions 2] [--sizes 300 1000 5000]
+python benchmarks/published/rocksample.py [--out …/rocksample.json] [--repetitions 4] [--sizes 300 1000 5000]
 
 The world is `worlds/rocks.py`. Rewards of a log are discounted to the first step, and how far that has gone is among
 the covariates; stages are skills, which take as many seconds as steps. A log is of the heuristic, of which three
@@ -167,10 +167,10 @@ def listed(values: Mapping[str, float]) -> str:
 
 
 def main() -> None:
-    parser = asked(__doc__, "rocksample", 2)
+    parser = asked(__doc__, "rocksample", 4)
     parser.add_argument("--sizes", nargs="+", type=int, default=list(SIZES), help="trajectories of a log")
     parser.add_argument("--logs", nargs="+", choices=EXPLORES, default=list(EXPLORES), help="whose (%(default)s)")
-    parser.add_argument("--episodes", type=int, default=12, help="of POMCP; 0 leaves it out (%(default)s)")
+    parser.add_argument("--episodes", type=int, default=30, help="of POMCP; 0 leaves it out (%(default)s)")
     parser.add_argument("--simulations", type=int, default=0, help="of POMCP a decision; 0 for a second of this core")
     options = parser.parse_args()
     rules = {"heuristic": 0.0} | {f"log of {name}": share for name, share in EXPLORES.items()}

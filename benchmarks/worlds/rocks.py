@@ -269,7 +269,7 @@ def log_of(played: Played, choices: Choices, covariates: pd.DataFrame, rate: flo
 def rate_of(share: float, rule: Rule, rng: np.random.Generator) -> float:
     """Rate of cuts a step by which this share of a policy's trajectories is cut."""
     length = play(4000, rule, BY_RANK, rng).lengths
-    return brentq(lambda rate: np.mean(-np.expm1(-rate * length)) - share, 0.0, 1.0) if share else 0.0
+    return float(brentq(lambda rate: np.mean(-np.expm1(-rate * length)) - share, 0.0, 1.0)) if share else 0.0
 
 
 def best_routes() -> Float[np.ndarray, "256 9"]:

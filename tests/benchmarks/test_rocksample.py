@@ -2,6 +2,7 @@
 
 import json
 from itertools import permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -151,6 +152,15 @@ def test_what_is_kept_makes_a_table():
     assert "nan" not in printed
 
 
+def test_the_page_tells_how_often_the_default_breaks_down_and_that_nothing_is_ahead_of_the_heuristic():
+    page = (Path(__file__).parents[2] / "docs" / "guide" / "published-worlds.md").read_text(encoding="utf-8")
+    kept = stored("rocksample")
+    each = [row["values"]["by rank, default"] for row in kept["rows"] if row["log"].startswith("heuristic")]
+    assert f"{(np.array(each) < 19.0).sum()} of {np.size(each)} logs of the heuristic teach less than 19" in page
+    best = max(max(values) for row in kept["rows"] for values in row["values"].values())
+    assert best < kept["known"]["heuristic"] + kept["error"]
+
+
 @pytest.mark.slow
 def test_the_benchmark_stores_and_prints_what_it_found(tmp_path, monkeypatch, capsys):
     out = tmp_path / "found.json"
@@ -167,5 +177,5 @@ def test_the_benchmark_stores_and_prints_what_it_found(tmp_path, monkeypatch, ca
 def test_the_first_log_of_what_is_kept_comes_out_again():
     kept = stored("rocksample")["rows"][0]
     again = rocksample.measured(*kept["log"].split(", "), kept["size"], 1)["values"]
-    for name, values in again.items():
-        assert values[0] == pytest.approx(kept["values"][name][0], abs=0.3), name
+    for name in ("by number, linear", "by rank, linear"):
+        assert again[name][0] == pytest.approx(kept["values"][name][0], abs=0.02), name
