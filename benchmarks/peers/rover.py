@@ -38,6 +38,7 @@ DEPTH, EXPLORATION = 90, 5.0
 ENOUGH, TOO_OFTEN, DRAWS = 2, 5, 2000
 PLACES = [(x, y) for x in range(SIZE) for y in range(SIZE)]
 ROCK_AT = {tuple(rock): k for k, rock in enumerate(ROCKS.tolist())}
+GOALS, MOTIONS = ROCKS.tolist(), MOVES.tolist()
 RIGHT = dict(zip(PLACES, accuracy(np.array(PLACES)).tolist(), strict=True))
 
 
@@ -79,14 +80,10 @@ class RoverModel(pomdp_py.BlackboxModel):
             pay = PAY if state.good >> rock & 1 else -PAY
             gone = changed(state.said, rock, -TOO_OFTEN), changed(state.times, rock, TOO_OFTEN)
             return State(place, state.good & ~(1 << rock), *gone), NOTHING, pay, 1
-        goal = place[0] + MOVES[number][0], place[1] + MOVES[number][1]
+        goal = place[0] + MOTIONS[number][0], place[1] + MOTIONS[number][1]
         if goal[0] == SIZE:
             return state, NOTHING, PAY, DEPTH
         return State(goal, state.good, state.said, state.times), NOTHING, 0.0, 1
-
-
-MOVES = MOVES.tolist()
-GOALS = ROCKS.tolist()
 
 
 @cache

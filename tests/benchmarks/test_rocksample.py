@@ -136,6 +136,21 @@ def test_a_log_tells_the_same_trajectories_by_number_and_by_rank_and_half_are_cu
     assert np.all(rocks.play(50, rule, BY_RANK, np.random.default_rng(6)).returns <= rocks.best_routes().max())
 
 
+def test_the_model_of_pomcp_takes_the_same_steps():
+    peer = pytest.importorskip("peers.rover", reason="pomdp-py is not installed")
+    none, model, good = (0,) * NUM, peer.RoverModel(), 0b10110010
+    is_good = np.array([[good >> k & 1 for k in range(NUM)]], dtype=bool)
+    for place in map(tuple, PLACES.tolist()):
+        for action in peer.possible(place, none, none):
+            then, said, reward, steps = model.sample(peer.State(place, good, none, none), action)
+            moved, expected, seen = after(Rovers(np.array([place]), is_good), action.number)
+            assert (steps == peer.DEPTH, reward) == (bool(moved.is_out[0]), expected)
+            if not moved.is_out[0]:
+                assert then.place == tuple(moved.position[0])
+                assert [then.good >> k & 1 for k in range(NUM)] == moved.is_good[0].tolist()
+            assert (seen >= 0) == (said is not peer.NOTHING)
+
+
 def test_pomcp_samples_a_rock_that_is_surely_good_and_leaves_where_all_are_bad():
     peer = pytest.importorskip("peers.rover", reason="pomdp-py is not installed")
     none, rng = (0,) * NUM, np.random.default_rng(0)
