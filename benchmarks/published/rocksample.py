@@ -157,7 +157,7 @@ def tables(report: dict[str, Any]) -> str:
     if report["POMCP"]:
         returns, ahead, number = (report["POMCP"][name] for name in ("returns", "ahead", "simulations"))
         pace = f"POMCP by {number:,} simulations a decision {told(returns, 1)} in {len(returns)} worlds"
-        facts.append(f"{pace}, {told(ahead, 1)} ahead of the heuristic there")
+        facts.append(f"{pace}, there against the heuristic {told(ahead, 1)}")
     facts.append(f"learned: mean of {report['repetitions']} logs (lowest)")
     return f"*{'; '.join(facts)}*\n\n{markdown(['log', *DESIGNS], rows)}"
 
