@@ -44,16 +44,19 @@ def planned(
     discount: float,
     exploration: float,
     prior: Any = None,
+    num_simulations: int = -1,
 ) -> tuple[Any, int, float]:
     """The action that POMCP chooses, and its simulations, and how long they took [s]; no action if there were none.
 
-    An action that was never tried counts as worth −1000, else one tried in vain would lose to it.
+    The budget is so many seconds, or simulations; the other one is negative. An action that was never tried counts as
+    worth −1000, else one tried in vain would lose to it.
     """
     agent = pomdp_py.Agent(ExactBelief(states), policy, blackbox_model=model)
     planner = pomdp_py.POMCP(
         max_depth=horizon,
         discount_factor=discount,
         planning_time=budget_s,
+        num_sims=num_simulations,
         exploration_const=exploration,
         value_init=-1000.0,
         rollout_policy=policy,
