@@ -4,11 +4,11 @@
 """
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.resources import files
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -17,7 +17,6 @@ from halfseen.world.scene import Scene
 from halfseen.writing import write_file
 
 if TYPE_CHECKING:
-    from halfseen.cell.calibration.law import Law
     from halfseen.perception.solids import Hull, Vessel
     from halfseen.perception.view import SeenObject, View
 
@@ -61,6 +60,15 @@ def _width_m(solid: "Vessel | Hull", own_m: Float[np.ndarray, "own 2"]) -> float
     return float(high_m - low_m)
 
 
+@runtime_checkable
+class GripLaw(Protocol):
+    """Tells by their facts how well objects can be gripped."""
+
+    def gripped(self, scene: Scene, facts: Sequence[Facts]) -> Scene:
+        """The same table, with the grip of each object."""
+        ...
+
+
 @dataclass(frozen=True)
 class TableSeen:
     """One table, as it is seen: what hides what and where each stands, and the fields of `Facts` of each object."""
@@ -68,7 +76,7 @@ class TableSeen:
     plain: Scene
     facts: tuple[Mapping[str, Any], ...]
 
-    def scene(self, law: "Law | None") -> Scene:
+    def scene(self, law: GripLaw | None) -> Scene:
         """Give what a world needs to know of the table; under a law, grips included."""
         if law is None:
             return self.plain
