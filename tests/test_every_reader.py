@@ -41,7 +41,7 @@ from halfseen.logs.parquet_footer import bytes_of_texts, chunks_of
 from halfseen.perception import read_cloud
 from halfseen.perception.label_files import read_labels
 from halfseen.policies import read_policy
-from halfseen.policies.rule_table import read_rule_table
+from halfseen.policies.rule_files import read_rule_table
 from halfseen.study.runner import Store
 from halfseen.view.recording import read_recording
 from halfseen.world import read_team

@@ -1,8 +1,6 @@
-"""How wide a neighbourhood should be, by cross-validation: the likelihood of trajectories that were held out.
+"""Kaplan–Meier in a neighbourhood: Beran's conditional product-limit estimate for the censoring time C (design, §2).
 
-The local product-limit curve itself, for many questions at once in bounded memory.
-
-Kaplan–Meier in a neighbourhood: Beran's conditional product-limit estimate for the censoring time C (design, §2).
+How wide the neighbourhood is, is chosen by the likelihood of trajectories that were held out.
 
 ========  ==============================================================================================
 symbol    here

@@ -17,7 +17,8 @@ from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.logs.spelling import composed
 from halfseen.policies.folder import read_policy
-from halfseen.policies.rule_table import Rule, read_rule_table
+from halfseen.policies.rule_files import read_rule_table
+from halfseen.policies.rule_table import Rule
 from halfseen.shapes import Float
 from halfseen.suggestions import did_you_mean
 

@@ -1,11 +1,9 @@
 """The verdict on what was learned, from the log that it was learned from: no policy is judged by what it has seen.
 
-Trajectories are dealt into folds. For each fold a policy is learned in the same way from the others, and is judged by
-the trajectories of its own fold; what those add, trajectory by trajectory, is pooled over the folds into one paired
-difference for each baseline, with one interval. That is a statement about the policies of the folds, each learned from
-a little less than the whole log (a data-adaptive parameter [Hubbard2016]_), and so about *this way of learning from
-such a log*: the policy that was learned from all of it differs a little from each of them, and is as a rule a little
-better.
+Trajectories are dealt into folds. For each fold a policy is learned in the same way from the others, and judged by the
+trajectories of its own; what those add is pooled over the folds into one paired difference for each baseline, with one
+interval. That is a statement about *this way of learning from such a log* (a data-adaptive parameter [Hubbard2016]_):
+the policy learned from all of it is as a rule a little better than those of the folds.
 
 A policy that holds margins is learned once and judged several times: as it is, the *best guess*, and with more caution.
 That for which most can be claimed is *vouched for* (`vouched`), and the verdict is on it.

@@ -18,7 +18,7 @@ from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
 from halfseen.learning.behaviour import excess_propensity, log_chances
 from halfseen.learning.covariates import Categories, Covariates
-from halfseen.learning.q_space import KernelMap
+from halfseen.learning.kernel_map import KernelMap
 from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
-from halfseen.learning.q_space import KernelMap
+from halfseen.learning.kernel_map import KernelMap
 from halfseen.shapes import Bool, Float, Int
 
 if TYPE_CHECKING:

@@ -6,8 +6,8 @@ value seen in the same trajectory, and before the first the same as of ``"median
 lets all nulls stand, to write a log again: nothing can be learned from it. When each is right depends on why values
 are missing [LittleRubin2019]_; a flag is a part of the state, if the decision lacked the value, too.
 
-What is null is filled in where a log is read, so that all that comes after it sees complete covariates. A policy keeps
-its `Filling`, and fills in the states that it is asked about in the same way.
+What is null is filled in where a log is read. A policy keeps its `Filling`, and fills in the states that it is asked
+about in the same way.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping

@@ -4,8 +4,8 @@ Read down: `folder` (policies on disk) → `decision` (the port: what is asked, 
 begins) → `ranges` (what lies outside the logs), `certainty` (how sure Q is) → `named_decider`, `table_decider`
 (policies behind the port, and why) → `history`, `table_observation` (a cloud → what is decided from; loaded for tables
 alone) → `observations` (policies and files → deciders and what they decide from) → `shares` (what a policy does in the
-states of a log) → `learner_choice` (which learner suits a log). `rule_table`: rules of thumb as policies of named
-actions.
+states of a log) → `learner_choice` (which learner suits a log). `rule_table`, `rule_files`: rules of thumb as
+policies of named actions.
 """
 
 from typing import TYPE_CHECKING
@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     from halfseen.policies.folder import StoredPolicy, read_policy, write_policy
     from halfseen.policies.named_decider import NamedDecider, NamedObservation
     from halfseen.policies.observations import decider_of
-    from halfseen.policies.rule_table import Rule, RuleTable, read_rule_table
+    from halfseen.policies.rule_files import read_rule_table
+    from halfseen.policies.rule_table import Rule, RuleTable
     from halfseen.policies.table_decider import TableDecider
 
 __all__ = [
@@ -48,7 +49,7 @@ __getattr__ = lazy_names(
         "TableDecider": "table_decider",
         "decider_of": "observations",
         "read_policy": "folder",
-        "read_rule_table": "rule_table",
+        "read_rule_table": "rule_files",
         "write_policy": "folder",
     },
 )

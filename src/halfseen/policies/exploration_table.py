@@ -18,7 +18,8 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError
-from halfseen.policies.rule_table import ACTION, Rows, RuleRow, csv_rows, named_in
+from halfseen.policies.rule_files import Rows, csv_rows, named_in
+from halfseen.policies.rule_table import ACTION, RuleRow
 from halfseen.reading import reason_of
 
 PROBABILITY = "probability"

@@ -55,7 +55,7 @@ def rule_of(stored: StoredPolicy, file: Path) -> "RuleTable":
     ArgumentError
         The policy is of tables, the file is no rule, or it names an action that the policy does not know.
     """
-    from halfseen.policies.rule_table import named_in, read_rule_table
+    from halfseen.policies.rule_files import named_in, read_rule_table
 
     if stored.is_table:
         raise ArgumentError(f"{file}: the policy is of tables of objects, and rules are of named actions; leave it out")

@@ -1,21 +1,17 @@
 """Decisions of a policy of named actions: from the covariates of one stage, and why."""
 
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from io import BytesIO
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError, PolicyError
+from halfseen.errors import LogError, PolicyError
 from halfseen.lazy import Frame
-from halfseen.learning.covariates import Categories
 from halfseen.learning.discrete_policy import DiscretePolicy, Valued
 from halfseen.policies.certainty import QError, certainty
 from halfseen.policies.decision import SAME_VALUE, Decision, lead, next_best, values_by_name
-from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.ranges import (
     Margins,
     Range,
@@ -28,7 +24,6 @@ from halfseen.policies.ranges import (
     refuse_far,
     refuse_outside,
 )
-from halfseen.reading import json_of, read_bytes, read_text, reason_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,39 +227,6 @@ def _written(value: Any, num_digits: int) -> str:
 STATE_FILES = (".json", ".csv")
 
 
-def read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) -> NamedObservation:
-    """Read the covariates of one stage.
-
-    Parameters
-    ----------
-    stored
-        A policy of named actions.
-    file, stage
-        As `read_observation` takes them.
-
-    Raises
-    ------
-    HalfseenError
-        The file cannot be read, or does not fit the policy.
-    """
-    policy = stored.policy
-    if file.suffix not in STATE_FILES:
-        raise PolicyError(
-            f"{file}: the policy is of named actions and looks at {_looks_at(policy)}, not at clouds; give them as "
-            ".json or .csv"
-        )
-    states = _read_states(file, policy.categories)
-    if len(states) != 1:
-        raise PolicyError(f"{file}: it holds {len(states)} states; give one: a JSON object, or a header and one row")
-    state, said = states[0], states[0].get("stage")
-    full, filled = completed(policy, state)
-    values = known_covariates(policy, full, str(file))
-    if said is not None and stage not in (None, said):
-        raise ArgumentError(f"--stage is {stage}, but {file} says {said}; leave one of them out")
-    number = checked_stage(said if said is not None else stage or 1, stored.horizon, str(file))
-    return NamedObservation(values, number, filled=filled)
-
-
 def completed(
     policy: DiscretePolicy, state: Mapping[str, Any], last: Mapping[str, Any] | None = None
 ) -> tuple[Mapping[str, Any], dict[str, str]]:
@@ -311,7 +273,8 @@ def checked_stage(stage: Any, horizon: int, where: str) -> int:
     return int(stage)
 
 
-def _looks_at(policy: DiscretePolicy) -> str:
+def covariates_in_words(policy: DiscretePolicy) -> str:
+    """What the policy looks at."""
     return ", ".join(policy.covariates) or "no covariates"
 
 
@@ -320,32 +283,13 @@ def _check_row(row: Frame, policy: DiscretePolicy, where: str) -> None:
     missing = [name for name in policy.covariates if name not in row.columns]
     if missing:
         raise PolicyError(
-            f"{where}: the policy looks at {_looks_at(policy)}, and there is no {missing[0]!r} among "
+            f"{where}: the policy looks at {covariates_in_words(policy)}, and there is no {missing[0]!r} among "
             f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
         )
     try:
         policy.looks_at.encode(row)
     except LogError as error:
         raise PolicyError(f"{where}: {error}") from error
-
-
-def _cell(value: Any, categories: Collection[str] | None) -> Any:
-    """An empty cell of text is null, unless it is a category."""
-    return None if categories is not None and value == "" and value not in categories else value
-
-
-def _read_states(file: Path, texts: Categories) -> list[dict[str, Any]]:
-    try:
-        if file.suffix == ".json":
-            state = json_of(read_text(file))
-            return [state] if isinstance(state, dict) else []
-        import pandas as pd
-
-        exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
-        states = pd.read_csv(BytesIO(read_bytes(file)), **exact).to_dict("records")
-        return [{name: _cell(value, texts.get(name)) for name, value in each.items()} for each in states]
-    except (OSError, ValueError) as error:
-        raise PolicyError(f"{file}: it cannot be read ({reason_of(error)}); give one state as .json or .csv") from error
 
 
 def _first_of(frame: Frame) -> dict[str, Any]:

@@ -1,16 +1,27 @@
 """From a policy in a folder, or one in memory, to what decides by it; and from files to what it decides from."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, PolicyError
+from halfseen.learning.covariates import Categories
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.policies.certainty import QError
 from halfseen.policies.decision import Decider
 from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
-from halfseen.policies.named_decider import NamedDecider, NamedObservation, read_covariates
+from halfseen.policies.named_decider import (
+    STATE_FILES,
+    NamedDecider,
+    NamedObservation,
+    checked_stage,
+    completed,
+    covariates_in_words,
+    known_covariates,
+)
 from halfseen.policies.ranges import Margins, RangesOfStage, everything, no_margins
+from halfseen.reading import json_of, read_bytes, read_text, reason_of
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw
@@ -121,4 +132,43 @@ def read_observation(
     for option, given in (("--history", history), ("--labels", labels)):
         if given is not None:
             raise ArgumentError(f"{option} is for tables; this policy looks at the covariates of the stage alone")
-    return read_covariates(stored, file, stage)
+    return _read_covariates(stored, file, stage)
+
+
+def _read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) -> NamedObservation:
+    """Read the covariates of one stage, as `read_observation` does."""
+    policy = stored.policy
+    if file.suffix not in STATE_FILES:
+        raise PolicyError(
+            f"{file}: the policy is of named actions and looks at {covariates_in_words(policy)}, not at clouds; give "
+            "them as .json or .csv"
+        )
+    states = _read_states(file, policy.categories)
+    if len(states) != 1:
+        raise PolicyError(f"{file}: it holds {len(states)} states; give one: a JSON object, or a header and one row")
+    state, said = states[0], states[0].get("stage")
+    full, filled = completed(policy, state)
+    values = known_covariates(policy, full, str(file))
+    if said is not None and stage not in (None, said):
+        raise ArgumentError(f"--stage is {stage}, but {file} says {said}; leave one of them out")
+    number = checked_stage(said if said is not None else stage or 1, stored.horizon, str(file))
+    return NamedObservation(values, number, filled=filled)
+
+
+def _cell(value: Any, categories: Collection[str] | None) -> Any:
+    """An empty cell of text is null, unless it is a category."""
+    return None if categories is not None and value == "" and value not in categories else value
+
+
+def _read_states(file: Path, texts: Categories) -> list[dict[str, Any]]:
+    try:
+        if file.suffix == ".json":
+            state = json_of(read_text(file))
+            return [state] if isinstance(state, dict) else []
+        import pandas as pd
+
+        exact: Any = {"float_precision": "round_trip", "converters": dict.fromkeys(texts, str)}
+        states = pd.read_csv(BytesIO(read_bytes(file)), **exact).to_dict("records")
+        return [{name: _cell(value, texts.get(name)) for name, value in each.items()} for each in states]
+    except (OSError, ValueError) as error:
+        raise PolicyError(f"{file}: it cannot be read ({reason_of(error)}); give one state as .json or .csv") from error
