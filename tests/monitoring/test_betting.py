@@ -104,3 +104,10 @@ def test_wealth_reaches_twenty_in_one_of_twenty_lifetimes_at_most(is_less):
     p = np.column_stack([betting.rank_p_values(bins[:, k], 6, np.zeros(6), draws[:, k]) for k in range(num)])
     share = (betting.p_values(betting.log_wealth(betting.rank_payoffs(p, is_less=is_less)))[-1] <= 0.05).mean()
     assert share <= 0.05 + 2.0 * np.sqrt(0.05 * 0.95 / num)
+
+
+def test_a_hypothesis_is_first_rejected_when_its_own_evidence_is_enough():
+    p = np.minimum.accumulate(np.array([[1.0, 1.0], [0.01, 1.0], [0.01, 0.04], [0.01, 0.04]]), axis=0)
+    assert [betting.first_rejected(p, 0.05, k) for k in range(2)] == [1, 2]
+    late = np.array([[0.04, 0.04], [0.03, 0.02]])
+    assert [betting.first_rejected(late, 0.05, k) for k in range(2)] == [1, 1]

@@ -26,7 +26,7 @@ class Finding:
     p_value
         At any time.
     alarm_at
-        Trajectory, counted from 1, at which the family alarmed first.
+        Trajectory, counted from 1, at which it was first found.
     since, since_low, since_high
         Trajectory from which on it has changed, and between which that lies.
     """

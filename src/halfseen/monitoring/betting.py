@@ -9,6 +9,7 @@ is the mean over times and ways, so it costs about the logarithm of how unlikely
 has no end, so the prior has a long tail. Whatever is not bet yet is kept.
 """
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from typing import Any
 
@@ -177,7 +178,16 @@ def holm(p: Float[np.ndarray, " F"], alpha: float) -> np.ndarray:
     return rejected
 
 
-def first_alarm(p: Float[np.ndarray, "n F"], alpha: float) -> int | None:
-    """Round (from 0) in which Holm's procedure first rejects anything; None if in none."""
-    is_out = p.min(axis=1, initial=1.0) <= alpha / max(p.shape[1], 1)
-    return int(np.argmax(is_out)) if is_out.any() else None
+def first_rejected(p: Float[np.ndarray, "n F"], alpha: float, hypothesis: int) -> int:
+    """Round (from 0) in which Holm's procedure first rejects a hypothesis that it rejects in the last.
+
+    Parameters
+    ----------
+    p
+        Of all hypotheses after each round; they never rise.
+    alpha
+        Level.
+    hypothesis
+        Which, by column.
+    """
+    return bisect_left(range(len(p)), True, key=lambda at: bool(holm(p[at], alpha)[hypothesis]))

@@ -279,11 +279,9 @@ def _earned(outcomes: Outcomes, brings: Any, since: int) -> tuple[Course | None,
 def _findings(
     family: str, p: Float[np.ndarray, "n F"], ways: dict[str, list[Stream]], promise: Any, outcomes: Outcomes | None
 ) -> list[Finding]:
-    at = betting.first_alarm(p, ALPHAS[family])
-    if at is None:
-        return []
-    found, streams = [], ways.get(family, [])
-    for k in np.flatnonzero(betting.holm(p[-1], ALPHAS[family])):
+    alpha, streams, found = ALPHAS[family], ways.get(family, []), []
+    for k in map(int, np.flatnonzero(betting.holm(p[-1], alpha)) if len(p) else ()):
+        at = betting.first_rejected(p, alpha, k)
         if k < len(streams):
             against_log = family == "promise" or (family == "parts" and k > len(promise.get("parts", ())))
             change, name = (_since_log if against_log else _since)(streams[k]), streams[k].name
