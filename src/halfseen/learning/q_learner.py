@@ -8,6 +8,7 @@ logs that it was not chosen on.
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -17,6 +18,7 @@ from halfseen.censoring import CensoringModel, CutModel, WeightDiagnostics
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator, check_fitted
 from halfseen.learning.named_task import NamedActions
+from halfseen.learning.promise import believable
 from halfseen.learning.q_model import QModel, is_count
 from halfseen.learning.q_space import (
     SMOOTH,
@@ -261,7 +263,7 @@ class CensoredQLearner(Estimator):
         """
         model = self.compose(logs)
         has_choice = _is_auto(self.stages) and not isinstance(model.space, TabularQ)
-        found = learned_from(logs, model, has_choice, workers)
+        found = believable(partial(learned_from, logs, has_choice=has_choice, workers=workers), model, logs)
         self.model_, self.q_functions_, self.chosen_ = found.model, found.q_functions, found.chosen
         self.weights_, self.diagnostics_ = found.weights, found.diagnostics
         self.policy_ = self.model_.policy(self.q_functions_)
@@ -271,10 +273,11 @@ class CensoredQLearner(Estimator):
         """Check the parameters and compose what they say; nothing is fitted.
 
         Targets are imputed by themselves, but weighted where the action of a stage in which a trajectory was cut is not
-        known; 𝒬 is smooth in plain covariates, linear where that would take too long (`q_space.MOST_WORK`) and in the
-        features that a task makes for each action; pessimism is 2/√T for each of T stages, whose margins add up, and 0,
-        eq. 3 as it is, where targets are fixed. With pessimism and eight actions or more they are partially pooled
-        (`recursion`), and the policy keeps to what the log does where they cannot tell (`preference`).
+        known; 𝒬 is smooth in plain covariates, linear where that would take too long (`q_space.MOST_WORK`) or promises
+        too much (`promise`), and in the features that a task makes for each action; pessimism is 2/√T for each of T
+        stages, whose margins add up, and 0, eq. 3 as it is, where targets are fixed. With pessimism and eight actions
+        or more they are partially pooled (`recursion`), and the policy keeps to what the log does where they cannot
+        tell (`preference`).
 
         Parameters
         ----------
