@@ -180,6 +180,6 @@ def test_what_is_played_of_some_episodes_is_what_is_played_of_all():
     source = Source(SETTING.world, SETTING.layouts, 0, 1)
     for who in (HEURISTICS[-1], horizon_planner(1, 8)):
         policy = who.policy(SETTING.world)
-        together, some = source.evaluate(policy, 6), source.evaluate_some(policy, [1, 4, 5])
+        (together,), (some,) = (source.control_each([policy], which, 0.0) for which in (range(6), [1, 4, 5]))
         for ours, other in zip(some, together.on([1, 4, 5]), strict=True):
             np.testing.assert_allclose(ours, other, atol=1e-4)

@@ -55,6 +55,11 @@ def no_margins(stage: int) -> Margins:
     return NO_MARGINS
 
 
+def most_with_margin(num_ranges: int) -> int:
+    """From so many trajectories on no range has a margin."""
+    return int(np.ceil(2.0 * num_ranges / CHANCE))
+
+
 def margin(largest: Float[np.ndarray, " n"], num_ranges: int) -> float:
     """How far beyond the largest of n values the next may lie by chance; 0 where ties make that unlikely.
 
@@ -73,7 +78,7 @@ def margin(largest: Float[np.ndarray, " n"], num_ranges: int) -> float:
     1.4
     """
     num, top = len(largest), int(np.ceil(np.sqrt(len(largest))))
-    if num <= top or num * CHANCE >= 2.0 * num_ranges:
+    if num <= top or num >= most_with_margin(num_ranges):
         return 0.0
     ordered = np.sort(largest)
     excess = float(np.sum(ordered[-top:] / top - ordered[-top - 1] / top))

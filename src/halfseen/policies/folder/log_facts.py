@@ -15,7 +15,7 @@ from halfseen.logs import Logs, LogsSummary
 from halfseen.logs.summary import SummaryTally
 from halfseen.policies.folder.arrays import PolicyKind
 from halfseen.policies.folder.stored import TABLE_RANGES
-from halfseen.policies.ranges import margin
+from halfseen.policies.ranges import margin, most_with_margin
 from halfseen.shapes import Float, Int
 
 NUM_KNOTS = 21
@@ -69,6 +69,7 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
     """
     digest, summary, priors = LogDigest(), SummaryTally(), []
     taken: list[Counter[str]] = []
+    num_ranges = len(policy.covariates) if kind.is_flat else 0
     seen, counts, spread = [], np.zeros((2, 0), dtype=np.int64), _Spread(0, 0.0, 0.0)
     for part in parts:
         digest.add(part)
@@ -76,10 +77,13 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         if kind.has_prior:
             priors.append(_prior(part))
         here = _seen_named(part, policy, is_by_stage) if kind.is_flat else _seen_tables(part)
-        seen = [one or other if not (one and other) else _joined(one, other) for one, other in zip_longest(seen, here)]
+        pairs = zip_longest(seen, here)
+        seen = [_joined(one, other, num_ranges) if one and other else one or other for one, other in pairs]
         counts = _added(counts, stage_counts(part))
         taken = [one + other for one, other in zip_longest(taken, actions_taken(part), fillvalue=Counter())]
         spread = spread.plus(_spread_of(part))
+    if kind.is_flat:
+        seen = [_with_margins(each, num_ranges) for each in seen]
     prior = _priors_joined(priors) if priors else {}
     left, known = stages_left(counts), [dict(sorted(each.items())) for each in taken] if kind.is_flat else []
     return LogFacts(summary.summary(), digest.hexdigest(), prior, seen, left, spread.deviation, known)
@@ -145,24 +149,25 @@ def _seen_named(logs: Logs, policy: Any, is_by_stage: bool) -> list[dict[str, An
             len(part),
             {name: _shown(part[name], policy.categories.get(name)) for name in policy.covariates},
         )
-        | {"margins": _margins(part, policy)}
+        | {"extremes": _extremes(part, policy)}
         for first, last, part in parts
     ]
 
 
-def _margins(part: Any, policy: Any) -> dict[str, tuple[float, float]]:
-    """Of numbers, by the least and the largest value of each trajectory, which are independent."""
+def _extremes(part: Any, policy: Any) -> dict[str, Float[np.ndarray, "n 2"]]:
+    """Of numbers, the least and the largest value of each trajectory, which are independent."""
     numbers = [name for name in policy.covariates if name not in policy.categories]
     if not numbers:
         return {}
     each = part.groupby("trajectory", sort=False)[numbers].agg(["min", "max"])
-    return {
-        name: (
-            margin(-each[name, "min"].to_numpy(dtype=np.float64), len(policy.covariates)),
-            margin(each[name, "max"].to_numpy(dtype=np.float64), len(policy.covariates)),
-        )
-        for name in numbers
-    }
+    return {name: each[name].to_numpy(dtype=np.float64) for name in numbers}
+
+
+def _with_margins(entry: dict[str, Any], num_ranges: int) -> dict[str, Any]:
+    """With margins in the place of extremes."""
+    each = entry.pop("extremes")
+    sides = {name: (-values[:, 0], values[:, 1]) for name, values in each.items()}
+    return entry | {"margins": {name: tuple(margin(side, num_ranges) for side in both) for name, both in sides.items()}}
 
 
 def _shown(values: Any, categories: Sequence[str] | None) -> Any:
@@ -188,13 +193,15 @@ def _entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> di
     return {"stages": [first, last], "num_states": num_states, "ranges": ranges}
 
 
-def _joined(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+def _joined(one: dict[str, Any], other: dict[str, Any], num_ranges: int) -> dict[str, Any]:
     """What two parts of a log have seen of the same stages."""
     ranges = {name: _wider(seen, other["ranges"][name]) for name, seen in one["ranges"].items()}
-    last, entry_margins = max(one["stages"][1], other["stages"][1]), one.get("margins", {})
-    margins = {name: tuple(map(max, each, other["margins"][name])) for name, each in entry_margins.items()}
+    last = max(one["stages"][1], other["stages"][1])
     joined = _entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
-    return joined | ({"margins": margins} if margins else {})
+    if "extremes" not in one:
+        return joined
+    both = {name: np.concatenate([each, other["extremes"][name]]) for name, each in one["extremes"].items()}
+    return joined | {"extremes": {name: each[: most_with_margin(num_ranges)] for name, each in both.items()}}
 
 
 def _wider(one: Any, other: Any) -> Any:
