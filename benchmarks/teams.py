@@ -4,11 +4,6 @@ python benchmarks/teams.py [--robots 1 2] [--trajectories 800] [--cut 0.5] [--pr
 4000]
                            [--law shipped] [--without "learned, Q of the best"] [--out runs/benchmarks/teams.json]
 
-The study of several robots (two hours on two cores):
-    python benchmarks/teams.py --robots 1 2 3 --trajectories 100 400 1600 --cut 0 0.5 --price -0.05 --logs 4 --episodes
-    1000
-                               --without "learned, Q of the best" --out runs/benchmarks/team_study.json
-
 The ten shipped tables under the law of the shipped cell, of which robot 1 has a worse one where robots are unlike, or
 under the laws that the package assumes. One robot reaches everything; two stand to the left and to the right and share
 the middle; a third stands behind. Each log is played by the team's rule of thumb, half of whose decisions are made

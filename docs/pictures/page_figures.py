@@ -152,34 +152,6 @@ def draw_teams() -> Figure:
     return made
 
 
-TEAM_COLOURS = {"1": SOFT, "2": BLUE, "3": GREEN}
-"""Number of robots → colour."""
-
-
-def draw_team_study() -> Figure:
-    """Draw what one to three robots earn, and their share of one robot's seconds, by the size of the log."""
-    head, *rows = table_of("several-robots", "<!-- teams.py, the study -->")
-    sizes = [int(numbers_in(name)[0]) for name in head[2:]]
-    made = figure(3.8)
-    earned, took = panels = made.subplots(1, 2)
-    for robots, cut, *cells in rows:
-        label = f"{robots} robot{'s' if robots != '1' else ''}{', half cut' if cut != '0' else ''}"
-        for axes, values in zip(panels, np.transpose([numbers_in(cell) for cell in cells]), strict=True):
-            style = "-" if cut == "0" else "--"
-            axes.plot(sizes, values, style, color=TEAM_COLOURS[robots], marker="o", ms=3.5, lw=1.6, label=label)
-    for axes in panels:
-        mark_sizes(axes, sizes)
-        axes.set_xlabel("trajectories of the log")
-    earned.set_ylabel("points above leaving the table")
-    took.set_ylabel("share of one robot’s seconds")
-    took.set_ylim(0.0, 1.1)
-    for robots in (2, 3):
-        took.axhline(1 / robots, color=TEAM_COLOURS[str(robots)], lw=0.9, ls=":")
-        took.annotate(f"1/{robots}", (1.0, 1 / robots), xycoords=("axes fraction", "data"), fontsize=9.0, va="center")
-    made.legend(*earned.get_legend_handles_labels(), loc="outside lower center", ncols=3, **LEGEND)
-    return made
-
-
 ASKS_FOR = {
     "serve": ("serve", "opcua"),
     "export": ("onnx",),
@@ -203,5 +175,4 @@ PICTURES = (
     plot("push", draw_push),
     plot("extras", draw_extras),
     plot("several-robots", draw_teams),
-    plot("team-study", draw_team_study),
 )
