@@ -44,6 +44,8 @@ def test_q_is_linear_where_nobody_asked_for_another_and_that_promises_less(monke
         return "9 a trajectory" if linear_hopes or policy.kernel_map is not None else ""
 
     monkeypatch.setattr(promise, "too_hopeful", hope)
+    assert isinstance(learner(**changed).fit(LOG).model_.space, KernelQ), "of two stages it is believed"
+    monkeypatch.setattr(promise, "MANY_STAGES", 2)
     found = learner(**changed).fit(LOG)
     assert isinstance(found.model_.space, space)
     assert any("promises 9 a trajectory" in each for each in found.chosen_) == (space is LinearQ)

@@ -2,8 +2,9 @@
 
 Errors of Q add up backwards: the largest of several Qs is the likelier one that errs upwards, and is the target of the
 stage before. Over many stages a smooth Q may rise beyond all that was seen, and its policy then waits for what never
-comes. What V̂ promises is a mean. Where it is more than nineteen in twenty of the trajectories that finished have
-brought, it is not believed, and Q is linear, unless that promises as much.
+comes. What V̂ promises is a mean. Where there are many stages, and it is more than nineteen in twenty of the
+trajectories that finished have brought, it is not believed, and Q is linear, unless that promises as much. Of few
+stages it may be right: what the log does may be far from the best.
 """
 
 from collections.abc import Callable
@@ -18,13 +19,14 @@ from halfseen.learning.q_space import KernelQ, LinearQ
 from halfseen.learning.streaming import Learned, sample_of
 from halfseen.logs import Logs, LogStream
 
+MANY_STAGES = 10
 RARE = 0.95
 FEWEST_FINISHED = 20
 """Trajectories below which nothing is said."""
 
 
 def believable(learn: Callable[[QModel], Learned], model: QModel, logs: Logs | LogStream) -> Learned:
-    """Learn; with a linear Q where nobody asked for the smooth one, and it promises too much.
+    """Learn; of many stages with a linear Q where nobody asked for the smooth one, and it promises too much.
 
     Parameters
     ----------
@@ -36,7 +38,8 @@ def believable(learn: Callable[[QModel], Learned], model: QModel, logs: Logs | L
         The log.
     """
     smooth = learn(model)
-    if not (smooth.model.is_space_free and isinstance(smooth.model.space, KernelQ)):
+    is_doubted = smooth.model.is_space_free and isinstance(smooth.model.space, KernelQ)
+    if not is_doubted or model.horizon < MANY_STAGES:
         return smooth
     some = logs if isinstance(logs, Logs) else sample_of(logs, model.random_state)
     hope = too_hopeful(smooth.model.policy(smooth.q_functions), some)
