@@ -1,6 +1,6 @@
 """The learned policy beside a planner with laws fitted to the same log: the study's question, with narrower intervals.
 
-python benchmarks/against_planner.py [--sizes 25 100 400 800] [--cut 0.5] [--logs 20] [--seed 101] [--out FILE]
+python benchmarks/against_planner.py [--sizes 25 100 400 800] [--cut 0.5] [--logs 24] [--seed 101] [--out FILE]
 
 The study lets the planner play eight episodes of each log, as it takes its time; here it plays as many as the learned
 policy, a hundred, on the same tables, all by the control variate. The planner makes 128 simulations a decision. Of a
@@ -65,7 +65,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--sizes", type=int, nargs="+", default=[25, 100, 400, 800])
     parser.add_argument("--cut", type=float, default=0.5)
-    parser.add_argument("--logs", type=int, default=20)
+    parser.add_argument("--logs", type=int, default=24)
     parser.add_argument("--seed", type=int, default=101)
     parser.add_argument("--out", type=Path, default=Path("runs/benchmarks/against_planner.json"))
     given = parser.parse_args()

@@ -21,6 +21,7 @@ from halfseen.logs import Logs, LogStream
 
 MANY_STAGES = 10
 RARE = 0.95
+"""Quantile of what finished trajectories brought."""
 FEWEST_FINISHED = 20
 """Trajectories below which nothing is said."""
 

@@ -18,7 +18,7 @@ class Finding:
     Parameters
     ----------
     family
-        ``"promise"``, ``"inputs"`` or ``"parts"``.
+        ``"rewards"``, ``"promise"``, ``"inputs"`` or ``"parts"``.
     name
         What has changed.
     words
