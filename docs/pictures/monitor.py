@@ -57,7 +57,7 @@ def draw_monitor(rows: Table) -> Figure:
     axes.axvline(WORN_FROM, color=INK, linewidth=1.0)
     axes.text(WORN_FROM - 6, 3e-5, "the gripper wears", ha="right", fontsize=8.5)
     axes.axvline(rows[0]["alarm_at"], color=ALARM, linewidth=1.2)
-    axes.text(rows[0]["alarm_at"] + 6, 2e-8, f"alarm at {rows[0]['alarm_at']:.0f}", color=ALARM, fontsize=8.5)
+    axes.text(num[-1], 0.1, f"alarm at {rows[0]['alarm_at']:.0f}", color=ALARM, ha="right", fontsize=8.5)
     axes.set_yscale("log")
     axes.set_ylim(1e-8, 2.0)
     axes.set_yticks([1.0, 1e-2, 1e-4, 1e-6, 1e-8], ["1", "0.01", "0.0001", "1e-6", "1e-8"])
