@@ -130,8 +130,10 @@ def test_a_better_policy_is_promoted_and_a_sentence_says_so_once(cell, tmp_path)
     chances = read_logs(tmp_path / "logs").trajectories["policy_chance"]
     assert set(chances) == {0.5, 1.0}
     assert (np.diff(chances) >= 0).all()
+    # What comes after the verdict adds nothing, and is not kept.
+    assert compared.courses.num == told["num"] + 1 < len(chances)
     again, said, _ = cell()
-    assert (again.standing.verdict, said) == ("promoted", [])
+    assert (again.standing, again.courses.num, said) == (compared.standing, compared.courses.num, [])
 
 
 def test_a_worse_policy_is_stopped_within_the_loss_that_was_allowed(cell, tmp_path):

@@ -145,7 +145,7 @@ class Comparison:
         """Count a trajectory that is over, as the log has it."""
         self.deal = None
         rows = followed(events).rows
-        if rows["trajectories"][0].get(COMPARISON) != self.name:
+        if rows["trajectories"][0].get(COMPARISON) != self.name or num_until_decided(self.courses) < self.courses.num:
             return
         before, self.courses = self.standing.verdict, joined(self.courses, course_of(rows, self.policy))
         self.counted = counted(self.courses, self.counted, self.kept)
@@ -170,9 +170,10 @@ class Comparison:
         if not self.folder.exists():
             return courses_of(None, self.policy, self.name)
         try:
-            return courses_of(read_logs(self.folder), self.policy, self.name)
+            courses = courses_of(read_logs(self.folder), self.policy, self.name)
         except NothingRecordedError:
             return courses_of(None, self.policy, self.name)
+        return courses.part(0, min(courses.num, num_until_decided(courses) + 1))
 
 
 def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
@@ -213,6 +214,12 @@ def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
     )
     # Laid out as they are where trajectories come one by one: else products of matrices differ in the last bit.
     return Courses(*map(np.ascontiguousarray, courses))
+
+
+def num_until_decided(courses: Courses) -> int:
+    """Trajectories before the first that was not dealt by chance. It says what was decided; later ones add nothing."""
+    is_decided = (courses.chance == 0.0) | (courses.chance == 1.0)
+    return int(np.argmax(is_decided)) if is_decided.any() else courses.num
 
 
 def course_of(rows: Mapping[str, Sequence[Mapping[str, Any]]], policy: DiscretePolicy) -> Courses:
