@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from halfseen.censoring import Cox, KaplanMeier, KernelKaplanMeier, censoring_weights, stage_weights
+from halfseen.censoring.clocks import StageClocks, clock_tolerance_s, tied
 from halfseen.censoring.cut_model import CensoringSpec
-from halfseen.censoring.stage_clocks import StageClocks
-from halfseen.censoring.tied_times import clock_tolerance_s, tied
 from halfseen.learning import CensoredSVC, CensoredSVR
 
 N = 400

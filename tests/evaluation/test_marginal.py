@@ -8,11 +8,11 @@ import pytest
 from enumerated_trial import CHANCE_B, StatePolicy, leaves, problem, specified, trial, truth
 
 from halfseen.evaluation import FixedSequence, evaluate
-from halfseen.evaluation import states as regression
+from halfseen.evaluation import marginal as regression
 from halfseen.evaluation.estimate import Possible, possible
+from halfseen.evaluation.marginal import CLEARLY, history_deviate, marginal_weights, wald
 from halfseen.evaluation.off_policy import HISTORY_COUNTS
-from halfseen.evaluation.states import CLEARLY, history_deviate, wald
-from halfseen.evaluation.weights import begun_weights, marginal_weights, single_ratios
+from halfseen.evaluation.weights import begun_weights, single_ratios
 from halfseen.logs import Logs
 
 TARGET = StatePolicy((0.1, 0.8))

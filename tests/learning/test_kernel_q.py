@@ -4,7 +4,7 @@ from sklearn.kernel_ridge import KernelRidge
 from trials import log_of
 
 from halfseen.learning import CensoredQLearner, KernelQ
-from halfseen.learning.kernel_map import fit_kernel_map
+from halfseen.learning.q_space import fit_kernel_map
 from halfseen.world import Scene, TableWorld, UniformPolicy
 
 GAMMA, REG = 0.7, 1e-3

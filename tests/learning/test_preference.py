@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.preference import RIDGES, advantages, preference_of
+from halfseen.learning.behaviour import RIDGES, advantages, preference_of
 from halfseen.logs import Logs
 
 ACTIONS = [f"a{a}" for a in range(10)]

@@ -6,7 +6,7 @@ import pytest
 
 from halfseen.evaluation.held_out import learn_by_folds
 from halfseen.learning import CensoredQLearner
-from halfseen.learning.recency import latest, recency_weights
+from halfseen.learning.sample import latest, recency_weights
 from halfseen.logs import Logs, LogStream
 from refusals import refused
 from small_logs import flat_log

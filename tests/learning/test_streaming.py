@@ -11,9 +11,9 @@ from trials import ACTIONS, FULL, all_cut
 
 from halfseen.censoring import KaplanMeier, StageClocks
 from halfseen.errors import ArgumentError, LogError, PositivityError
-from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, kept_parts
-from halfseen.learning.kept_parts import KeptParts, num_bytes_of
+from halfseen.learning import CensoredQLearner, DoublyRobust, Weighted, streaming
 from halfseen.learning.rows import TrajectoryArrays
+from halfseen.learning.streaming import KeptParts, num_bytes_of
 from halfseen.learning.task import Encoded
 from halfseen.logs import LogStream
 from halfseen.tables import BetaGrasp
@@ -84,7 +84,7 @@ OF_PAPER = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "sepa
     ids=str,
 )
 def test_passes_learn_what_memory_does(known, tmp_path, options, most, monkeypatch):
-    monkeypatch.setattr("halfseen.learning.q_model.MOST_TRAJECTORIES", most)
+    monkeypatch.setattr("halfseen.learning.sample.MOST_TRAJECTORIES", most)
     options = {"actions": ACTIONS, "covariates": FULL, **options}
     whole = CensoredQLearner(2, **options).fit(known)
     parts = CensoredQLearner(2, **options).fit(streamed(known, tmp_path / "logs", 90))
@@ -105,7 +105,7 @@ def test_weights_serve_where_actions_of_cuts_are_not_known(trial, tmp_path):
 )
 def test_tables_too(tables, tmp_path, options, most, monkeypatch):
     """Their features are in single precision, the sums are not."""
-    monkeypatch.setattr("halfseen.learning.q_model.MOST_TRAJECTORIES", most)
+    monkeypatch.setattr("halfseen.learning.sample.MOST_TRAJECTORIES", most)
     whole = CensoredQLearner.for_table(10, laws=None, **options).fit(tables)
     parts = CensoredQLearner.for_table(10, laws=None, **options).fit(streamed(tables, tmp_path / "t", 25))
     assert_the_same(parts, whole, rtol=1e-7, atol=1e-7)
@@ -181,7 +181,7 @@ def test_a_disk_without_room_changes_nothing(known, tmp_path, monkeypatch):
     stream = streamed(known, tmp_path / "logs", 40)
     learner = CensoredQLearner(2, ACTIONS, **DEFAULT)
     one = bits(learner.fit(stream))
-    monkeypatch.setattr(kept_parts, "MOST_SHARE", 0.0)
+    monkeypatch.setattr(streaming, "MOST_SHARE", 0.0)
     assert bits(learner.fit(stream)) == one
 
 
@@ -230,7 +230,7 @@ def assert_same(here, there):
 def test_a_part_comes_back_as_it_was_and_nothing_is_left_on_the_disk(is_shared, ids, tmp_path, monkeypatch):
     if is_shared:
         monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    with kept_parts.kept_parts(2, is_shared) as kept:
+    with streaming.kept_parts(2, is_shared) as kept:
         for number in range(2):
             kept.keep("trajectories", number, part(0, ids))
             kept.keep("trajectories", number, part(number, ids))
@@ -255,11 +255,11 @@ def test_what_ends_while_writing_leaves_what_was_there(tmp_path, monkeypatch, er
     kept = KeptParts(str(tmp_path), True, 10**6)
     kept.keep("trajectories", 0, part(0))
 
-    def half_written(file, part):
+    def half_written(part, file):
         file.write_bytes(b"half a part")
         raise error
 
-    monkeypatch.setattr(kept_parts, "_write", half_written)
+    monkeypatch.setattr("joblib.dump", half_written)
     try:
         kept.keep("trajectories", 0, part(1))
         assert [file.name for file in tmp_path.iterdir()] == ["trajectories-0"]

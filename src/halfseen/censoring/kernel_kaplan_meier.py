@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.censoring.clocks import tied
 from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
-from halfseen.censoring.partial_likelihood import CutOrder, cut_order
-from halfseen.censoring.tied_times import tied
+from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float

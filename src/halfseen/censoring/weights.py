@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
+from halfseen.censoring.clocks import LARGEST_ROUNDING, tied_clocks
 from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, rows_of
 from halfseen.censoring.model import CensoringModel, fitted_model
-from halfseen.censoring.tied_times import LARGEST_ROUNDING, tied_clocks
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.shapes import Float, Int
 

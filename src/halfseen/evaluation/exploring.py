@@ -17,8 +17,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from halfseen.evaluation.logging_rule import best_threshold
+from halfseen.evaluation.marginal import laid_out
 from halfseen.evaluation.off_policy import Case
-from halfseen.evaluation.states import laid_out
 from halfseen.learning.covariates import is_numeric
 from halfseen.learning.named_task import NamedActions
 from halfseen.logs import Logs
@@ -203,13 +204,10 @@ def _best_split(columns: Float[np.ndarray, "m G"], hangs: Float[np.ndarray, " m"
     if num < 2 * least or not columns.shape[1]:
         return 0.0, 0, 0.0
     order = np.argsort(columns, axis=0, kind="stable")
-    at, left = np.take_along_axis(columns, order, axis=0), hangs[order].cumsum(axis=0)[least - 1 : num - least]
-    size, total = np.arange(least, num - least + 1)[:, None], hangs.sum()
+    left, size = hangs[order].cumsum(axis=0)[least - 1 : num - least], np.arange(least, num - least + 1)[:, None]
+    total = hangs.sum()
     gains = left**2 / size + (total - left) ** 2 / (num - size) - total**2 / num
-    below, above = at[least - 1 : num - least], at[least : num - least + 1]
-    gains = np.where(below < above, gains, 0.0)
-    place, column = np.unravel_index(np.argmax(gains), gains.shape)
-    return float(gains[place, column]), int(column), float(below[place, column] + above[place, column]) / 2.0
+    return best_threshold(np.take_along_axis(columns, order, axis=0), gains, least)
 
 
 def _allotted(leaves: Sequence[_Leaf]) -> list[float]:

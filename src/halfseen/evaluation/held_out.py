@@ -29,7 +29,6 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
-from halfseen.evaluation.baselines import LOGGING
 from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
@@ -37,12 +36,12 @@ from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.specification import specification
 from halfseen.evaluation.tabular import gain_of
-from halfseen.evaluation.targets import CrossFitted
+from halfseen.evaluation.targets import LOGGING, CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_space import TabularQ
-from halfseen.learning.recency import latest
+from halfseen.learning.sample import latest
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 from halfseen.shapes import Float, Int

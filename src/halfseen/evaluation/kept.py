@@ -11,7 +11,7 @@ import pandas as pd
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import QSpec
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.specification import task_of
 from halfseen.logs import Logs
 from halfseen.policies.folder.log_facts import below
 from halfseen.policies.shares import action_shares

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import softmax
-from halfseen.evaluation.states import states_of
+from halfseen.evaluation.marginal import states_of
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import TrajectoryArrays
@@ -93,21 +93,28 @@ def _tree_shares(
 def _best_split(
     states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], least: int
 ) -> tuple[int, float] | None:
-    """The best of all features and thresholds; None where no side of one has rows enough."""
+    """The purest of all features and thresholds; None where no side of one has rows enough."""
     if len(states) < 2 * least:
         return None
     order = np.argsort(states, axis=0)
-    at = np.take_along_axis(states, order, axis=0)
     left = votes[order].cumsum(axis=0)
     total, left = left[-1], left[least - 1 : len(states) - least]
     right = total - left
     scores = (left**2).sum(axis=2) / left.sum(axis=2) + (right**2).sum(axis=2) / right.sum(axis=2)
-    below, above = at[least - 1 : len(states) - least], at[least : len(states) - least + 1]
+    score, feature, threshold = best_threshold(np.take_along_axis(states, order, axis=0), scores, least)
+    return None if score == -np.inf else (feature, threshold)
+
+
+def best_threshold(
+    ordered: Float[np.ndarray, "n F"], scores: Float[np.ndarray, "m F"], least: int
+) -> tuple[float, int, float]:
+    """The largest score of splits that leave so many rows on either side, its feature and threshold; −∞ if none."""
+    num = len(ordered)
+    below, above = ordered[least - 1 : num - least], ordered[least : num - least + 1]
     scores = np.where(below < above, scores, -np.inf)
     place, feature = np.unravel_index(np.argmax(scores), scores.shape)
-    if scores[place, feature] == -np.inf:
-        return None
-    return int(feature), float(below[place, feature] + above[place, feature]) / 2.0
+    middle = float(below[place, feature] + above[place, feature]) / 2.0
+    return float(scores[place, feature]), int(feature), middle
 
 
 def logit_shares(

@@ -14,17 +14,23 @@ import numpy as np
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
-from halfseen.evaluation.baselines import DEFAULT, LOGGING, LOGGING_RULE, Baseline, baseline_probabilities, baselines_of
 from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason, share_of
-from halfseen.evaluation.cross_fitting import jackknifed
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation, per_hour
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.evaluation.problem import Nuisances, Problem, following, logging_contribution, problem_of
-from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of
-from halfseen.evaluation.targets import target_probabilities, task_of
+from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of, task_of
+from halfseen.evaluation.targets import (
+    DEFAULT,
+    LOGGING,
+    LOGGING_RULE,
+    Baseline,
+    baseline_probabilities,
+    baselines_of,
+    target_probabilities,
+)
 from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
-from halfseen.evaluation.weights import Propensity, check_propensity
+from halfseen.evaluation.weights import Propensity, check_propensity, jackknifed
 from halfseen.learning.judging import FittedValues
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
@@ -253,7 +259,7 @@ def evaluate(
     logs
         The log.
     against
-        What the policy is compared with, one or a list (see `halfseen.evaluation.baselines.baselines_of`): the logging
+        What the policy is compared with, one or a list (see `halfseen.evaluation.targets.baselines_of`): the logging
         policy (``"logging"``), the same without its exploration (``"logging-rule"``), a sequence, a rule, another
         policy. ``"better"`` is better than each. None for the first two; the second is then left out where the log
         does not show it.

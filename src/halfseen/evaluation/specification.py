@@ -1,10 +1,10 @@
-"""How Q of a policy and the cuts are modelled for its evaluation: by default, or as a stored policy was learned.
+"""What is decided, and how Q of a policy and the cuts are modelled for its evaluation.
 
-By default the four models behind a doubly robust value are linear in the covariates, the stage and second-order terms,
-so that each of them may bend, and stages can share one Q.
+That is by default, or as a stored policy was learned. By default the four models behind a doubly robust value are
+linear in the covariates, the stage and second-order terms, so that each of them may bend, and stages can share one Q.
 """
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from math import comb
@@ -14,14 +14,15 @@ import numpy as np
 import pandas as pd
 
 from halfseen.censoring import CENSORING_NAMES
-from halfseen.evaluation.targets import horizon_of, is_alike, task_by, task_of
-from halfseen.learning.covariates import Covariates
+from halfseen.errors import ArgumentError
+from halfseen.evaluation.targets import CrossFitted, horizon_of, refuse_other_names
+from halfseen.learning.covariates import Covariates, fit_covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation, QSpace, StageMode, q_space_of, reg_of, stage_mode_of
 from halfseen.learning.targets import DoublyRobust, Targets, Weighted, named_targets
-from halfseen.learning.task import Task
+from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.folder.stored import refuse_log_of_team
@@ -52,6 +53,79 @@ class QSpec:
     q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth"] | str = "linear"
     stages: StageMode | str | None = None
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
+
+
+def task_of(policy: Any, logs: Logs) -> Task:
+    """Find out what a policy decides about.
+
+    Of named actions, the task has those that the policy may take in a stage, and those that were taken there and it
+    never would; covariates are the policy's, with the categories that it knows, or all of the log that hold numbers or
+    text of few categories.
+
+    Raises
+    ------
+    ArgumentError
+        The policy is none of named actions, and the log none of tables; or one names actions by whole numbers, and the
+        other by text.
+    """
+    if isinstance(policy, CrossFitted):
+        # Those of all folds look at the same, and what one of them may take was logged.
+        return task_of(policy.policies[0], logs)
+    if isinstance(policy, NamedActionPolicy):
+        refuse_other_names(policy, logs, "the policy")
+        every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
+        own = getattr(policy, "actions_by_stage", every)
+        covariates = getattr(policy, "covariates", None)
+        categories = getattr(policy, "categories", {})
+        task = NamedActions(
+            _with_logged(own, logs), fit_covariates(logs) if covariates is None else covariates, categories
+        )
+        return task.fitted(logs, policy.horizon)
+    if logs.objects is None:
+        raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
+    return task_by(policy, num_robots=robots_of(logs))
+
+
+def robots_of(logs: Logs) -> int | None:
+    """K of a log that tells what several robots did; None for any other."""
+    # Policies of named actions do without the world.
+    from halfseen.world.log_checks import robots_in
+
+    return robots_in(logs) or None
+
+
+def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Task:
+    """Find the task of tables by which a policy of tables is evaluated: that of several robots if it is for such.
+
+    Parameters
+    ----------
+    policy
+        What decides.
+    num_robots
+        K of the log; None for what the policy says.
+    **parameters
+        Of the task.
+    """
+    grasp = getattr(policy, "grasp", None)
+    of_policy = None if getattr(type(policy), "num_robots", None) == 1 else getattr(policy, "num_robots", None)
+    known = num_robots or of_policy
+    if known is None:
+        return named_task("table", grasp=grasp, **parameters)
+    return named_task("team", grasp=grasp, num_robots=known, base=None, is_evaluating=True, **parameters)
+
+
+def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[Hashable]]:
+    stages = logs.stages
+
+    def logged(stage: int) -> list[Hashable]:
+        return sorted(stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist(), key=str)
+
+    return {stage: list(dict.fromkeys([*names, *logged(stage)])) for stage, names in own.items()}
+
+
+def is_alike(task: Task) -> bool:
+    """Whether stages of a task are alike, as those of tables are, so that one model may serve them all."""
+    return task.end_action is not None or bool(getattr(task, "is_joint", False))
 
 
 def default_targets(logs: Logs) -> Targets:

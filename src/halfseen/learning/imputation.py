@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from halfseen.censoring import Cox, CutModel
-from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
+from halfseen.censoring.clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
 from halfseen.learning.rows import Imputation, TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int

@@ -12,7 +12,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 from halfseen.shapes import Bool, Float, Int
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class LearnedQ(NamedTuple):
     behaviour: Float[np.ndarray, "K G"] | None = None
     """Coefficients of the behaviour policy, which waives margins (`behaviour`); None where it is not known."""
     behaviour_weight: float = 0.0
-    """τ: what a nat of log b counts for beside Q (`preference`)."""
+    """τ: what a nat of log b counts for beside Q (`behaviour`)."""
 
 
 @runtime_checkable

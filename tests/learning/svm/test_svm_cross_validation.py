@@ -8,11 +8,10 @@ from sklearn.model_selection import KFold, RepeatedKFold
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
-from halfseen.learning.svm import cross_validation
-from halfseen.learning.svm.cross_validation import fit_sigmoid
 from halfseen.learning.svm.kernels import VectorKernel
 from halfseen.learning.svm.losses import named_loss
 from halfseen.learning.svm.newton import Gram
+from halfseen.learning.svm.rows import fit_sigmoid
 from halfseen.learning.svm.solver import Problem, solve
 
 GAMMA = 2.0
@@ -67,7 +66,7 @@ def test_losses_are_those_of_a_naive_loop_and_the_least_is_chosen(log, loss, spl
 def test_giving_up_spares_work_and_changes_no_choice(log, loss, monkeypatch):
     rows, y = log
     quick = CensoredSVR(loss, gamma="cv").fit(rows, y)
-    monkeypatch.setattr(cross_validation, "HOPELESS", np.inf)
+    monkeypatch.setattr("halfseen.learning.svm.rows.HOPELESS", np.inf)
     patient = CensoredSVR(loss, gamma="cv").fit(rows, y)
     assert np.isinf(quick.cv_losses_).any()
     assert np.isfinite(patient.cv_losses_).all()

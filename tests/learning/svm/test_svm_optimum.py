@@ -14,7 +14,7 @@ from sklearn.svm import SVC, SVR
 
 from halfseen.errors import HalfseenWarning
 from halfseen.learning import CensoredSVC, CensoredSVR
-from halfseen.learning.svm import interior, newton, solver
+from halfseen.learning.svm import newton, solver
 from halfseen.learning.svm.losses import PiecewiseLoss, named_loss
 from halfseen.learning.svm.newton import Features, Gram, Point
 from halfseen.learning.svm.solver import Problem, certify, solve
@@ -277,7 +277,7 @@ def test_interior_points_agree_with_the_rounds(loss, reg, monkeypatch):
 
 def test_what_interior_points_leave_is_mended_by_rounds(monkeypatch):
     given = problem("epsilon-insensitive", 1e-4)
-    monkeypatch.setattr(interior, "MOST_INTERIOR_STEPS", 3)
+    monkeypatch.setattr(solver, "MOST_INTERIOR_STEPS", 3)
     found = solve(given)
     best, _ = optimum(given.space.matrix, given.y, given.mass, "epsilon-insensitive", 1e-4, True)
     assert found.objective == pytest.approx(best, rel=3e-8)

@@ -12,7 +12,7 @@ from sksurv.nonparametric import kaplan_meier_estimator
 from halfseen.censoring import KaplanMeier
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVC, CensoredSVR, survival_array
-from halfseen.learning.svm.targets import as_ends
+from halfseen.learning.svm.rows import as_ends
 
 X, TIME, IS_FINISHED = cut_log()
 Y = survival_array(TIME, IS_FINISHED)

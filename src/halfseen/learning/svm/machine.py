@@ -15,14 +15,12 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 from halfseen.arrays import RowIds, Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.errors import ArgumentError, HalfseenWarning
-from halfseen.learning.svm.cross_validation import Fold, folds_of_seen, hold_out
-from halfseen.learning.svm.kernels import checked_gram, named_kernel, scale_gamma
+from halfseen.learning.svm.kernels import SetKernel, all_objects, as_sets, checked_gram, named_kernel, scale_gamma
 from halfseen.learning.svm.losses import CLASSIFICATION, Loss, named_loss, own_loss
 from halfseen.learning.svm.newton import Coefficients, Features, Gram, Space
 from halfseen.learning.svm.nystrom import Nystrom, fit_nystrom, inverse_root
-from halfseen.learning.svm.set_kernel import SetKernel, all_objects, as_sets
+from halfseen.learning.svm.rows import Ends, Fold, as_ends, folds_of_seen, hold_out, row_weights
 from halfseen.learning.svm.solver import Problem, solve
-from halfseen.learning.svm.targets import Ends, as_ends, row_weights
 from halfseen.progress import Progress
 from halfseen.shapes import Float
 

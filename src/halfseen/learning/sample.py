@@ -1,6 +1,10 @@
-"""Later trajectories count more: weights that halve every so many trajectories.
+"""Which trajectories of a log are looked at, and how much each counts.
 
-With n trajectories in the order of their names and a half-life h, the i-th of eq. 3 counts
+*Sample.* Eq. 3 itself runs on sums, to which every trajectory adds. But landmarks of a kernel, durations of stages, the
+behaviour policy, the grasp model of a table and the choice of stages are fitted by methods that hold what they look at.
+Of a log of many trajectories, so many of them tell these as well as all would, in memory and in passes alike.
+
+*Recency.* With n trajectories in the order of their names and a half-life h, the i-th of eq. 3 counts
 
     w_i = 2^{−(n−i)/h},   scaled to mean 1,
 
@@ -9,27 +13,37 @@ beside its weight for cuts. So λ weighs as much as on a log in which each traje
 
 import numpy as np
 
-from halfseen.errors import ArgumentError
 from halfseen.logs import Logs
-from halfseen.shapes import Float
+from halfseen.shapes import Float, Int
+
+MOST_TRAJECTORIES = 2_000
+"""Trajectories of the sample; of a log that has no more, it is the log."""
 
 FEWEST_TRAJECTORIES = 100
 """Below which no half-life is chosen, and by which a policy is judged at least."""
 
 
-def half_life_of(value: float | int | str | None) -> float | str | None:
-    """Check a half-life [trajectories].
+def sampled(num_trajectories: int, seed: int, most: int | None = None) -> Int[np.ndarray, " k"]:
+    """Draw rows of trajectories, increasing and without replacement.
 
-    Raises
-    ------
-    ArgumentError
-        It is neither above 0, ``"auto"`` nor None.
+    Parameters
+    ----------
+    num_trajectories
+        n.
+    seed
+        Of the draw.
+    most
+        Trajectories to draw, if there are as many; None for `MOST_TRAJECTORIES`.
+
+    Examples
+    --------
+    >>> sampled(3, seed=0)
+    array([0, 1, 2])
     """
-    if value is None or value == "auto":
-        return value
-    if isinstance(value, str | bool) or not 0 < value < np.inf:
-        raise ArgumentError(f"half_life is {value!r}; it is a number of trajectories above 0, 'auto' or None")
-    return float(value)
+    size = MOST_TRAJECTORIES if most is None else most
+    if num_trajectories <= size:
+        return np.arange(num_trajectories)
+    return np.sort(np.random.default_rng([seed, 4]).choice(num_trajectories, size, replace=False))
 
 
 def recency_weights(num_trajectories: int, half_life: float | int) -> Float[np.ndarray, " n"]:
