@@ -225,7 +225,9 @@ class Cox(Estimator):
             self.coefficients_, self.standard_errors_ = beta / scales, np.sqrt(np.diag(covariance)) / scales
             self.cumulative_hazard_, self.log_likelihood_ = np.cumsum(best.hazard), best.value
         else:
-            self._fit_nothing(len(names))
+            # No trajectory was cut, so Ĝ is 1 and the data say nothing about β.
+            self.coefficients_, self.standard_errors_ = np.zeros(len(names)), np.full(len(names), np.inf)
+            self.cumulative_hazard_, self.log_likelihood_, self.num_iterations_ = np.empty(0), 0.0, 0
         self.covariates_, self.means_ = names, means
         self.times_, self.num_trajectories_, self.num_cut_ = trajectories.times, len(ends), len(trajectories.cuts)
         self.last_time_ = float(ends.max())
@@ -249,13 +251,6 @@ class Cox(Estimator):
         ratio = np.exp(np.minimum(scores, 700.0)).reshape((-1,) + (1,) * max(times.ndim - 1, 0))
         with np.errstate(over="ignore"):
             return np.exp(-hazard * ratio).reshape(times.shape)
-
-    def _fit_nothing(self, num_covariates: int) -> None:
-        """No trajectory was cut, so Ĝ is 1 and the data say nothing about β."""
-        self.coefficients_ = np.zeros(num_covariates)
-        self.standard_errors_ = np.full(num_covariates, np.inf)
-        self.cumulative_hazard_ = np.empty(0)
-        self.log_likelihood_, self.num_iterations_ = 0.0, 0
 
     def _check_parameters(self) -> None:
         if self.ties not in ("efron", "breslow"):

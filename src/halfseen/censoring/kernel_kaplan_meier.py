@@ -109,15 +109,11 @@ BLOCK_SIZE = 4_000_000
 GAUSSIAN_REACH = 8.0
 
 
-def _gaussian(squared: np.ndarray) -> np.ndarray:
-    return np.where(squared <= GAUSSIAN_REACH**2, np.exp(-squared / 2), 0.0)
-
-
-def _epanechnikov(squared: np.ndarray) -> np.ndarray:
-    return np.maximum(1.0 - squared, 0.0)
-
-
-KERNELS = {"gaussian": _gaussian, "epanechnikov": _epanechnikov}
+KERNELS = {
+    "gaussian": lambda squared: np.where(squared <= GAUSSIAN_REACH**2, np.exp(-squared / 2), 0.0),
+    "epanechnikov": lambda squared: np.maximum(1.0 - squared, 0.0),
+}
+"""Of squared distances in bandwidths."""
 
 
 @dataclass(frozen=True)

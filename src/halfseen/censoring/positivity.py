@@ -180,14 +180,13 @@ def _truncations(weights: Float[np.ndarray, " f"], values: Float[np.ndarray, " f
     unbounded: list[float | None] = [None] if is_identified else [largest]
     # Where all weights are 1, no bound changes anything.
     bounds = np.geomspace(largest, 1.0, NUM_BOUNDS)[1:].tolist() if largest > 1 else []
-    return tuple(_truncation(weights, values, bound) for bound in unbounded + bounds)
-
-
-def _truncation(weights: Float[np.ndarray, " f"], values: Float[np.ndarray, " f"], bound: float | None) -> Truncation:
-    bounded = weights if bound is None else np.minimum(weights, bound)
-    size = weight_diagnostics(bounded, bound).effective_sample_size
-    removed = 1.0 - float(bounded.sum() / weights.sum()) if np.isfinite(weights).all() else None
-    return Truncation(bound, float(bounded @ values / bounded.sum()), size, removed)
+    found = []
+    for bound in unbounded + bounds:
+        bounded = weights if bound is None else np.minimum(weights, bound)
+        size = weight_diagnostics(bounded, bound).effective_sample_size
+        removed = 1.0 - float(bounded.sum() / weights.sum()) if is_identified else None
+        found.append(Truncation(bound, float(bounded @ values / bounded.sum()), size, removed))
+    return tuple(found)
 
 
 def _draw(facts: PositivityFacts) -> Figure:

@@ -112,7 +112,10 @@ class WeightTally:
         if values.any():
             self._total += values.sum()
             self._squares += np.square(values).sum()
-            self._note_largest(values)
+            largest = float(values.max())
+            if largest > self._largest:
+                first, *others = np.unravel_index(int(values.argmax()), values.shape)
+                self._largest, self._largest_at = largest, (self._num_rows + int(first), *map(int, others))
             if self._bound is not None:
                 # 1/(1/bound) may miss the bound by one unit in the last place.
                 self._truncated += values[values >= self._bound * (1 - 1e-12)].sum()
@@ -133,12 +136,6 @@ class WeightTally:
             largest_at=self._largest_at,
             share_truncated=float(self._truncated / self._total),
         )
-
-    def _note_largest(self, values: np.ndarray) -> None:
-        largest = float(values.max())
-        if largest > self._largest:
-            first, *others = np.unravel_index(int(values.argmax()), values.shape)
-            self._largest, self._largest_at = largest, (self._num_rows + int(first), *map(int, others))
 
 
 def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:

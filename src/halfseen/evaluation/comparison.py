@@ -239,13 +239,9 @@ def joint_reason(comparisons: Sequence[Comparison]) -> str:
     why, semicolon, remedy = main.reason.partition("; ")
     if not beaten:
         return main.reason
-    others = " and ".join(f"{_more(each)} than {each.baseline}" for each in beaten)
+    more = [(each.difference.value, each.baseline) for each in beaten if each.difference is not None]
+    others = " and ".join(f"{gain:.3g} more than {baseline}" for gain, baseline in more)
     return f"{why}, {'and' if main.verdict == 'better' else 'though'} {others}{semicolon}{remedy}"
-
-
-def _more(comparison: Comparison) -> str:
-    assert comparison.difference is not None
-    return f"{comparison.difference.value:.3g} more"
 
 
 def share_of(policy: Contender, today: Contender, level: float) -> Estimate | None:

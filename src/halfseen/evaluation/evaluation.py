@@ -191,7 +191,10 @@ class Evaluation:
         head = ("", "value", interval, "effective sample size")
         values = [head, *((name, *_cells(each), f"{each.effective_sample_size:.1f}") for name, each in rows.items())]
         head = ("against", "value", interval, "difference", interval, "adjusted p", "verdict")
-        against = [head, *(_against(each) for each in self.comparisons)]
+        against = [head]
+        for one in self.comparisons:
+            p = "" if one.adjusted_p is None else f"{one.adjusted_p:.2g}"
+            against.append((one.baseline, *_cells(one.value), *_cells(one.difference), p, one.verdict))
         said = [self.sentence, *filter(None, [self.sensitivity])]
         return "\n".join([*said, "", *aligned(values), "", *aligned(against)])
 
@@ -200,11 +203,6 @@ def _cells(estimate: Estimate | None) -> tuple[str, str]:
     if estimate is None:
         return "", ""
     return f"{estimate.value:.4g}", f"{estimate.low:.4g} to {estimate.high:.4g}"
-
-
-def _against(comparison: Comparison) -> tuple[str, ...]:
-    p = "" if comparison.adjusted_p is None else f"{comparison.adjusted_p:.2g}"
-    return (comparison.baseline, *_cells(comparison.value), *_cells(comparison.difference), p, comparison.verdict)
 
 
 def claim_of(found: Evaluation) -> str:

@@ -89,15 +89,6 @@ RIDGE = 1.0
 """Of the linear guess on standardised covariates: a prior of one row."""
 
 
-class Neighbours(NamedTuple):
-    """Which places states are near."""
-
-    nearest: Int[np.ndarray, " m"]
-    """Place of each row."""
-    squared: Float[np.ndarray, "m C"]
-    """Mean squared difference to each place, over covariates."""
-
-
 def mean_by_state(
     weight: Float[np.ndarray, "B m"], states: Sequence[Float[np.ndarray, "m _"]], is_fitted: Bool[np.ndarray, "B m"]
 ) -> Float[np.ndarray, "B m"]:
@@ -112,10 +103,11 @@ def mean_by_state(
     is_fitted
         Rows that each weighting is fitted to; by the others the form is chosen.
     """
-    scaled = [standardised(some) for some in states]
-    each = [found for some in scaled for found in _forms(weight, some, neighbours(some), is_fitted)]
+    each = [found for some in states for found in _forms(weight, standardised(some), is_fitted)]
     errors = [float(np.sum(np.where(is_fitted, 0.0, weight - found) ** 2)) for found in each]
-    return _with_sums(each[int(np.argmin(errors))], weight, is_fitted)
+    best = each[int(np.argmin(errors))]
+    has, wanted = (np.where(is_fitted, one, 0.0).sum(axis=1, keepdims=True) for one in (best, weight))
+    return np.where(has > 0, best * wanted / np.where(has > 0, has, 1.0), weight)
 
 
 def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
@@ -125,31 +117,24 @@ def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
     return (states[:, differs] - states[:, differs].mean(axis=0)) / spread[differs]
 
 
-def neighbours(scaled: Float[np.ndarray, "m F"]) -> Neighbours:
-    """Find the places that stand for states: all that differ, or as many of them as are allowed, drawn."""
+def _forms(
+    weight: Float[np.ndarray, "B m"], scaled: Float[np.ndarray, "m F"], is_fitted: Bool[np.ndarray, "B m"]
+) -> Iterator[Float[np.ndarray, "B m"]]:
+    """Give m by each guess and width, around all places that differ, or as many of them as are allowed, drawn."""
     places = np.unique(scaled, axis=0)
     if len(places) > MOST_PLACES:
         places = places[np.random.default_rng(0).choice(len(places), MOST_PLACES, replace=False)]
     lengths = (scaled**2).sum(axis=1)[:, None] + (places**2).sum(axis=1) - 2.0 * scaled @ places.T
+    # Mean squared difference to each place, over covariates.
     squared = np.maximum(lengths, 0.0) / max(scaled.shape[1], 1)
-    return Neighbours(squared.argmin(axis=1), squared)
-
-
-def _forms(
-    weight: Float[np.ndarray, "B m"],
-    scaled: Float[np.ndarray, "m F"],
-    near: Neighbours,
-    is_fitted: Bool[np.ndarray, "B m"],
-) -> Iterator[Float[np.ndarray, "B m"]]:
-    """Give m by each guess and width."""
-    is_at = np.zeros(near.squared.shape)
-    is_at[np.arange(len(is_at)), near.nearest] = 1.0
+    is_at = np.zeros(squared.shape)
+    is_at[np.arange(len(is_at)), squared.argmin(axis=1)] = 1.0
     counts = is_fitted @ is_at
     for guess in (np.zeros_like(weight), linear(weight, scaled, is_fitted)):
         sums = np.where(is_fitted, weight - guess, 0.0) @ is_at
         mean = sums.sum(axis=1, keepdims=True) / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
         for width in WIDTHS:
-            kernel = np.exp(-near.squared / (2.0 * width**2))
+            kernel = np.exp(-squared / (2.0 * width**2))
             mass = counts @ kernel.T
             is_near = mass > 1e-9
             local = np.where(is_near, sums @ kernel.T / np.where(is_near, mass, 1.0), mean)
@@ -165,14 +150,6 @@ def linear(
     gram = np.einsum("bm,mp,mq->bpq", is_fitted, design, design, optimize=True) + penalty
     cross = np.where(is_fitted, weight, 0.0) @ design
     return np.linalg.solve(gram, cross[..., None])[..., 0] @ design.T
-
-
-def _with_sums(
-    found: Float[np.ndarray, "B m"], weight: Float[np.ndarray, "B m"], is_fitted: Bool[np.ndarray, "B m"]
-) -> Float[np.ndarray, "B m"]:
-    """The same, with the sum of the weights that it was fitted to."""
-    has, wanted = (np.where(is_fitted, each, 0.0).sum(axis=1, keepdims=True) for each in (found, weight))
-    return np.where(has > 0, found * wanted / np.where(has > 0, has, 1.0), weight)
 
 
 CLEARLY = 3.72
@@ -214,11 +191,19 @@ def history_deviate(
             trajectories.reward[trajectory, before],
         ]
     )
-    freed = _freed(np.column_stack([history, residual[trajectory, now]]), known)
-    history, left = _varied(freed[:, :-1], history), freed[:, -1]
+    columns = np.column_stack([history, residual[trajectory, now]])
+    freed = columns - known @ np.linalg.lstsq(known, columns, rcond=1e-9)[0]
+    # Of the history what something is left of, with standard deviation 1.
+    spread, left = freed[:, :-1].std(axis=0), freed[:, -1]
+    kept = spread > 1e-3 * np.maximum(history.std(axis=0), 1e-12)
+    history = freed[:, :-1][:, kept] / spread[kept]
     score = np.zeros((trajectories.num_trajectories, history.shape[1]))
     np.add.at(score, trajectory, history * left[:, None])
-    return _deviate(*wald(score))
+    squared, freedom = wald(score)
+    if freedom == 0:
+        return -np.inf
+    part = 2.0 / (9.0 * freedom)
+    return float(((squared / freedom) ** (1.0 / 3.0) - (1.0 - part)) / np.sqrt(part))
 
 
 def wald(score: Float[np.ndarray, "n H"]) -> tuple[float, int]:
@@ -231,31 +216,12 @@ def wald(score: Float[np.ndarray, "n H"]) -> tuple[float, int]:
     return float(np.sum(along**2 / spread[kept])), int(kept.sum())
 
 
-def _deviate(squared: float, freedom: int) -> float:
-    if freedom == 0:
-        return -np.inf
-    part = 2.0 / (9.0 * freedom)
-    return float(((squared / freedom) ** (1.0 / 3.0) - (1.0 - part)) / np.sqrt(part))
-
-
 def _known(features: Float[np.ndarray, "m F"], taken: Float[np.ndarray, "m A"]) -> Float[np.ndarray, "m C"]:
     """A constant and φ(S_t) for each action, or φ(S_t) for all of them where stages are few."""
     wide = np.column_stack([np.ones(len(features)), features])
     if taken.shape[1] * wide.shape[1] * ROWS_PER_COLUMN > len(features):
         return np.column_stack([taken, features])
     return (taken[:, :, None] * wide[:, None, :]).reshape(len(features), -1)
-
-
-def _freed(columns: Float[np.ndarray, "m H"], known: Float[np.ndarray, "m C"]) -> Float[np.ndarray, "m H"]:
-    """What a regression on `known` leaves of each column."""
-    return columns - known @ np.linalg.lstsq(known, columns, rcond=1e-9)[0]
-
-
-def _varied(freed: Float[np.ndarray, "m H"], whole: Float[np.ndarray, "m H"]) -> Float[np.ndarray, "m G"]:
-    """Columns of which something is left, with standard deviation 1."""
-    spread = freed.std(axis=0)
-    kept = spread > 1e-3 * np.maximum(whole.std(axis=0), 1e-12)
-    return freed[:, kept] / spread[kept]
 
 
 class Marginal(NamedTuple):

@@ -4,7 +4,7 @@ That is by default, or as a stored policy was learned. By default the four model
 linear in the covariates, the stage and second-order terms, so that each of them may bend, and stages can share one Q.
 """
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations_with_replacement
 from math import comb
@@ -74,24 +74,20 @@ def task_of(policy: Any, logs: Logs) -> Task:
     if isinstance(policy, NamedActionPolicy):
         refuse_other_names(policy, logs, "the policy")
         every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
-        own = getattr(policy, "actions_by_stage", every)
+        actions, stages = dict(getattr(policy, "actions_by_stage", every)), logs.stages
+        for stage, names in actions.items():
+            logged = stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist()
+            actions[stage] = list(dict.fromkeys([*names, *sorted(logged, key=str)]))
         covariates = getattr(policy, "covariates", None)
-        categories = getattr(policy, "categories", {})
-        task = NamedActions(
-            _with_logged(own, logs), fit_covariates(logs) if covariates is None else covariates, categories
-        )
+        covariates = fit_covariates(logs) if covariates is None else covariates
+        task = NamedActions(actions, covariates, getattr(policy, "categories", {}))
         return task.fitted(logs, policy.horizon)
     if logs.objects is None:
         raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
-    return task_by(policy, num_robots=robots_of(logs))
-
-
-def robots_of(logs: Logs) -> int | None:
-    """K of a log that tells what several robots did; None for any other."""
     # Policies of named actions do without the world.
     from halfseen.world.log_checks import robots_in
 
-    return robots_in(logs) or None
+    return task_by(policy, num_robots=robots_in(logs) or None)
 
 
 def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Task:
@@ -112,15 +108,6 @@ def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Ta
     if known is None:
         return named_task("table", grasp=grasp, **parameters)
     return named_task("team", grasp=grasp, num_robots=known, base=None, is_evaluating=True, **parameters)
-
-
-def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[Hashable]]:
-    stages = logs.stages
-
-    def logged(stage: int) -> list[Hashable]:
-        return sorted(stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist(), key=str)
-
-    return {stage: list(dict.fromkeys([*names, *logged(stage)])) for stage, names in own.items()}
 
 
 def is_alike(task: Task) -> bool:
@@ -183,16 +170,13 @@ def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Log
 
 def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
     """Products of standardised covariates; the square of one with two values says nothing new."""
-    columns = zip(looks_at.names, looks_at.encode(frame).T, strict=True)
-    scaled = {name: _standardised(values) for name, values in columns if name != "stage"}
+    scaled = {}
+    for name, values in zip(looks_at.names, looks_at.encode(frame).T, strict=True):
+        if name != "stage":
+            scaled[name] = (values - values.mean()) / (values.std() or 1.0)
     pairs = combinations_with_replacement(scaled, 2)
     wanted = [(a, b) for a, b in pairs if a != b or len(np.unique(scaled[a])) > 2]
     return {f"{a}*{b}": scaled[a] * scaled[b] for a, b in wanted}
-
-
-def _standardised(values: np.ndarray) -> np.ndarray:
-    spread = values.std()
-    return (values - values.mean()) / (spread if spread > 0 else 1.0)
 
 
 @dataclass(frozen=True)

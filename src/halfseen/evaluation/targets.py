@@ -157,20 +157,11 @@ def target_probabilities(
     else:
         probabilities = task.target_probabilities(policy, logs, horizon)
     probabilities = np.where(trajectories.is_begun[..., None], probabilities, 0.0)
-    _refuse_unknown(probabilities, policy)
-    _refuse_impossible(probabilities, trajectories)
-    return probabilities
-
-
-def _refuse_unknown(probabilities: Float[np.ndarray, "n T A"], policy: Any) -> None:
     if np.isnan(probabilities).any():
         raise ArgumentError(
             f"{type(policy).__name__} draws its actions and does not say the probability of each, which evaluation by "
             "a log needs; evaluate it by simulation"
         )
-
-
-def _refuse_impossible(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays) -> None:
     wrong = trajectories.is_begun[..., None] & (probabilities > 0) & ~trajectories.is_possible
     if wrong.any():
         trajectory, stage, action = np.argwhere(wrong)[0]
@@ -178,6 +169,7 @@ def _refuse_impossible(probabilities: Float[np.ndarray, "n T A"], trajectories: 
             f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: the policy takes action number "
             f"{action + 1}, which is not possible there; give a policy for the actions of this stage"
         )
+    return probabilities
 
 
 LOGGING, LOGGING_RULE = "logging", "logging-rule"
@@ -238,9 +230,11 @@ def _baseline(given: Any, logs: Logs) -> Baseline:
     if isinstance(given, str | Path):
         return _written_baseline(str(given), logs)
     if isinstance(given, FixedSequence):
-        return Baseline(given, _sequence_name(given))
+        return Baseline(given, f"the sequence {', '.join(map(str, given.sequence))}")
     if callable(given) and not hasattr(given, "probabilities") and not hasattr(given, "decide"):
-        return Baseline(_rule_of(given, logs), f"the rule {getattr(given, '__name__', type(given).__name__)}")
+        taken = [np.asarray(given(frame, stage), dtype=object).ravel() for stage, frame in _stages(logs)]
+        rule = Rule(given, tuple(dict.fromkeys(name for names in taken for name in names)), logs.horizon)
+        return Baseline(rule, f"the rule {getattr(given, '__name__', type(given).__name__)}")
     return Baseline(given, f"the {type(given).__name__}")
 
 
@@ -250,7 +244,11 @@ def _written_baseline(text: str, logs: Logs) -> Baseline:
     if text == LOGGING_RULE:
         return Baseline(LOGGING_RULE, LOGGING_RULE_NAME)
     if text.startswith(SEQUENCE):
-        return _written_sequence(text, logs)
+        known = {str(name): name for name in _logged_actions(logs)}
+        names = [name.strip() for name in text.removeprefix(SEQUENCE).split(",")]
+        if not all(names):
+            raise ArgumentError(f"against is {text!r}; name an action for each stage, as {SEQUENCE}A,B,A")
+        return _baseline(FixedSequence(tuple(known.get(name, name) for name in names)), logs)
     path = Path(text)
     if path.suffix.lower() in (".csv", ".toml"):
         return Baseline(read_rule_table(path, logs.horizon, _logged_actions(logs)), f"the rule {path.name}")
@@ -262,26 +260,8 @@ def _written_baseline(text: str, logs: Logs) -> Baseline:
     )
 
 
-def _written_sequence(text: str, logs: Logs) -> Baseline:
-    known = {str(name): name for name in _logged_actions(logs)}
-    names = [name.strip() for name in text.removeprefix(SEQUENCE).split(",")]
-    if not all(names):
-        raise ArgumentError(f"against is {text!r}; name an action for each stage, as {SEQUENCE}A,B,A")
-    sequence = FixedSequence(tuple(known.get(name, name) for name in names))
-    return Baseline(sequence, _sequence_name(sequence))
-
-
-def _sequence_name(sequence: FixedSequence) -> str:
-    return f"the sequence {', '.join(map(str, sequence.sequence))}"
-
-
 def _logged_actions(logs: Logs) -> list[Hashable]:
     return logs.stages["action"].dropna().unique().tolist()
-
-
-def _rule_of(decide: Any, logs: Logs) -> Rule:
-    taken = [np.asarray(decide(frame, stage), dtype=object).ravel() for stage, frame in _stages(logs)]
-    return Rule(decide, tuple(dict.fromkeys(name for names in taken for name in names)), logs.horizon)
 
 
 def _stages(logs: Logs) -> Sequence[tuple[int, Any]]:
