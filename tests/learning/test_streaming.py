@@ -60,27 +60,31 @@ def assert_the_same(parts, whole, **tolerance):
 OF_PAPER = {"q_function": "linear", "censoring": "kaplan-meier", "stages": "separate", "pessimism": 0.0}
 
 
-@pytest.mark.parametrize("most", [5_000, 130], ids="a sample of {}".format)
+SUMS_ALONE = [
+    OF_PAPER | {"reg": 0.0},
+    OF_PAPER,
+    OF_PAPER | {"stages": "pooled"},
+    OF_PAPER | {"reg": 0.1, "censoring": "cox", "covariates": ["s1_1", "s1_2"], "actions": {1: ACTIONS, 2: ["B", "A"]}},
+    OF_PAPER | {"reg": 0.1, "censoring": Weighted(truncate_at=2.0)},
+    OF_PAPER | {"reg": 0.1, "censoring": Weighted("cox", by="stage", truncate_at=9.0)},
+    OF_PAPER | {"reg": 0.1, "censoring": Weighted(by="pooled")},
+    OF_PAPER | {"reg": 0.1, "censoring": "none"},
+]
+BY_SAMPLE = [
+    OF_PAPER | {"censoring": "buckley-james"},
+    OF_PAPER | {"censoring": DoublyRobust(truncate_at=5.0), "stages": "pooled"},
+    OF_PAPER | {"censoring": DoublyRobust("cox", by="stage", outcome_covariates=["s2_1"], truncate_at=5.0)},
+    OF_PAPER | {"pessimism": 0.7, "covariates": ["s1_1", "s1_2"], "censoring": "cox"},
+    OF_PAPER | {"q_function": "kernel", "reg": 1e-3, "covariates": ["s1_1", "s2_1"]},
+    {"covariates": ["s1_1", "s2_1"]},
+    {"covariates": ["s1_1", "s2_1"], "stages": "separate"},
+]
+"""Something is fitted to a sample of the trajectories."""
+
+
 @pytest.mark.parametrize(
-    "options",
-    [
-        OF_PAPER | {"reg": 0.0},
-        OF_PAPER,
-        OF_PAPER | {"stages": "pooled"},
-        OF_PAPER
-        | {"reg": 0.1, "censoring": "cox", "covariates": ["s1_1", "s1_2"], "actions": {1: ACTIONS, 2: ["B", "A"]}},
-        OF_PAPER | {"reg": 0.1, "censoring": Weighted(truncate_at=2.0)},
-        OF_PAPER | {"reg": 0.1, "censoring": Weighted("cox", by="stage", truncate_at=9.0)},
-        OF_PAPER | {"reg": 0.1, "censoring": Weighted(by="pooled")},
-        OF_PAPER | {"reg": 0.1, "censoring": "none"},
-        OF_PAPER | {"censoring": "buckley-james"},
-        OF_PAPER | {"censoring": DoublyRobust(truncate_at=5.0), "stages": "pooled"},
-        OF_PAPER | {"censoring": DoublyRobust("cox", by="stage", outcome_covariates=["s2_1"], truncate_at=5.0)},
-        OF_PAPER | {"pessimism": 0.7, "covariates": ["s1_1", "s1_2"], "censoring": "cox"},
-        OF_PAPER | {"q_function": "kernel", "reg": 1e-3, "covariates": ["s1_1", "s2_1"]},
-        {"covariates": ["s1_1", "s2_1"]},
-        {"covariates": ["s1_1", "s2_1"], "stages": "separate"},
-    ],
+    ("options", "most"),
+    [*((each, 130) for each in SUMS_ALONE), *((each, most) for each in BY_SAMPLE for most in (5_000, 130))],
     ids=str,
 )
 def test_passes_learn_what_memory_does(known, tmp_path, options, most, monkeypatch):
@@ -178,8 +182,8 @@ def test_a_shard_of_a_killed_worker_is_summed_again(known, tmp_path, monkeypatch
 
 
 def test_a_disk_without_room_changes_nothing(known, tmp_path, monkeypatch):
-    stream = streamed(known, tmp_path / "logs", 40)
-    learner = CensoredQLearner(2, ACTIONS, **DEFAULT)
+    stream = streamed(known, tmp_path / "logs", 90)
+    learner = CensoredQLearner(2, ACTIONS, **DEFAULT, q_function="linear")
     one = bits(learner.fit(stream))
     monkeypatch.setattr(streaming, "MOST_SHARE", 0.0)
     assert bits(learner.fit(stream)) == one

@@ -38,8 +38,14 @@ def values(model, rows):
     return model.predict(rows) if isinstance(model, CensoredSVR) else model.decision_function(rows)
 
 
-@pytest.mark.parametrize("reg", [0.1, 1e-3])
-@pytest.mark.parametrize("fit_intercept", [True, False])
+@pytest.mark.parametrize(
+    ("fit_intercept", "reg"),
+    [
+        (True, 1e-3),
+        (False, 0.1),
+        *(pytest.param(*each, marks=pytest.mark.slow) for each in ((True, 0.1), (False, 1e-3))),
+    ],
+)
 @pytest.mark.parametrize("kernel", list(GRAMS))
 @pytest.mark.parametrize("loss", list(LOSSES))
 def test_fit_is_the_optimum_that_cvxpy_finds(loss, kernel, fit_intercept, reg):
@@ -126,8 +132,9 @@ def assert_certified(model):
 
 
 @pytest.mark.parametrize("loss", REGRESSION)
-@pytest.mark.parametrize("reg", [1e-3, "cv"])
-@pytest.mark.parametrize("constant", [0.0, 3.0, 0.1, -1e9])
+@pytest.mark.parametrize(
+    ("reg", "constant"), [*((1e-3, each) for each in (0.0, 3.0, 0.1, -1e9)), ("cv", 0.1), ("cv", -1e9)]
+)
 def test_a_constant_target_is_fitted_without_a_warning(loss, reg, constant):
     model = CensoredSVR(loss, reg=reg).fit(ROWS, np.full(60, constant))
     np.testing.assert_allclose(model.predict(ROWS), constant, atol=0.101 if loss == "epsilon-insensitive" else 1e-6)
