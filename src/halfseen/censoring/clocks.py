@@ -32,11 +32,6 @@ def clock_tolerance_s(time: Rows) -> float:
     would have probability r^−k. So the largest d_k with r^−k ≤ 1e-9 and r ≥ 20 is rounding, if it is at most 1e-5 of
     the span of nine in ten times, and times may differ by up to ten times as much. Where there is no such d_k, they may
     differ by 64 units in the last place.
-
-    Parameters
-    ----------
-    time
-        Finite times [s].
     """
     distinct = np.unique(time)
     differences = np.diff(distinct)

@@ -62,17 +62,6 @@ def partial_likelihood(
 ) -> PartialLikelihood:
     """Evaluate Cox's partial likelihood [Cox1972]_ in O(n p²), ties after [Breslow1974]_ or [Efron1977]_.
 
-    Parameters
-    ----------
-    beta
-        Coefficients.
-    covariates
-        Covariates of the trajectories, in their order of leaving.
-    trajectories
-        That order.
-    is_efron
-        Efron's treatment of ties among the cuts; otherwise Breslow's.
-
     Notes
     -----
     No p × p matrix is made for each trajectory. Σ_j Σ_{i ∈ R_j} r_i z_i z_iᵀ / D_j is one product Zᵀ diag(r · exposure)

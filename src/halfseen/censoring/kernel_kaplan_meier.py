@@ -118,18 +118,12 @@ KERNELS = {
 
 @dataclass(frozen=True)
 class LocalCurve:
-    """Trajectories in the order in which they leave.
-
-    Parameters
-    ----------
-    covariates
-        Standardised covariates of the trajectories, in that order.
-    trajectories
-        The order, and where the cuts stand in it.
-    """
+    """Trajectories in the order in which they leave."""
 
     covariates: Float[np.ndarray, "n p"]
+    """Standardised covariates of the trajectories, in that order."""
     trajectories: CutOrder
+    """The order, and where the cuts stand in it."""
 
     @classmethod
     def of_trajectories(cls, ends: Rows, finished: RowMask, covariates: Float[np.ndarray, "n p"]) -> "LocalCurve":
@@ -145,19 +139,7 @@ class LocalCurve:
     def survival(
         self, u: Float[np.ndarray, "m q"], covariates: Float[np.ndarray, "m p"], bandwidth: float, kernel: str
     ) -> Float[np.ndarray, "m q"]:
-        """Ĝ(u⁻ | z), NaN where nobody near z was watched at some cut before u.
-
-        Parameters
-        ----------
-        u
-            Times asked about [s], a row of them for each question.
-        covariates
-            Standardised covariates of the questions.
-        bandwidth
-            In standard deviations.
-        kernel
-            One of `KERNELS`.
-        """
+        """Ĝ(u⁻ | z), NaN where nobody near z was watched at some cut before u."""
         distinct, question = np.unique(covariates, axis=0, return_inverse=True)
         question = question.reshape(-1)
         step = np.searchsorted(self.times, u, side="left")

@@ -18,43 +18,28 @@ MEAN_WEIGHT_MARGIN = 0.1
 
 @dataclass(frozen=True)
 class WeightedTrajectory:
-    """One trajectory that finished, and its weight.
-
-    Parameters
-    ----------
-    trajectory
-        Its name.
-    time_s
-        When it finished [s].
-    weight
-        1/Ĝ(time⁻), infinite where Ĝ is 0.
-    """
+    """One trajectory that finished, and its weight."""
 
     trajectory: Any
+    """Its name."""
     time_s: float
+    """When it finished [s]."""
     weight: float
+    """1/Ĝ(time⁻), infinite where Ĝ is 0."""
 
 
 @dataclass(frozen=True)
 class Truncation:
-    """What is left when the weights are bounded.
-
-    Parameters
-    ----------
-    truncate_at
-        The bound; None for none.
-    mean
-        Σ w y / Σ w over the trajectories that finished: the weighted mean of the quantity.
-    effective_sample_size
-        (Σ w)² / Σ w².
-    share_removed
-        Proportion of Σ w that the bound takes away, in [0, 1]; None where a weight has no end.
-    """
+    """What is left when the weights are bounded."""
 
     truncate_at: float | None
+    """The bound; None for none."""
     mean: float
+    """Σ w y / Σ w over the trajectories that finished: the weighted mean of the quantity."""
     effective_sample_size: float
+    """(Σ w)² / Σ w²."""
     share_removed: float | None
+    """Proportion of Σ w that the bound takes away, in [0, 1]; None where a weight has no end."""
 
 
 @dataclass(frozen=True, eq=False)

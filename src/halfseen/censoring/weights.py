@@ -82,13 +82,7 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
 
 
 class WeightTally:
-    """What is told of weights that come in parts, along their first axis.
-
-    Parameters
-    ----------
-    truncate_at
-        The bound that the weights were truncated at, if any.
-    """
+    """What is told of weights that come in parts, along their first axis, and were truncated at a bound, if any."""
 
     def __init__(self, truncate_at: float | int | None = None) -> None:
         self._bound = checked_truncation(truncate_at)
@@ -97,13 +91,7 @@ class WeightTally:
         self._largest_at: tuple[int, ...] | None = None
 
     def add(self, weights: ArrayLike) -> None:
-        """Count the next rows.
-
-        Raises
-        ------
-        ArgumentError
-            A weight is negative or not finite.
-        """
+        """Count the next rows."""
         values = np.asarray(weights, dtype=np.float64)
         wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
         if len(wrong):

@@ -148,18 +148,9 @@ def compared(
     excess: Float[np.ndarray, "n T"] | None = None,
     unit: str | None = None,
 ) -> tuple[Comparison, ...]:
-    """Compare a policy with its baselines.
+    """Compare a policy with its baselines, at the level of the intervals and of the verdicts.
 
-    Parameters
-    ----------
-    ours, theirs
-        The policy, and its baselines.
-    level
-        Of the intervals, and of the verdicts.
-    excess
-        1/Ĝ − 1 of each completed stage, 0 elsewhere; None where nothing was cut.
-    unit
-        What rewards are counted in; None if nobody has said.
+    `excess` is 1/Ĝ − 1 of each completed stage, 0 elsewhere; None where nothing was cut.
     """
     unknown = [ours.values is None or each.values is None for each in theirs]
     differences = [None if no else ours.less(each, level) for each, no in zip(theirs, unknown, strict=True)]

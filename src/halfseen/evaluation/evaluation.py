@@ -38,33 +38,17 @@ class Rate(NamedTuple):
 
 @dataclass(frozen=True)
 class PerHour:
-    """What the policy and the logging policy earn in an hour.
-
-    Parameters
-    ----------
-    policy, logging
-        None where that is not known.
-    why_unknown
-        Why, in plain words; None where both are known.
-    """
+    """What the policy and the logging policy earn in an hour."""
 
     policy: Rate | None = None
     logging: Rate | None = None
+    """None where that is not known."""
     why_unknown: str | None = None
+    """Why, in plain words; None where both are known."""
 
 
 def per_hour(problem: Problem, policy: Contender, logging: Contender, level: float) -> PerHour:
-    """Work out what a policy earns in an hour, and what the logging policy does.
-
-    Parameters
-    ----------
-    problem
-        The log, with the policy.
-    policy, logging
-        What trajectories add to the rewards of the two.
-    level
-        Of the intervals.
-    """
+    """Work out what a policy earns in an hour, and what the logging policy does, by what they add."""
     why = why_no_rate(problem.trajectories)
     if why is not None:
         return PerHour(why_unknown=why)

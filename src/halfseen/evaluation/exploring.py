@@ -84,12 +84,9 @@ NOWHERE = Exploration((), 1.0)
 
 
 def exploration_of(case: Case) -> Exploration:
-    """Find where to try what a policy does; nowhere, if stages are no rows of covariates or the log does it often.
+    """Find where to try what a policy does that draws nothing.
 
-    Parameters
-    ----------
-    case
-        A deterministic policy, and what a log says of it.
+    Nowhere, if stages are no rows of covariates or the log does it often.
     """
     problem, task = case.problem, case.problem.model.task
     if not isinstance(task, NamedActions) or problem.log.policy is None:

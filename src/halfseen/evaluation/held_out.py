@@ -263,26 +263,7 @@ def learn_by_folds(
     on_progress: Callable[[], object] = lambda: None,
     pool: Pool = Pool(None),  # noqa: B008 - it has nothing that could change
 ) -> CrossFitted:
-    """Learn one policy for each fold, from the trajectories outside it.
-
-    Parameters
-    ----------
-    learner
-        How to learn.
-    logs
-        The log.
-    num_folds
-        Number K of folds.
-    on_progress
-        Called after each policy.
-    pool
-        Who learns them.
-
-    Raises
-    ------
-    ArgumentError
-        There are fewer trajectories than folds.
-    """
+    """Learn one policy for each fold, from the trajectories outside it; progress is told after each."""
     if logs.num_trajectories < num_folds:
         raise ArgumentError(f"the log has {logs.num_trajectories} trajectories for {num_folds} folds; record more")
     # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen again in each fold.

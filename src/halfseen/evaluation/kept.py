@@ -41,21 +41,14 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Kept:
-    """How a later log compares with what a policy was promised.
-
-    Parameters
-    ----------
-    sentence
-        What it earned, or would, beside what was promised; "" where nothing was.
-    units
-        Covariates that look as if in another unit, a sentence each.
-    drifts
-        What else differs in the states, a sentence each.
-    """
+    """How a later log compares with what a policy was promised."""
 
     sentence: str
+    """What it earned, or would, beside what was promised; "" where nothing was."""
     units: tuple[str, ...]
+    """Covariates that look as if in another unit, a sentence each."""
     drifts: tuple[str, ...]
+    """What else differs in the states, a sentence each."""
 
     @property
     def lines(self) -> list[str]:
@@ -65,19 +58,7 @@ class Kept:
 
 
 def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> tuple[Estimate, bool]:
-    """What a policy earned by a log, if it is the one that made it, or would earn; and whether it is.
-
-    Parameters
-    ----------
-    policy
-        The policy.
-    logs
-        The log.
-    q
-        As for `halfseen.evaluation.evaluate`.
-    found
-        The policy, evaluated by the log.
-    """
+    """What a policy earned by a log, if it is the one that made it, or would earn; and whether it is."""
     task = task_of(policy, logs) if q is None or q.task is None else q.task
     shares = action_shares(policy, task, [logs])
     is_own = bool(np.average(shares["as_logged"].fillna(0.0), weights=shares["num_states"]) >= OWN)
@@ -85,19 +66,9 @@ def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> 
 
 
 def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_own: bool) -> Kept:
-    """Compare a later log with a promise.
+    """Compare a later log, and what the policy earned there or would, with a promise.
 
-    Parameters
-    ----------
-    promise
-        As `halfseen.policies.folder` keeps it: ``value``, with ``low``, ``high`` and ``standard_error``, or None, and
-        ``stages``, as `halfseen.policies.folder.log_facts.promised_states` gives them.
-    logs
-        The log.
-    earned
-        What the policy earned there, or would.
-    is_own
-        Whether it made the log.
+    `halfseen.policies.folder` keeps the promise.
     """
     return Kept(_earned(promise["value"], earned, is_own), *drifts_of(promise["stages"], logs))
 
@@ -118,12 +89,7 @@ def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Tell which covariates have another unit, and which another distribution, than the log that was learned from.
 
-    Parameters
-    ----------
-    promised
-        Of each stage, as `halfseen.policies.folder.log_facts.promised_states` gives it.
-    logs
-        A later log.
+    What was promised of each stage `halfseen.policies.folder.log_facts.promised_states` gives.
     """
     units: dict[str, str] = {}
     found: dict[str, str] = {}

@@ -175,16 +175,7 @@ def logging_rule(
 ) -> LoggingRule | str:
     """Find the rule behind the logged actions, or say why there is none.
 
-    Parameters
-    ----------
-    logs, trajectories
-        The log, and the same laid out.
-    task
-        Names the actions.
-    fold
-        Of each trajectory.
-    has_probability
-        Whether the logged probabilities are to be believed; else the actions alone tell of the rule.
+    Where the logged probabilities are not to be believed, the actions alone tell of it.
     """
     begun, taken = trajectories.is_begun, trajectories.action[trajectories.is_begun]
     # b(A | S) of each stage, 0 where the action or its probability is not known; 1 if none is believed.

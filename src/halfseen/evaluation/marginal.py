@@ -56,17 +56,7 @@ def states_of(
     left_out: Sequence[str] = (),
     added: Sequence[str] = (),
 ) -> Float[np.ndarray, "n T F"]:
-    """Lay out the covariates that can be looked at; zeros where no stage was begun.
-
-    Parameters
-    ----------
-    logs, trajectories
-        The log, and the same laid out.
-    known
-        Categories that are given.
-    left_out, added
-        Covariates that are not wanted, and other columns that are.
-    """
+    """Lay out the covariates that can be looked at, but some and with other columns; zeros where no stage was begun."""
     names = [name for name in fit_covariates(logs) if name not in left_out]
     looked_at = Covariates((*names, *added), learned_categories([logs], names, known))
     return laid_out(looked_at.encode(logs.stages), logs, trajectories)

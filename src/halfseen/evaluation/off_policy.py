@@ -56,11 +56,6 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
         Whether the logged probabilities are used.
     trust
         Of `TRUST`: what is not to be asked.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such thing to trust in.
     """
     unknown = [name for name in trust if name not in TRUST]
     if unknown:
@@ -95,33 +90,22 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Judge:
-    """A log that is ready to judge policies that decide about the same, each beside the same baselines.
-
-    Parameters
-    ----------
-    problem
-        The log, and the first policy.
-    logs
-        The log as it was given.
-    own
-        What the logging policy earns.
-    baselines
-        What the log knows of each.
-    notes
-        How they were found.
-    level
-        Of the intervals.
-    doubt
-        Why no verdict can rest on the log; None where nothing speaks against it.
-    """
+    """A log that is ready to judge policies that decide about the same, each beside the same baselines."""
 
     problem: Problem
+    """The log, and the first policy."""
     logs: Logs
+    """The log as it was given."""
     own: Contender
+    """What the logging policy earns."""
     baselines: tuple[Contender, ...]
+    """What the log knows of each."""
     notes: tuple[str, ...]
+    """How they were found."""
     level: float
+    """Of the intervals."""
     doubt: str | None = None
+    """Why no verdict can rest on the log; None where nothing speaks against it."""
 
     def problem_of(self, policy: Any) -> Problem:
         """The same log with another policy."""

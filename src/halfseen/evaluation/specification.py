@@ -61,12 +61,6 @@ def task_of(policy: Any, logs: Logs) -> Task:
     Of named actions, the task has those that the policy may take in a stage, and those that were taken there and it
     never would; covariates are the policy's, with the categories that it knows, or all of the log that hold numbers or
     text of few categories.
-
-    Raises
-    ------
-    ArgumentError
-        The policy is none of named actions, and the log none of tables; or one names actions by whole numbers, and the
-        other by text.
     """
     if isinstance(policy, CrossFitted):
         # Those of all folds look at the same, and what one of them may take was logged.
@@ -91,17 +85,7 @@ def task_of(policy: Any, logs: Logs) -> Task:
 
 
 def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Task:
-    """Find the task of tables by which a policy of tables is evaluated: that of several robots if it is for such.
-
-    Parameters
-    ----------
-    policy
-        What decides.
-    num_robots
-        K of the log; None for what the policy says.
-    **parameters
-        Of the task.
-    """
+    """Find the task of tables by which a policy of tables is evaluated: of K robots where the log or the policy is."""
     grasp = getattr(policy, "grasp", None)
     of_policy = None if getattr(type(policy), "num_robots", None) == 1 else getattr(policy, "num_robots", None)
     known = num_robots or of_policy
@@ -181,18 +165,12 @@ def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
 
 @dataclass(frozen=True)
 class EvaluationSpec:
-    """What `evaluate` is to be given.
-
-    Parameters
-    ----------
-    censoring
-        What stands for what cuts took away.
-    q
-        How Q of the policy is fitted; None for the way of `evaluate`.
-    """
+    """What `evaluate` is to be given."""
 
     censoring: Targets
+    """What stands for what cuts took away."""
     q: QSpec | None
+    """How Q of the policy is fitted; None for the way of `evaluate`."""
 
     def as_dict(self) -> dict[str, Any]:
         """How cuts were dealt with, ready for JSON."""
@@ -202,13 +180,7 @@ class EvaluationSpec:
 
 
 def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> EvaluationSpec:
-    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`).
-
-    Raises
-    ------
-    PolicyError
-        The log is of a team, and the policy of one robot's tables.
-    """
+    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`)."""
     refuse_log_of_team(stored, logs)
     return specification(stored.policy, stored.record["learner"], logs, **chosen)
 

@@ -68,41 +68,27 @@ class FixedSequence:
 
 @dataclass(frozen=True, eq=False)
 class CrossFitted:
-    """One policy for each fold of a log, which decides for its trajectories and was learned from the others.
-
-    Parameters
-    ----------
-    policies
-        Of each fold, what the task takes for a policy.
-    fold
-        Of each trajectory.
-    horizon
-        Number T of stages.
-    """
+    """One policy for each fold of a log, which decides for its trajectories and was learned from the others."""
 
     policies: tuple[Any, ...]
+    """Of each fold, what the task takes for a policy."""
     fold: Int[np.ndarray, " n"]
+    """Of each trajectory."""
     horizon: int
+    """Number T of stages."""
 
     def more_cautious(self, times: float) -> "CrossFitted":
         """The same policies with so many times their margins."""
         return replace(self, policies=tuple(more_cautious(policy, times) for policy in self.policies))
 
     def target_probabilities(self, logs: Logs, horizon: int, task: Task) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of each trajectory, by the policy of its fold."""
+        """π(a | S_t) of every stage that was begun, of a policy or one for each fold; 0 elsewhere."""
         each = np.stack([task.target_probabilities(policy, logs, horizon) for policy in self.policies])
         return each[self.fold, np.arange(logs.num_trajectories)]
 
 
 def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
-    """Refuse a policy whose actions are whole numbers where the log's are text, or the other way round.
-
-    Raises
-    ------
-    ArgumentError
-        It is such, or one of its actions is composed otherwise by Unicode; as 1 is not '1', it would seem to take what
-        was never logged.
-    """
+    """Refuse a policy whose actions are whole numbers where the log's are text, or the other way round."""
     logged: list[Any] = logs.stages["action"].dropna().unique().tolist()
     composed_as = {composed(name): name for name in logged if isinstance(name, str)}
     for name in policy.actions:
@@ -132,25 +118,7 @@ def horizon_of(policy: Any, default: int) -> int:
 def target_probabilities(
     policy: Any, logs: Logs, trajectories: TrajectoryArrays, task: Task
 ) -> Float[np.ndarray, "n T A"]:
-    """π(a | S_t) of every stage that was begun; 0 elsewhere.
-
-    Parameters
-    ----------
-    policy
-        What the task takes for a policy, or one for each fold.
-    logs
-        The log.
-    trajectories
-        The same, laid out.
-    task
-        Names the actions.
-
-    Raises
-    ------
-    ArgumentError
-        The policy is for other actions or another kind of log, takes an action that is not possible, or draws its
-        actions and cannot say how.
-    """
+    """π(a | S_t) of every stage that was begun, of a policy or one for each fold; 0 elsewhere."""
     horizon = trajectories.action.shape[1]
     if isinstance(policy, CrossFitted):
         probabilities = policy.target_probabilities(logs, horizon, task)
@@ -205,11 +173,6 @@ def baselines_of(against: Any, logs: Logs) -> tuple[Baseline, ...]:
         or TOML rule, or of a policy folder.
     logs
         The log that the comparison rests on.
-
-    Raises
-    ------
-    ArgumentError
-        One is none of these, there are none, or two have the same name.
     """
     given = list(against) if isinstance(against, list | tuple) else [against]
     if not given:
@@ -284,13 +247,7 @@ class _KnownActions:
 def baseline_probabilities(
     policy: Any, name: str, logs: Logs, trajectories: TrajectoryArrays, task: Task
 ) -> Float[np.ndarray, "n T A"] | str:
-    """π(a | S_t) of a baseline in every begun stage; or in words, the action that it takes and the log has not.
-
-    Raises
-    ------
-    ArgumentError
-        It is no policy of such a log, names the same actions by other types, or has fewer stages than the log.
-    """
+    """π(a | S_t) of a baseline in every begun stage; or in words, the action that it takes and the log has not."""
     horizon = trajectories.action.shape[1]
     own = horizon_of(policy, horizon)
     if own < (logs.horizon if isinstance(task, NamedActions) else horizon):

@@ -61,13 +61,7 @@ def check_propensity(propensity: str) -> None:
 
 
 def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """Take the column ``probability``; 1 where it is not needed.
-
-    Raises
-    ------
-    LogError
-        It is null where it is needed; trajectory and stage are named.
-    """
+    """Take the column ``probability``; 1 where it is not needed."""
     missing = is_needed & np.isnan(trajectories.probability)
     if missing.any():
         trajectory, stage = np.argwhere(missing)[0]
@@ -82,19 +76,7 @@ def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray
 def estimated_propensity(
     trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"], blocks: Int[np.ndarray, " A"], is_pooled: bool
 ) -> Float[np.ndarray, "n T"]:
-    """Estimate b(A_t | S_t) from the actions of all stages that are known; 1 where it is not needed.
-
-    Parameters
-    ----------
-    trajectories
-        The log.
-    is_needed
-        Stages that are asked about.
-    blocks
-        Block of coefficients of each action.
-    is_pooled
-        One model for all stages, instead of one for each.
-    """
+    """Estimate b(A_t | S_t) from the actions of all stages that are known, by one model or one a stage."""
     known = trajectories.is_begun & trajectories.has_action
     likely = np.ones(known.shape)
     num_stages = known.shape[1]
@@ -110,18 +92,12 @@ def estimated_propensity(
 
 @dataclass(frozen=True)
 class StageWeights:
-    """Weights of the stages of a log.
-
-    Parameters
-    ----------
-    weight
-        Of each stage that counts, 0 elsewhere.
-    standing
-        The same, and of a trajectory that has ended, its last weight.
-    """
+    """Weights of the stages of a log."""
 
     weight: Float[np.ndarray, "n T"]
+    """Of each stage that counts, 0 elsewhere."""
     standing: Float[np.ndarray, "n T"]
+    """The same, and of a trajectory that has ended, its last weight."""
 
     @property
     def normalised(self) -> Float[np.ndarray, "n T"]:
@@ -257,14 +233,7 @@ def cross_fitted(
 ) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
     """φ of every trajectory by what never saw it; and the value without each of K folds, by the others alone.
 
-    Parameters
-    ----------
-    judged
-        What each of at least K Qs says, fitted without one fold.
-    weights
-        Of the stages that have a target, without each fold.
-    fold
-        Of each trajectory.
+    At least K Qs judge, and as many weights hold, each fitted without one fold.
     """
 
     def added(judged: FittedValues, weights: StageWeights) -> Float[np.ndarray, " n"]:
@@ -283,13 +252,7 @@ def cross_fitted(
 def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:
     """Value of the policy by Q̂ alone, and its standard error.
 
-    Parameters
-    ----------
-    value
-        V̂_1(S_1) of every trajectory: by the Qs that were fitted without each fold, and last by that of all
-        trajectories.
-    fold
-        Of each trajectory.
+    V̂_1(S_1) of every trajectory is by the Qs that were fitted without each fold, and last by that of all trajectories.
     """
     without = np.array([each[fold != k].mean() for k, each in enumerate(value[:-1])])
     return float(value[-1].mean()), jackknife_error(without)

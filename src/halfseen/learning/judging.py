@@ -55,19 +55,7 @@ def judged(
     stages: StageMode,
     reward: Float[np.ndarray, "n T"],
 ) -> FittedValues:
-    """Let each stage's own Q judge it.
-
-    Parameters
-    ----------
-    fits
-        What was fitted to the log, or to another weighting of it.
-    log
-        The log.
-    block_of_action, stages
-        As for the fit.
-    reward
-        As logged; those of `log` may have had noise taken out of them.
-    """
+    """Let each stage's own Q judge it, with rewards as logged: those of `log` may have had noise taken out of them."""
     in_order = slice(None, None, -1 if stages == "pooled" else 1)
     each = zip(fits.coefficients[in_order], np.moveaxis(log.features, 1, 0), strict=True)
     q = np.stack([q_values(of_stage, features, block_of_action) for of_stage, features in each], axis=1)
@@ -111,16 +99,9 @@ def _imputed(
 
 
 def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
-    """Choose between pooled and separate stages; and say all that was chosen by itself, and why.
+    """Choose between pooled and separate stages by a log, or the sample that decides; and say what was chosen, and why.
 
     There is a choice where there are several stages, none of them ended by an action, and trajectories to hold out.
-
-    Parameters
-    ----------
-    model
-        How Q is fitted, with what comes before Q fitted to the log.
-    trajectories
-        The log, or the sample of it that decides.
     """
     if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_HELD_OUT:
         return model, model.chosen
@@ -158,15 +139,7 @@ def _gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[
 def with_half_life(
     model: QModel, trajectories: TrajectoryArrays, num_trajectories: int
 ) -> tuple[QModel, tuple[str, ...]]:
-    """Choose a half-life, if that is asked for; and say why.
-
-    Parameters
-    ----------
-    model, trajectories
-        As for `with_stages`.
-    num_trajectories
-        Of the log.
-    """
+    """Choose a half-life by the same, of a log of so many trajectories, if that is asked for; and say why."""
     if model.half_life != "auto":
         return model, ()
     plain = replace(model, half_life=None)

@@ -61,13 +61,7 @@ def is_count(value: object) -> bool:
 
 @dataclass(frozen=True)
 class QModel:
-    """How Q is fitted: parameters of `CensoredQLearner`, read and checked, and what was fitted before Q.
-
-    Raises
-    ------
-    ArgumentError
-        The horizon is below 1, or no whole number.
-    """
+    """How Q is fitted: parameters of `CensoredQLearner`, read and checked, and what was fitted before Q."""
 
     horizon: int
     task: Task

@@ -20,28 +20,19 @@ from halfseen.shapes import Float
 
 
 class KernelMap(NamedTuple):
-    """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j.
-
-    Parameters
-    ----------
-    centre, scale
-        Mean and standard deviation of each feature; a feature that never varied has an infinite scale.
-    landmarks
-        m rows, scaled.
-    projection
-        R.
-    gamma
-        γ of the Gaussian kernel exp(−γ‖x − z‖²), on scaled features.
-    trend
-        c, of each z_i and z_i z_j; None without the quadratic trend.
-    """
+    """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j."""
 
     centre: Float[Any, " F"]
     scale: Float[Any, " F"]
+    """Mean and standard deviation of each feature; a feature that never varied has an infinite scale."""
     landmarks: Float[Any, "m F"]
+    """m rows, scaled."""
     projection: Float[Any, "m r"]
+    """R."""
     gamma: Float[Any, ""]
+    """γ of the Gaussian kernel exp(−γ‖x − z‖²), on scaled features."""
     trend: Float[Any, " Q"] | None = None
+    """c, of each z_i and z_i z_j; None without the quadratic trend."""
 
     @property
     def num_features(self) -> int:

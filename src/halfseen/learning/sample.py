@@ -49,13 +49,6 @@ def sampled(num_trajectories: int, seed: int, most: int | None = None) -> Int[np
 def recency_weights(num_trajectories: int, half_life: float | int) -> Float[np.ndarray, " n"]:
     """What each trajectory of a log counts, with mean 1; the last one most.
 
-    Parameters
-    ----------
-    num_trajectories
-        n.
-    half_life
-        Trajectories by which the weight halves.
-
     Examples
     --------
     >>> recency_weights(2, 1) * 3
@@ -68,14 +61,7 @@ def recency_weights(num_trajectories: int, half_life: float | int) -> Float[np.n
 def latest(logs: Logs, half_life: float | str | None, num_trajectories: int) -> Logs:
     """Keep the trajectories that count half of the last one, or more, but at least 100; all without a half-life.
 
-    Parameters
-    ----------
-    logs
-        A log, or trajectories drawn from it.
-    half_life
-        Of the log.
-    num_trajectories
-        Of the log.
+    They are a log of so many, or were drawn from it.
     """
     if not isinstance(half_life, float):
         return logs

@@ -63,18 +63,9 @@ class Learned(NamedTuple):
 
 
 def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, workers: Workers | None = None) -> Learned:
-    """Learn from a log, in memory or in passes over a stream.
+    """Learn from a log, in memory, or in passes over a stream, whose shards workers sum.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    model
-        How Q is fitted.
-    has_choice
-        Whether stages are to be pooled is for the log to say (`judging`).
-    workers
-        Who sums the shards of a stream; None for this process alone.
+    Where it has a choice, whether stages are to be pooled is for the log to say (`judging`).
     """
     if isinstance(logs, LogStream):
         return _streaming(logs, model, has_choice, workers or ALONE)

@@ -74,14 +74,7 @@ class StateActions(NamedActions):
 
 
 def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
-    """Make a task of named actions one of a table.
-
-    Raises
-    ------
-    ArgumentError
-        The task is another, or looks at none or several columns, or at one that holds neither names nor numbers; the
-        log is read in passes; or targets are imputed, which takes a regression.
-    """
+    """Make a task of named actions one of a table."""
     if not isinstance(task, NamedActions) or len(task.covariates) != 1:
         raise ArgumentError(
             "q_function is 'tabular', which takes named actions and one covariate, the name of the state"
@@ -130,11 +123,6 @@ def fit_table(log: Transitions, num_states: int, reg: float | None = None) -> QF
     -------
     QFunctions
         By steps to go, one first; coefficients are Q of the first state and how far each other state lies from it.
-
-    Raises
-    ------
-    ArgumentError
-        No stage was completed whose outcome is known.
     """
     rows, horizon = _rows_of(log), log.action.shape[1]
     if not len(rows.cell):

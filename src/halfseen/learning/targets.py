@@ -102,13 +102,7 @@ CENSORING_CHOICES = (*CENSORING_NAMES, *BY_NAME)
 
 
 def targets_of(censoring: Targets | CensoringModel | str) -> Targets:
-    """Read what a user says of censoring: a name, a model of the cuts (weights by it), or the targets themselves.
-
-    Raises
-    ------
-    ArgumentError
-        It is none of these.
-    """
+    """Read what a user says of censoring: a name, a model of the cuts (weights by it), or the targets themselves."""
     if isinstance(censoring, Weighted | DoublyRobust | BuckleyJames | Unweighted):
         return censoring
     if isinstance(censoring, str) and censoring in BY_NAME:
@@ -143,12 +137,6 @@ def named_targets(
         `DoublyRobust`, and not `Weighted`.
     outcome_covariates
         What the outcome regression looks at, where there is one.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such model, or doubly robust targets are wanted without one, or something is said of weights where
-        there are none.
     """
     if isinstance(censoring, str) and censoring in BY_NAME:
         of_weights = {"by": None if by == "trajectory" else by, "covariates": covariates, "truncate_at": truncate_at}

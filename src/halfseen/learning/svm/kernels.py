@@ -54,28 +54,16 @@ KERNEL_NAMES = ("linear", "rbf", "laplacian", "polynomial")
 
 @dataclass(frozen=True)
 class VectorKernel:
-    """A kernel between rows of numbers.
-
-    Attributes
-    ----------
-    name
-        "linear": x·z; "rbf": exp(−γ‖x − z‖²), the Gaussian kernel; "laplacian": exp(−γ‖x − z‖₁); "polynomial":
-        (γ x·z + c)^d.
-    gamma
-        γ > 0 [1 / unit of the rows, squared but for "laplacian"]; "linear" doesn't read it.
-    degree, coef0
-        Whole d ≥ 1 and c ≥ 0 of "polynomial", without which it is not positive semidefinite.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such kernel, or a parameter that it uses makes it none.
-    """
+    """A kernel between rows of numbers."""
 
     name: str
+    """"linear": x·z; "rbf": exp(−γ‖x − z‖²), the Gaussian kernel; "laplacian": exp(−γ‖x − z‖₁); "polynomial": (γ x·z +
+    c)^d."""
     gamma: float | int = 1.0
+    """γ > 0 [1 / unit of the rows, squared but for "laplacian"]; "linear" doesn't read it."""
     degree: float | int = 3
     coef0: float | int = 1.0
+    """Whole d ≥ 1 and c ≥ 0 of "polynomial", without which it is not positive semidefinite."""
 
     def __post_init__(self) -> None:
         if self.name not in KERNEL_NAMES:
@@ -130,21 +118,7 @@ def named_kernel(kernel: str | Kernel, gamma: float | int, degree: float | int =
 def checked_gram(
     kernel: Kernel, first: Sequence[Any] | np.ndarray, second: Sequence[Any] | np.ndarray
 ) -> Float[np.ndarray, "n m"]:
-    """kernel(first, second), refused where it is no part of a Gram matrix.
-
-    Parameters
-    ----------
-    kernel
-        Any kernel; one of the user's own is meant.
-    first, second
-        n and m rows; where they are the same object, symmetry is asked for.
-
-    Raises
-    ------
-    ArgumentError
-        The values have another shape or are not finite, or, where `first` is `second`, are not symmetric within
-        `SYMMETRY_TOLERANCE`, or negative on the diagonal.
-    """
+    """kernel(first, second), refused where it is no part of a Gram matrix; one of rows with themselves is symmetric."""
     shape = len(first), len(second)
     try:
         gram = np.asarray(kernel(first, second), dtype=np.float64)
@@ -207,11 +181,6 @@ def scale_gamma(rows: Float[np.ndarray, "n F"], counts: Rows | None = None) -> f
     -------
     float
         γ [1 / squared unit of the rows].
-
-    Raises
-    ------
-    ArgumentError
-        A value, or the variance, is not finite.
     """
     if rows.size == 0:
         return 1.0
@@ -309,11 +278,6 @@ def as_sets(rows: Sequence[Any] | np.ndarray) -> np.ndarray:
     -------
     ndarray
         Shape (n,), of float64 arrays: rows[indices] works as for numbers.
-
-    Raises
-    ------
-    ArgumentError
-        An element has not two axes or not F features, or a value is not finite; the row is named.
     """
     sets = np.empty(len(rows), dtype=object)
     num_features = None

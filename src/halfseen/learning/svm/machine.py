@@ -276,19 +276,9 @@ def _refuse_dependent(rows: Float[np.ndarray, "n F"], has_offset: bool) -> None:
 
 
 def check_gram_fits(num_rows: int, available_bytes: int | None = None) -> None:
-    """Refuse n × n matrices, three of which are held at once, that would not fit in the free memory.
+    """Refuse n × n matrices, three of which are held at once, that would not fit in the free memory [B].
 
-    Parameters
-    ----------
-    num_rows
-        n.
-    available_bytes
-        Free memory [B]; None asks the machine.
-
-    Raises
-    ------
-    ArgumentError
-        They don't fit; the message says how many landmarks would.
+    The message says how many landmarks would.
     """
     free = free_bytes() if available_bytes is None else available_bytes
     needed = 3 * 8 * num_rows**2

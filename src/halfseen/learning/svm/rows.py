@@ -62,11 +62,6 @@ def as_ends(y: Any) -> Ends | None:
     y
         A structured array with one boolean field and one of times, as scikit-survival has it; a frame with the columns
         ``is_finished`` and ``time`` or ``time_s``; a tuple (time, is_finished); or one number (or label) a row.
-
-    Raises
-    ------
-    ArgumentError
-        It is none of these, or a time is not finite and positive.
     """
     if isinstance(y, tuple) and len(y) == 2 and np.ndim(y[0]) == 1:
         return Ends(*checked_ends(*y))
@@ -89,13 +84,7 @@ def as_ends(y: Any) -> Ends | None:
 
 
 def target_values(time: Rows, target: str | Callable[[Rows], Any]) -> Rows:
-    """Y(T).
-
-    Raises
-    ------
-    ArgumentError
-        There is no such target, or it gives something else than one finite number a row.
-    """
+    """Y(T)."""
     if callable(target):
         values = checked_floats(target(time), "target(time)")
         if values.shape != time.shape:
@@ -140,13 +129,6 @@ def row_weights(
         τ [s], if times are restricted.
     truncate_at
         Largest 1/Ĝ allowed, if any.
-
-    Raises
-    ------
-    ArgumentError
-        The model needs covariates, and the rows are sets.
-    PositivityError
-        Nothing was seen, or Ĝ is 0 where something was.
     """
     if ends is None:
         return counts, None
@@ -197,11 +179,6 @@ def folds_of_seen(cv: Any, seen: RowIds, num_rows: int, random_state: Any, class
         Seed of the dealing.
     classes
         Class of each row seen, so that each fold gets its share of both.
-
-    Raises
-    ------
-    ArgumentError
-        There are fewer than two folds or rows, a split fits to no row that was seen, or none holds one out.
     """
     from sklearn.model_selection import KFold, StratifiedKFold, check_cv
 
@@ -286,16 +263,9 @@ class Sigmoid:
 
 
 def fit_sigmoid(f: Rows, y: Rows, weight: Rows) -> Sigmoid:
-    """Fit by weighted maximum likelihood, with Platt's targets in place of certainty.
+    """Fit by weighted maximum likelihood, with Platt's targets in place of certainty, y = ±1.
 
-    Parameters
-    ----------
-    f
-        Values by fits that did not see the row; NaN rows are left out.
-    y
-        ±1.
-    weight
-        w > 0.
+    Values f are those by fits that did not see the row; NaN rows are left out.
     """
     held = ~np.isnan(f)
     f, y, weight = f[held], y[held], weight[held] / weight[held].sum()
