@@ -180,17 +180,13 @@ ACTIONS = [f"a{a}" for a in range(10)]
 def preferring(seed, n=80, likes=1.0, pays=1.0, horizon=1):
     """Action k is best where x is nearest to k; the log takes it with the odds exp(likes · how near)."""
     rng = np.random.default_rng(seed)
-    trajectory, stage = np.repeat(np.arange(n), horizon), np.tile(np.arange(1, horizon + 1), n)
     x = rng.uniform(-0.5, 9.5, n * horizon)
     near = -0.5 * np.abs(x[:, None] - np.arange(10))
     odds = np.exp(likes * near)
     chances = (odds / odds.sum(axis=1, keepdims=True)).cumsum(axis=1)
     action = np.minimum((rng.random((len(x), 1)) > chances).sum(axis=1), 9)
     reward = pays * near[np.arange(len(x)), action] + rng.normal(size=len(x))
-    stages = {"trajectory": trajectory, "stage": stage, "elapsed_s": 1.0 * stage, "reward": reward, "x": x}
-    stages["action"] = [f"a{a}" for a in action]
-    ends = {"trajectory": np.arange(n), "end_s": np.full(n, 1.0 * horizon), "ending": ["finished"] * n}
-    return Logs(stages=stages, trajectories=ends)
+    return log_of([f"a{a}" for a in action], reward, num_stages=horizon, x=x)
 
 
 def laid_out(log):

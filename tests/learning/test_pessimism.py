@@ -15,7 +15,6 @@ from halfseen.learning import CensoredQLearner, QuadraticQ, q_learner
 from halfseen.learning.recursion import SHRUNK_MEANS, fit_q
 from halfseen.learning.ridge import ridge_of, solve
 from halfseen.learning.sums import Regression
-from halfseen.logs import Logs
 
 REG = 0.02
 COVARIATES = ["x1", "x2"]
@@ -222,12 +221,10 @@ def test_the_joint_reg_has_the_smallest_error_of_all_blocks():
 
 def one_stage(seed, num_actions=10, n=60):
     """All actions but the fourth are worth the same; a covariate says most of the reward."""
-    rng, each = np.random.default_rng(seed), np.arange(n)
-    x, action = rng.normal(size=n), rng.permutation(each % num_actions)
+    rng = np.random.default_rng(seed)
+    x, action = rng.normal(size=n), rng.permutation(np.arange(n) % num_actions)
     reward = 3.0 * x + 0.5 * (action == 3) + 0.3 * rng.normal(size=n)
-    stages = {"trajectory": each, "stage": each * 0 + 1, "elapsed_s": np.ones(n), "reward": reward, "x": x}
-    stages["action"] = [f"a{a}" for a in action]
-    return Logs(stages=stages, trajectories={"trajectory": each, "end_s": np.ones(n), "ending": ["finished"] * n})
+    return log_of([f"a{a}" for a in action], reward, x=x)
 
 
 def learner_of(num_actions=10, **changed):

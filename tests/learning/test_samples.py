@@ -3,7 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
-from trials import ACTIONS, FULL, indicators, two_stage_trial, with_known_actions
+from trials import ACTIONS, FULL, indicators, log_of, two_stage_trial, with_known_actions
 
 from halfseen.censoring import Cox
 from halfseen.errors import ArgumentError
@@ -22,13 +22,8 @@ def turning(num, turns_at, seed=0):
     """One stage; A is better where x is above 0, and from a trajectory on where it is below."""
     rng = np.random.default_rng(seed)
     x, is_a = rng.normal(size=num), rng.random(num) < 0.5
-    sign = np.where(np.arange(num) < turns_at, 1.0, -1.0)
-    stages = {"trajectory": range(num), "stage": 1, "elapsed_s": 1.0, "action": np.where(is_a, "A", "B"), "x": x}
-    reward = sign * x * np.where(is_a, 1.0, -1.0) + 0.3 * rng.normal(size=num)
-    return Logs(
-        pd.DataFrame(stages | {"reward": reward}),
-        pd.DataFrame({"trajectory": range(num), "end_s": 1.0, "ending": "finished"}),
-    )
+    sign = np.where(np.arange(num) < turns_at, 1.0, -1.0) * np.where(is_a, 1.0, -1.0)
+    return log_of(np.where(is_a, "A", "B"), sign * x + 0.3 * rng.normal(size=num), x=x)
 
 
 def copied(logs, counts):

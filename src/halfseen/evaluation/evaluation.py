@@ -175,7 +175,7 @@ class Evaluation:
         head = ("", "value", interval, "effective sample size")
         values = [head, *((name, *_cells(each), f"{each.effective_sample_size:.1f}") for name, each in rows.items())]
         head = ("against", "value", interval, "difference", interval, "adjusted p", "verdict")
-        against = [head]
+        against: list[tuple[str, ...]] = [head]
         for one in self.comparisons:
             p = "" if one.adjusted_p is None else f"{one.adjusted_p:.2g}"
             against.append((one.baseline, *_cells(one.value), *_cells(one.difference), p, one.verdict))

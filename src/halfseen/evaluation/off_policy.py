@@ -8,7 +8,7 @@ anyone who asks says that the log is to be trusted in this.
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
@@ -30,7 +30,7 @@ from halfseen.evaluation.targets import (
     target_probabilities,
 )
 from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
-from halfseen.evaluation.weights import Propensity, check_propensity, jackknifed
+from halfseen.evaluation.weights import Propensity, jackknifed
 from halfseen.learning.judging import FittedValues
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
@@ -301,7 +301,8 @@ def judging(
 ) -> Iterator[Judge]:
     """Make a log ready to judge a policy, and others that decide about the same; parameters are those of `evaluate`."""
     check_level(level)
-    check_propensity(propensity)
+    if propensity not in get_args(Propensity):
+        raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
     if logs.num_trajectories < 2 * num_folds:

@@ -36,12 +36,12 @@ the regression that does so is common to all trajectories.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple, get_args
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from halfseen.censoring import CensoringSpec
-from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.errors import HalfseenError, LogError
 from halfseen.evaluation.estimate import jackknife_error
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.judging import FittedValues, judged
@@ -52,12 +52,6 @@ from halfseen.shapes import Bool, Float, Int
 from halfseen.workers.threads import one_thread
 
 Propensity = Literal["logged", "estimated"]
-
-
-def check_propensity(propensity: str) -> None:
-    """Refuse what is neither ``"logged"`` nor ``"estimated"``."""
-    if propensity not in get_args(Propensity):
-        raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")
 
 
 def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:

@@ -233,7 +233,13 @@ def _surveyed(parts: "Iterable[Logs]", known: Categories) -> dict[str, _Seen]:
             # What one part holds as numbers, all do.
             break
         for name in texts:
-            found[name] = _joined(found.get(name, Counter()), _look(part, name))
+            before, now = found.get(name, Counter()), _look(part, name)
+            if isinstance(before, str) or isinstance(now, str):
+                found[name] = before if isinstance(before, str) else now
+            elif len(both := before + now) > MOST_CATEGORIES:
+                found[name] = f"has more than {MOST_CATEGORIES} categories; group them into fewer, or leave it out"
+            else:
+                found[name] = both
     return found
 
 
@@ -248,15 +254,6 @@ def _look(logs: "Logs", column: str) -> _Seen:
         return f"is null at {where}; {remedy_of(column)}"
     pairs: Any = logs.stages[["trajectory", column]].astype({column: object}).drop_duplicates()
     return Counter(pairs[column].map(str))
-
-
-def _joined(before: _Seen, now: _Seen) -> _Seen:
-    if isinstance(before, str):
-        return before
-    both = now if isinstance(now, str) else before + now
-    if isinstance(both, Counter) and len(both) > MOST_CATEGORIES:
-        return f"has more than {MOST_CATEGORIES} categories; group them into fewer, or leave it out"
-    return both
 
 
 def _trouble(seen: _Seen) -> str | None:
