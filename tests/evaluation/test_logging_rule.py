@@ -95,7 +95,7 @@ def test_actions_alone_tell_less_and_a_rule_that_is_seldom_above_one_half_is_est
     assert found.is_taken is None
     assert 0.85 < agreement(thresholds, logs, found) < 1.0
     assert "how often the model is right cannot be checked" in found.note
-    logs = logged(thresholds, 600, random_share=0.8)
+    logs = logged(thresholds, 400, random_share=0.8)
     found, _ = found_in(logs)
     assert found.is_taken is None
     assert agreement(thresholds, logs, found) > 0.95
@@ -299,7 +299,7 @@ def test_a_policy_that_does_as_the_log_does_has_nothing_to_try():
 
 
 def test_the_order_of_the_rows_of_a_log_does_not_matter():
-    logs = trial(2, num_trajectories=300, cut_rate=0.05)
+    logs = trial(2, num_trajectories=150, cut_rate=0.05)
     assert explored(type(logs)(logs.stages.iloc[::-1], logs.trajectories)) == explored(logs)
 
 
