@@ -114,11 +114,6 @@ def test_a_log_by_lot_waives_almost_nothing():
     assert ((score - low) <= 0.2 * (q - low)).all()
 
 
-def test_without_pessimism_there_is_nothing_to_waive():
-    learner = CensoredQLearner(1, ["A", "B"], ["x"], pessimism=0.0).fit(logs_of(True))
-    assert learner.policy_.behaviour is None
-
-
 # Newton steps on several functions at once
 
 

@@ -84,7 +84,7 @@ def test_without_pessimism_equation_three_is_as_it_stands():
         for given in ({"pessimism": 0.0}, {"pessimism": "auto"})
     )
     np.testing.assert_array_equal(fixed.q_functions_.coefficients, plain.q_functions_.coefficients)
-    assert fixed.policy_.margin is None
+    assert fixed.policy_.margin is fixed.policy_.behaviour is None
     first = logs.stages[logs.stages["stage"] == 1]
     np.testing.assert_array_equal(fixed.policy_.lower_bounds(first, 1), fixed.q_values(first, 1))
 

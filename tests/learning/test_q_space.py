@@ -1,7 +1,6 @@
 """Kernel ridge beside scikit-learn, what is too large, and a smooth Q that promises too much."""
 
 import numpy as np
-import pandas as pd
 import pytest
 from sklearn.kernel_ridge import KernelRidge
 from trials import log_of
@@ -78,14 +77,10 @@ def test_a_table_has_a_kernel_q_too():
 
 
 def wide_log(num_actions, num_covariates, num_texts=0, n=120):
-    rng, each = np.random.default_rng(0), np.arange(n)
-    stages = {"trajectory": each, "stage": np.ones(n, int), "elapsed_s": np.ones(n), "reward": rng.normal(size=n)}
-    stages["action"] = [f"a{k % num_actions}" for k in each]
-    stages |= {f"x{j}": rng.normal(size=n) for j in range(num_covariates)}
-    stages |= {f"t{j}": [f"c{k % 17}" for k in rng.permutation(n)] for j in range(num_texts)}
-    covariates = [name for name in stages if name[0] in "xt" and name[1:].isdigit()]
-    trajectories = {"trajectory": each, "end_s": np.ones(n), "ending": ["finished"] * n}
-    return Logs(stages=pd.DataFrame(stages), trajectories=trajectories), covariates
+    rng = np.random.default_rng(0)
+    reward, covariates = rng.normal(size=n), {f"x{j}": rng.normal(size=n) for j in range(num_covariates)}
+    covariates |= {f"t{j}": [f"c{k % 17}" for k in rng.permutation(n)] for j in range(num_texts)}
+    return log_of([f"a{k % num_actions}" for k in range(n)], reward, **covariates), list(covariates)
 
 
 def learner_of(num_actions, covariates, **how):

@@ -121,7 +121,13 @@ def checked_covariates(
         raise ArgumentError(f"covariates has {values.shape[1]} columns, and the fit had {len(found)}; give the same")
     if values.shape[1] == 0:
         raise ArgumentError("covariates has no columns; give at least one, or use KaplanMeier")
-    _refuse_missing(values, found)
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        row, column = wrong[0]
+        raise ArgumentError(
+            f"covariates, row {row}, {found[column]}: {values[row, column]} is no value; fill it in, or leave the "
+            "trajectory out knowingly"
+        )
     return values, found
 
 
@@ -206,13 +212,3 @@ def _table_values(table: pd.DataFrame, names: list[str] | None) -> Float[np.ndar
                 f"covariates, {name}: not made of numbers ({error}); encode its categories as numbers"
             ) from error
     return np.stack(columns, axis=1) if columns else np.empty((len(table), 0))
-
-
-def _refuse_missing(values: Float[np.ndarray, "n p"], names: list[str]) -> None:
-    wrong = np.argwhere(~np.isfinite(values))
-    if len(wrong):
-        row, column = wrong[0]
-        raise ArgumentError(
-            f"covariates, row {row}, {names[column]}: {values[row, column]} is no value; fill it in, or leave the "
-            "trajectory out knowingly"
-        )

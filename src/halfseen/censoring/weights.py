@@ -238,7 +238,18 @@ def stage_weights(
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
     names = trajectory_names(trajectory_ids, len(ends))
-    _check_clock(clock, ends, names)
+    if len(clock) != len(ends):
+        raise ArgumentError(
+            f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per trajectory"
+        )
+    wrong = np.argwhere((clock < 0) | (clock > ends[:, None] * (1.0 + LARGEST_ROUNDING)))
+    if len(wrong):
+        row, column = wrong[0]
+        raise ArgumentError(
+            f"trajectory {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in [0, {ends[row]}], "
+            "so not between the trajectory's beginning and its end_s; fix the clock, or put NaN where the stage was "
+            "not completed"
+        )
     ends, clock = tied_clocks(ends, clock)
     model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
@@ -287,21 +298,6 @@ def refuse_improbable(seen: Float[np.ndarray, " k"], describe: Any) -> None:
         where, _, when = describe(k)
         raise ArgumentError(
             f"{where}: the censoring model gives P(C ≥ {when:g} s) = {seen[k]}; a probability lies in [0, 1]"
-        )
-
-
-def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarray) -> None:
-    if len(clock) != len(ends):
-        raise ArgumentError(
-            f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per trajectory"
-        )
-    wrong = np.argwhere((clock < 0) | (clock > ends[:, None] * (1.0 + LARGEST_ROUNDING)))
-    if len(wrong):
-        row, column = wrong[0]
-        raise ArgumentError(
-            f"trajectory {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in [0, {ends[row]}], "
-            "so not between the trajectory's beginning and its end_s; fix the clock, or put NaN where the stage was "
-            "not completed"
         )
 
 

@@ -22,7 +22,6 @@ from halfseen.evaluation.marginal import laid_out
 from halfseen.evaluation.off_policy import Case
 from halfseen.learning.covariates import is_numeric
 from halfseen.learning.named_task import NamedActions
-from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
 from halfseen.text_table import aligned
 
@@ -95,7 +94,8 @@ def exploration_of(case: Case) -> Exploration:
     begun = trajectories.is_begun & trajectories.has_action
     wanted, taken = problem.log.policy[begun].argmax(axis=1), trajectories.action[begun]
     hangs = np.where(taken == wanted, each[:, ::-1].cumsum(axis=1)[:, ::-1][begun], 0.0)
-    names = _numeric(problem.logs, task)
+    own = [name for name in task.covariates if "*" not in name]
+    names = [name for name in dict.fromkeys(["stage", *own]) if is_numeric(problem.logs.stages, name)]
     columns = laid_out(problem.logs.stages[names].to_numpy(dtype=np.float64), problem.logs, trajectories)[begun]
     leaves = [
         _Leaf(names, limits, int(action), rows, taken[rows], hangs[rows])
@@ -117,12 +117,6 @@ def exploration_of(case: Case) -> Exploration:
     regions.sort(key=lambda region: -region.part)
     narrower = (whole / left) ** 0.5 if left > 0 else 1.0
     return Exploration(tuple(regions), narrower) if narrower >= LEAST_GAIN else NOWHERE
-
-
-def _numeric(logs: Logs, task: NamedActions) -> list[str]:
-    """Stage and covariates that are numbers, without their products."""
-    own = [name for name in task.covariates if "*" not in name]
-    return [name for name in dict.fromkeys(["stage", *own]) if is_numeric(logs.stages, name)]
 
 
 def _variance(case: Case) -> Float[np.ndarray, "n T"]:

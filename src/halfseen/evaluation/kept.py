@@ -70,20 +70,17 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
 
     `halfseen.policies.folder` keeps the promise.
     """
-    return Kept(_earned(promise["value"], earned, is_own), *drifts_of(promise["stages"], logs))
-
-
-def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool) -> str:
+    promised, told = promise["value"], drifts_of(promise["stages"], logs)
+    if promised is None:
+        return Kept("", *told)
     verb = "earned" if is_own else "would earn"
     earning = f"{verb} {earned.value:.3g} a trajectory here ({earned.low:.3g} to {earned.high:.3g})"
-    if promised is None:
-        return ""
     error = float(np.hypot(promised["standard_error"], earned.standard_error))
     less = promised["value"] - earned.value
     words = "less than promised" if less > 0 else "more than promised"
     words = "as promised" if abs(less) <= AS_PROMISED * error else words
     range_ = f"{promised['low']:.3g} to {promised['high']:.3g}"
-    return f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}."
+    return Kept(f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}.", *told)
 
 
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -213,7 +213,13 @@ class QModel:
         self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
     ) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
         """Weight of each stage in eq. 3; and what its target is imputed from, if it is, fitted to some or all."""
-        imputed = self._imputation(trajectories, is_fitted) if self.targets.is_imputed else None
+        imputed = None
+        if self.targets.is_imputed:
+            blocks = self.blocks(trajectories.is_possible.shape[-1])
+            durations = self.durations or self._durations_of(trajectories, is_fitted)
+            imputed = imputation(trajectories, self.cut_model, self._outcome_features(trajectories), blocks, durations)
+            if self.kernel_map is not None:
+                imputed = imputed._replace(is_used=np.ones(self.kernel_map.num_features))
         return self.targets.weights(trajectories, self.cut_model), imputed
 
     def weighted(
@@ -312,14 +318,6 @@ class QModel:
 
     def _num_folds(self, num_trajectories: int) -> int:
         return min(self.reg.num_folds, num_trajectories) if isinstance(self.reg, CrossValidation) else 1
-
-    def _imputation(self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None) -> Imputation:
-        blocks = self.blocks(trajectories.is_possible.shape[-1])
-        durations = self.durations or self._durations_of(trajectories, is_fitted)
-        imputed = imputation(trajectories, self.cut_model, self._outcome_features(trajectories), blocks, durations)
-        if self.kernel_map is None:
-            return imputed
-        return imputed._replace(is_used=np.ones(self.kernel_map.num_features))
 
     def _durations_of(
         self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None

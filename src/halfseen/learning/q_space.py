@@ -99,19 +99,17 @@ def fit_kernel_map(
     num_varied = max(int(np.isfinite(scale).sum()), 1)
     width = 1.0 / num_varied if gamma is None else float(gamma)
     scaled = (rows - centre) / scale
-    weight = None if trend is None else _trend_weights(scaled, trend)
+    weight = None
+    if trend is not None:
+        # The linear part of q and its products have root mean squares of their own.
+        parts = np.split(np.asarray(quadratic(scaled)), [scaled.shape[1]], axis=1)
+        means = [float(np.sqrt(np.sum(part**2, axis=-1).mean())) for part in parts]
+        each = [size / mean if mean > 0 else 0.0 for size, mean in zip(trend, means, strict=True)]
+        weight = np.repeat(each, [part.shape[1] for part in parts])
     if num_landmarks == 0:
         return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
     found = fit_nystrom(partial(gaussian, gamma=width), scaled, num_landmarks, rng)
     return KernelMap(centre, scale, found.landmarks, found.projection, np.asarray(width), weight)
-
-
-def _trend_weights(scaled: Float[np.ndarray, "k F"], sizes: tuple[float, float]) -> Float[np.ndarray, " Q"]:
-    """Bring the linear part of q and its products to root mean squares of their own."""
-    parts = np.split(np.asarray(quadratic(scaled)), [scaled.shape[1]], axis=1)
-    means = [float(np.sqrt(np.sum(part**2, axis=-1).mean())) for part in parts]
-    each = [size / mean if mean > 0 else 0.0 for size, mean in zip(sizes, means, strict=True)]
-    return np.repeat(each, [part.shape[1] for part in parts])
 
 
 REGS = np.logspace(-3, 2, 11)
