@@ -136,12 +136,13 @@ def cpu_s():
 def learn(folder, recipe, num_workers, is_kept, answers):
     from joblib.externals.loky import get_reusable_executor
 
-    from halfseen.learning import kept_parts
     from halfseen.logs import LogStream
     from halfseen.workers import Workers
 
     if not is_kept:
-        kept_parts.MOST_SHARE = 0.0
+        from halfseen.learning import streaming
+
+        streaming.MOST_SHARE = 0.0
 
     watch, stream = Watch(), LogStream(folder, TRAJECTORIES_AT_ONCE)
     start, begun = time.perf_counter(), cpu_s()

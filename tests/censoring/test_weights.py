@@ -113,15 +113,6 @@ def test_twelve_outcomes_of_the_tie_example_give_exactly_one_and_two():
     assert (late.mean(), (late * own).mean()) == pytest.approx((23 / 18, 22 / 9), rel=1e-15)
 
 
-def test_covariates_follow_their_trajectories():
-    covariates = [[0.5], [0.25], [0.1]]
-    weights = censoring_weights([1.0, 2.0, 3.0], [True, False, True], BY_COVARIATE, covariates=covariates)
-    np.testing.assert_allclose(weights, [2.0, 0.0, 10.0])
-    clock = [[1.0, np.nan], [1.0, 2.0]]
-    by_stage = stage_weights(clock, [1.0, 2.0], [True, True], BY_COVARIATE, covariates=covariates[:2])
-    np.testing.assert_allclose(by_stage, [[2.0, 0.0], [4.0, 4.0]])
-
-
 def test_a_stage_of_a_team_that_takes_no_time_weighs_one():
     clock = np.array([[0.0, 1.0], [0.0, np.nan]])
     weights = stage_weights(clock, np.array([1.0, 0.5]), np.array([True, False]))

@@ -1,4 +1,4 @@
-"""The logging policy without its exploration, found in logs whose rule is known."""
+"""The logging policy without its exploration, found in logs whose rule is known; and where to try more."""
 
 import re
 from functools import cache
@@ -10,15 +10,25 @@ from enumerated_trial import StatePolicy, specified, trial
 from scipy import stats
 from sklearn.linear_model import LogisticRegression
 from sklearn.preprocessing import PolynomialFeatures, StandardScaler
-from sklearn.tree import DecisionTreeClassifier
+from sklearn.tree import DecisionTreeClassifier, DecisionTreeRegressor
 
 from halfseen.evaluation import Baseline, QSpec, evaluate, off_policy
 from halfseen.evaluation import logging_rule as rule_models
 from halfseen.evaluation.estimate import estimate_of
+from halfseen.evaluation.exploring import (
+    LARGEST_SHARE,
+    NOWHERE,
+    Region,
+    _allotted,
+    _Leaf,
+    _leaves,
+    _shares,
+    exploration_of,
+)
 from halfseen.evaluation.logging_rule import forest_shares, logging_rule, logit_shares
-from halfseen.evaluation.off_policy import q_model_of
-from halfseen.evaluation.problem import nuisances_by_folds, nuisances_of
+from halfseen.evaluation.off_policy import judging, q_model_of
 from halfseen.evaluation.specification import with_second_order
+from halfseen.evaluation.weights import nuisances_by_folds, nuisances_of
 from halfseen.learning import DoublyRobust, NamedActions
 from halfseen.learning.rows import trajectory_arrays
 from halfseen.logs import Logs
@@ -85,7 +95,7 @@ def test_actions_alone_tell_less_and_a_rule_that_is_seldom_above_one_half_is_est
     assert found.is_taken is None
     assert 0.85 < agreement(thresholds, logs, found) < 1.0
     assert "how often the model is right cannot be checked" in found.note
-    logs = logged(thresholds, 600, random_share=0.8)
+    logs = logged(thresholds, 400, random_share=0.8)
     found, _ = found_in(logs)
     assert found.is_taken is None
     assert agreement(thresholds, logs, found) > 0.95
@@ -241,3 +251,71 @@ def test_as_it_stands_it_is_close_the_same_again_and_finite_where_values_are_ali
     found = shares(np.column_stack([np.ones(NUM_ROWS), np.where(ACTION == 0, 1e150, -1e150)]), VOTES, EACH)
     assert (found.argmax(axis=1)[ACTION == 0] == 0).all()
     assert np.isfinite(found).all()
+
+
+POLICY = StatePolicy((1.0, 0.0))
+
+
+def explored(logs, policy=POLICY):
+    with judging(policy, logs, against="logging") as judge:
+        return exploration_of(judge.case(judge.problem))
+
+
+def test_shares_have_a_largest():
+    capped = _shares(np.array([1.0, 100.0]), np.array([100.0, 100.0]), 60.0)
+    np.testing.assert_allclose(capped, [0.1, LARGEST_SHARE])
+    assert not len(_shares(np.empty(0), np.empty(0), 0.0))
+
+
+def test_no_other_shares_of_as_many_tries_leave_less_variance():
+    rng = np.random.default_rng(0)
+    leaves = [
+        _Leaf(("x",), {}, 1, np.arange(100), (rng.random(100) < p).astype(int), rng.random(100)) for p in (0.1, 0.3)
+    ]
+    shares = np.array(_allotted(leaves))
+    tries = sum(leaf.tries for leaf in leaves)
+    assert 100 * shares.sum() == pytest.approx(tries)
+
+    def left(one):
+        return sum(leaf.hanging * leaf.share / each for leaf, each in zip(leaves, one, strict=True))
+
+    for moved in (-0.05, 0.05):
+        assert left([shares[0] + moved, shares[1] - moved]) > left(shares)
+
+
+def test_regions_hold_states_in_which_the_policy_departs_from_the_log():
+    found = explored(trial(0, num_trajectories=600, cut_rate=0.05))
+    assert found.narrower > 1.0
+    assert found.regions
+    for region in found.regions:
+        assert isinstance(region, Region)
+        assert 0.0 < region.now < LARGEST_SHARE
+        assert set(region.conditions) <= {"stage", "x"}
+    assert list(found.regions) == sorted(found.regions, key=lambda region: -region.part)
+
+
+def test_a_policy_that_does_as_the_log_does_has_nothing_to_try():
+    assert explored(trial(0, num_trajectories=600, cut_rate=0.05), StatePolicy((0.0, 1.0))) == NOWHERE
+
+
+def test_the_order_of_the_rows_of_a_log_does_not_matter():
+    logs = trial(2, num_trajectories=150, cut_rate=0.05)
+    assert explored(type(logs)(logs.stages.iloc[::-1], logs.trajectories)) == explored(logs)
+
+
+def test_regions_are_the_leaves_of_a_regression_tree():
+    rng = np.random.default_rng(0)
+    columns = np.column_stack([rng.integers(0, 3, 400), rng.integers(0, 5, 400), rng.normal(size=400)]).astype(float)
+    hangs = 2.0 * (columns[:, 0] > 0) * (columns[:, 1] > 2) + rng.exponential(size=400)
+    rows = np.flatnonzero(rng.random(400) < 0.8)
+    tree = DecisionTreeRegressor(max_leaf_nodes=4, min_samples_leaf=30, random_state=0).fit(columns[rows], hangs[rows])
+    leaf_of = tree.apply(columns[rows])
+    wanted = sorted(tuple(rows[leaf_of == leaf]) for leaf in np.unique(leaf_of))
+    found = _leaves(columns, hangs, rows)
+    assert sorted(tuple(np.sort(kept)) for _, kept in found) == wanted
+    for limits, kept in found:
+        inside = np.ones(400, dtype=bool)
+        for column, (low, high) in limits.items():
+            inside &= (columns[:, column] > low) & (columns[:, column] <= high)
+        np.testing.assert_array_equal(np.sort(kept), np.intersect1d(np.flatnonzero(inside), rows))
+    assert _leaves(columns, hangs, rows[:40]) == [({}, pytest.approx(rows[:40]))]

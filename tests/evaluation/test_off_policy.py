@@ -189,7 +189,8 @@ def test_what_is_not_said_is_one_q_for_all_stages_and_cox_on_their_clock():
     by_cox, sequence = DoublyRobust("cox", by="pooled", truncate_at=10.0), FixedSequence(("B", "B"))
     for knows, censoring in ((True, by_cox), (False, "kaplan-meier")):
         logs = log(18, num_trajectories=100, knows_last_action=knows)
-        assert evaluate(sequence, logs) == evaluate(sequence, logs, censoring=censoring, q=named)
+        said, unsaid = {"censoring": censoring, "q": named}, {"against": "logging"}
+        assert evaluate(sequence, logs, **unsaid) == evaluate(sequence, logs, **unsaid, **said)
 
 
 @pytest.mark.parametrize(

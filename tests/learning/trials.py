@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from censoring.oracles import naive_survival
 from halfseen.logs import Logs
 
 FULL = ["s1_0", "s1_1", "s1_2", "s2_0", "s2_1"]
@@ -69,18 +70,6 @@ def all_cut(trial):
     """The same of which no trajectory came to its own end."""
     stages = trial.stages.groupby("trajectory").head(1).assign(elapsed_s=None, reward=None)
     return Logs(stages, trial.trajectories.assign(ending="cut", cause=None))
-
-
-def naive_survival(ends, is_finished, u):
-    """Π over s < u of 1 − cuts(s) / (at risk(s) − finished(s)): the formula of the text, as a loop."""
-    survival = 1.0
-    for s in sorted(set(ends)):
-        if s < u:
-            at_risk = sum(end >= s for end in ends)
-            cuts = sum(end == s and not own for end, own in zip(ends, is_finished, strict=True))
-            finished = sum(end == s and own for end, own in zip(ends, is_finished, strict=True))
-            survival *= 1.0 - (cuts / (at_risk - finished) if cuts else 0.0)
-    return survival
 
 
 def cell_means(logs):

@@ -15,7 +15,7 @@ from axe import PAGES, faults_of, in_browser
 from halfseen.cli import halfseen
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.evaluation import PerHour, Rate
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.specification import task_of
 from halfseen.figures import MOST_MARKERS, inline_svg
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.specification import task_of
 from halfseen.figures import inline_svg, style
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs

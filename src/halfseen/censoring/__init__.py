@@ -4,10 +4,10 @@ A *trajectory* is a trajectory: one episode. A *cut* right-censors it at the tim
 is modelled is C, so the roles are swapped beside survival analysis of failures: a cut is the event, and the
 trajectory's own end censors it.
 
-Read down: `inputs` (what every fit accepts) → the models: `kaplan_meier`; `partial_likelihood` → `cox`;
-`kernel_kaplan_meier` → `model` (what a censoring model is, and those that have names) → `weights` → `stage_clocks` →
-`cut_model` (Ĝ by trajectory or by stage, and which model on which clock). The report: `positivity_facts`, told in words
-→ `positivity`, drawn by `positivity_figure`.
+Read down: `inputs` (what every fit accepts), `clocks` (when stages began and ended, and which times are equal) → the
+models: `kaplan_meier`, `cox`, `kernel_kaplan_meier` → `model` (what a censoring model is, and those that have names) →
+`weights` → `cut_model` (Ĝ by trajectory or by stage, and which model on which clock). The report: `positivity_facts`,
+told in words → `positivity`, drawn.
 """
 
 from typing import TYPE_CHECKING
@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
+    from halfseen.censoring.clocks import StageClocks
     from halfseen.censoring.cox import Cox
     from halfseen.censoring.cut_model import CensoringBy, CensoringSpec, CutModel
     from halfseen.censoring.kaplan_meier import KaplanMeier
@@ -22,7 +23,6 @@ if TYPE_CHECKING:
     from halfseen.censoring.model import CENSORING_NAMES, CensoringModel, is_fitted, named_model, uses_covariates
     from halfseen.censoring.positivity import PositivityReport, positivity_report
     from halfseen.censoring.positivity_facts import PositivityFacts
-    from halfseen.censoring.stage_clocks import StageClocks
     from halfseen.censoring.weights import (
         WeightDiagnostics,
         censoring_weights,
@@ -67,7 +67,7 @@ __getattr__ = lazy_names(
         "KernelKaplanMeier": "kernel_kaplan_meier",
         "PositivityFacts": "positivity_facts",
         "PositivityReport": "positivity",
-        "StageClocks": "stage_clocks",
+        "StageClocks": "clocks",
         "WeightDiagnostics": "weights",
         "censoring_weights": "weights",
         "is_fitted": "model",

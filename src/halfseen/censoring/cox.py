@@ -1,105 +1,113 @@
-"""When a partial likelihood has no maximum, or more than one: say so, and say what to do.
+"""Cox's proportional hazards for the censoring time C (design, §2): covariates may hasten the cut.
 
-Cox's proportional hazards for the censoring time C (design, §2): covariates may hasten the cut.
+A trajectory that finishes at s leaves before those that are cut at s. So in the order of the time, finishes first,
+those at risk at a cut time are the trajectories from its first cut on, and every sum over them is a suffix sum.
 
-========  =======================================================================
+========  ==============================================================================================
 symbol    here
-========  =======================================================================
+========  ==============================================================================================
 z_i       ``covariates``: row i
 β         ``coefficients_``: log hazard ratio for one unit of each covariate
 Λ̂0(s)     ``cumulative_hazard_``: just after the cuts at s, at the mean covariates
 Ĝ(u⁻|z)   ``survival(u, z)`` = exp(−Λ̂0(u⁻) exp((z − z̄)β))
-========  =======================================================================
+s_k       ``times``: the distinct times at which trajectories were cut [s]
+R_k       the risk set at s_k: the rows from ``first[k]`` on
+D_k       cut at s_k: the ``num_cuts[k]`` rows from ``first[k]`` on
+r_i       relative risk exp(z_i β)
+φ_j       proportion of the risk of D_k that has left before the j-th cut: 0 for Breslow, (place in D_k)/|D_k| for Efron
+D_j       ``at_risk``: Σ_{R_k} r − φ_j Σ_{D_k} r, one for each cut j
+========  ==============================================================================================
 """
 
+from dataclasses import dataclass
 from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from halfseen.censoring.clocks import tied
 from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
-from halfseen.censoring.partial_likelihood import CutOrder, PartialLikelihood, cut_order, partial_likelihood
-from halfseen.censoring.tied_times import tied
+from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
 
+# Relative to the largest risk; the inverse and its sums still are floats.
+SMALLEST_RISK = 1e-290
 # Proportion of the information in a direction that counts as none.
 NO_INFORMATION = 1e-10
 # A maximum that moves off takes the information with it, by a factor of about e a step; no fit comes near this.
 INFORMATION_LOST = 1e-8
+MAX_ITERATIONS, MAX_HALVINGS = 60, 30
+# In standard deviations; Newton doubles the digits, so the step after this one would be at the rounding.
+STEP_TOLERANCE = 1e-8
 
 
-def refuse_too_few_cuts(num_cuts: int, names: list[str], ridge: float | int) -> None:
-    """Refuse to fit more coefficients than there are cuts, unless a penalty holds them.
+@dataclass(frozen=True)
+class PartialLikelihood:
+    """The partial likelihood at one β."""
 
-    Raises
-    ------
-    ArgumentError
-        There are fewer cuts than covariates.
+    value: float
+    """Its logarithm."""
+    gradient: Float[np.ndarray, " p"]
+    information: Float[np.ndarray, "p p"]
+    """Minus its Hessian, the observed information: positive semidefinite."""
+    hazard: Float[np.ndarray, " k"]
+    """Step of the baseline cumulative hazard at each cut time: Σ_j 1/D_j over the cuts there."""
+
+
+def partial_likelihood(
+    beta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n p"], trajectories: CutOrder, is_efron: bool
+) -> PartialLikelihood:
+    """Evaluate Cox's partial likelihood [Cox1972]_ in O(n p²), ties after [Breslow1974]_ or [Efron1977]_.
+
+    Notes
+    -----
+    No p × p matrix is made for each trajectory. Σ_j Σ_{i ∈ R_j} r_i z_i z_iᵀ / D_j is one product Zᵀ diag(r · exposure)
+    Z, where a trajectory's exposure Σ_{j: i ∈ R_j} 1/D_j grows from cut to cut while it is watched.
     """
-    if num_cuts < len(names) and ridge == 0:
-        raise ArgumentError(
-            f"{num_cuts} {'trajectories were' if num_cuts > 1 else 'trajectory was'} cut, too few for {len(names)} "
-            "covariates; leave covariates out, give ridge > 0, or use KaplanMeier"
-        )
-
-
-def refuse_unidentified(information: Float[np.ndarray, "p p"], num_cuts: int, names: list[str]) -> None:
-    """Refuse covariates whose effects cannot be told apart, from the information at β = 0 in standard deviations.
-
-    Raises
-    ------
-    ArgumentError
-        A covariate does not vary where it counts, or is a linear combination of others; they are named.
-    """
-    own = np.diag(information)
-    if (own <= NO_INFORMATION * num_cuts).any():
-        column = int(np.argmin(own))
-        raise ArgumentError(
-            f"covariates, {names[column]}: the same for all trajectories still watched, whenever one was cut; leave it "
-            "out, or give ridge > 0"
-        )
-    correlation = information / np.sqrt(np.outer(own, own))
-    eigenvalues, directions = np.linalg.eigh(correlation)
-    if eigenvalues[0] <= NO_INFORMATION:
-        involved = [name for name, part in zip(names, directions[:, 0], strict=True) if abs(part) > 1e-4]
-        raise ArgumentError(
-            f"covariates {', '.join(involved)} are collinear (or cuts are too few to tell them apart), so their "
-            "coefficients are not identified; leave one out, or give ridge > 0"
-        )
-
-
-def refuse_separation(
-    information: Float[np.ndarray, "p p"], initial: Float[np.ndarray, "p p"], names: list[str]
-) -> None:
-    """Refuse a partial likelihood that has lost all its information along the way: its maximum is at infinity.
-
-    Raises
-    ------
-    ArgumentError
-        A coefficient runs off; its covariate is named.
-    """
-    import scipy.linalg
-
-    shares, directions = scipy.linalg.eigh(information, initial)
-    if shares[0] < INFORMATION_LOST:
-        raise ArgumentError(separation_message(names[int(np.argmax(np.abs(directions[:, 0])))]))
-
-
-def separation_message(name: str) -> str:
-    """Tell which coefficient has no end: the partial likelihood is monotone in it."""
-    return (
-        f"covariates, {name}: its coefficient runs off to infinity, since it tells perfectly which of the trajectories "
-        "still watched is cut next; leave it out, give ridge > 0, or use KaplanMeier"
+    scores = covariates @ beta
+    # Relative to the largest, so that no risk overflows.
+    shift = scores.max()
+    risk = np.exp(scores - shift)
+    cuts, group = trajectories.cuts, trajectories.group
+    at_risk = _suffix_sums(risk)[trajectories.first][group]
+    at_risk_gradient = _suffix_sums(risk[:, None] * covariates)[trajectories.first][group]
+    phi = trajectories.place / trajectories.num_cuts[group] if is_efron else np.zeros(len(cuts))
+    if is_efron:
+        at_risk = at_risk - phi * _group_sums(risk[cuts], trajectories)[group]
+        cut_gradient = _group_sums(risk[cuts, None] * covariates[cuts], trajectories)[group]
+        at_risk_gradient = at_risk_gradient - phi[:, None] * cut_gradient
+    if at_risk.min() < SMALLEST_RISK:
+        return _nowhere(len(beta), len(trajectories.times))
+    mean = at_risk_gradient / at_risk[:, None]
+    hazard = _group_sums(1.0 / at_risk, trajectories)
+    steps = np.zeros(len(risk))
+    steps[trajectories.first] = hazard
+    exposure = np.cumsum(steps)
+    exposure[cuts] -= _group_sums(phi / at_risk, trajectories)[group]
+    return PartialLikelihood(
+        value=float((scores[cuts] - shift).sum() - np.log(at_risk).sum()),
+        gradient=(covariates[cuts] - mean).sum(axis=0),
+        information=covariates.T @ ((risk * exposure)[:, None] * covariates) - mean.T @ mean,
+        hazard=hazard * np.exp(-shift),
     )
 
 
-MAX_ITERATIONS = 60
-MAX_HALVINGS = 30
-# In standard deviations; Newton doubles the digits, so the step after this one would be at the rounding.
-STEP_TOLERANCE = 1e-8
+def _nowhere(num_covariates: int, num_times: int) -> PartialLikelihood:
+    """β is so large that all risk at some cut time underflows."""
+    information = np.full((num_covariates, num_covariates), np.nan)
+    return PartialLikelihood(-np.inf, np.full(num_covariates, np.nan), information, np.full(num_times, np.nan))
+
+
+def _suffix_sums(values: np.ndarray) -> np.ndarray:
+    return np.cumsum(values[::-1], axis=0)[::-1]
+
+
+def _group_sums(values: np.ndarray, trajectories: CutOrder) -> np.ndarray:
+    """Sum over the cuts at each time."""
+    return np.add.reduceat(values, np.concatenate(([0], np.cumsum(trajectories.num_cuts)[:-1])), axis=0)
 
 
 class Cox(Estimator):
@@ -191,7 +199,12 @@ class Cox(Estimator):
         trajectories = cut_order(ends, finished)
         means, scales = values.mean(axis=0), values.std(axis=0)
         if len(trajectories.times):
-            refuse_too_few_cuts(len(trajectories.cuts), names, self.ridge)
+            if len(trajectories.cuts) < len(names) and self.ridge == 0:
+                num_cut = len(trajectories.cuts)
+                raise ArgumentError(
+                    f"{num_cut} {'trajectories were' if num_cut > 1 else 'trajectory was'} cut, too few for "
+                    f"{len(names)} covariates; leave covariates out, give ridge > 0, or use KaplanMeier"
+                )
             refuse_constant(values, names)
             scaled = ((values - means) / scales)[trajectories.order]
             beta, best, self.num_iterations_ = _maximise(
@@ -201,7 +214,9 @@ class Cox(Estimator):
             self.coefficients_, self.standard_errors_ = beta / scales, np.sqrt(np.diag(covariance)) / scales
             self.cumulative_hazard_, self.log_likelihood_ = np.cumsum(best.hazard), best.value
         else:
-            self._fit_nothing(len(names))
+            # No trajectory was cut, so Ĝ is 1 and the data say nothing about β.
+            self.coefficients_, self.standard_errors_ = np.zeros(len(names)), np.full(len(names), np.inf)
+            self.cumulative_hazard_, self.log_likelihood_, self.num_iterations_ = np.empty(0), 0.0, 0
         self.covariates_, self.means_ = names, means
         self.times_, self.num_trajectories_, self.num_cut_ = trajectories.times, len(ends), len(trajectories.cuts)
         self.last_time_ = float(ends.max())
@@ -226,13 +241,6 @@ class Cox(Estimator):
         with np.errstate(over="ignore"):
             return np.exp(-hazard * ratio).reshape(times.shape)
 
-    def _fit_nothing(self, num_covariates: int) -> None:
-        """No trajectory was cut, so Ĝ is 1 and the data say nothing about β."""
-        self.coefficients_ = np.zeros(num_covariates)
-        self.standard_errors_ = np.full(num_covariates, np.inf)
-        self.cumulative_hazard_ = np.empty(0)
-        self.log_likelihood_, self.num_iterations_ = 0.0, 0
-
     def _check_parameters(self) -> None:
         if self.ties not in ("efron", "breslow"):
             raise ArgumentError(f"ties is {self.ties!r}; it is 'efron' or 'breslow'")
@@ -248,7 +256,7 @@ def _maximise(
     now = partial_likelihood(beta, covariates, trajectories, is_efron)
     initial = now.information
     if ridge == 0:
-        refuse_unidentified(initial, len(trajectories.cuts), names)
+        _refuse_unidentified(initial, len(trajectories.cuts), names)
     for iteration in range(1, MAX_ITERATIONS + 1):
         step = np.linalg.solve(now.information + ridge * np.eye(len(beta)), now.gradient - ridge * beta)
         floor = _penalised(now, beta, ridge)
@@ -261,10 +269,48 @@ def _maximise(
         else:
             break
         if ridge == 0:
-            refuse_separation(now.information, initial, names)
+            _refuse_separation(now.information, initial, names)
         if np.abs(step).max() <= STEP_TOLERANCE:
             return beta, now, iteration
-    raise ArgumentError(separation_message(names[int(np.argmax(np.abs(beta)))]))
+    raise _without_end(names[int(np.argmax(np.abs(beta)))])
+
+
+def _refuse_unidentified(information: Float[np.ndarray, "p p"], num_cuts: int, names: list[str]) -> None:
+    """Refuse covariates whose effects cannot be told apart, from the information at β = 0 in standard deviations."""
+    own = np.diag(information)
+    if (own <= NO_INFORMATION * num_cuts).any():
+        column = int(np.argmin(own))
+        raise ArgumentError(
+            f"covariates, {names[column]}: the same for all trajectories still watched, whenever one was cut; leave it "
+            "out, or give ridge > 0"
+        )
+    correlation = information / np.sqrt(np.outer(own, own))
+    eigenvalues, directions = np.linalg.eigh(correlation)
+    if eigenvalues[0] <= NO_INFORMATION:
+        involved = [name for name, part in zip(names, directions[:, 0], strict=True) if abs(part) > 1e-4]
+        raise ArgumentError(
+            f"covariates {', '.join(involved)} are collinear (or cuts are too few to tell them apart), so their "
+            "coefficients are not identified; leave one out, or give ridge > 0"
+        )
+
+
+def _refuse_separation(
+    information: Float[np.ndarray, "p p"], initial: Float[np.ndarray, "p p"], names: list[str]
+) -> None:
+    """Refuse a partial likelihood that has lost all its information along the way: its maximum is at infinity."""
+    import scipy.linalg
+
+    shares, directions = scipy.linalg.eigh(information, initial)
+    if shares[0] < INFORMATION_LOST:
+        raise _without_end(names[int(np.argmax(np.abs(directions[:, 0])))])
+
+
+def _without_end(name: str) -> ArgumentError:
+    """The partial likelihood is monotone in the coefficient of this covariate."""
+    return ArgumentError(
+        f"covariates, {name}: its coefficient runs off to infinity, since it tells perfectly which of the trajectories "
+        "still watched is cut next; leave it out, give ridge > 0, or use KaplanMeier"
+    )
 
 
 def _penalised(likelihood: PartialLikelihood, beta: Float[np.ndarray, " p"], ridge: float) -> float:

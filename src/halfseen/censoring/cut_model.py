@@ -20,10 +20,10 @@ from typing import Any, Literal, NamedTuple, get_args
 import numpy as np
 import pandas as pd
 
+from halfseen.censoring.clocks import StageClocks
 from halfseen.censoring.cox import Cox
 from halfseen.censoring.inputs import checked_truncation
 from halfseen.censoring.model import CensoringModel, is_fitted, named_model, uses_covariates
-from halfseen.censoring.stage_clocks import StageClocks
 from halfseen.censoring.weights import stage_weights
 from halfseen.errors import ArgumentError, HalfseenError, PositivityError
 from halfseen.shapes import Bool, Float, Int
@@ -79,10 +79,9 @@ class CutModel:
         age = age_s[trajectory, stage]
         if self.by == "trajectory":
             start = trajectories.begun_at_s[trajectory, stage]
-            begun, end = (
-                self._ask(0, trajectories, at_s, trajectory, np.zeros_like(stage)) for at_s in (start, _add(start, age))
-            )
-            wide = (-1,) + (1,) * (end.ndim - 1)
+            wide, first = (-1,) + (1,) * (age.ndim - 1), np.zeros_like(stage)
+            times = start, start.reshape(wide) + age
+            begun, end = (self._ask(0, trajectories, at_s, trajectory, first) for at_s in times)
             probabilities[trajectory, stage] = end / np.where(begun > 0, begun, 1.0).reshape(wide)
             return probabilities
         for which in np.unique(stage).tolist() if self.by == "stage" else [0]:
@@ -123,112 +122,6 @@ class CutModel:
         model, columns = self.fitted[which]
         known = _frame(trajectories.covariate_names, trajectories.covariates[trajectory, stage], columns)
         return np.asarray(model.survival(at_s, known), dtype=np.float64)
-
-
-def fit_cut_model(
-    trajectories: StageClocks, censoring: str | CensoringModel, by: CensoringBy, truncate_at: float | int | None = None
-) -> CutModel:
-    """Fit Ĝ to a log; a model that is fitted already is taken as it is.
-
-    Parameters
-    ----------
-    trajectories
-        The log.
-    censoring
-        Name of a model, or a model.
-    by
-        ``"trajectory"``, ``"stage"`` or ``"pooled"``.
-    truncate_at
-        Largest weight allowed.
-
-    Raises
-    ------
-    ArgumentError
-        The model cannot be fitted, or needs the action of a stage in which a trajectory was cut, which was not logged.
-    """
-    names, is_begun = trajectories.covariate_names, trajectories.is_begun
-    if not isinstance(censoring, str) and is_fitted(censoring):
-        columns = np.arange(len(names) if uses_covariates(censoring) else 0)
-        which = trajectories.num_stages if by == "stage" else 1
-        return CutModel(by, (FittedRows(censoring, columns),) * which, truncate_at)
-    stages = np.arange(trajectories.num_stages)
-    if by == "trajectory":
-        _refuse_unknown(trajectories, np.broadcast_to(stages == 0, is_begun.shape))
-        rows = trajectories.end_s, trajectories.is_finished, trajectories.covariates[:, 0]
-        return CutModel(by, (_fit(censoring, *rows, names, "a trajectory's first stage"),), truncate_at)
-    if isinstance(censoring, str) and censoring == "cox":
-        censoring = Cox(ridge=STAGE_RIDGE)
-    fitted = []
-    for t in stages if by == "stage" else [None]:
-        wanted = is_begun if t is None else is_begun & (stages == t)
-        if not wanted.any():
-            # No trajectory came so far: nothing can be asked of it either.
-            fitted.append(fitted[-1])
-            continue
-        _refuse_unknown(trajectories, wanted)
-        rows = trajectories.watched_s[wanted], trajectories.is_completed[wanted], trajectories.covariates[wanted]
-        fitted.append(_fit(censoring, *rows, names, "all stages" if t is None else f"stage {t + 1}"))
-    return CutModel(by, tuple(fitted), truncate_at)
-
-
-def _fit(
-    censoring: str | CensoringModel,
-    watched_s: Float[np.ndarray, " k"],
-    is_completed: Bool[np.ndarray, " k"],
-    covariates: Float[np.ndarray, "k P"],
-    names: tuple[str, ...],
-    where: str,
-) -> FittedRows:
-    model = named_model(censoring)
-    if not uses_covariates(model):
-        return FittedRows(model.fit(watched_s, is_completed), np.arange(0))
-    differs = np.ptp(covariates, axis=0) > 0 if len(covariates) else np.zeros(len(names), dtype=bool)
-    columns = np.flatnonzero(differs)
-    if not len(columns):
-        raise ArgumentError(
-            f"censoring uses covariates, and none of those of {where} differs between trajectories; choose "
-            "'kaplan-meier'"
-        )
-    try:
-        return FittedRows(model.fit(watched_s, is_completed, _frame(names, covariates, columns)), columns)
-    except HalfseenError as error:
-        raise type(error)(f"cuts of {where}: {error}") from error
-
-
-def _frame(
-    names: tuple[str, ...], values: Float[np.ndarray, "k P"], columns: Int[np.ndarray, " p"]
-) -> pd.DataFrame | None:
-    if not len(columns):
-        return None
-    return pd.DataFrame(values[:, columns], columns=pd.Index([names[column] for column in columns]))
-
-
-def _refuse_unknown(trajectories: StageClocks, wanted: Bool[np.ndarray, "n T"]) -> None:
-    unknown = wanted & np.isnan(trajectories.covariates).any(axis=-1)
-    if unknown.any():
-        trajectory, stage = np.argwhere(unknown)[0]
-        name = trajectories.covariate_names[int(np.argmax(np.isnan(trajectories.covariates[trajectory, stage])))]
-        raise ArgumentError(
-            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: {name} is not known, and cuts "
-            "are to depend on it; log the action of the stage in which a trajectory is cut, or leave 'action' out of "
-            "censoring_covariates"
-        )
-
-
-def _refuse_unseen(trajectories: StageClocks, survival: Float[np.ndarray, "n T"]) -> None:
-    unseen = trajectories.is_completed & (survival <= 0)
-    if unseen.any():
-        trajectory, stage = np.argwhere(unseen)[0]
-        age_s = trajectories.watched_s[trajectory, stage]
-        raise PositivityError(
-            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: completed {age_s:g} s after it "
-            "began, where the censoring model leaves no stage uncut (Ĝ = 0), so its weight is not identified; shorten "
-            f"the stages to below {age_s:g} s, pool the stages, or truncate the weights knowingly with truncate_at=…"
-        )
-
-
-def _add(start_s: Float[np.ndarray, " k"], age_s: Float[np.ndarray, " k *S"]) -> Float[np.ndarray, " k *S"]:
-    return start_s.reshape((-1,) + (1,) * (age_s.ndim - 1)) + age_s
 
 
 @dataclass(frozen=True)
@@ -292,7 +185,7 @@ class CensoringSpec:
         return clocks.begun() if self.uses_covariates else None
 
     def fit_cuts(self, clocks: StageClocks) -> CutModel:
-        """Fit Ĝ; a model that is fitted already is taken as it is.
+        """Fit Ĝ to a log; a model that is fitted already is taken as it is.
 
         Raises
         ------
@@ -301,4 +194,79 @@ class CensoringSpec:
             logged.
         """
         by: Any = self.by
-        return fit_cut_model(clocks, self.model, by, self.truncate_at)
+        model, names, stages = self.model, clocks.covariate_names, np.arange(clocks.num_stages)
+        if not isinstance(model, str) and is_fitted(model):
+            columns = np.arange(len(names) if uses_covariates(model) else 0)
+            fitted = [FittedRows(model, columns)] * (clocks.num_stages if by == "stage" else 1)
+        elif by == "trajectory":
+            _refuse_unknown(clocks, np.broadcast_to(stages == 0, clocks.is_begun.shape))
+            rows = clocks.end_s, clocks.is_finished, clocks.covariates[:, 0]
+            fitted = [_fit(model, *rows, names, "a trajectory's first stage")]
+        else:
+            model, fitted = Cox(ridge=STAGE_RIDGE) if isinstance(model, str) and model == "cox" else model, []
+            for t in stages if by == "stage" else [None]:
+                wanted = clocks.is_begun if t is None else clocks.is_begun & (stages == t)
+                if not wanted.any():
+                    # No trajectory came so far: nothing can be asked of it either.
+                    fitted.append(fitted[-1])
+                    continue
+                _refuse_unknown(clocks, wanted)
+                rows = clocks.watched_s[wanted], clocks.is_completed[wanted], clocks.covariates[wanted]
+                fitted.append(_fit(model, *rows, names, "all stages" if t is None else f"stage {t + 1}"))
+        return CutModel(by, tuple(fitted), self.truncate_at)
+
+
+def _fit(
+    censoring: str | CensoringModel,
+    watched_s: Float[np.ndarray, " k"],
+    is_completed: Bool[np.ndarray, " k"],
+    covariates: Float[np.ndarray, "k P"],
+    names: tuple[str, ...],
+    where: str,
+) -> FittedRows:
+    model = named_model(censoring)
+    if not uses_covariates(model):
+        return FittedRows(model.fit(watched_s, is_completed), np.arange(0))
+    differs = np.ptp(covariates, axis=0) > 0 if len(covariates) else np.zeros(len(names), dtype=bool)
+    columns = np.flatnonzero(differs)
+    if not len(columns):
+        raise ArgumentError(
+            f"censoring uses covariates, and none of those of {where} differs between trajectories; choose "
+            "'kaplan-meier'"
+        )
+    try:
+        return FittedRows(model.fit(watched_s, is_completed, _frame(names, covariates, columns)), columns)
+    except HalfseenError as error:
+        raise type(error)(f"cuts of {where}: {error}") from error
+
+
+def _frame(
+    names: tuple[str, ...], values: Float[np.ndarray, "k P"], columns: Int[np.ndarray, " p"]
+) -> pd.DataFrame | None:
+    if not len(columns):
+        return None
+    return pd.DataFrame(values[:, columns], columns=pd.Index([names[column] for column in columns]))
+
+
+def _refuse_unknown(trajectories: StageClocks, wanted: Bool[np.ndarray, "n T"]) -> None:
+    unknown = wanted & np.isnan(trajectories.covariates).any(axis=-1)
+    if unknown.any():
+        trajectory, stage = np.argwhere(unknown)[0]
+        name = trajectories.covariate_names[int(np.argmax(np.isnan(trajectories.covariates[trajectory, stage])))]
+        raise ArgumentError(
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: {name} is not known, and cuts "
+            "are to depend on it; log the action of the stage in which a trajectory is cut, or leave 'action' out of "
+            "censoring_covariates"
+        )
+
+
+def _refuse_unseen(trajectories: StageClocks, survival: Float[np.ndarray, "n T"]) -> None:
+    unseen = trajectories.is_completed & (survival <= 0)
+    if unseen.any():
+        trajectory, stage = np.argwhere(unseen)[0]
+        age_s = trajectories.watched_s[trajectory, stage]
+        raise PositivityError(
+            f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: completed {age_s:g} s after it "
+            "began, where the censoring model leaves no stage uncut (Ĝ = 0), so its weight is not identified; shorten "
+            f"the stages to below {age_s:g} s, pool the stages, or truncate the weights knowingly with truncate_at=…"
+        )

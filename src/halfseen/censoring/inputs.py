@@ -25,11 +25,6 @@ def checked_ends(time: ArrayLike, is_finished: ArrayLike, name: str = "time") ->
         True where the trajectory reached its own end, False where it was cut, shape (n,); 0 and 1 will do.
     name
         What `time` is called in the caller's signature, for the message.
-
-    Raises
-    ------
-    ArgumentError
-        There are no rows, the lengths differ, or a value is none that a trajectory can have; the row is named.
     """
     ends = checked_floats(time, name)
     finished = _checked_bools(is_finished, "is_finished")
@@ -61,13 +56,7 @@ def checked_floats(values: ArrayLike, name: str, ndim: int = 1) -> np.ndarray:
 
 
 def checked_times(u: ArrayLike) -> Float[np.ndarray, "..."]:
-    """Times asked about as float64; NaN is none.
-
-    Raises
-    ------
-    ArgumentError
-        A time is NaN; its row is named.
-    """
+    """Times asked about as float64; NaN is none."""
     times = np.asarray(u, dtype=np.float64)
     if np.isnan(times).any():
         row = int(np.argmax(np.isnan(times.ravel())))
@@ -114,12 +103,6 @@ def checked_covariates(
         The model that asks, for the message.
     names
         The columns that the model was fitted with; a table is brought into their order. None at the fit.
-
-    Raises
-    ------
-    ArgumentError
-        Nothing was given, the shape is wrong, a column is missing, unknown or not made of numbers, or a value is
-        missing or infinite; the row and the column are named.
     """
     if covariates is None:
         raise ArgumentError(f"{kind} needs covariates, one row for each trajectory; give them, or use KaplanMeier")
@@ -138,18 +121,18 @@ def checked_covariates(
         raise ArgumentError(f"covariates has {values.shape[1]} columns, and the fit had {len(found)}; give the same")
     if values.shape[1] == 0:
         raise ArgumentError("covariates has no columns; give at least one, or use KaplanMeier")
-    _refuse_missing(values, found)
+    wrong = np.argwhere(~np.isfinite(values))
+    if len(wrong):
+        row, column = wrong[0]
+        raise ArgumentError(
+            f"covariates, row {row}, {found[column]}: {values[row, column]} is no value; fill it in, or leave the "
+            "trajectory out knowingly"
+        )
     return values, found
 
 
 def rows_of(covariates: Any, rows: Int[np.ndarray, " k"], num_trajectories: int) -> Any:
-    """Repeat the covariates of these trajectories, as a table if they came as one.
-
-    Raises
-    ------
-    ArgumentError
-        There is not one row for each trajectory.
-    """
+    """Repeat the covariates of these trajectories, as a table if they came as one."""
     if covariates is None:
         return None
     known = _known(covariates)
@@ -163,24 +146,7 @@ def rows_of(covariates: Any, rows: Int[np.ndarray, " k"], num_trajectories: int)
 def checked_question(
     u: ArrayLike, covariates: Any, kind: str, names: list[str]
 ) -> tuple[Float[np.ndarray, "..."], Float[np.ndarray, "m p"]]:
-    """Times asked about, and the covariates that go with them.
-
-    Parameters
-    ----------
-    u
-        Times [s], any shape; none is NaN.
-    covariates
-        One row for each entry of the first axis of `u`, or a single row for all of them.
-    kind
-        The model that is asked, for the message.
-    names
-        The columns that it was fitted with.
-
-    Raises
-    ------
-    ArgumentError
-        A time is NaN, or the covariates are wrong or do not match the times.
-    """
+    """Times asked about [s], and a row of covariates for each entry of their first axis, or a single one for all."""
     times = checked_times(u)
     is_single = covariates is not None and len(_known(covariates)) == 1
     num_rows = len(times) if times.ndim and not is_single else 1
@@ -189,13 +155,7 @@ def checked_question(
 
 
 def refuse_constant(covariates: Float[np.ndarray, "n p"], names: list[str]) -> None:
-    """Refuse a covariate that is the same for all trajectories.
-
-    Raises
-    ------
-    ArgumentError
-        A covariate is constant; it is named with its value.
-    """
+    """Refuse a covariate that is the same for all trajectories."""
     constant = covariates.min(axis=0) == covariates.max(axis=0)
     if constant.any():
         column = int(np.argmax(constant))
@@ -252,13 +212,3 @@ def _table_values(table: pd.DataFrame, names: list[str] | None) -> Float[np.ndar
                 f"covariates, {name}: not made of numbers ({error}); encode its categories as numbers"
             ) from error
     return np.stack(columns, axis=1) if columns else np.empty((len(table), 0))
-
-
-def _refuse_missing(values: Float[np.ndarray, "n p"], names: list[str]) -> None:
-    wrong = np.argwhere(~np.isfinite(values))
-    if len(wrong):
-        row, column = wrong[0]
-        raise ArgumentError(
-            f"covariates, row {row}, {names[column]}: {values[row, column]} is no value; fill it in, or leave the "
-            "trajectory out knowingly"
-        )

@@ -11,15 +11,51 @@ s         ``times_``: the distinct times at which trajectories were cut [s]
 ========  ========================================================
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.censoring.clocks import tied
 from halfseen.censoring.inputs import checked_ends, checked_times
-from halfseen.censoring.tied_times import tied
 from halfseen.errors import ArgumentError
 from halfseen.estimator import Estimator
-from halfseen.shapes import Float
+from halfseen.shapes import Float, Int
+
+
+@dataclass(frozen=True)
+class CutOrder:
+    """Trajectories in the order in which they leave, and where each group of cuts stands in it."""
+
+    order: Int[np.ndarray, " n"]
+    """Rows of the trajectories, sorted by time, finishes before cuts at equal times."""
+    times: Float[np.ndarray, " k"]
+    """Distinct times at which trajectories were cut [s]."""
+    first: Int[np.ndarray, " k"]
+    """Place in the order of the first trajectory cut at each time; those from it on were still watched."""
+    num_cuts: Int[np.ndarray, " k"]
+    """Number of trajectories cut at each time."""
+    group: Int[np.ndarray, " c"]
+    """For each cut, the index of its time."""
+    place: Int[np.ndarray, " c"]
+    """For each cut, its place among those cut at its time, from 0."""
+
+    @property
+    def cuts(self) -> Int[np.ndarray, " c"]:
+        """Place in the order of each cut."""
+        return self.first[self.group] + self.place
+
+
+def cut_order(ends: Rows, finished: RowMask) -> CutOrder:
+    """Sort trajectories by their ends, finishes before cuts at equal times."""
+    order = np.lexsort((~finished, ends))
+    cuts = np.flatnonzero(~finished[order])
+    cut_ends = ends[order[cuts]]
+    begins = np.flatnonzero(np.diff(cut_ends, prepend=-np.inf))
+    num_cuts = np.diff(begins, append=len(cuts))
+    group = np.repeat(np.arange(len(begins)), num_cuts)
+    return CutOrder(order, cut_ends[begins], cuts[begins], num_cuts, group, np.arange(len(cuts)) - begins[group])
 
 
 class KaplanMeier(Estimator):
@@ -70,9 +106,10 @@ class KaplanMeier(Estimator):
         _refuse_covariates(covariates)
         ends, finished = checked_ends(time, is_finished)
         ends, self.tolerance_s_ = tied(ends)
-        self.times_, self.survival_ = _steps(ends, finished)
-        self.num_trajectories_ = len(ends)
-        self.num_cut_ = int(len(ends) - np.count_nonzero(finished))
+        order = cut_order(ends, finished)
+        num_watched = len(ends) - order.first
+        self.times_, self.survival_ = order.times, np.cumprod((num_watched - order.num_cuts) / num_watched)
+        self.num_trajectories_, self.num_cut_ = len(ends), len(order.cuts)
         self.last_time_ = float(ends.max())
         return self
 
@@ -94,16 +131,6 @@ class KaplanMeier(Estimator):
         seen = np.empty(times.size)
         seen[order] = levels[np.searchsorted(self.times_, times.ravel()[order] - self.tolerance_s_, side="left")]
         return seen.reshape(times.shape)
-
-
-def _steps(ends: Rows, finished: RowMask) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Find the times of the cuts and Ĝ after each: those still watched at s end in a cut ≥ s or finish > s."""
-    cut_ends, own_ends = np.sort(ends[~finished]), np.sort(ends[finished])
-    first = np.flatnonzero(np.diff(cut_ends, prepend=-np.inf))
-    times = cut_ends[first]
-    cuts = np.diff(first, append=len(cut_ends))
-    num_watched = (len(cut_ends) - first) + (len(own_ends) - np.searchsorted(own_ends, times, side="right"))
-    return times, np.cumprod((num_watched - cuts) / num_watched)
 
 
 def _refuse_covariates(covariates: object) -> None:

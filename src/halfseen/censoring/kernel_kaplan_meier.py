@@ -22,9 +22,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import RowMask, Rows
+from halfseen.censoring.clocks import tied
 from halfseen.censoring.inputs import checked_covariates, checked_ends, checked_question, refuse_constant
-from halfseen.censoring.partial_likelihood import CutOrder, cut_order
-from halfseen.censoring.tied_times import tied
+from halfseen.censoring.kaplan_meier import CutOrder, cut_order
 from halfseen.errors import ArgumentError, PositivityError
 from halfseen.estimator import Estimator
 from halfseen.shapes import Float
@@ -109,31 +109,21 @@ BLOCK_SIZE = 4_000_000
 GAUSSIAN_REACH = 8.0
 
 
-def _gaussian(squared: np.ndarray) -> np.ndarray:
-    return np.where(squared <= GAUSSIAN_REACH**2, np.exp(-squared / 2), 0.0)
-
-
-def _epanechnikov(squared: np.ndarray) -> np.ndarray:
-    return np.maximum(1.0 - squared, 0.0)
-
-
-KERNELS = {"gaussian": _gaussian, "epanechnikov": _epanechnikov}
+KERNELS = {
+    "gaussian": lambda squared: np.where(squared <= GAUSSIAN_REACH**2, np.exp(-squared / 2), 0.0),
+    "epanechnikov": lambda squared: np.maximum(1.0 - squared, 0.0),
+}
+"""Of squared distances in bandwidths."""
 
 
 @dataclass(frozen=True)
 class LocalCurve:
-    """Trajectories in the order in which they leave.
-
-    Parameters
-    ----------
-    covariates
-        Standardised covariates of the trajectories, in that order.
-    trajectories
-        The order, and where the cuts stand in it.
-    """
+    """Trajectories in the order in which they leave."""
 
     covariates: Float[np.ndarray, "n p"]
+    """Standardised covariates of the trajectories, in that order."""
     trajectories: CutOrder
+    """The order, and where the cuts stand in it."""
 
     @classmethod
     def of_trajectories(cls, ends: Rows, finished: RowMask, covariates: Float[np.ndarray, "n p"]) -> "LocalCurve":
@@ -149,19 +139,7 @@ class LocalCurve:
     def survival(
         self, u: Float[np.ndarray, "m q"], covariates: Float[np.ndarray, "m p"], bandwidth: float, kernel: str
     ) -> Float[np.ndarray, "m q"]:
-        """Ĝ(u⁻ | z), NaN where nobody near z was watched at some cut before u.
-
-        Parameters
-        ----------
-        u
-            Times asked about [s], a row of them for each question.
-        covariates
-            Standardised covariates of the questions.
-        bandwidth
-            In standard deviations.
-        kernel
-            One of `KERNELS`.
-        """
+        """Ĝ(u⁻ | z), NaN where nobody near z was watched at some cut before u."""
         distinct, question = np.unique(covariates, axis=0, return_inverse=True)
         question = question.reshape(-1)
         step = np.searchsorted(self.times, u, side="left")

@@ -100,24 +100,7 @@ def named_model(censoring: str | CensoringModel) -> CensoringModel:
 def fitted_model(
     model: str | CensoringModel | None, time: ArrayLike, is_finished: ArrayLike, covariates: Any
 ) -> CensoringModel:
-    """Take a fitted model as it is; fit a name, or a copy of an unfitted model, to these trajectories.
-
-    Parameters
-    ----------
-    model
-        A name, a model, or None for Kaplan–Meier.
-    time
-        Observed end of each trajectory [s], shape (n,).
-    is_finished
-        False where the trajectory was cut, shape (n,).
-    covariates
-        One row for each trajectory, or None.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such model, or it cannot be fitted.
-    """
+    """Take a fitted model as it is; fit a name (None for Kaplan–Meier), or a copy of an unfitted model."""
     if not isinstance(model, (str, type, NoneType)) and is_fitted(model):
         return model
     return named_model("kaplan-meier" if model is None else model).fit(time, is_finished, covariates)

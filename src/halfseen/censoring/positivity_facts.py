@@ -18,43 +18,28 @@ MEAN_WEIGHT_MARGIN = 0.1
 
 @dataclass(frozen=True)
 class WeightedTrajectory:
-    """One trajectory that finished, and its weight.
-
-    Parameters
-    ----------
-    trajectory
-        Its name.
-    time_s
-        When it finished [s].
-    weight
-        1/Ĝ(time⁻), infinite where Ĝ is 0.
-    """
+    """One trajectory that finished, and its weight."""
 
     trajectory: Any
+    """Its name."""
     time_s: float
+    """When it finished [s]."""
     weight: float
+    """1/Ĝ(time⁻), infinite where Ĝ is 0."""
 
 
 @dataclass(frozen=True)
 class Truncation:
-    """What is left when the weights are bounded.
-
-    Parameters
-    ----------
-    truncate_at
-        The bound; None for none.
-    mean
-        Σ w y / Σ w over the trajectories that finished: the weighted mean of the quantity.
-    effective_sample_size
-        (Σ w)² / Σ w².
-    share_removed
-        Proportion of Σ w that the bound takes away, in [0, 1]; None where a weight has no end.
-    """
+    """What is left when the weights are bounded."""
 
     truncate_at: float | None
+    """The bound; None for none."""
     mean: float
+    """Σ w y / Σ w over the trajectories that finished: the weighted mean of the quantity."""
     effective_sample_size: float
+    """(Σ w)² / Σ w²."""
     share_removed: float | None
+    """Proportion of Σ w that the bound takes away, in [0, 1]; None where a weight has no end."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +135,8 @@ def text(facts: PositivityFacts) -> str:
     """Write a few plain sentences and a table of truncations."""
     sentences = [verdict(facts), remedy(facts)]
     if facts.num_finished:
-        sentences += [_size(facts), _heaviest(facts.heaviest)]
+        heaviest = [f"{one.weight:.3g} (trajectory {one.trajectory}, {one.time_s:.4g} s)" for one in facts.heaviest]
+        sentences += [_size(facts), f"Largest weights: {', '.join(heaviest)}." if heaviest else ""]
     sentences += [_until(facts), _mean_weight(facts)]
     return "\n".join([sentence for sentence in sentences if sentence] + _table(facts))
 
@@ -196,22 +182,20 @@ def remedy(facts: PositivityFacts) -> str:
         )
     size = facts.overall.effective_sample_size
     if size >= FEWEST_EFFECTIVE and not facts.is_thin:
-        return _completion(facts) if facts.is_off else ""
+        if not facts.is_off:
+            return ""
+        if facts.mean_weight > 1.0:
+            return "The model takes cuts for likelier than they were; try another."
+        return (
+            f"Either the rest finish after {facts.identified_until_s:.4g} s: restrict times to an earlier one (a "
+            "trajectory that outlives it then counts as seen). Or the model takes cuts for rarer than they were: try "
+            "another."
+        )
     if size > 0.9 * facts.num_finished:
         return "Record more trajectories; the weights are not what makes them few."
     return (
         f"Record more trajectories, shorten the horizon to before {facts.tail_from_s:.4g} s, or truncate the weights "
         "knowingly with truncate_at=…; the table shows what that changes."
-    )
-
-
-def _completion(facts: PositivityFacts) -> str:
-    if facts.mean_weight > 1.0:
-        return "The model takes cuts for likelier than they were; try another."
-    return (
-        f"Either the rest finish after {facts.identified_until_s:.4g} s: restrict times to an earlier one (a "
-        "trajectory that outlives it then counts as seen). Or the model takes cuts for rarer than they were: try "
-        "another."
     )
 
 
@@ -226,11 +210,6 @@ def _size(facts: PositivityFacts) -> str:
         f"finishes, {tail.num_seen} from {facts.tail_from_s:.4g} s on, has an effective sample size of "
         f"{tail.effective_sample_size:.1f}{truncated}."
     )
-
-
-def _heaviest(heaviest: tuple[WeightedTrajectory, ...]) -> str:
-    named = ", ".join(f"{heavy.weight:.3g} (trajectory {heavy.trajectory}, {heavy.time_s:.4g} s)" for heavy in heaviest)
-    return f"Largest weights: {named}." if heaviest else ""
 
 
 def _until(facts: PositivityFacts) -> str:
@@ -255,18 +234,12 @@ def _mean_weight(facts: PositivityFacts) -> str:
 def _table(facts: PositivityFacts) -> list[str]:
     if not facts.truncations:
         return []
-    head = ("weights up to", f"mean {facts.quantity}", "effective sample size", "weight taken away")
-    return ["", *aligned([head, *(_cells(row) for row in facts.truncations)], left=())]
-
-
-def _cells(row: Truncation) -> tuple[str, str, str, str]:
-    bound = "no bound" if row.truncate_at is None else f"{row.truncate_at:.3g}"
-    return (
-        bound,
-        f"{row.mean:.4g}",
-        f"{row.effective_sample_size:.1f}",
-        "no end" if row.share_removed is None else f"{row.share_removed:.1%}",
-    )
+    rows = [("weights up to", f"mean {facts.quantity}", "effective sample size", "weight taken away")]
+    for row in facts.truncations:
+        bound = "no bound" if row.truncate_at is None else f"{row.truncate_at:.3g}"
+        removed = "no end" if row.share_removed is None else f"{row.share_removed:.1%}"
+        rows.append((bound, f"{row.mean:.4g}", f"{row.effective_sample_size:.1f}", removed))
+    return ["", *aligned(rows, left=())]
 
 
 def _number(count: int) -> str:

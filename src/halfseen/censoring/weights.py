@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from halfseen.arrays import Rows
+from halfseen.censoring.clocks import LARGEST_ROUNDING, tied_clocks
 from halfseen.censoring.inputs import checked_ends, checked_floats, checked_truncation, rows_of
 from halfseen.censoring.model import CensoringModel, fitted_model
-from halfseen.censoring.tied_times import LARGEST_ROUNDING, tied_clocks
 from halfseen.errors import ArgumentError, HalfseenWarning, PositivityError
 from halfseen.shapes import Float, Int
 
@@ -82,13 +82,7 @@ def weight_diagnostics(weights: ArrayLike, truncate_at: float | int | None = Non
 
 
 class WeightTally:
-    """What is told of weights that come in parts, along their first axis.
-
-    Parameters
-    ----------
-    truncate_at
-        The bound that the weights were truncated at, if any.
-    """
+    """What is told of weights that come in parts, along their first axis, and were truncated at a bound, if any."""
 
     def __init__(self, truncate_at: float | int | None = None) -> None:
         self._bound = checked_truncation(truncate_at)
@@ -97,13 +91,7 @@ class WeightTally:
         self._largest_at: tuple[int, ...] | None = None
 
     def add(self, weights: ArrayLike) -> None:
-        """Count the next rows.
-
-        Raises
-        ------
-        ArgumentError
-            A weight is negative or not finite.
-        """
+        """Count the next rows."""
         values = np.asarray(weights, dtype=np.float64)
         wrong = np.argwhere(~((values >= 0) & np.isfinite(values)))
         if len(wrong):
@@ -112,7 +100,10 @@ class WeightTally:
         if values.any():
             self._total += values.sum()
             self._squares += np.square(values).sum()
-            self._note_largest(values)
+            largest = float(values.max())
+            if largest > self._largest:
+                first, *others = np.unravel_index(int(values.argmax()), values.shape)
+                self._largest, self._largest_at = largest, (self._num_rows + int(first), *map(int, others))
             if self._bound is not None:
                 # 1/(1/bound) may miss the bound by one unit in the last place.
                 self._truncated += values[values >= self._bound * (1 - 1e-12)].sum()
@@ -133,12 +124,6 @@ class WeightTally:
             largest_at=self._largest_at,
             share_truncated=float(self._truncated / self._total),
         )
-
-    def _note_largest(self, values: np.ndarray) -> None:
-        largest = float(values.max())
-        if largest > self._largest:
-            first, *others = np.unravel_index(int(values.argmax()), values.shape)
-            self._largest, self._largest_at = largest, (self._num_rows + int(first), *map(int, others))
 
 
 def warn_if_few(diagnostics: WeightDiagnostics, stacklevel: int = 3) -> None:
@@ -253,7 +238,18 @@ def stage_weights(
     ends, finished = checked_ends(end_s, is_finished, "end_s")
     clock = checked_floats(elapsed_s, "elapsed_s", ndim=2)
     names = trajectory_names(trajectory_ids, len(ends))
-    _check_clock(clock, ends, names)
+    if len(clock) != len(ends):
+        raise ArgumentError(
+            f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per trajectory"
+        )
+    wrong = np.argwhere((clock < 0) | (clock > ends[:, None] * (1.0 + LARGEST_ROUNDING)))
+    if len(wrong):
+        row, column = wrong[0]
+        raise ArgumentError(
+            f"trajectory {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in [0, {ends[row]}], "
+            "so not between the trajectory's beginning and its end_s; fix the clock, or put NaN where the stage was "
+            "not completed"
+        )
     ends, clock = tied_clocks(ends, clock)
     model = fitted_model(model, ends, finished, covariates)
     rows, columns = np.nonzero(~np.isnan(clock))
@@ -302,21 +298,6 @@ def refuse_improbable(seen: Float[np.ndarray, " k"], describe: Any) -> None:
         where, _, when = describe(k)
         raise ArgumentError(
             f"{where}: the censoring model gives P(C ≥ {when:g} s) = {seen[k]}; a probability lies in [0, 1]"
-        )
-
-
-def _check_clock(clock: Float[np.ndarray, "rows T"], ends: Rows, names: np.ndarray) -> None:
-    if len(clock) != len(ends):
-        raise ArgumentError(
-            f"elapsed_s has {len(clock)} rows and end_s has {len(ends)}; give one of each per trajectory"
-        )
-    wrong = np.argwhere((clock < 0) | (clock > ends[:, None] * (1.0 + LARGEST_ROUNDING)))
-    if len(wrong):
-        row, column = wrong[0]
-        raise ArgumentError(
-            f"trajectory {names[row]}, stage {column + 1}: elapsed_s {clock[row, column]} is not in [0, {ends[row]}], "
-            "so not between the trajectory's beginning and its end_s; fix the clock, or put NaN where the stage was "
-            "not completed"
         )
 
 

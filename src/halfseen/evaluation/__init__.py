@@ -1,8 +1,8 @@
 """The value of a policy before it runs: off-policy evaluation on logs of which trajectories were right-censored.
 
-Read it down: `targets` (what the policy would do) → `weights` (what each trajectory stands for, by what the logging
-policy did) → `cross_fitting` (Q of the policy and the doubly robust value) → `problem` (one log, one policy) →
-`baselines` (what it is compared with), `logging_rule` (among them: the logging policy without its exploration) →
+Read it down: `targets` (what the policy would do, and what it is compared with) → `specification` (what is decided, and
+how Q and the cuts are modelled) → `weights` (what each trajectory stands for, and the doubly robust value), `marginal`
+(the same by states) → `problem` (one log, one policy) → `logging_rule` (the logging policy without its exploration) →
 `comparison` → `verdict`; `off_policy` puts them together, and `held_out` judges a way of learning by the log that was
 learned from.
 """
@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING
 from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
-    from halfseen.evaluation.baselines import Baseline
     from halfseen.evaluation.comparison import Comparison
     from halfseen.evaluation.estimate import Estimate
     from halfseen.evaluation.evaluation import Evaluation
     from halfseen.evaluation.held_out import HeldOutVerdict, held_out_verdict
     from halfseen.evaluation.off_policy import QSpec, evaluate
-    from halfseen.evaluation.targets import FixedSequence
+    from halfseen.evaluation.targets import Baseline, FixedSequence
 
 __all__ = [
     "Baseline",
@@ -40,7 +39,7 @@ __getattr__ = lazy_names(
         "Evaluation": "evaluation",
         "FixedSequence": "targets",
         "HeldOutVerdict": "held_out",
-        "Baseline": "baselines",
+        "Baseline": "targets",
         "QSpec": "specification",
         "evaluate": "off_policy",
         "held_out_verdict": "held_out",

@@ -19,7 +19,7 @@ divides, too.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -120,7 +120,7 @@ class Comparison:
     reason
         Why, in one sentence.
     gamma
-        Γ, how strong an unrecorded cause of cuts would have to be to undo the verdict (see `sensitivity`); None where
+        Γ, how strong an unrecorded cause of cuts would have to be to undo the verdict (see `verdict`); None where
         there is nothing to undo or nothing was cut.
     share
         What the baseline earns as a multiple of what the logging policy does; None where that is not known to be
@@ -148,18 +148,9 @@ def compared(
     excess: Float[np.ndarray, "n T"] | None = None,
     unit: str | None = None,
 ) -> tuple[Comparison, ...]:
-    """Compare a policy with its baselines.
+    """Compare a policy with its baselines, at the level of the intervals and of the verdicts.
 
-    Parameters
-    ----------
-    ours, theirs
-        The policy, and its baselines.
-    level
-        Of the intervals, and of the verdicts.
-    excess
-        1/Ĝ − 1 of each completed stage, 0 elsewhere; None where nothing was cut.
-    unit
-        What rewards are counted in; None if nobody has said.
+    `excess` is 1/Ĝ − 1 of each completed stage, 0 elsewhere; None where nothing was cut.
     """
     unknown = [ours.values is None or each.values is None for each in theirs]
     differences = [None if no else ours.less(each, level) for each, no in zip(theirs, unknown, strict=True)]
@@ -169,43 +160,28 @@ def compared(
     ]
     adjusted = iter(hochberg(np.array([each for each in p if each is not None])))
     adjusted_p = [None if each is None else float(next(adjusted)) for each in p]
-    found = [_comparison(ours, *each, level, unit) for each in zip(theirs, differences, p, adjusted_p, strict=True)]
-    if excess is None or not excess.any():
-        return tuple(found)
-    each = zip(found, theirs, strict=True)
-    return tuple(replace(one, gamma=_gamma(one, ours, baseline, excess)) for one, baseline in each)
-
-
-def _gamma(found: Comparison, ours: Contender, baseline: Contender, excess: Float[np.ndarray, "n T"]) -> float | None:
-    if found.difference is None or ours.errors is None or baseline.errors is None:
-        return None
-    # Of two policies that do the same there is nothing to be undone.
-    if found.verdict == "inconclusive" or found.difference.standard_error == 0.0:
-        return None
-    return undone_at(found.difference, excess, ours.errors - baseline.errors)
-
-
-def _comparison(
-    ours: Contender,
-    baseline: Contender,
-    difference: Estimate | None,
-    p: float | None,
-    adjusted_p: float | None,
-    level: float,
-    unit: str | None,
-) -> Comparison:
-    more = None
-    if difference is not None:
-        # The difference that Q alone says, where there is a Q of both.
-        gain = ours.by_model - baseline.by_model
-        more = needed(difference, gain if np.isfinite(gain) else difference.value, level, ours.alike_less(baseline))
-    if difference is None or adjusted_p is None:
-        why = ours.why_unknown or baseline.why_unknown
-        verdict, reason = "inconclusive", why or f"nothing is known of what {baseline.name} earns"
-    else:
-        verdict, reason = verdict_of(difference, baseline.name, adjusted_p <= 1.0 - level, unit, more)
-    value = None if baseline.values is None else baseline.estimate(level)
-    return Comparison(baseline.name, value, difference, p, adjusted_p, verdict, reason, needed=more)
+    found = []
+    for baseline, difference, p_value, adjusted in zip(theirs, differences, p, adjusted_p, strict=True):
+        more = gamma = None
+        if difference is not None:
+            # The difference that Q alone says, where there is a Q of both.
+            gain = ours.by_model - baseline.by_model
+            more = needed(difference, gain if np.isfinite(gain) else difference.value, level, ours.alike_less(baseline))
+        if difference is None or adjusted is None:
+            why = ours.why_unknown or baseline.why_unknown
+            verdict, reason = "inconclusive", why or f"nothing is known of what {baseline.name} earns"
+        else:
+            verdict, reason = verdict_of(difference, baseline.name, adjusted <= 1.0 - level, unit, more)
+            # Of two policies that do the same there is nothing to be undone.
+            errors = None if ours.errors is None or baseline.errors is None else ours.errors - baseline.errors
+            is_open = verdict == "inconclusive" or difference.standard_error == 0.0
+            if excess is not None and excess.any() and errors is not None and not is_open:
+                gamma = undone_at(difference, excess, errors)
+        value = None if baseline.values is None else baseline.estimate(level)
+        found.append(
+            Comparison(baseline.name, value, difference, p_value, adjusted, verdict, reason, gamma, needed=more)
+        )
+    return tuple(found)
 
 
 def hochberg(p: Float[np.ndarray, " m"]) -> Float[np.ndarray, " m"]:
@@ -239,13 +215,9 @@ def joint_reason(comparisons: Sequence[Comparison]) -> str:
     why, semicolon, remedy = main.reason.partition("; ")
     if not beaten:
         return main.reason
-    others = " and ".join(f"{_more(each)} than {each.baseline}" for each in beaten)
+    more = [(each.difference.value, each.baseline) for each in beaten if each.difference is not None]
+    others = " and ".join(f"{gain:.3g} more than {baseline}" for gain, baseline in more)
     return f"{why}, {'and' if main.verdict == 'better' else 'though'} {others}{semicolon}{remedy}"
-
-
-def _more(comparison: Comparison) -> str:
-    assert comparison.difference is not None
-    return f"{comparison.difference.value:.3g} more"
 
 
 def share_of(policy: Contender, today: Contender, level: float) -> Estimate | None:

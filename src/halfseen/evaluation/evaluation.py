@@ -38,33 +38,17 @@ class Rate(NamedTuple):
 
 @dataclass(frozen=True)
 class PerHour:
-    """What the policy and the logging policy earn in an hour.
-
-    Parameters
-    ----------
-    policy, logging
-        None where that is not known.
-    why_unknown
-        Why, in plain words; None where both are known.
-    """
+    """What the policy and the logging policy earn in an hour."""
 
     policy: Rate | None = None
     logging: Rate | None = None
+    """None where that is not known."""
     why_unknown: str | None = None
+    """Why, in plain words; None where both are known."""
 
 
 def per_hour(problem: Problem, policy: Contender, logging: Contender, level: float) -> PerHour:
-    """Work out what a policy earns in an hour, and what the logging policy does.
-
-    Parameters
-    ----------
-    problem
-        The log, with the policy.
-    policy, logging
-        What trajectories add to the rewards of the two.
-    level
-        Of the intervals.
-    """
+    """Work out what a policy earns in an hour, and what the logging policy does, by what they add."""
     why = why_no_rate(problem.trajectories)
     if why is not None:
         return PerHour(why_unknown=why)
@@ -191,7 +175,10 @@ class Evaluation:
         head = ("", "value", interval, "effective sample size")
         values = [head, *((name, *_cells(each), f"{each.effective_sample_size:.1f}") for name, each in rows.items())]
         head = ("against", "value", interval, "difference", interval, "adjusted p", "verdict")
-        against = [head, *(_against(each) for each in self.comparisons)]
+        against: list[tuple[str, ...]] = [head]
+        for one in self.comparisons:
+            p = "" if one.adjusted_p is None else f"{one.adjusted_p:.2g}"
+            against.append((one.baseline, *_cells(one.value), *_cells(one.difference), p, one.verdict))
         said = [self.sentence, *filter(None, [self.sensitivity])]
         return "\n".join([*said, "", *aligned(values), "", *aligned(against)])
 
@@ -200,11 +187,6 @@ def _cells(estimate: Estimate | None) -> tuple[str, str]:
     if estimate is None:
         return "", ""
     return f"{estimate.value:.4g}", f"{estimate.low:.4g} to {estimate.high:.4g}"
-
-
-def _against(comparison: Comparison) -> tuple[str, ...]:
-    p = "" if comparison.adjusted_p is None else f"{comparison.adjusted_p:.2g}"
-    return (comparison.baseline, *_cells(comparison.value), *_cells(comparison.difference), p, comparison.verdict)
 
 
 def claim_of(found: Evaluation) -> str:

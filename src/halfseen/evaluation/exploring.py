@@ -17,11 +17,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from halfseen.evaluation.logging_rule import best_threshold
+from halfseen.evaluation.marginal import laid_out
 from halfseen.evaluation.off_policy import Case
-from halfseen.evaluation.states import laid_out
 from halfseen.learning.covariates import is_numeric
 from halfseen.learning.named_task import NamedActions
-from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
 from halfseen.text_table import aligned
 
@@ -83,12 +83,9 @@ NOWHERE = Exploration((), 1.0)
 
 
 def exploration_of(case: Case) -> Exploration:
-    """Find where to try what a policy does; nowhere, if stages are no rows of covariates or the log does it often.
+    """Find where to try what a policy does that draws nothing.
 
-    Parameters
-    ----------
-    case
-        A deterministic policy, and what a log says of it.
+    Nowhere, if stages are no rows of covariates or the log does it often.
     """
     problem, task = case.problem, case.problem.model.task
     if not isinstance(task, NamedActions) or problem.log.policy is None:
@@ -97,7 +94,8 @@ def exploration_of(case: Case) -> Exploration:
     begun = trajectories.is_begun & trajectories.has_action
     wanted, taken = problem.log.policy[begun].argmax(axis=1), trajectories.action[begun]
     hangs = np.where(taken == wanted, each[:, ::-1].cumsum(axis=1)[:, ::-1][begun], 0.0)
-    names = _numeric(problem.logs, task)
+    own = [name for name in task.covariates if "*" not in name]
+    names = [name for name in dict.fromkeys(["stage", *own]) if is_numeric(problem.logs.stages, name)]
     columns = laid_out(problem.logs.stages[names].to_numpy(dtype=np.float64), problem.logs, trajectories)[begun]
     leaves = [
         _Leaf(names, limits, int(action), rows, taken[rows], hangs[rows])
@@ -119,12 +117,6 @@ def exploration_of(case: Case) -> Exploration:
     regions.sort(key=lambda region: -region.part)
     narrower = (whole / left) ** 0.5 if left > 0 else 1.0
     return Exploration(tuple(regions), narrower) if narrower >= LEAST_GAIN else NOWHERE
-
-
-def _numeric(logs: Logs, task: NamedActions) -> list[str]:
-    """Stage and covariates that are numbers, without their products."""
-    own = [name for name in task.covariates if "*" not in name]
-    return [name for name in dict.fromkeys(["stage", *own]) if is_numeric(logs.stages, name)]
 
 
 def _variance(case: Case) -> Float[np.ndarray, "n T"]:
@@ -203,13 +195,10 @@ def _best_split(columns: Float[np.ndarray, "m G"], hangs: Float[np.ndarray, " m"
     if num < 2 * least or not columns.shape[1]:
         return 0.0, 0, 0.0
     order = np.argsort(columns, axis=0, kind="stable")
-    at, left = np.take_along_axis(columns, order, axis=0), hangs[order].cumsum(axis=0)[least - 1 : num - least]
-    size, total = np.arange(least, num - least + 1)[:, None], hangs.sum()
+    left, size = hangs[order].cumsum(axis=0)[least - 1 : num - least], np.arange(least, num - least + 1)[:, None]
+    total = hangs.sum()
     gains = left**2 / size + (total - left) ** 2 / (num - size) - total**2 / num
-    below, above = at[least - 1 : num - least], at[least : num - least + 1]
-    gains = np.where(below < above, gains, 0.0)
-    place, column = np.unravel_index(np.argmax(gains), gains.shape)
-    return float(gains[place, column]), int(column), float(below[place, column] + above[place, column]) / 2.0
+    return best_threshold(np.take_along_axis(columns, order, axis=0), gains, least)
 
 
 def _allotted(leaves: Sequence[_Leaf]) -> list[float]:

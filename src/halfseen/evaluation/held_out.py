@@ -29,7 +29,6 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, HalfseenError, HalfseenWarning
 from halfseen.estimator import check_fitted
-from halfseen.evaluation.baselines import LOGGING
 from halfseen.evaluation.comparison import Contender
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation, claim_of, guess_of
@@ -37,12 +36,12 @@ from halfseen.evaluation.exploring import NOWHERE, Exploration, exploration_of
 from halfseen.evaluation.off_policy import judging
 from halfseen.evaluation.specification import specification
 from halfseen.evaluation.tabular import gain_of
-from halfseen.evaluation.targets import CrossFitted
+from halfseen.evaluation.targets import LOGGING, CrossFitted
 from halfseen.evaluation.verdict import Verdict
 from halfseen.learning.discrete_policy import has_margin
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.q_space import TabularQ
-from halfseen.learning.recency import latest
+from halfseen.learning.sample import latest
 from halfseen.logs import Logs
 from halfseen.policies.folder.specification import described
 from halfseen.shapes import Float, Int
@@ -77,7 +76,14 @@ def vouched(candidates: Sequence[Contender], baselines: Sequence[Contender], lev
     gains = [np.stack(known) - each.values for each in theirs if known]
     # A claim is on all baselines, and wrong only if one of them is.
     single = max((level_of_each(each, level) for each in gains), default=level)
-    return Vouched(int(np.argmax([_least(one, theirs, single) for one in candidates])), single)
+
+    def least(one: Contender) -> float:
+        """The smallest lower bound of what it earns more than a baseline."""
+        if one.values is None or one.why_unknown is not None:
+            return -np.inf
+        return min((one.less(each, single).low for each in theirs), default=-np.inf)
+
+    return Vouched(int(np.argmax([least(one) for one in candidates])), single)
 
 
 def level_of_each(gains: Float[np.ndarray, "c n"], level: float) -> float:
@@ -100,13 +106,6 @@ def level_of_each(gains: Float[np.ndarray, "c n"], level: float) -> float:
     largest = (drawn * np.sqrt(np.maximum(values, 0.0)) @ vectors.T).max(axis=1)
     within = NormalDist().cdf(float(np.quantile(largest, (1.0 + level) / 2.0)))
     return max(level, 2.0 * within - 1.0)
-
-
-def _least(one: Contender, baselines: Sequence[Contender], level: float) -> float:
-    """The smallest lower bound of what it earns more than a baseline."""
-    if one.values is None or one.why_unknown is not None:
-        return -np.inf
-    return min((one.less(each, level).low for each in baselines), default=-np.inf)
 
 
 NUM_FOLDS = 5
@@ -248,7 +247,12 @@ def held_out_verdict(
             present = latest(logs, learner.model_.half_life, len(learner.weights_))
             policy = replace(policy, fold=policy.fold[-present.num_trajectories :])
             if isinstance(learner.model_.space, TabularQ):
-                found = _of_table(policy, learner, present, against, level)
+                if against not in (None, LOGGING):
+                    raise ArgumentError(
+                        "a policy of a table of states is compared with what made the log alone; leave against out"
+                    )
+                gain = gain_of(policy, learner.model_, present, float(learner.q_functions_.reg[-1, 0]), level)
+                found = HeldOutVerdict(*gain.verdict(level), num_folds)
             else:
                 found = _judged(policy, learner, present, num_folds, against, level, trust, workers)
     except HalfseenError as error:
@@ -264,26 +268,7 @@ def learn_by_folds(
     on_progress: Callable[[], object] = lambda: None,
     pool: Pool = Pool(None),  # noqa: B008 - it has nothing that could change
 ) -> CrossFitted:
-    """Learn one policy for each fold, from the trajectories outside it.
-
-    Parameters
-    ----------
-    learner
-        How to learn.
-    logs
-        The log.
-    num_folds
-        Number K of folds.
-    on_progress
-        Called after each policy.
-    pool
-        Who learns them.
-
-    Raises
-    ------
-    ArgumentError
-        There are fewer trajectories than folds.
-    """
+    """Learn one policy for each fold, from the trajectories outside it; progress is told after each."""
     if logs.num_trajectories < num_folds:
         raise ArgumentError(f"the log has {logs.num_trajectories} trajectories for {num_folds} folds; record more")
     # How cuts are dealt with is settled by the whole log; whatever else is chosen is chosen again in each fold.
@@ -308,14 +293,6 @@ def learn_by_folds(
 def _learned_without(learner: CensoredQLearner, logs: Logs, fold: Int[np.ndarray, " n"], k: int) -> Any:
     """Policy from the trajectories outside a fold."""
     return learner.unfitted().fit(logs.select(logs.trajectory_ids[fold != k])).policy_
-
-
-def _of_table(policy: CrossFitted, learner: CensoredQLearner, logs: Logs, against: Any, level: float) -> HeldOutVerdict:
-    """Judge policies of a table of states by state and action (`tabular`)."""
-    if against not in (None, LOGGING):
-        raise ArgumentError("a policy of a table of states is compared with what made the log alone; leave against out")
-    gain = gain_of(policy, learner.model_, logs, float(learner.q_functions_.reg[-1, 0]), level)
-    return HeldOutVerdict(*gain.verdict(level), len(policy.policies))
 
 
 def _judged(

@@ -11,7 +11,7 @@ import pandas as pd
 from halfseen.evaluation.estimate import Estimate
 from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import QSpec
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.specification import task_of
 from halfseen.logs import Logs
 from halfseen.policies.folder.log_facts import below
 from halfseen.policies.shares import action_shares
@@ -41,21 +41,14 @@ UNITS = {
 
 @dataclass(frozen=True)
 class Kept:
-    """How a later log compares with what a policy was promised.
-
-    Parameters
-    ----------
-    sentence
-        What it earned, or would, beside what was promised; "" where nothing was.
-    units
-        Covariates that look as if in another unit, a sentence each.
-    drifts
-        What else differs in the states, a sentence each.
-    """
+    """How a later log compares with what a policy was promised."""
 
     sentence: str
+    """What it earned, or would, beside what was promised; "" where nothing was."""
     units: tuple[str, ...]
+    """Covariates that look as if in another unit, a sentence each."""
     drifts: tuple[str, ...]
+    """What else differs in the states, a sentence each."""
 
     @property
     def lines(self) -> list[str]:
@@ -65,19 +58,7 @@ class Kept:
 
 
 def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> tuple[Estimate, bool]:
-    """What a policy earned by a log, if it is the one that made it, or would earn; and whether it is.
-
-    Parameters
-    ----------
-    policy
-        The policy.
-    logs
-        The log.
-    q
-        As for `halfseen.evaluation.evaluate`.
-    found
-        The policy, evaluated by the log.
-    """
+    """What a policy earned by a log, if it is the one that made it, or would earn; and whether it is."""
     task = task_of(policy, logs) if q is None or q.task is None else q.task
     shares = action_shares(policy, task, [logs])
     is_own = bool(np.average(shares["as_logged"].fillna(0.0), weights=shares["num_states"]) >= OWN)
@@ -85,45 +66,27 @@ def earned_here(policy: Any, logs: Logs, q: QSpec | None, found: Evaluation) -> 
 
 
 def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_own: bool) -> Kept:
-    """Compare a later log with a promise.
+    """Compare a later log, and what the policy earned there or would, with a promise.
 
-    Parameters
-    ----------
-    promise
-        As `halfseen.policies.folder` keeps it: ``value``, with ``low``, ``high`` and ``standard_error``, or None, and
-        ``stages``, as `halfseen.policies.folder.log_facts.promised_states` gives them.
-    logs
-        The log.
-    earned
-        What the policy earned there, or would.
-    is_own
-        Whether it made the log.
+    `halfseen.policies.folder` keeps the promise.
     """
-    return Kept(_earned(promise["value"], earned, is_own), *drifts_of(promise["stages"], logs))
-
-
-def _earned(promised: Mapping[str, float] | None, earned: Estimate, is_own: bool) -> str:
+    promised, told = promise["value"], drifts_of(promise["stages"], logs)
+    if promised is None:
+        return Kept("", *told)
     verb = "earned" if is_own else "would earn"
     earning = f"{verb} {earned.value:.3g} a trajectory here ({earned.low:.3g} to {earned.high:.3g})"
-    if promised is None:
-        return ""
     error = float(np.hypot(promised["standard_error"], earned.standard_error))
     less = promised["value"] - earned.value
     words = "less than promised" if less > 0 else "more than promised"
     words = "as promised" if abs(less) <= AS_PROMISED * error else words
     range_ = f"{promised['low']:.3g} to {promised['high']:.3g}"
-    return f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}."
+    return Kept(f"Promised {promised['value']:.3g} a trajectory ({range_}); it {earning}: {words}.", *told)
 
 
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Tell which covariates have another unit, and which another distribution, than the log that was learned from.
 
-    Parameters
-    ----------
-    promised
-        Of each stage, as `halfseen.policies.folder.log_facts.promised_states` gives it.
-    logs
-        A later log.
+    What was promised of each stage `halfseen.policies.folder.log_facts.promised_states` gives.
     """
     units: dict[str, str] = {}
     found: dict[str, str] = {}

@@ -19,13 +19,13 @@ Each trajectory is judged by a model that was fitted without it; one that knew a
 it too often.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
 
 from halfseen.arrays import softmax
-from halfseen.evaluation.states import states_of
+from halfseen.evaluation.marginal import states_of
 from halfseen.learning.behaviour import conditional_logit
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import TrajectoryArrays
@@ -93,21 +93,28 @@ def _tree_shares(
 def _best_split(
     states: Float[np.ndarray, "n F"], votes: Float[np.ndarray, "n A"], least: int
 ) -> tuple[int, float] | None:
-    """The best of all features and thresholds; None where no side of one has rows enough."""
+    """The purest of all features and thresholds; None where no side of one has rows enough."""
     if len(states) < 2 * least:
         return None
     order = np.argsort(states, axis=0)
-    at = np.take_along_axis(states, order, axis=0)
     left = votes[order].cumsum(axis=0)
     total, left = left[-1], left[least - 1 : len(states) - least]
     right = total - left
     scores = (left**2).sum(axis=2) / left.sum(axis=2) + (right**2).sum(axis=2) / right.sum(axis=2)
-    below, above = at[least - 1 : len(states) - least], at[least : len(states) - least + 1]
+    score, feature, threshold = best_threshold(np.take_along_axis(states, order, axis=0), scores, least)
+    return None if score == -np.inf else (feature, threshold)
+
+
+def best_threshold(
+    ordered: Float[np.ndarray, "n F"], scores: Float[np.ndarray, "m F"], least: int
+) -> tuple[float, int, float]:
+    """The largest score of splits that leave so many rows on either side, its feature and threshold; −∞ if none."""
+    num = len(ordered)
+    below, above = ordered[least - 1 : num - least], ordered[least : num - least + 1]
     scores = np.where(below < above, scores, -np.inf)
     place, feature = np.unravel_index(np.argmax(scores), scores.shape)
-    if scores[place, feature] == -np.inf:
-        return None
-    return int(feature), float(below[place, feature] + above[place, feature]) / 2.0
+    middle = float(below[place, feature] + above[place, feature]) / 2.0
+    return float(scores[place, feature]), int(feature), middle
 
 
 def logit_shares(
@@ -168,85 +175,50 @@ def logging_rule(
 ) -> LoggingRule | str:
     """Find the rule behind the logged actions, or say why there is none.
 
-    Parameters
-    ----------
-    logs, trajectories
-        The log, and the same laid out.
-    task
-        Names the actions.
-    fold
-        Of each trajectory.
-    has_probability
-        Whether the logged probabilities are to be believed; else the actions alone tell of the rule.
+    Where the logged probabilities are not to be believed, the actions alone tell of it.
     """
-    begun = trajectories.is_begun
-    likely = _logged_probability(trajectories, has_probability)
-    known, taken = likely > 0, trajectories.action[begun]
+    begun, taken = trajectories.is_begun, trajectories.action[trajectories.is_begun]
+    # b(A | S) of each stage, 0 where the action or its probability is not known; 1 if none is believed.
+    logged = np.nan_to_num(trajectories.probability[begun]) if has_probability else 1.0
+    likely = np.where(trajectories.has_action[begun], logged, 0.0)
+    known, weight = likely > 0, likely**POWER
+    weight = np.where(weight > LEAST_WEIGHT * weight.max(), weight, 0.0)
+    weight /= weight[weight > 0].mean()
     row_fold = np.broadcast_to(fold[:, None] % NUM_FOLDS, begun.shape)[begun]
-    guess = _best_guess(_choices(logs, trajectories, task), taken, _vote_weights(likely), row_fold)
+    guesses = [_held_out(choice, weight, row_fold) for choice in _choices(logs, trajectories, task)]
+    # The model that agrees best with stages that it was not fitted to.
+    guess = max(guesses, key=lambda guess: float(weight[guess == taken].sum()))
     probabilities = np.zeros(trajectories.is_possible.shape)
     probabilities[begun] = guess[:, None] == np.arange(trajectories.is_possible.shape[-1])
     is_right = guess == taken
     if has_probability and _is_revealed(likely[known]):
         is_taken = np.zeros(begun.shape, dtype=bool)
         is_taken[begun] = likely > 0.5
-        return LoggingRule(probabilities, is_taken, _revealed_note(is_right[likely > 0.5]))
-    chance = float((1.0 / trajectories.is_possible[begun][known].sum(axis=1)).mean())
-    if not _is_above(is_right[known], chance):
-        return (
-            f"the log shows no rule: what seems its most probable action was taken in {is_right[known].mean():.0%} of "
-            f"the stages, and would be by chance in {chance:.0%}"
+        checked = is_right[likely > 0.5]
+        note = (
+            "where it was followed the log says, by probabilities above one half; what it would do elsewhere a model "
+            f"of the actions says, which was right in {checked.sum()} of {len(checked)} stages where that can be "
+            "checked"
         )
-    return LoggingRule(probabilities, None, _estimated_note(is_right[known]))
-
-
-def _logged_probability(trajectories: TrajectoryArrays, has_probability: bool) -> Float[np.ndarray, " rows"]:
-    """b(A | S) of each begun stage, 0 where the action or its probability is not known; 1 if none is believed."""
-    known, logged = trajectories.has_action[trajectories.is_begun], trajectories.probability[trajectories.is_begun]
-    return np.where(known, np.nan_to_num(logged) if has_probability else 1.0, 0.0)
-
-
-def _vote_weights(likely: Float[np.ndarray, " rows"]) -> Float[np.ndarray, " rows"]:
-    weight = likely**POWER
-    kept = np.where(weight > LEAST_WEIGHT * weight.max(), weight, 0.0)
-    return kept / kept[kept > 0].mean()
+        return LoggingRule(probabilities, is_taken, note)
+    chance = float((1.0 / trajectories.is_possible[begun][known].sum(axis=1)).mean())
+    share, num_known = is_right[known].mean(), int(known.sum())
+    if not share - chance > 2.0 * np.sqrt(share * (1.0 - share) / num_known):
+        return (
+            f"the log shows no rule: what seems its most probable action was taken in {share:.0%} of the stages, and "
+            f"would be by chance in {chance:.0%}"
+        )
+    note = (
+        "the log does not reveal it, so it is what a model of the actions takes for the most probable one; that was "
+        f"taken in {share:.0%} of {num_known} stages, and how often the model is right cannot be checked"
+    )
+    return LoggingRule(probabilities, None, note)
 
 
 def _is_revealed(likely: Float[np.ndarray, " rows"]) -> bool:
     """Whether, as far as chance allows to tell, every state has an action of more than ½."""
     share = np.where(likely > 0.5, 1.0 / likely, 0.0)
     return bool(share.any() and share.mean() >= 1.0 - 2.0 * share.std() / np.sqrt(len(share)))
-
-
-def _is_above(is_right: Bool[np.ndarray, " rows"], chance: float) -> bool:
-    share = is_right.mean()
-    return bool(share - chance > 2.0 * np.sqrt(share * (1.0 - share) / len(is_right)))
-
-
-def _revealed_note(is_right: Bool[np.ndarray, " rows"]) -> str:
-    return (
-        "where it was followed the log says, by probabilities above one half; what it would do elsewhere a model of "
-        f"the actions says, which was right in {is_right.sum()} of {len(is_right)} stages where that can be "
-        "checked"
-    )
-
-
-def _estimated_note(is_right: Bool[np.ndarray, " rows"]) -> str:
-    return (
-        "the log does not reveal it, so it is what a model of the actions takes for the most probable one; that was "
-        f"taken in {is_right.mean():.0%} of {len(is_right)} stages, and how often the model is right cannot be checked"
-    )
-
-
-def _best_guess(
-    choices: Sequence[Choice],
-    taken: Int[np.ndarray, " rows"],
-    weight: Float[np.ndarray, " rows"],
-    fold: Int[np.ndarray, " rows"],
-) -> Int[np.ndarray, " rows"]:
-    """The rule's action of every stage, by the model that agrees best with stages that it was not fitted to."""
-    guesses = [_held_out(choice, weight, fold) for choice in choices]
-    return max(guesses, key=lambda guess: float(weight[guess == taken].sum()))
 
 
 def _held_out(

@@ -8,23 +8,29 @@ anyone who asks says that the log is to be trusted in this.
 from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, get_args
 
 import numpy as np
 
 from halfseen.censoring import CensoringModel
 from halfseen.errors import ArgumentError
-from halfseen.evaluation.baselines import DEFAULT, LOGGING, LOGGING_RULE, Baseline, baseline_probabilities, baselines_of
 from halfseen.evaluation.comparison import Contender, compared, deciding, joint_reason, share_of
-from halfseen.evaluation.cross_fitting import jackknifed
 from halfseen.evaluation.estimate import around, check_level, estimate_of
 from halfseen.evaluation.evaluation import Evaluation, per_hour
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.evaluation.problem import Nuisances, Problem, following, logging_contribution, problem_of
-from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of
-from halfseen.evaluation.targets import target_probabilities, task_of
+from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of, task_of
+from halfseen.evaluation.targets import (
+    DEFAULT,
+    LOGGING,
+    LOGGING_RULE,
+    Baseline,
+    baseline_probabilities,
+    baselines_of,
+    target_probabilities,
+)
 from halfseen.evaluation.verdict import FEWEST_BY_STATES, FEWEST_TRAJECTORIES, why_unknown
-from halfseen.evaluation.weights import Propensity, check_propensity
+from halfseen.evaluation.weights import Propensity, jackknifed
 from halfseen.learning.judging import FittedValues
 from halfseen.learning.targets import Targets, targets_of
 from halfseen.learning.task import Task
@@ -50,11 +56,6 @@ def doubt_of(logs: Logs, task: Task, has_probability: bool, trust: Collection[st
         Whether the logged probabilities are used.
     trust
         Of `TRUST`: what is not to be asked.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such thing to trust in.
     """
     unknown = [name for name in trust if name not in TRUST]
     if unknown:
@@ -89,33 +90,22 @@ class Case(NamedTuple):
 
 @dataclass(frozen=True)
 class Judge:
-    """A log that is ready to judge policies that decide about the same, each beside the same baselines.
-
-    Parameters
-    ----------
-    problem
-        The log, and the first policy.
-    logs
-        The log as it was given.
-    own
-        What the logging policy earns.
-    baselines
-        What the log knows of each.
-    notes
-        How they were found.
-    level
-        Of the intervals.
-    doubt
-        Why no verdict can rest on the log; None where nothing speaks against it.
-    """
+    """A log that is ready to judge policies that decide about the same, each beside the same baselines."""
 
     problem: Problem
+    """The log, and the first policy."""
     logs: Logs
+    """The log as it was given."""
     own: Contender
+    """What the logging policy earns."""
     baselines: tuple[Contender, ...]
+    """What the log knows of each."""
     notes: tuple[str, ...]
+    """How they were found."""
     level: float
+    """Of the intervals."""
     doubt: str | None = None
+    """Why no verdict can rest on the log; None where nothing speaks against it."""
 
     def problem_of(self, policy: Any) -> Problem:
         """The same log with another policy."""
@@ -253,7 +243,7 @@ def evaluate(
     logs
         The log.
     against
-        What the policy is compared with, one or a list (see `halfseen.evaluation.baselines.baselines_of`): the logging
+        What the policy is compared with, one or a list (see `halfseen.evaluation.targets.baselines_of`): the logging
         policy (``"logging"``), the same without its exploration (``"logging-rule"``), a sequence, a rule, another
         policy. ``"better"`` is better than each. None for the first two; the second is then left out where the log
         does not show it.
@@ -311,7 +301,8 @@ def judging(
 ) -> Iterator[Judge]:
     """Make a log ready to judge a policy, and others that decide about the same; parameters are those of `evaluate`."""
     check_level(level)
-    check_propensity(propensity)
+    if propensity not in get_args(Propensity):
+        raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")
     if num_folds < 2:
         raise ArgumentError(f"num_folds is {num_folds}; at least 2 are needed")
     if logs.num_trajectories < 2 * num_folds:

@@ -8,27 +8,24 @@ import numpy as np
 
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.comparison import Contender
-from halfseen.evaluation.cross_fitting import (
-    Nuisances,
-    cross_fitted,
-    judged_without,
-    nuisances_by_folds,
-    nuisances_of,
-    of_own_fold,
-)
 from halfseen.evaluation.estimate import possible
-from halfseen.evaluation.states import CLEARLY, history_deviate, states_of
-from halfseen.evaluation.targets import is_alike, target_probabilities
+from halfseen.evaluation.marginal import CLEARLY, Marginal, history_deviate, marginal_weights, states_of
+from halfseen.evaluation.specification import is_alike
+from halfseen.evaluation.targets import target_probabilities
 from halfseen.evaluation.weights import (
-    Marginal,
+    Nuisances,
     StageWeights,
     begun_weights,
     completed_weights,
+    cross_fitted,
     estimated_propensity,
+    judged_without,
     likelihood_ratios,
     logged_propensity,
-    marginal_weights,
     mean_squared_ratio,
+    nuisances_by_folds,
+    nuisances_of,
+    of_own_fold,
     single_ratios,
     uncut_before,
 )

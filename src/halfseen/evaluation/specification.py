@@ -1,7 +1,7 @@
-"""How Q of a policy and the cuts are modelled for its evaluation: by default, or as a stored policy was learned.
+"""What is decided, and how Q of a policy and the cuts are modelled for its evaluation.
 
-By default the four models behind a doubly robust value are linear in the covariates, the stage and second-order terms,
-so that each of them may bend, and stages can share one Q.
+That is by default, or as a stored policy was learned. By default the four models behind a doubly robust value are
+linear in the covariates, the stage and second-order terms, so that each of them may bend, and stages can share one Q.
 """
 
 from collections.abc import Mapping
@@ -14,14 +14,15 @@ import numpy as np
 import pandas as pd
 
 from halfseen.censoring import CENSORING_NAMES
-from halfseen.evaluation.targets import horizon_of, is_alike, task_by, task_of
-from halfseen.learning.covariates import Covariates
+from halfseen.errors import ArgumentError
+from halfseen.evaluation.targets import CrossFitted, horizon_of, refuse_other_names
+from halfseen.learning.covariates import Covariates, fit_covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation, QSpace, StageMode, q_space_of, reg_of, stage_mode_of
 from halfseen.learning.targets import DoublyRobust, Targets, Weighted, named_targets
-from halfseen.learning.task import Task
+from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.folder.stored import refuse_log_of_team
@@ -52,6 +53,50 @@ class QSpec:
     q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth"] | str = "linear"
     stages: StageMode | str | None = None
     reg: CrossValidation | float | int | Literal["cv"] | str = "cv"
+
+
+def task_of(policy: Any, logs: Logs) -> Task:
+    """Find out what a policy decides about.
+
+    Of named actions, the task has those that the policy may take in a stage, and those that were taken there and it
+    never would; covariates are the policy's, with the categories that it knows, or all of the log that hold numbers or
+    text of few categories.
+    """
+    if isinstance(policy, CrossFitted):
+        # Those of all folds look at the same, and what one of them may take was logged.
+        return task_of(policy.policies[0], logs)
+    if isinstance(policy, NamedActionPolicy):
+        refuse_other_names(policy, logs, "the policy")
+        every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
+        actions, stages = dict(getattr(policy, "actions_by_stage", every)), logs.stages
+        for stage, names in actions.items():
+            logged = stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist()
+            actions[stage] = list(dict.fromkeys([*names, *sorted(logged, key=str)]))
+        covariates = getattr(policy, "covariates", None)
+        covariates = fit_covariates(logs) if covariates is None else covariates
+        task = NamedActions(actions, covariates, getattr(policy, "categories", {}))
+        return task.fitted(logs, policy.horizon)
+    if logs.objects is None:
+        raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
+    # Policies of named actions do without the world.
+    from halfseen.world.log_checks import robots_in
+
+    return task_by(policy, num_robots=robots_in(logs) or None)
+
+
+def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Task:
+    """Find the task of tables by which a policy of tables is evaluated: of K robots where the log or the policy is."""
+    grasp = getattr(policy, "grasp", None)
+    of_policy = None if getattr(type(policy), "num_robots", None) == 1 else getattr(policy, "num_robots", None)
+    known = num_robots or of_policy
+    if known is None:
+        return named_task("table", grasp=grasp, **parameters)
+    return named_task("team", grasp=grasp, num_robots=known, base=None, is_evaluating=True, **parameters)
+
+
+def is_alike(task: Task) -> bool:
+    """Whether stages of a task are alike, as those of tables are, so that one model may serve them all."""
+    return task.end_action is not None or bool(getattr(task, "is_joint", False))
 
 
 def default_targets(logs: Logs) -> Targets:
@@ -109,32 +154,23 @@ def with_second_order(task: NamedActions, logs: Logs) -> tuple[NamedActions, Log
 
 def _terms(looks_at: Covariates, frame: pd.DataFrame) -> dict[str, np.ndarray]:
     """Products of standardised covariates; the square of one with two values says nothing new."""
-    columns = zip(looks_at.names, looks_at.encode(frame).T, strict=True)
-    scaled = {name: _standardised(values) for name, values in columns if name != "stage"}
+    scaled = {}
+    for name, values in zip(looks_at.names, looks_at.encode(frame).T, strict=True):
+        if name != "stage":
+            scaled[name] = (values - values.mean()) / (values.std() or 1.0)
     pairs = combinations_with_replacement(scaled, 2)
     wanted = [(a, b) for a, b in pairs if a != b or len(np.unique(scaled[a])) > 2]
     return {f"{a}*{b}": scaled[a] * scaled[b] for a, b in wanted}
 
 
-def _standardised(values: np.ndarray) -> np.ndarray:
-    spread = values.std()
-    return (values - values.mean()) / (spread if spread > 0 else 1.0)
-
-
 @dataclass(frozen=True)
 class EvaluationSpec:
-    """What `evaluate` is to be given.
-
-    Parameters
-    ----------
-    censoring
-        What stands for what cuts took away.
-    q
-        How Q of the policy is fitted; None for the way of `evaluate`.
-    """
+    """What `evaluate` is to be given."""
 
     censoring: Targets
+    """What stands for what cuts took away."""
     q: QSpec | None
+    """How Q of the policy is fitted; None for the way of `evaluate`."""
 
     def as_dict(self) -> dict[str, Any]:
         """How cuts were dealt with, ready for JSON."""
@@ -144,13 +180,7 @@ class EvaluationSpec:
 
 
 def specification_of(stored: StoredPolicy, logs: Logs, **chosen: Any) -> EvaluationSpec:
-    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`).
-
-    Raises
-    ------
-    PolicyError
-        The log is of a team, and the policy of one robot's tables.
-    """
+    """Say how to evaluate a policy that was read: as it was learned, but for what is chosen (see `specification`)."""
     refuse_log_of_team(stored, logs)
     return specification(stored.policy, stored.record["learner"], logs, **chosen)
 

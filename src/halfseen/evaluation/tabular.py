@@ -73,18 +73,8 @@ class _Rows(NamedTuple):
 def gain_of(policy: CrossFitted, model: QModel, logs: Logs, kappa: float, level: float = 0.95) -> Gain:
     """Estimate what policies that were learned without each fold earn more than the logging policy.
 
-    Parameters
-    ----------
-    policy
-        They; each a `DiscretePolicy` of one covariate, the name of the state.
-    model
-        Whose task numbers the states.
-    logs
-        The log.
-    kappa
-        Stages that the mean of a state counts for.
-    level
-        Of the interval.
+    They look at one covariate, the name of a state, which the model's task numbers; the mean of a state counts for κ
+    stages.
     """
     trajectories = model.lay_out(logs)
     shape = len(policy.policies[0].coefficients[0, 0]), trajectories.is_possible.shape[-1]

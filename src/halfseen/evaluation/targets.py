@@ -1,22 +1,30 @@
-"""What the policy that is evaluated would have done in each stage of a log: π(a | S_t)."""
+"""What a policy that is evaluated, or compared with, would have done in each stage of a log: π(a | S_t).
 
-from collections.abc import Hashable
+Compared with are the logging policy, with and without its exploration, sequences, rules, others.
+"""
+
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError
-from halfseen.learning.covariates import fit_covariates
+from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.learning.discrete_policy import NamedActionPolicy, more_cautious
 from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import TrajectoryArrays
-from halfseen.learning.task import Task, named_task
+from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.logs.columns import shown
 from halfseen.logs.spelling import composed
+from halfseen.policies.folder import read_policy
+from halfseen.policies.rule_files import read_rule_table
+from halfseen.policies.rule_table import Rule
 from halfseen.shapes import Float, Int
+from halfseen.suggestions import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -60,100 +68,27 @@ class FixedSequence:
 
 @dataclass(frozen=True, eq=False)
 class CrossFitted:
-    """One policy for each fold of a log, which decides for its trajectories and was learned from the others.
-
-    Parameters
-    ----------
-    policies
-        Of each fold, what the task takes for a policy.
-    fold
-        Of each trajectory.
-    horizon
-        Number T of stages.
-    """
+    """One policy for each fold of a log, which decides for its trajectories and was learned from the others."""
 
     policies: tuple[Any, ...]
+    """Of each fold, what the task takes for a policy."""
     fold: Int[np.ndarray, " n"]
+    """Of each trajectory."""
     horizon: int
+    """Number T of stages."""
 
     def more_cautious(self, times: float) -> "CrossFitted":
         """The same policies with so many times their margins."""
         return replace(self, policies=tuple(more_cautious(policy, times) for policy in self.policies))
 
     def target_probabilities(self, logs: Logs, horizon: int, task: Task) -> Float[np.ndarray, "n T A"]:
-        """π(a | S_t) of each trajectory, by the policy of its fold."""
+        """π(a | S_t) of every stage that was begun, of a policy or one for each fold; 0 elsewhere."""
         each = np.stack([task.target_probabilities(policy, logs, horizon) for policy in self.policies])
         return each[self.fold, np.arange(logs.num_trajectories)]
 
 
-def task_of(policy: Any, logs: Logs) -> Task:
-    """Find out what a policy decides about.
-
-    Of named actions, the task has those that the policy may take in a stage, and those that were taken there and it
-    never would; covariates are the policy's, with the categories that it knows, or all of the log that hold numbers or
-    text of few categories.
-
-    Raises
-    ------
-    ArgumentError
-        The policy is none of named actions, and the log none of tables; or one names actions by whole numbers, and the
-        other by text.
-    """
-    if isinstance(policy, CrossFitted):
-        # Those of all folds look at the same, and what one of them may take was logged.
-        return task_of(policy.policies[0], logs)
-    if isinstance(policy, NamedActionPolicy):
-        refuse_other_names(policy, logs, "the policy")
-        every = {stage: list(policy.actions) for stage in range(1, policy.horizon + 1)}
-        own = getattr(policy, "actions_by_stage", every)
-        covariates = getattr(policy, "covariates", None)
-        categories = getattr(policy, "categories", {})
-        task = NamedActions(
-            _with_logged(own, logs), fit_covariates(logs) if covariates is None else covariates, categories
-        )
-        return task.fitted(logs, policy.horizon)
-    if logs.objects is None:
-        raise ArgumentError(f"{type(policy).__name__} decides nothing about named actions, which the log is of")
-    return task_by(policy, num_robots=robots_of(logs))
-
-
-def robots_of(logs: Logs) -> int | None:
-    """K of a log that tells what several robots did; None for any other."""
-    # Policies of named actions do without the world.
-    from halfseen.world.log_checks import robots_in
-
-    return robots_in(logs) or None
-
-
-def task_by(policy: Any, num_robots: int | None = None, **parameters: Any) -> Task:
-    """Find the task of tables by which a policy of tables is evaluated: that of several robots if it is for such.
-
-    Parameters
-    ----------
-    policy
-        What decides.
-    num_robots
-        K of the log; None for what the policy says.
-    **parameters
-        Of the task.
-    """
-    grasp = getattr(policy, "grasp", None)
-    of_policy = None if getattr(type(policy), "num_robots", None) == 1 else getattr(policy, "num_robots", None)
-    known = num_robots or of_policy
-    if known is None:
-        return named_task("table", grasp=grasp, **parameters)
-    return named_task("team", grasp=grasp, num_robots=known, base=None, is_evaluating=True, **parameters)
-
-
 def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
-    """Refuse a policy whose actions are whole numbers where the log's are text, or the other way round.
-
-    Raises
-    ------
-    ArgumentError
-        It is such, or one of its actions is composed otherwise by Unicode; as 1 is not '1', it would seem to take what
-        was never logged.
-    """
+    """Refuse a policy whose actions are whole numbers where the log's are text, or the other way round."""
     logged: list[Any] = logs.stages["action"].dropna().unique().tolist()
     composed_as = {composed(name): name for name in logged if isinstance(name, str)}
     for name in policy.actions:
@@ -173,20 +108,6 @@ def refuse_other_names(policy: NamedActionPolicy, logs: Logs, who: str) -> None:
     )
 
 
-def _with_logged(own: dict[int, list[Hashable]], logs: Logs) -> dict[int, list[Hashable]]:
-    stages = logs.stages
-
-    def logged(stage: int) -> list[Hashable]:
-        return sorted(stages.loc[stages["stage"] == stage, "action"].dropna().unique().tolist(), key=str)
-
-    return {stage: list(dict.fromkeys([*names, *logged(stage)])) for stage, names in own.items()}
-
-
-def is_alike(task: Task) -> bool:
-    """Whether stages of a task are alike, as those of tables are, so that one model may serve them all."""
-    return task.end_action is not None or bool(getattr(task, "is_joint", False))
-
-
 def horizon_of(policy: Any, default: int) -> int:
     """Stages that a policy is for."""
     coefficients = getattr(policy, "coefficients", None)
@@ -197,45 +118,18 @@ def horizon_of(policy: Any, default: int) -> int:
 def target_probabilities(
     policy: Any, logs: Logs, trajectories: TrajectoryArrays, task: Task
 ) -> Float[np.ndarray, "n T A"]:
-    """π(a | S_t) of every stage that was begun; 0 elsewhere.
-
-    Parameters
-    ----------
-    policy
-        What the task takes for a policy, or one for each fold.
-    logs
-        The log.
-    trajectories
-        The same, laid out.
-    task
-        Names the actions.
-
-    Raises
-    ------
-    ArgumentError
-        The policy is for other actions or another kind of log, takes an action that is not possible, or draws its
-        actions and cannot say how.
-    """
+    """π(a | S_t) of every stage that was begun, of a policy or one for each fold; 0 elsewhere."""
     horizon = trajectories.action.shape[1]
     if isinstance(policy, CrossFitted):
         probabilities = policy.target_probabilities(logs, horizon, task)
     else:
         probabilities = task.target_probabilities(policy, logs, horizon)
     probabilities = np.where(trajectories.is_begun[..., None], probabilities, 0.0)
-    _refuse_unknown(probabilities, policy)
-    _refuse_impossible(probabilities, trajectories)
-    return probabilities
-
-
-def _refuse_unknown(probabilities: Float[np.ndarray, "n T A"], policy: Any) -> None:
     if np.isnan(probabilities).any():
         raise ArgumentError(
             f"{type(policy).__name__} draws its actions and does not say the probability of each, which evaluation by "
             "a log needs; evaluate it by simulation"
         )
-
-
-def _refuse_impossible(probabilities: Float[np.ndarray, "n T A"], trajectories: TrajectoryArrays) -> None:
     wrong = trajectories.is_begun[..., None] & (probabilities > 0) & ~trajectories.is_possible
     if wrong.any():
         trajectory, stage, action = np.argwhere(wrong)[0]
@@ -243,3 +137,144 @@ def _refuse_impossible(probabilities: Float[np.ndarray, "n T A"], trajectories: 
             f"trajectory {trajectories.trajectory_ids[trajectory]}, stage {stage + 1}: the policy takes action number "
             f"{action + 1}, which is not possible there; give a policy for the actions of this stage"
         )
+    return probabilities
+
+
+LOGGING, LOGGING_RULE = "logging", "logging-rule"
+"""The logging policy as it was, and what it does where it does not explore."""
+DEFAULT = (LOGGING, LOGGING_RULE)
+SEQUENCE = "sequence:"
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """What a policy is compared with.
+
+    Parameters
+    ----------
+    policy
+        ``"logging"``, ``"logging-rule"``, or anything that `evaluate` takes for a policy.
+    name
+        In plain words, as in "better than …".
+    """
+
+    policy: Any
+    name: str
+
+
+def baselines_of(against: Any, logs: Logs) -> tuple[Baseline, ...]:
+    """Understand what `evaluate` is given to compare a policy with.
+
+    Parameters
+    ----------
+    against
+        One, or a list of: ``"logging"``, ``"logging-rule"``; an `Baseline` with a name of its own; a policy; a function
+        of covariates and stage that names an action for each row; a text ``"sequence:A,B,A"``; or a trajectory of a CSV
+        or TOML rule, or of a policy folder.
+    logs
+        The log that the comparison rests on.
+    """
+    given = list(against) if isinstance(against, list | tuple) else [against]
+    if not given:
+        raise ArgumentError("against is empty; give at least one baseline, or None for the logging policy")
+    baselines = tuple(_baseline(each, logs) for each in given)
+    names = [baseline.name for baseline in baselines]
+    twice = next((name for name in names if names.count(name) > 1), None)
+    if twice:
+        raise ArgumentError(
+            f"against names {twice} twice; name it once, or tell them apart with Baseline(policy, name)"
+        )
+    return baselines
+
+
+def _baseline(given: Any, logs: Logs) -> Baseline:
+    if isinstance(given, Baseline):
+        return given
+    if isinstance(given, str | Path):
+        return _written_baseline(str(given), logs)
+    if isinstance(given, FixedSequence):
+        return Baseline(given, f"the sequence {', '.join(map(str, given.sequence))}")
+    if callable(given) and not hasattr(given, "probabilities") and not hasattr(given, "decide"):
+        taken = [np.asarray(given(frame, stage), dtype=object).ravel() for stage, frame in _stages(logs)]
+        rule = Rule(given, tuple(dict.fromkeys(name for names in taken for name in names)), logs.horizon)
+        return Baseline(rule, f"the rule {getattr(given, '__name__', type(given).__name__)}")
+    return Baseline(given, f"the {type(given).__name__}")
+
+
+def _written_baseline(text: str, logs: Logs) -> Baseline:
+    if text == LOGGING:
+        return Baseline(LOGGING, "the logging policy")
+    if text == LOGGING_RULE:
+        return Baseline(LOGGING_RULE, LOGGING_RULE_NAME)
+    if text.startswith(SEQUENCE):
+        known = {str(name): name for name in _logged_actions(logs)}
+        names = [name.strip() for name in text.removeprefix(SEQUENCE).split(",")]
+        if not all(names):
+            raise ArgumentError(f"against is {text!r}; name an action for each stage, as {SEQUENCE}A,B,A")
+        return _baseline(FixedSequence(tuple(known.get(name, name) for name in names)), logs)
+    path = Path(text)
+    if path.suffix.lower() in (".csv", ".toml"):
+        return Baseline(read_rule_table(path, logs.horizon, _logged_actions(logs)), f"the rule {path.name}")
+    if path.is_dir():
+        return Baseline(read_policy(path).policy, f"the policy {path.name}")
+    raise ArgumentError(
+        f"against is {text!r}; it is {LOGGING}, {LOGGING_RULE}, {SEQUENCE}A,B,A, a file with a rule (.csv or .toml), "
+        f"or a policy folder{did_you_mean(text, (LOGGING, LOGGING_RULE))}"
+    )
+
+
+def _logged_actions(logs: Logs) -> list[Hashable]:
+    return logs.stages["action"].dropna().unique().tolist()
+
+
+def _stages(logs: Logs) -> Sequence[tuple[int, Any]]:
+    return [(int(stage), frame) for stage, frame in logs.stages.groupby("stage")]  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True)
+class _KnownActions:
+    """A policy less the actions that the task does not have, and that it takes nowhere in the log."""
+
+    policy: Any
+    actions: tuple[Hashable, ...]
+    horizon: int
+
+    def probabilities(self, frame: Any, stage: int) -> Float[np.ndarray, "m A"]:
+        column = [self.policy.actions.index(name) for name in self.actions]
+        return np.asarray(self.policy.probabilities(frame, stage))[:, column]
+
+
+def baseline_probabilities(
+    policy: Any, name: str, logs: Logs, trajectories: TrajectoryArrays, task: Task
+) -> Float[np.ndarray, "n T A"] | str:
+    """π(a | S_t) of a baseline in every begun stage; or in words, the action that it takes and the log has not."""
+    horizon = trajectories.action.shape[1]
+    own = horizon_of(policy, horizon)
+    if own < (logs.horizon if isinstance(task, NamedActions) else horizon):
+        raise ArgumentError(
+            f"against: {name} is for {own} stage(s), and a trajectory has up to {logs.horizon}; add some"
+        )
+    if isinstance(task, NamedActions):
+        if not isinstance(policy, NamedActionPolicy):
+            raise ArgumentError(f"against: {name} decides nothing about named actions, which the log is of")
+        if {composed(str(each)) for each in policy.actions} & {composed(str(each)) for each in task.names}:
+            refuse_other_names(policy, logs, name)
+        unknown = _unknown_action(policy, logs, task)
+        if unknown is not None:
+            return unknown
+        kept = tuple(name for name in policy.actions if name in task.names)
+        policy = _KnownActions(policy, kept, own)
+    elif isinstance(policy, NamedActionPolicy):
+        raise ArgumentError(f"against: {name} decides nothing about tables of objects, which the log is of")
+    return target_probabilities(policy, logs, trajectories, task)
+
+
+def _unknown_action(policy: NamedActionPolicy, logs: Logs, task: NamedActions) -> str | None:
+    """The first action that it takes in a stage where the task has none of that name."""
+    for stage, frame in _stages(logs):
+        possible = [name for name, is_it in zip(task.names, task.possible(stage), strict=True) if is_it]
+        taken = np.asarray(policy.probabilities(frame, stage)).max(axis=0) > 0
+        for name, is_taken in zip(policy.actions, taken, strict=True):
+            if is_taken and name not in possible:
+                return f"{name} in stage {stage}"
+    return None

@@ -224,36 +224,14 @@ STRONGEST = 100.0
 
 
 def shift(excess: Float[np.ndarray, "n T"], error: Float[np.ndarray, "n T"], gamma: float) -> float:
-    """The furthest that causes of strength Γ take Σ_t E[w v_t] down.
-
-    Parameters
-    ----------
-    excess
-        w − 1 of each completed stage, 0 elsewhere.
-    error
-        v.
-    gamma
-        Γ ≥ 1.
-    """
+    """The furthest that causes of strength Γ ≥ 1 take Σ_t E[w v_t] down, by w − 1 of stages and v."""
     return float(sum(_shift(*columns, gamma) for columns in zip(excess.T, error.T, strict=True)) / len(excess))
 
 
 def undone_at(difference: Estimate, excess: Float[np.ndarray, "n T"], error: Float[np.ndarray, "n T"]) -> float:
-    """Γ that takes an interval to 0.
+    """Γ that takes an interval to 0, by w − 1 of each completed stage and what w is multiplied by in the difference.
 
-    Parameters
-    ----------
-    difference
-        Value of a policy less that of another.
-    excess
-        w − 1 of each completed stage, 0 elsewhere.
-    error
-        What w is multiplied by in the difference.
-
-    Returns
-    -------
-    gamma
-        1 where the interval holds 0 already; `STRONGEST` where nothing weaker does it.
+    1 where the interval holds 0 already; `STRONGEST` where nothing weaker does it.
     """
     is_above = difference.value > 0
     lead = difference.low if is_above else -difference.high

@@ -1,62 +1,61 @@
-"""How likely the logging policy was to take what it took: as logged, or estimated.
+"""What each trajectory stands for under the policy that is evaluated, and the doubly robust value that it adds up to.
 
-The estimate is a conditional logit of the logged actions (`learning.behaviour`). Each stage has its own, or
-pooled stages share one.
+*How likely the logging policy was* to take what it took is logged, or estimated by a conditional logit of the logged
+actions (`learning.behaviour`). Each stage has its own, or pooled stages share one.
 
-What each trajectory stands for, stage by stage, under the policy that is evaluated and had nothing been cut.
+*Weights*, as if nothing had been cut. With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a stage that was completed weighs
+ρ_t δ_t / Ĝ(U_t⁻), and one that was begun ρ_t / Ĝ(U_{t−1}⁻). A trajectory that has come to its own end stays in the sums
+with its last weight, for a cut would not have changed what comes after: nothing. So the weights of every stage have
+mean 1, and dividing by their mean takes out much of their noise (self-normalised, or weighted, importance sampling).
 
-With ρ_t = Π_{s≤t} π(A_s | S_s) / b(A_s | S_s), a stage that was completed weighs ρ_t δ_t / Ĝ(U_t⁻), and one that was
-begun ρ_t / Ĝ(U_{t−1}⁻). A trajectory that has come to its own end stays in the sums with its last weight, for a cut
-would not have changed what comes after: nothing. So the weights of every stage have mean 1, and dividing by their mean
-takes out much of their noise (self-normalised, or weighted, importance sampling).
+*The doubly robust value* of a policy under censoring, trajectory by trajectory:
 
-Marginal ratios: how much more often the policy comes to a state, instead of what the way to it weighs.
+    φ_i = V̂_1(S_i1) + Σ_t w_it (Y_it − Q̂_t(S_it, A_it))
 
-Products of ratios over stages carry the luck of all that went before. Where what comes next depends on the past through
-S_t alone, only their mean given S_t matters, the ratio of how often policy and log are in a state [XieMaWang2019]_
-[KallusUehara2020]_. With one stage's weight made of the one before,
+Doubly robust towards cuts (AIPCW), Y is the pseudo-outcome of `learning.imputation`, which every begun stage has, and
+w_it = ρ_it / Ĝ(U_{i,t−1}⁻). Given that a stage began, E[Y | S_t, A_t] = E[X | S_t, A_t] if Ĝ is right or if the
+regressions m of X and of the duration are. So
 
-    w_t = min(ρ̄_t(S_t) π(A_t | S_t) / b(A_t | S_t), √n),
-    ρ̄_1 = 1,  ρ̄_{t+1}(s) = E[w_t δ_t / K̂_t | S_{t+1} = s],  K̂_t = Ĝ(U_t⁻) / Ĝ(U_{t−1}⁻),
+* if ρ and Ĝ are right, E[V̂_1] + Σ_t E[ρ_t (R_t + V̂_{t+1}(S_{t+1}) − Q̂_t(S_t, A_t))] telescopes to the value,
+  whatever Q̂ is, for E[ρ_{t+1} Q̂_{t+1}(S_{t+1}, A_{t+1})] = E[ρ_t V̂_{t+1}(S_{t+1})];
+* if Q̂ and m are right, each term has mean 0 given (S_t, A_t), whatever ρ and Ĝ are, as long as what cuts a stage
+  depends on no more than the trajectory until then.
 
-no product is ever formed. The mean is that of `state_regression`, fitted without the trajectory's own fold. S_t is all
-that the log tells of a stage, whether or not Q̂ looks at it: so weights may be right where Q̂ is not. In the doubly
-robust value an error of ρ̄ is multiplied by one of Q̂; on products of ratios Q̂ may be what it likes, and a past that
-S_t does not tell may matter. So where a log shows that it does (`history`), products are taken, and whole: Q̂ is wrong
-there, too, and what is cut off would leave it uncorrected.
+Simple, w_it = ρ_it δ_it / Ĝ(U_it⁻) and Y is X = R_t + V̂_{t+1}(S_{t+1}), of completed stages alone. The first of the
+two holds; the second only where durations say nothing of X beyond (S_t, A_t), for slow stages are cut more often. On
+decisions without cuts this is the estimator of [JiangLi2016]_ and [ThomasBrunskill2016]_; the pseudo-outcomes are those
+of [Robins1992]_. *Fitted Q evaluation* under censoring [Le2019]_ is eq. 3 with the policy's own action in place of the
+best one.
 
-A weight beyond √n belongs to fewer than √n of n trajectories, and is cut off there [Ionides2008]_: what it takes away
-is at most an error of Q̂ times the weight that is lost, which `Marginal.lost` tells.
+*Cross-fitting*: Ĝ, Q̂ and m are fitted without the trajectory's own fold [Chernozhukov2018]_. *Delete-a-group jackknife*
+[Kott2001]_: all is fitted without each fold, and the value worked out on the other trajectories. The scatter of these
+values tells the standard error of the whole procedure. That of the influence values, which takes Ĝ, m and Q for given,
+is too small wherever the answer rests on them: stages that are hardly ever seen to end are imputed, and the error of
+the regression that does so is common to all trajectories.
 """
 
-from dataclasses import dataclass
-from typing import Literal, NamedTuple, get_args
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError
-from halfseen.evaluation.states import mean_by_state
+from halfseen.censoring import CensoringSpec
+from halfseen.errors import HalfseenError, LogError
+from halfseen.evaluation.estimate import jackknife_error
 from halfseen.learning.behaviour import conditional_logit
-from halfseen.learning.rows import TrajectoryArrays
+from halfseen.learning.judging import FittedValues, judged
+from halfseen.learning.q_model import QModel
+from halfseen.learning.recursion import fit_q
+from halfseen.learning.rows import Imputation, TrajectoryArrays, Transitions
 from halfseen.shapes import Bool, Float, Int
+from halfseen.workers.threads import one_thread
 
 Propensity = Literal["logged", "estimated"]
 
 
-def check_propensity(propensity: str) -> None:
-    """Refuse what is neither ``"logged"`` nor ``"estimated"``."""
-    if propensity not in get_args(Propensity):
-        raise ArgumentError(f"propensity is {propensity!r}; it is 'logged' or 'estimated'")
-
-
 def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"]) -> Float[np.ndarray, "n T"]:
-    """Take the column ``probability``; 1 where it is not needed.
-
-    Raises
-    ------
-    LogError
-        It is null where it is needed; trajectory and stage are named.
-    """
+    """Take the column ``probability``; 1 where it is not needed."""
     missing = is_needed & np.isnan(trajectories.probability)
     if missing.any():
         trajectory, stage = np.argwhere(missing)[0]
@@ -71,19 +70,7 @@ def logged_propensity(trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray
 def estimated_propensity(
     trajectories: TrajectoryArrays, is_needed: Bool[np.ndarray, "n T"], blocks: Int[np.ndarray, " A"], is_pooled: bool
 ) -> Float[np.ndarray, "n T"]:
-    """Estimate b(A_t | S_t) from the actions of all stages that are known; 1 where it is not needed.
-
-    Parameters
-    ----------
-    trajectories
-        The log.
-    is_needed
-        Stages that are asked about.
-    blocks
-        Block of coefficients of each action.
-    is_pooled
-        One model for all stages, instead of one for each.
-    """
+    """Estimate b(A_t | S_t) from the actions of all stages that are known, by one model or one a stage."""
     known = trajectories.is_begun & trajectories.has_action
     likely = np.ones(known.shape)
     num_stages = known.shape[1]
@@ -99,18 +86,12 @@ def estimated_propensity(
 
 @dataclass(frozen=True)
 class StageWeights:
-    """Weights of the stages of a log.
-
-    Parameters
-    ----------
-    weight
-        Of each stage that counts, 0 elsewhere.
-    standing
-        The same, and of a trajectory that has ended, its last weight.
-    """
+    """Weights of the stages of a log."""
 
     weight: Float[np.ndarray, "n T"]
+    """Of each stage that counts, 0 elsewhere."""
     standing: Float[np.ndarray, "n T"]
+    """The same, and of a trajectory that has ended, its last weight."""
 
     @property
     def normalised(self) -> Float[np.ndarray, "n T"]:
@@ -195,76 +176,93 @@ def _stand_on(weight: Float[np.ndarray, "n T"], trajectories: TrajectoryArrays) 
     return np.where(has_ended, weight[np.arange(len(weight)), last][:, None], weight)
 
 
-class Marginal(NamedTuple):
-    """Weights by states."""
+class Nuisances(NamedTuple):
+    """What stands for cuts, fitted to some of the trajectories, for all of them."""
 
-    by_fold: tuple[StageWeights, ...]
-    """Fitted without each fold, and last to all trajectories."""
-    lost: float
-    """Stages of a trajectory, weighted as under the policy, that were cut off."""
+    uncut: Float[np.ndarray, "n T"]
+    """δ_t / Ĝ(U_t⁻)."""
+    weight: Float[np.ndarray, "n T"]
+    """Of each stage in eq. 3."""
+    imputation: Imputation | None
 
 
-def marginal_weights(
-    single: Float[np.ndarray, "n T"],
-    uncut: Float[np.ndarray, "B n T"],
-    trajectories: TrajectoryArrays,
-    beyond: Float[np.ndarray, "n T G"],
-    fold: Int[np.ndarray, " n"],
-    is_imputed: bool,
-) -> Marginal:
-    """Work out w_t of the stages of a log.
+def nuisances_of(
+    model: QModel, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
+) -> Nuisances:
+    """What a fitted model says stands for cuts; durations are fitted to some trajectories, or to all."""
+    cuts = model.cut_model
+    uncut = trajectories.is_completed.astype(float) if cuts is None else cuts.weights(trajectories.clocks)
+    return Nuisances(uncut, *model.weights_and_imputation(trajectories, is_fitted))
 
-    Parameters
-    ----------
-    single
-        π/b of each stage, not multiplied; what it holds for an unknown action does not count.
-    uncut
-        δ_t / Ĝ(U_t⁻), fitted without each fold, and last to all trajectories.
-    trajectories
-        The log.
-    beyond
-        Covariates of each stage that Q does not look at.
-    fold
-        Of each trajectory.
-    is_imputed
-        Whether begun stages have a target; else completed ones, which weigh w_t / K̂_t.
+
+def nuisances_by_folds(
+    model: QModel, trajectories: TrajectoryArrays, whole: Nuisances, fold: Int[np.ndarray, " n"]
+) -> Iterator[Nuisances]:
+    """Fit what stands for cuts without each fold in turn.
+
+    No weight is larger than the largest of the whole log: where a fold held the last that was watched, Ĝ of the others
+    may end before it. Where too little is left to fit anything, that of the whole log serves.
     """
-    known = trajectories.is_begun & trajectories.has_action
-    is_fitted = fold != np.arange(len(uncut))[:, None]
-    last, is_finished = trajectories.is_begun.sum(axis=1) - 1, trajectories.clocks.is_finished
-    passed = _passed(uncut)
-    weight, standing = np.zeros_like(uncut), np.zeros_like(uncut)
-    by_state, ended, lost = np.ones(uncut.shape[:2]), np.zeros(uncut.shape[:2]), 0.0
-    for t in range(single.shape[1]):
-        whole = np.where(known[:, t], by_state * single[:, t], 0.0)
-        begun = np.minimum(whole, np.sqrt(len(single)))
-        completed = begun * passed[..., t]
-        lost += float((whole - begun)[-1].mean())
-        weight[..., t] = begun if is_imputed else completed
-        standing[..., t] = np.where(trajectories.is_begun[:, t], weight[..., t], ended)
-        ended = np.where(is_finished & (last == t), completed, ended)
-        by_state = _next_by_state(completed, t + 1, trajectories, beyond, is_fitted)
-    return Marginal(tuple(StageWeights(*each) for each in zip(weight, standing, strict=True)), lost)
+    targets, clocks = model.targets, trajectories.clocks
+    if not isinstance(targets, CensoringSpec) or clocks.is_finished.all():
+        yield from [whole] * (int(fold.max()) + 1)
+        return
+    largest = max(float(whole.uncut.max()), 1.0)
+    for k in range(int(fold.max()) + 1):
+        try:
+            cuts = targets.fit_cuts(clocks.take(np.flatnonzero(fold != k)))
+            bounded = replace(cuts, truncate_at=cuts.truncate_at or largest)
+            yield nuisances_of(replace(model, cut_model=bounded), trajectories, fold != k)
+        except HalfseenError:
+            yield whole
 
 
-def _next_by_state(
-    completed: Float[np.ndarray, "B n"],
-    stage: int,
-    trajectories: TrajectoryArrays,
-    beyond: Float[np.ndarray, "n T G"],
-    is_fitted: Bool[np.ndarray, "B n"],
-) -> Float[np.ndarray, "B n"]:
-    """ρ̄ of the states of a stage (from 0); 0 where it was not begun."""
-    answer = np.zeros_like(completed)
-    if stage < trajectories.action.shape[1] and trajectories.is_begun[:, stage].any():
-        rows = np.flatnonzero(trajectories.is_begun[:, stage])
-        looked_at, others = trajectories.features[rows, stage, 0], beyond[rows, stage]
-        sets = [looked_at, np.column_stack([looked_at, others])] if others.shape[1] else [looked_at]
-        answer[:, rows] = mean_by_state(completed[:, rows], sets, is_fitted[:, rows])
-    return answer
+def of_own_fold(judged: FittedValues, fold: Int[np.ndarray, " n"]) -> FittedValues:
+    """What each trajectory's stages are worth by the Q that never saw it."""
+    return FittedValues(*(leaf[fold, np.arange(len(fold))] for leaf in judged))
 
 
-def _passed(uncut: Float[np.ndarray, "B n T"]) -> Float[np.ndarray, "B n T"]:
-    """δ_t / K̂_t, of the last factors."""
-    before = uncut_before(uncut)
-    return np.where(before > 0, uncut / np.where(before > 0, before, 1.0), 0.0)
+def cross_fitted(
+    judged: FittedValues, weights: Sequence[StageWeights], fold: Int[np.ndarray, " n"]
+) -> tuple[Float[np.ndarray, " n"], Float[np.ndarray, " K"]]:
+    """φ of every trajectory by what never saw it; and the value without each of K folds, by the others alone.
+
+    At least K Qs judge, and as many weights hold, each fitted without one fold.
+    """
+
+    def added(judged: FittedValues, weights: StageWeights) -> Float[np.ndarray, " n"]:
+        error = np.where(weights.weight > 0, judged.target - judged.taken, 0.0)
+        return judged.value[:, 0] + weights.influence(error)
+
+    each = zip(*((one.weight, one.standing) for one in weights), strict=True)
+    own = StageWeights(*(np.stack(leaf)[fold, np.arange(len(fold))] for leaf in each))
+    others = ((fold != k, k, one) for k, one in enumerate(weights))
+    without = [
+        added(FittedValues(*(leaf[k][kept] for leaf in judged)), one.take(kept)).mean() for kept, k, one in others
+    ]
+    return added(of_own_fold(judged, fold), own), np.array(without)
+
+
+def jackknifed(value: Float[np.ndarray, "B n"], fold: Int[np.ndarray, " n"]) -> tuple[float, float]:
+    """Value of the policy by Q̂ alone, and its standard error.
+
+    V̂_1(S_1) of every trajectory is by the Qs that were fitted without each fold, and last by that of all trajectories.
+    """
+    without = np.array([each[fold != k].mean() for k, each in enumerate(value[:-1])])
+    return float(value[-1].mean()), jackknife_error(without)
+
+
+def judged_without(
+    model: QModel,
+    log: Transitions,
+    reward: Float[np.ndarray, "n T"],
+    fold: Int[np.ndarray, " n"],
+    numbered: tuple[int, Nuisances],
+) -> FittedValues:
+    """Fit Q without a fold, and let it judge every trajectory."""
+    k, given = numbered
+    log = log._replace(weight=given.weight, imputation=given.imputation)
+    regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
+    with one_thread():
+        q = fit_q(log.counted((fold != k).astype(np.float64)), regression)
+        return judged(q, log, regression.block_of_action, regression.stages, reward)

@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from halfseen.learning.q_space import CrossValidation, KernelQ, LinearQ, QuadraticQ
     from halfseen.learning.resampling import QBootstrap, bootstrap
     from halfseen.learning.svm.estimators import CensoredSVC, CensoredSVR
-    from halfseen.learning.svm.set_kernel import SetKernel
-    from halfseen.learning.svm.targets import survival_array
+    from halfseen.learning.svm.kernels import SetKernel
+    from halfseen.learning.svm.rows import survival_array
     from halfseen.learning.targets import BuckleyJames, DoublyRobust, Unweighted, Weighted
     from halfseen.learning.task import Task
 
@@ -56,11 +56,11 @@ __getattr__ = lazy_names(
         "NamedActions": "named_task",
         "QBootstrap": "resampling",
         "QuadraticQ": "q_space",
-        "SetKernel": "svm.set_kernel",
+        "SetKernel": "svm.kernels",
         "Task": "task",
         "Unweighted": "targets",
         "Weighted": "targets",
         "bootstrap": "resampling",
-        "survival_array": "svm.targets",
+        "survival_array": "svm.rows",
     },
 )

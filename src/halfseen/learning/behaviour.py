@@ -13,14 +13,31 @@ only what leaves the behaviour policy must be better beyond doubt, as in safe po
 It is fitted by Newton steps of bounded length (`minimise_each`), which serve several smooth functions of few numbers at
 once. Where one is not convex, the eigenvalues of its Hessian are taken by their size, so that each step leads downhill
 [NocedalWright2006]_. A step that did not lower its function is taken again, shorter.
+
+*Preference.* Where many actions share few stages, what the log does speaks where Q cannot (behaviour regularisation):
+
+    argmax_a  Q̂(S, a) − margin + τ·log b(a | S)
+
+is the policy of a Q that is regularised by the Kullback–Leibler divergence from b [WuTuckerNachum2019]_, at its mode.
+Three things are not chosen but found:
+
+- *b* is a multinomial logit, shrunk towards choosing evenly by as much as predicts held-out trajectories best. A log
+  that chose evenly prefers nothing.
+- *τ* = 2 σ √(p / n_a), two standard errors of Q: σ the noise of its targets, p the coefficients of an action, n_a its
+  mean number of completed stages; at most 2 σ. It vanishes as a log grows.
+- *Trust*: following b must not have hurt. The advantage A_t = R_t + V̂(S_{t+1}) − V̂(S_t) of the logged action, V̂ the
+  value of b by least squares [BradtkeBarto1996]_, is correlated with how much b, fitted to other trajectories,
+  preferred that action. With z the sum of the products by its standard error over trajectories, τ counts in full
+  where z ≥ 0, and nothing where z ≤ −1.
 """
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from halfseen.arrays import library_of
+from halfseen.learning.rows import TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int
 
 Thetas = Float[np.ndarray, "K p"]
@@ -36,15 +53,7 @@ _SHORTEST, _SHORTER, _LONGER = 1e-9, 0.25, 2.0
 
 
 def minimise_each(derivatives: Callable[[Thetas], Derivatives], start: Thetas) -> Thetas:
-    """Find a minimum of each function from its own start.
-
-    Parameters
-    ----------
-    derivatives
-        Of all K functions at K places.
-    start
-        Where to begin.
-    """
+    """Find a minimum of each of K functions from its own start, given the derivatives of all at K places."""
     theta, reach = start.copy(), np.full(len(start), LONGEST)
     value, gradient, hessian = derivatives(theta)
     for _ in range(MAX_STEPS):
@@ -138,12 +147,22 @@ def fit_choice(
     weight
         Of each row; None for 1.
     """
-    seen = features[is_possible]
-    mean, spread = seen.mean(axis=0), seen.std(axis=0)
-    scale = np.where(spread > 0, spread, 1.0)
+    mean, scale = _mean_and_scale(features[is_possible])
     design = np.ones((*taken.shape, len(blocks), 1 + features.shape[-1]))
     design[..., 1:] = np.where(is_possible[..., None], (features - mean) / scale, 0.0)
     beta = _fitted_logit(design, is_possible, taken, blocks, np.ones(len(taken)) if weight is None else weight)
+    return _unscaled(beta, mean, scale)
+
+
+def _mean_and_scale(features: Float[np.ndarray, "rows F"]) -> tuple[Float[np.ndarray, " F"], Float[np.ndarray, " F"]]:
+    mean, spread = features.mean(axis=0), features.std(axis=0)
+    return mean, np.where(spread > 0, spread, 1.0)
+
+
+def _unscaled(
+    beta: Float[np.ndarray, "K F1"], mean: Float[np.ndarray, " F"], scale: Float[np.ndarray, " F"]
+) -> Float[np.ndarray, "K F1"]:
+    """Coefficients of features as they were, the offset first."""
     slopes = beta[:, 1:] / scale
     return np.column_stack([beta[:, 0] - slopes @ mean, slopes])
 
@@ -180,9 +199,7 @@ def _fitted_logit(
         utility = np.empty(is_possible.shape)
         for some, part, of_block in zip(members, parts, beta.reshape(len(members), -1), strict=True):
             utility[:, some] = part @ of_block
-        utility = np.where(is_possible, utility, -np.inf)
-        utility -= utility.max(axis=1, keepdims=True)
-        log_probability = utility - np.log(np.exp(utility).sum(axis=1, keepdims=True))
+        log_probability = log_chances(utility, is_possible)
         loss = -(weight * log_probability[row, taken]).sum() + 0.5 * float(penalty @ beta**2)
         probability = np.exp(log_probability)
         miss = probability.copy()
@@ -218,3 +235,114 @@ def _curvature(
         flat, own = part.reshape(-1, num_features), slice(k * num_features, (k + 1) * num_features)
         curvature[own, own] += flat.T @ (flat * (weight[:, None] * p).reshape(-1, 1))
     return curvature
+
+
+RIDGES = (256.0, 64.0, 16.0, 4.0, 1.0)
+"""Penalties ½·ridge·‖β‖² on standardised covariates and offsets, beside a summed log-likelihood."""
+NUM_FOLDS = 5
+VALUE_RIDGE = 3.0
+"""Of V̂."""
+STANDARD_ERRORS = 2.0
+"""Of Q, for which a nat counts."""
+
+
+class Preference(NamedTuple):
+    """What the log prefers, and how much that counts."""
+
+    behaviour: Float[np.ndarray, "A F1"]
+    """Coefficients of b on the covariates, the offset first."""
+    behaviour_weight: float
+    """τ [reward a nat]; 0 where following b has hurt."""
+
+
+class _Choices(NamedTuple):
+    """Stages whose state and action are known."""
+
+    covariates: Float[np.ndarray, "rows F"]
+    """Standardised."""
+    is_possible: Bool[np.ndarray, "rows A"]
+    taken: Int[np.ndarray, " rows"]
+
+    def at(self, rows: Bool[np.ndarray, " rows"]) -> "_Choices":
+        return _Choices(*(each[rows] for each in self))
+
+    def log_chances(self, beta: Float[np.ndarray, "A F1"]) -> Float[np.ndarray, "rows A"]:
+        return log_chances(beta[:, 0] + self.covariates @ beta[:, 1:].T, self.is_possible)
+
+    def fitted(self, ridge: float, start: Float[np.ndarray, "A F1"] | None = None) -> Float[np.ndarray, "A F1"]:
+        """A multinomial logit, shrunk towards choosing evenly."""
+        import scipy.optimize
+
+        rows, shape = np.arange(len(self.taken)), (self.is_possible.shape[1], self.covariates.shape[1] + 1)
+        design = np.column_stack([np.ones(len(rows)), self.covariates])
+
+        def loss_and_slope(flat: Float[np.ndarray, " P"]) -> tuple[float, Float[np.ndarray, " P"]]:
+            beta = flat.reshape(shape)
+            log_chance = self.log_chances(beta)
+            miss = np.exp(log_chance)
+            miss[rows, self.taken] -= 1.0
+            loss = -log_chance[rows, self.taken].sum() + 0.5 * ridge * (flat @ flat)
+            return float(loss), (miss.T @ design + ridge * beta).ravel()
+
+        first = np.zeros(shape) if start is None else start
+        return scipy.optimize.minimize(loss_and_slope, first.ravel(), jac=True, method="L-BFGS-B").x.reshape(shape)
+
+    def lead(self, log_chance: Float[np.ndarray, "rows A"]) -> Float[np.ndarray, " rows"]:
+        """How much likelier the action was than actions are on average, in nats."""
+        finite = np.where(self.is_possible, log_chance, 0.0)
+        expected = (np.where(self.is_possible, np.exp(log_chance), 0.0) * finite).sum(axis=1)
+        return log_chance[np.arange(len(log_chance)), self.taken] - expected
+
+
+def preference_of(trajectories: TrajectoryArrays, num_completed: int) -> Preference:
+    """Find what a log of named actions prefers, by it or a sample of it; so many of its stages were completed."""
+    known = trajectories.is_begun & trajectories.has_action
+    covariates = trajectories.features[..., 0, :]
+    mean, scale = _mean_and_scale(covariates[known])
+    standard = np.where(trajectories.is_begun[..., None], (covariates - mean) / scale, 0.0)
+    choices = _Choices(standard[known], trajectories.is_possible[known], trajectories.action[known])
+    fold = np.broadcast_to(np.arange(len(known))[:, None] % NUM_FOLDS, known.shape)[known]
+    ridge, held_out = _held_out(choices, fold)
+    beta, advantage = choices.fitted(ridge), advantages(trajectories, standard)
+    share = min(1.0, beta.size / max(num_completed, 1))
+    noise = float(np.sqrt(np.mean(advantage[trajectories.is_completed] ** 2)))
+    lead = np.zeros(known.shape)
+    lead[known] = choices.lead(held_out)
+    paid = (lead * advantage).sum(axis=1)
+    error = float(np.sqrt((paid**2).sum()))
+    trust = float(np.clip(1.0 + (float(paid.sum()) / error if error > 0 else 0.0), 0.0, 1.0))
+    return Preference(_unscaled(beta, mean, scale), trust * STANDARD_ERRORS * noise * share**0.5)
+
+
+def advantages(trajectories: TrajectoryArrays, covariates: Float[np.ndarray, "n T F"]) -> Float[np.ndarray, "n T"]:
+    """How much more than V̂ each completed stage brought; 0 for other stages.
+
+    V̂ is linear in the stage, the covariates, standardised and 0 where no stage began, and their squares.
+    """
+    done, horizon = trajectories.is_completed, covariates.shape[1]
+    stage = np.broadcast_to(np.arange(horizon)[:, None] / horizon, (*covariates.shape[:2], 1))
+    design = np.concatenate([np.ones_like(stage), stage, covariates, covariates**2], axis=-1)
+    after = np.zeros_like(design)
+    after[:, :-1] = design[:, 1:]
+    goes_on = done & ~trajectories.is_last
+    step = design[done] - np.where(goes_on[done][:, None], after[done], 0.0)
+    penalty = VALUE_RIDGE * np.diag(np.arange(design.shape[-1]) > 0)
+    value = np.linalg.lstsq(design[done].T @ step + penalty, design[done].T @ trajectories.reward[done], rcond=None)[0]
+    found = np.zeros(done.shape)
+    found[done] = trajectories.reward[done] - step @ value
+    return found
+
+
+def _held_out(choices: _Choices, fold: Int[np.ndarray, " rows"]) -> tuple[float, Float[np.ndarray, "rows A"]]:
+    """The ridge that predicts best what was held out, and what it predicts."""
+    each = np.zeros((len(RIDGES), *choices.is_possible.shape))
+    for number in range(NUM_FOLDS):
+        is_held_out, start = fold == number, None
+        if is_held_out.all() or not is_held_out.any():
+            continue
+        for r, ridge in enumerate(RIDGES):
+            start = choices.at(~is_held_out).fitted(ridge, start)
+            each[r, is_held_out] = choices.at(is_held_out).log_chances(start)
+    likelihood = each[:, np.arange(len(fold)), choices.taken].sum(axis=1)
+    best = int(np.argmax(likelihood))
+    return RIDGES[best], each[best]

@@ -43,13 +43,6 @@ _Seen = Counter[str] | str
 class Covariates:
     """Columns of the stages, and how they become numbers.
 
-    Parameters
-    ----------
-    columns
-        Their names.
-    categories
-        Of those that hold text.
-
     Examples
     --------
     >>> looks_at = Covariates(("x", "colour"), {"colour": ("blue", "green", "red")})
@@ -62,7 +55,9 @@ class Covariates:
     """
 
     columns: tuple[str, ...]
+    """Their names."""
     categories: Categories = field(default_factory=dict)
+    """Of those that hold text."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -81,13 +76,7 @@ class Covariates:
         return len(self.sources)
 
     def encode(self, frame: Frame) -> Float[np.ndarray, "m F"]:
-        """Turn each row into numbers.
-
-        Raises
-        ------
-        LogError
-            A column is missing, or a value is no finite number, null or an unknown category; the place is named.
-        """
+        """Turn each row into numbers."""
         missing = [name for name in self.columns if name not in frame.columns]
         if missing:
             there = ", ".join(map(str, frame.columns)) + did_you_mean(missing[0], frame.columns)
@@ -130,13 +119,7 @@ class Covariates:
         return [self.categories[name][1:] if name in self.categories else (None,) for name in self.columns]
 
     def codes(self, frame: Frame, column: str) -> np.ndarray:
-        """Number the category of each row, from 0.
-
-        Raises
-        ------
-        LogError
-            A value is null or of an unknown category; the place is named.
-        """
+        """Number the category of each row, from 0."""
         import pandas as pd
 
         from halfseen.logs.columns import value_at
@@ -217,11 +200,6 @@ def learned_categories(parts: "Iterable[Logs]", wanted: Sequence[str], known: Ca
         Columns that must be among them, if they hold text.
     known
         Categories that are given; they stay as they are.
-
-    Raises
-    ------
-    LogError
-        A wanted column cannot be looked at: it has nulls, one value, too many, or one of its own for every trajectory.
     """
     found = _surveyed(parts, known)
     for name in wanted:
@@ -255,7 +233,13 @@ def _surveyed(parts: "Iterable[Logs]", known: Categories) -> dict[str, _Seen]:
             # What one part holds as numbers, all do.
             break
         for name in texts:
-            found[name] = _joined(found.get(name, Counter()), _look(part, name))
+            before, now = found.get(name, Counter()), _look(part, name)
+            if isinstance(before, str) or isinstance(now, str):
+                found[name] = before if isinstance(before, str) else now
+            elif len(both := before + now) > MOST_CATEGORIES:
+                found[name] = f"has more than {MOST_CATEGORIES} categories; group them into fewer, or leave it out"
+            else:
+                found[name] = both
     return found
 
 
@@ -270,15 +254,6 @@ def _look(logs: "Logs", column: str) -> _Seen:
         return f"is null at {where}; {remedy_of(column)}"
     pairs: Any = logs.stages[["trajectory", column]].astype({column: object}).drop_duplicates()
     return Counter(pairs[column].map(str))
-
-
-def _joined(before: _Seen, now: _Seen) -> _Seen:
-    if isinstance(before, str):
-        return before
-    both = now if isinstance(now, str) else before + now
-    if isinstance(both, Counter) and len(both) > MOST_CATEGORIES:
-        return f"has more than {MOST_CATEGORIES} categories; group them into fewer, or leave it out"
-    return both
 
 
 def _trouble(seen: _Seen) -> str | None:

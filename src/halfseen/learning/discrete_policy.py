@@ -18,7 +18,7 @@ from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
 from halfseen.learning.behaviour import excess_propensity, log_chances
 from halfseen.learning.covariates import Categories, Covariates
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float
 
@@ -74,7 +74,7 @@ class DiscretePolicy:
     behaviour
         Coefficients of the behaviour policy on the covariates, the offset first (`behaviour`); None if not known.
     behaviour_weight
-        τ: what a nat of log b counts for beside Q (`preference`) [reward].
+        τ: what a nat of log b counts for beside Q (`behaviour`) [reward].
     categories
         Of the covariates that hold text, those that the log showed.
     filling

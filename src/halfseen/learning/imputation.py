@@ -28,7 +28,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from halfseen.censoring import Cox, CutModel
-from halfseen.censoring.stage_clocks import SMALLEST_AGE_S
+from halfseen.censoring.clocks import SMALLEST_AGE_S
 from halfseen.errors import ArgumentError
 from halfseen.learning.rows import Imputation, TrajectoryArrays
 from halfseen.shapes import Bool, Float, Int
@@ -48,24 +48,16 @@ DURATION_RIDGE = 1.0
 
 @dataclass(frozen=True)
 class Durations:
-    """The distribution of D given (S_t, A_t), on few durations.
-
-    Parameters
-    ----------
-    model
-        Proportional hazards; None where no covariate tells stages apart.
-    columns
-        Columns of the features that it uses.
-    at_s
-        Durations that carry mass, increasing [s].
-    hazard
-        Cumulative hazard just after each of them, at the mean features.
-    """
+    """The distribution of D given (S_t, A_t), on few durations."""
 
     model: Cox | None
+    """Proportional hazards; None where no covariate tells stages apart."""
     columns: np.ndarray
+    """Columns of the features that it uses."""
     at_s: Float[np.ndarray, " J"]
+    """Durations that carry mass, increasing [s]."""
     hazard: Float[np.ndarray, " J"]
+    """Cumulative hazard just after each of them, at the mean features."""
 
     def expected(
         self, features: Float[np.ndarray, "k P"], age_s: Float[np.ndarray, "k L"], terms: Float[np.ndarray, "J G"]
@@ -92,17 +84,7 @@ class Durations:
 def fit_durations(
     watched_s: Float[np.ndarray, " k"], is_completed: Bool[np.ndarray, " k"], features: Float[np.ndarray, "k P"]
 ) -> Durations:
-    """Fit D to begun stages, of which some were cut.
-
-    Parameters
-    ----------
-    watched_s
-        Until the stage was completed or cut [s].
-    is_completed
-        False where it was cut.
-    features
-        What D may depend on.
-    """
+    """Fit D to begun stages, each watched until it was completed or cut [s], by features that D may depend on."""
     # Here completion is the event, and at equal times it comes before the cut. Only the order counts.
     distinct, rank = np.unique(watched_s, return_inverse=True)
     ends = rank + np.where(is_completed, 1.0, 1.5)
@@ -122,21 +104,14 @@ def fit_durations(
 
 @dataclass(frozen=True)
 class DurationModel:
-    """D of every block.
-
-    Parameters
-    ----------
-    knots
-        Where g(D) bends [s]; those of tied durations tie, so every log has as many.
-    ages_s
-        Quantiles of the ages at which stages ended, increasing [s].
-    by_block
-        Of each block; of all together for a block that was never seen to end. Empty where nothing was.
-    """
+    """D of every block."""
 
     knots: Float[np.ndarray, " G"]
+    """Where g(D) bends [s]; those of tied durations tie, so every log has as many."""
     ages_s: Float[np.ndarray, " L"]
+    """Quantiles of the ages at which stages ended, increasing [s]."""
     by_block: tuple[Durations, ...]
+    """Of each block; of all together for a block that was never seen to end. Empty where nothing was."""
 
 
 def fit_duration_model(
@@ -222,11 +197,6 @@ def imputation(
         Which block of coefficients each action uses.
     durations
         D of every block.
-
-    Raises
-    ------
-    ArgumentError
-        The action of a stage in which a trajectory was cut was not logged.
     """
     _refuse_unknown_actions(trajectories, cut_model)
     features, knots, blocks = (

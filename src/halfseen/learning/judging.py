@@ -1,12 +1,19 @@
-"""What fitted Qs say of every stage of a log, and by that whether stages are to be pooled.
+"""What fitted Qs say of every stage of a log, and by that whether stages are pooled, and which half-life is taken.
 
-One Q for all stages is fitted to more rows, and is wrong where what an action brings depends on the stage. Both ways
-are asked to predict the same targets of held-out trajectories: those of pooled stages, fitted without the trajectory's
-own fold. Stages are separated only where this predicts better beyond noise, for a mistake costs more one way than the
-other: where rows are few, separate stages lose more by noise than pooled ones by bias.
+*Stages.* One Q for all stages is fitted to more rows, and is wrong where what an action brings depends on the stage.
+Both ways are asked to predict the same targets of held-out trajectories: those of pooled stages, fitted without the
+trajectory's own fold. Stages are separated only where this predicts better beyond noise, for a mistake costs more one
+way than the other: where rows are few, separate stages lose more by noise than pooled ones by bias.
+
+*Half-life* of weights by recency. The latest fifth is predicted block by block, each by what came before it, in the
+class of Q and with the weights that eq. 3 has. Predicted are the targets of completed stages, R_t + V̂(S_{t+1}), with
+one V̂ for all, learned before the fifth from all alike: so that it matters, too, what an action leads to. Where a
+half-life predicts better than none, the longest is taken that does not predict clearly worse than the best one, for it
+leaves most to learn from.
 """
 
 from dataclasses import replace
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
@@ -15,9 +22,19 @@ from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import StageMode
 from halfseen.learning.recursion import QFunctions, fit_each_stage, fit_q
 from halfseen.learning.rows import TrajectoryArrays, Transitions, q_values
-from halfseen.learning.sums import Regression, or_nothing
+from halfseen.learning.sample import FEWEST_TRAJECTORIES, recency_weights
+from halfseen.learning.sums import or_nothing
 from halfseen.shapes import Float, Int
 from halfseen.workers.threads import one_thread
+
+NUM_FOLDS = 2
+FEWEST_HELD_OUT = 20
+"""Trajectories below which stages stay as they are."""
+CLEARLY_SEPARATE, CLEARLY_WORSE = 2.0, 1.0
+"""Standard errors by which separate stages must predict better; and a half-life worse than the best one, to be left."""
+SHARES = (1 / 2, 1 / 4, 1 / 8, 1 / 16)
+"""Of the log: half-lives that are tried."""
+LATEST, NUM_BLOCKS = 1 / 5, 4
 
 
 class FittedValues(NamedTuple):
@@ -38,19 +55,7 @@ def judged(
     stages: StageMode,
     reward: Float[np.ndarray, "n T"],
 ) -> FittedValues:
-    """Let each stage's own Q judge it.
-
-    Parameters
-    ----------
-    fits
-        What was fitted to the log, or to another weighting of it.
-    log
-        The log.
-    block_of_action, stages
-        As for the fit.
-    reward
-        As logged; those of `log` may have had noise taken out of them.
-    """
+    """Let each stage's own Q judge it, with rewards as logged: those of `log` may have had noise taken out of them."""
     in_order = slice(None, None, -1 if stages == "pooled" else 1)
     each = zip(fits.coefficients[in_order], np.moveaxis(log.features, 1, 0), strict=True)
     q = np.stack([q_values(of_stage, features, block_of_action) for of_stage, features in each], axis=1)
@@ -93,57 +98,101 @@ def _imputed(
     return given.share * target + (1.0 - given.share) * at_state + of_time
 
 
-NUM_FOLDS = 2
-
-FEWEST_TRAJECTORIES = 20
-
-CLEARLY = 2.0
-"""Standard errors by which separate stages must predict better."""
-
-
 def with_stages(model: QModel, trajectories: TrajectoryArrays) -> tuple[QModel, tuple[str, ...]]:
-    """Choose between pooled and separate stages; and say all that was chosen by itself, and why.
+    """Choose between pooled and separate stages by a log, or the sample that decides; and say what was chosen, and why.
 
     There is a choice where there are several stages, none of them ended by an action, and trajectories to hold out.
-
-    Parameters
-    ----------
-    model
-        How Q is fitted, with what comes before Q fitted to the log.
-    trajectories
-        The log, or the sample of it that decides.
     """
-    if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_TRAJECTORIES:
+    if model.horizon == 1 or model.task.end_action is not None or trajectories.num_trajectories < FEWEST_HELD_OUT:
         return model, model.chosen
     if not model.is_affordable(trajectories.features.shape[-1]):
         return model, (*model.chosen, "stages are pooled: to try separate ones, too, would take minutes")
-    gains = _held_out_gains(replace(model, stages="pooled", pessimism=0.0), trajectories)
-    gain, error = float(gains.mean()), float(gains.std(ddof=1) / np.sqrt(len(gains)))
+    gain, error = _mean_and_error(_gains_of_separate(replace(model, stages="pooled", pessimism=0.0), trajectories))
     found = f"by {gain:.3g} ± {error:.2g} squared error a trajectory"
-    if gain > CLEARLY * error:
+    if gain > CLEARLY_SEPARATE * error:
         finding = f"stages are separate: held out, they predict better than pooled ones {found}"
         return replace(model, stages="separate"), (*model.chosen, finding)
     finding = f"stages are pooled: held out, separate ones do not clearly predict better ({found})"
     return replace(model, stages="pooled"), (*model.chosen, finding)
 
 
-def _held_out_gains(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
+def _gains_of_separate(pooled: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, " n"]:
     """Squared error of pooled less that of separate stages, of each trajectory, fitted without its fold."""
     log = pooled.transitions(trajectories)
     regression = pooled.regression(trajectories.num_trajectories, log.is_possible.shape[-1])
     fold = np.random.default_rng([pooled.random_state, 2]).permutation(trajectories.num_trajectories) % NUM_FOLDS
+    blocks, seen = regression.block_of_action, _seen(log)
+
+    def gains(k: int) -> Float[np.ndarray, " n"]:
+        some = log.counted((fold != k).astype(np.float64))
+        pooled = judged(fit_q(some, regression), log, blocks, "pooled", log.reward)
+        # Separate stages are fitted to the targets of pooled ones.
+        to_be = some._replace(reward=targets(some, pooled.value))
+        separate = judged(fit_each_stage(to_be, regression), log, blocks, "separate", log.reward)
+        errors = (pooled.taken - pooled.target) ** 2 - (separate.taken - pooled.target) ** 2
+        return np.sum(np.where(seen > 0, seen * errors, 0.0), axis=1)
+
     with one_thread():
-        each = [_gains(log, regression, (fold != k).astype(np.float64)) for k in range(NUM_FOLDS)]
-    return np.choose(fold, each)
+        return np.choose(fold, [gains(k) for k in range(NUM_FOLDS)])
 
 
-def _gains(log: Transitions, regression: Regression, counts: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-    """Squared error of pooled less that of separate stages, of each trajectory, fitted to those that count."""
-    some, blocks = log.counted(counts), regression.block_of_action
-    pooled = judged(fit_q(some, regression), log, blocks, "pooled", log.reward)
-    # Separate stages are fitted to the targets of pooled ones.
-    reward = targets(some, pooled.value)
-    separate = judged(fit_each_stage(some._replace(reward=reward), regression), log, blocks, "separate", log.reward)
-    errors = (pooled.taken - pooled.target) ** 2 - (separate.taken - pooled.target) ** 2
-    seen = log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight
-    return np.sum(np.where(seen > 0, seen * errors, 0.0), axis=1)
+def with_half_life(
+    model: QModel, trajectories: TrajectoryArrays, num_trajectories: int
+) -> tuple[QModel, tuple[str, ...]]:
+    """Choose a half-life by the same, of a log of so many trajectories, if that is asked for; and say why."""
+    if model.half_life != "auto":
+        return model, ()
+    plain = replace(model, half_life=None)
+    if trajectories.num_trajectories < FEWEST_TRAJECTORIES:
+        why = f"{trajectories.num_trajectories} are too few to choose a half-life"
+        return plain, (f"all trajectories count alike: {why}",)
+    gains = _gains_of_recency(replace(plain, pessimism=0.0, has_many_actions=False), trajectories)
+    best = gains[int(np.argmax(gains.mean(axis=1)))]
+    lacks = [_mean_and_error(best - each) for each in gains]
+    # The longest that does not predict clearly worse than the best one leaves most to learn from.
+    chosen = next(number for number, (lack, error) in enumerate(lacks) if lack <= CLEARLY_WORSE * error)
+    gain, error = _mean_and_error(gains[chosen])
+    found = f"({gain:.3g} ± {error:.2g} squared error a trajectory)"
+    if best.mean() <= 0.0:
+        why = f"no half-life predicts the latest ones better {found}"
+        return plain, (f"all trajectories count alike: {why}",)
+    half_life = float(max(round(SHARES[chosen] * num_trajectories), 1))
+    why = f"what a trajectory counts halves every {half_life:g}: that predicts the latest ones better {found}"
+    return replace(model, half_life=half_life), (why,)
+
+
+def _gains_of_recency(plain: QModel, trajectories: TrajectoryArrays) -> Float[np.ndarray, "H k"]:
+    """Squared error without a half-life, less that with each, of each of the latest trajectories."""
+    num, log = trajectories.num_trajectories, plain.transitions(trajectories)
+    regression = plain.regression(num, log.is_possible.shape[-1])
+    ends = np.linspace(num * (1.0 - LATEST), num, NUM_BLOCKS + 1).astype(int).tolist()
+    later, blocks = slice(ends[0], None), regression.block_of_action
+    seen = _seen(log)[later]
+
+    def before(end: int, half_life: float | None = None) -> Float[np.ndarray, " n"]:
+        """What trajectories count where those before one are learned from."""
+        counts = np.zeros(num)
+        counts[:end] = 1.0 if half_life is None else recency_weights(end, half_life)
+        return counts
+
+    with one_thread():
+        of_all = judged(fit_q(log.counted(before(ends[0])), regression), log, blocks, plain.stages, log.reward)
+        to_be = log._replace(reward=targets(log, of_all.value))
+
+        def errors(half_life: float | None) -> Float[np.ndarray, " k"]:
+            fits = [fit_each_stage(to_be.counted(before(end, half_life)), regression) for end in ends[:-1]]
+            each = [judged(fit, log, blocks, "separate", log.reward).taken for fit in fits]
+            taken = np.concatenate([of[begin:end] for of, (begin, end) in zip(each, pairwise(ends), strict=True)])
+            return np.where(seen > 0, seen * (taken - of_all.target[later]) ** 2, 0.0).sum(axis=1)
+
+        none = errors(None)
+        return np.stack([none - errors(share * num) for share in SHARES])
+
+
+def _seen(log: Transitions) -> Float[np.ndarray, "n T"]:
+    """What completed stages weigh."""
+    return log.weight if log.imputation is None else log.weight * log.imputation.outcome_weight
+
+
+def _mean_and_error(values: Float[np.ndarray, " k"]) -> tuple[float, float]:
+    return float(values.mean()), float(values.std(ddof=1) / np.sqrt(len(values)))

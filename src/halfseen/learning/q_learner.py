@@ -28,12 +28,12 @@ from halfseen.learning.q_space import (
     QSpace,
     StageMode,
     TabularQ,
+    half_life_of,
     pessimism_of,
     q_space_of,
     reg_of,
     stage_mode_of,
 )
-from halfseen.learning.recency import half_life_of
 from halfseen.learning.recursion import QFunctions
 from halfseen.learning.rows import unseen_in_words
 from halfseen.learning.streaming import learned_from
@@ -95,8 +95,8 @@ class CensoredQLearner(Estimator):
     random_state
         Seed that deals trajectories into folds and draws the landmarks of a kernel.
     half_life
-        Trajectories by which what they count in eq. 3 halves, from the last one of the log to its first (`recency`);
-        ``"auto"`` to choose it on held-out later ones (`half_life`); None where all count alike. Models of the cuts and
+        Trajectories by which what they count in eq. 3 halves, from the last one of the log to its first (`sample`);
+        ``"auto"`` to choose it on held-out later ones (`judging`); None where all count alike. Models of the cuts and
         of durations count all alike.
 
     Attributes
@@ -165,7 +165,7 @@ class CensoredQLearner(Estimator):
         laws: str | None = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
-        """Make a learner for logs of tables of objects: WASH, LIFT and FINISH.
+        """Make a learner for logs of tables of objects: WASH, LIFT and FINISH; `laws` is refused if it is neither.
 
         Parameters
         ----------
@@ -178,11 +178,6 @@ class CensoredQLearner(Estimator):
             is said of Q, its stages, λ or pessimism, which is of eq. 3 without laws; None for eq. 3 without laws.
         **parameters
             Of the learner.
-
-        Raises
-        ------
-        ArgumentError
-            `laws` is neither.
         """
         task = named_task("table", grasp=grasp, reduces_variance=reduces_variance)
         return learner_of("table", cls, laws, parameters)(horizon, task, **parameters)
@@ -199,7 +194,7 @@ class CensoredQLearner(Estimator):
         laws: str | None = AUTO,
         **parameters: Any,
     ) -> "CensoredQLearner":
-        """Make a learner for logs of several robots at one table (see `halfseen.tables.TeamTask`).
+        """Make a learner for logs of several robots at one table, as `for_table` does for one.
 
         Parameters
         ----------
@@ -208,12 +203,9 @@ class CensoredQLearner(Estimator):
         horizon
             Decisions of each robot; T is K times as many.
         grasp, reduces_variance, base
-            Of the task.
-        laws
-            ``"auto"``: with the help of laws fitted to the log (see `halfseen.tables.TeamLearner`), unless
-            `base` is given, or something is said of Q, its stages, λ or pessimism; None without laws.
-        **parameters
-            Of the learner.
+            Of the task (see `halfseen.tables.TeamTask`). Where `base` is given, no laws help.
+        laws, **parameters
+            As in `for_table`.
 
         Raises
         ------
@@ -270,24 +262,14 @@ class CensoredQLearner(Estimator):
         return self
 
     def compose(self, logs: Logs | LogStream | None = None) -> QModel:
-        """Check the parameters and compose what they say; nothing is fitted.
+        """Check the parameters, or refuse them, and compose what they say of a log; nothing is fitted.
 
         Targets are imputed by themselves, but weighted where the action of a stage in which a trajectory was cut is not
-        known; 𝒬 is smooth in plain covariates, linear where that would take too long (`q_space.MOST_WORK`) or promises
+        known; 𝒬 is smooth in plain covariates, linear where that would take too long (`q_model.MOST_WORK`) or promises
         too much (`promise`), and in the features that a task makes for each action; pessimism is 2/√T for each of T
         stages, whose margins add up, and 0, eq. 3 as it is, where targets are fixed. With pessimism and eight actions
         or more they are partially pooled (`recursion`), and the policy keeps to what the log does where they cannot
-        tell (`preference`).
-
-        Parameters
-        ----------
-        logs
-            The log that it is for, which decides what ``"auto"`` stands for; None for one in memory.
-
-        Raises
-        ------
-        ArgumentError
-            A parameter has a value that it cannot take.
+        tell (`behaviour`).
         """
         task, is_fixed = self._task(), not _is_auto(self.censoring)
         is_of_policy = bool(getattr(task, "is_of_policy", False))

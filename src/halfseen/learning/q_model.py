@@ -1,10 +1,6 @@
 """All that turns a log into the transitions of eq. 3 and these into Q: composed once, used by anyone who fits a Q.
 
 The learner, the bootstrap, the study and off-policy evaluation all start from a `QModel`.
-
-*Sample.* Eq. 3 itself runs on sums, to which every trajectory adds. But landmarks of a kernel, durations of stages, the
-behaviour policy, the grasp model of a table and the choice of stages are fitted by methods that hold what they look at.
-Of a log of many trajectories, so many of them tell these as well as all would, in memory and in passes alike.
 """
 
 from collections.abc import Iterable
@@ -14,12 +10,11 @@ from typing import Any
 import numpy as np
 
 from halfseen.censoring import CensoringSpec, CutModel
-from halfseen.censoring.stage_clocks import StageClocks
+from halfseen.censoring.clocks import StageClocks
 from halfseen.errors import ArgumentError
-from halfseen.learning.behaviour import fit_choice, seen_among
+from halfseen.learning.behaviour import fit_choice, preference_of, seen_among
 from halfseen.learning.imputation import DurationModel, fit_duration_model, imputation
 from halfseen.learning.named_task import NamedActions
-from halfseen.learning.preference import preference_of
 from halfseen.learning.q_space import (
     CrossValidation,
     KernelMap,
@@ -28,11 +23,7 @@ from halfseen.learning.q_space import (
     Reg,
     StageMode,
     TabularQ,
-    is_affordable,
-    num_features_of,
-    refuse_too_large,
 )
-from halfseen.learning.recency import recency_weights
 from halfseen.learning.recursion import QFunctions, fit_q
 from halfseen.learning.rows import (
     Imputation,
@@ -45,6 +36,7 @@ from halfseen.learning.rows import (
     support_of,
     trajectory_arrays,
 )
+from halfseen.learning.sample import recency_weights, sampled
 from halfseen.learning.sums import Regression
 from halfseen.learning.tabular import StateActions, fit_table
 from halfseen.learning.targets import Targets, Weighted
@@ -53,31 +45,13 @@ from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
 from halfseen.workers.threads import one_thread
 
-MOST_TRAJECTORIES = 2_000
-"""Trajectories of the sample; of a log that has no more, it is the log."""
-
-
-def sampled(num_trajectories: int, seed: int, most: int | None = None) -> Int[np.ndarray, " k"]:
-    """Draw rows of trajectories, increasing and without replacement.
-
-    Parameters
-    ----------
-    num_trajectories
-        n.
-    seed
-        Of the draw.
-    most
-        Trajectories to draw, if there are as many; None for `MOST_TRAJECTORIES`.
-
-    Examples
-    --------
-    >>> sampled(3, seed=0)
-    array([0, 1, 2])
-    """
-    size = MOST_TRAJECTORIES if most is None else most
-    if num_trajectories <= size:
-        return np.arange(num_trajectories)
-    return np.sort(np.random.default_rng([seed, 4]).choice(num_trajectories, size, replace=False))
+MOST_WORK = 1e8
+"""K·F³ of K blocks of F features that a Q may have which nobody asked for: seconds. Twenty covariates of three actions,
+or eight of sixteen, are smooth; thirty-two of sixteen are linear."""
+MOST_MEMORY = 4e9
+"""That sums over rows may take [bytes]."""
+NUM_SUMS = 4
+"""Matrices of sums of each fold and block (`sums.Moments`)."""
 
 
 def is_count(value: object) -> bool:
@@ -87,54 +61,7 @@ def is_count(value: object) -> bool:
 
 @dataclass(frozen=True)
 class QModel:
-    """How Q is fitted.
-
-    Parameters
-    ----------
-    horizon
-        T.
-    task
-        What is decided.
-    targets
-        What stands for what cuts took away.
-    space
-        𝒬.
-    reg
-        λ.
-    stages
-        ``"separate"`` or ``"pooled"``.
-    random_state
-        Seed that deals trajectories into folds and draws landmarks.
-    cut_model
-        Ĝ, once it is fitted.
-    kernel_map
-        Features of the RKHS, once they are chosen.
-    support
-        What the log has seen completed, once it was looked at.
-    pessimism
-        Standard errors of Q by which it is lowered wherever the largest is sought, in eq. 3 and by the policy.
-    behaviour
-        Coefficients of the behaviour policy, once it is fitted, which is for pessimism alone.
-    durations
-        How long stages last, where that is fitted beforehand, as for a log in parts; None to fit it to each log.
-    is_space_free
-        Whether nobody asked for this 𝒬, so that it gives way to a linear one where it would take too long.
-    space_chosen
-        Why it gave way.
-    has_many_actions
-        Whether the Q of each action is shrunk towards what all have in common, rather than towards 0, and the policy
-        towards what the log does (`preference`).
-    behaviour_weight
-        τ of `preference`, once it is found.
-    half_life
-        Trajectories by which what they count in eq. 3 halves (`recency`); ``"auto"`` until it is chosen, None where all
-        count alike.
-
-    Raises
-    ------
-    ArgumentError
-        The horizon is below 1, or no whole number.
-    """
+    """How Q is fitted: parameters of `CensoredQLearner`, read and checked, and what was fitted before Q."""
 
     horizon: int
     task: Task
@@ -144,39 +71,44 @@ class QModel:
     stages: StageMode = "separate"
     random_state: int = 0
     cut_model: CutModel | None = None
+    """Ĝ, once it is fitted."""
     kernel_map: KernelMap | None = None
+    """Features of the RKHS, once they are chosen."""
     support: Support | None = None
+    """What the log has seen completed, once it was looked at."""
     pessimism: float = 0.0
+    """Standard errors of Q by which it is lowered wherever the largest is sought, in eq. 3 and by the policy."""
     behaviour: Float[np.ndarray, "K G"] | None = None
+    """Coefficients of the behaviour policy, once it is fitted, which is for pessimism alone."""
     durations: DurationModel | None = None
+    """How long stages last, where that is fitted beforehand, as for a log in parts; None to fit it to each log."""
     is_space_free: bool = False
+    """Whether nobody asked for this 𝒬, so that it gives way to a linear one where it would take too long."""
     space_chosen: tuple[str, ...] = ()
+    """Why it gave way."""
     has_many_actions: bool = False
+    """Whether the Q of each action is shrunk towards what all have in common, rather than towards 0, and the policy
+    towards what the log does (`behaviour`)."""
     behaviour_weight: float = 0.0
+    """τ of that preference, once it is found."""
     half_life: float | str | None = None
+    """Trajectories by which what they count in eq. 3 halves (`sample`); ``"auto"`` until it is chosen, None where all
+    count alike."""
 
     def __post_init__(self) -> None:
         if not is_count(self.horizon):
             raise ArgumentError(f"horizon is {self.horizon!r}; a trajectory has a whole number of stages, at least 1")
 
     def fitted(self, logs: Logs) -> tuple["QModel", TrajectoryArrays]:
-        """Fit to a log what comes before Q: what the task learns, Ĝ, and the features of the kernel.
-
-        Raises
-        ------
-        ArgumentError
-            A trajectory is longer than the horizon, or a part cannot be fitted.
-        PositivityError
-            All trajectories were cut.
-        """
+        """Fit to a log what comes before Q: what the task learns, Ĝ, and the features of the kernel."""
         self.check_horizon(logs)
         rows = sampled(logs.num_trajectories, self.random_state)
-        model = self.with_task(
-            [logs], logs if len(rows) == logs.num_trajectories else logs.select(logs.trajectory_ids[rows])
-        )
+        some = logs if len(rows) == logs.num_trajectories else logs.select(logs.trajectory_ids[rows])
+        model = self.with_task([logs], some)
         trajectories = model.lay_out(logs)
         refuse_all_cut(trajectories.clocks.is_finished)
-        return model.with_cuts(trajectories).with_sample(model.sample_of(trajectories)), trajectories
+        model = model.with_clocks(trajectories.clocks, model.support_in(trajectories))
+        return model.with_sample(model.sample_of(trajectories)), trajectories
 
     def check_horizon(self, logs: Logs) -> None:
         """Refuse a log with longer trajectories."""
@@ -191,26 +123,16 @@ class QModel:
         return replace(self, task=task.fitted(sample, self.horizon))
 
     def sample_of(self, trajectories: TrajectoryArrays) -> TrajectoryArrays:
-        """Trajectories that decide on what is no sum (see above)."""
+        """Trajectories that decide on what is no sum (`sample`)."""
         rows = sampled(trajectories.num_trajectories, self.random_state)
         return trajectories if len(rows) == trajectories.num_trajectories else trajectories.take(rows)
-
-    def with_cuts(self, trajectories: TrajectoryArrays) -> "QModel":
-        """Fit Ĝ, and look at what was seen completed."""
-        return self.with_clocks(trajectories.clocks, self.support_in(trajectories))
 
     def with_clocks(self, clocks: StageClocks, support: Support) -> "QModel":
         """Fit Ĝ to the clocks of a log that has seen this completed."""
         return replace(self, cut_model=self.targets.fit_cuts(clocks), support=support)
 
     def with_sample(self, trajectories: TrajectoryArrays) -> "QModel":
-        """Choose the features of a kernel, and fit the behaviour policy, if there is a margin that it may waive.
-
-        Raises
-        ------
-        LogError
-            No reward is large enough to be squared.
-        """
+        """Choose the features of a kernel, and fit the behaviour policy, if there is a margin that it may waive."""
         refuse_vanishing(trajectories.reward[trajectories.is_completed])
         model = self._with_affordable_space(trajectories.features.shape[-1])
         taken = trajectories.encoded.taken[trajectories.is_completed]
@@ -233,18 +155,24 @@ class QModel:
 
     def is_affordable(self, num_inputs: int) -> bool:
         """Tell whether a Q of so many inputs is fitted in seconds."""
-        return is_affordable(self.space, num_inputs, self.num_blocks)
+        return self.num_blocks * self.space.num_features(num_inputs) ** 3 <= MOST_WORK
 
     def _with_affordable_space(self, num_inputs: int) -> "QModel":
-        num_blocks = self.num_blocks
+        """Take a linear Q where nobody asked for another and it is too large; refuse what memory does not hold."""
+        num_blocks, num_features = self.num_blocks, self.space.num_features(num_inputs)
         if self.is_space_free and not self.is_affordable(num_inputs):
-            num_features = num_features_of(self.space, num_inputs)
             why = f"Q is linear: a smooth one would have {num_features} features for each of {num_blocks} actions"
             return replace(self, space=LinearQ(), space_chosen=(why,))
         # Of pooled stages there are the rows that go on, and those that the horizon ended.
         num_slices = self.horizon if self.stages == "separate" else 2
         num_folds = self.reg.num_folds if isinstance(self.reg, CrossValidation) else 1
-        refuse_too_large(self.space, num_inputs, num_blocks, num_folds * num_slices)
+        needed = 8.0 * NUM_SUMS * num_folds * num_slices * num_blocks * (1 + num_features) ** 2
+        if needed > MOST_MEMORY:
+            raise ArgumentError(
+                f"q_function is {self.space.name!r}: {num_features} features for each of {num_blocks} actions take "
+                f"{needed / 1e9:.0f} GB, and {MOST_MEMORY / 1e9:.0f} GB are allowed; leave covariates out, group their "
+                "categories, or choose 'linear' or KernelQ(num_landmarks=…)"
+            )
         return self
 
     def with_durations(self, trajectories: TrajectoryArrays) -> "QModel":
@@ -278,15 +206,20 @@ class QModel:
 
     def transitions(self, trajectories: TrajectoryArrays) -> Transitions:
         """Make the transitions of eq. 3 of a log."""
-        return self.weighted(
-            trajectories, *self.weights_and_imputation(trajectories), self.folds(trajectories.num_trajectories)
-        )
+        given = self.weights_and_imputation(trajectories)
+        return self.weighted(trajectories, *given, self.folds(trajectories.num_trajectories))
 
     def weights_and_imputation(
         self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
     ) -> tuple[Float[np.ndarray, "n T"], Imputation | None]:
         """Weight of each stage in eq. 3; and what its target is imputed from, if it is, fitted to some or all."""
-        imputed = self._imputation(trajectories, is_fitted) if self.targets.is_imputed else None
+        imputed = None
+        if self.targets.is_imputed:
+            blocks = self.blocks(trajectories.is_possible.shape[-1])
+            durations = self.durations or self._durations_of(trajectories, is_fitted)
+            imputed = imputation(trajectories, self.cut_model, self._outcome_features(trajectories), blocks, durations)
+            if self.kernel_map is not None:
+                imputed = imputed._replace(is_used=np.ones(self.kernel_map.num_features))
         return self.targets.weights(trajectories, self.cut_model), imputed
 
     def weighted(
@@ -298,10 +231,8 @@ class QModel:
     ) -> Transitions:
         """Make the transitions of eq. 3 with weights and folds that are given."""
         reward, variates = self.task.reduce_variance(self.rewarded(trajectories, weight))
-        features, is_possible = (
-            trajectories.features[:, :, :1] if self.task.is_shared else trajectories.features,
-            trajectories.is_possible,
-        )
+        is_possible = trajectories.is_possible
+        features = trajectories.features[:, :, :1] if self.task.is_shared else trajectories.features
         if self.support is not None:
             seen = self.support.is_seen(self.stages)[:, self.kinds(is_possible.shape[-1])]
             is_possible = np.asarray(seen_among(is_possible, seen))
@@ -356,17 +287,15 @@ class QModel:
 
     @property
     def chosen(self) -> tuple[str, ...]:
-        """What the task chose by itself, and why."""
-        return (*self.space_chosen, *self._preference_chosen, *getattr(self.task, "chosen", ()))
-
-    @property
-    def _preference_chosen(self) -> tuple[str, ...]:
-        if not self.has_many_actions:
-            return ()
-        if self.behaviour_weight == 0:
-            return ("what the log does counts for nothing: stages in which it did as it prefers brought no more",)
-        worth = f"{self.behaviour_weight:.3g} of reward for each factor of e in how likely the log takes it"
-        return (f"few stages speak for each of {self.num_blocks} actions, so what the log does counts: {worth}",)
+        """What was chosen by itself, and why."""
+        of_task, preferred = getattr(self.task, "chosen", ()), ()
+        if self.has_many_actions and self.behaviour_weight == 0:
+            preferred = ("what the log does counts for nothing: stages in which it did as it prefers brought no more",)
+        elif self.has_many_actions:
+            worth = f"{self.behaviour_weight:.3g} of reward for each factor of e in how likely the log takes it"
+            few = f"few stages speak for each of {self.num_blocks} actions"
+            preferred = (f"{few}, so what the log does counts: {worth}",)
+        return (*self.space_chosen, *preferred, *of_task)
 
     def regression(self, num_trajectories: int, num_actions: int) -> Regression:
         """Say how each step of eq. 3 is fitted, on so many trajectories."""
@@ -384,29 +313,17 @@ class QModel:
 
     def folds(self, num_trajectories: int) -> Int[np.ndarray, " n"]:
         """Deal trajectories into folds, uniformly at random; without cross-validation nothing is held out."""
-        return np.random.default_rng(self.random_state).permutation(num_trajectories) % self._num_folds(
-            num_trajectories
-        )
+        order = np.random.default_rng(self.random_state).permutation(num_trajectories)
+        return order % self._num_folds(num_trajectories)
 
     def _num_folds(self, num_trajectories: int) -> int:
         return min(self.reg.num_folds, num_trajectories) if isinstance(self.reg, CrossValidation) else 1
 
-    def _imputation(self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None) -> Imputation:
-        blocks = self.blocks(trajectories.is_possible.shape[-1])
-        durations = self.durations or self._durations_of(trajectories, is_fitted)
-        imputed = imputation(trajectories, self.cut_model, self._outcome_features(trajectories), blocks, durations)
-        if self.kernel_map is None:
-            return imputed
-        return imputed._replace(is_used=np.ones(self.kernel_map.num_features))
-
     def _durations_of(
         self, trajectories: TrajectoryArrays, is_fitted: Bool[np.ndarray, " n"] | None = None
     ) -> DurationModel:
-        blocks, rows = (
-            self.blocks(trajectories.is_possible.shape[-1]),
-            sampled(trajectories.num_trajectories, self.random_state),
-        )
-        among = None if is_fitted is None else is_fitted[rows]
+        blocks = self.blocks(trajectories.is_possible.shape[-1])
+        among = None if is_fitted is None else is_fitted[sampled(trajectories.num_trajectories, self.random_state)]
         return fit_duration_model(self.sample_of(trajectories), self._outcome_features(trajectories), blocks, among)
 
     def _outcome_features(self, trajectories: TrajectoryArrays) -> Float[np.ndarray, " F"]:

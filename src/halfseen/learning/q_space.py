@@ -1,21 +1,122 @@
-"""Where Q is sought, 𝒬: linear or quadratic in its features, or in an RKHS; by stage or pooled; how λ is chosen."""
+"""Where Q is sought, 𝒬: linear or quadratic in its features, or in an RKHS; by stage or pooled; how λ is chosen.
+
+Features ψ of a Q in an RKHS have ψ(x)·ψ(z) = k(x, z) on the landmarks' span. k is Gaussian on features that are scaled
+to unit variance. With as many landmarks as there are different rows this is the whole RKHS that the data can use (the
+representer theorem); with fewer it is its low-rank form [WilliamsSeeger2000]_. A *trend* adds the features themselves
+and all their products of two, so that k is the sum of two kernels and Q that of a quadratic and of a smooth remainder.
+"""
 
 from dataclasses import dataclass
+from functools import cache, partial
 from numbers import Real
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from halfseen.arrays import library_of
 from halfseen.errors import ArgumentError
-from halfseen.learning.kernel_map import KernelMap, fit_kernel_map
+from halfseen.learning.svm.nystrom import fit_nystrom
 from halfseen.shapes import Float
+
+
+class KernelMap(NamedTuple):
+    """ψ(x) = (c · q(z), Rᵀ k(landmarks, z)) with z = (x − centre)/scale and q(z) all z_i and z_i z_j."""
+
+    centre: Float[Any, " F"]
+    scale: Float[Any, " F"]
+    """Mean and standard deviation of each feature; a feature that never varied has an infinite scale."""
+    landmarks: Float[Any, "m F"]
+    """m rows, scaled."""
+    projection: Float[Any, "m r"]
+    """R."""
+    gamma: Float[Any, ""]
+    """γ of the Gaussian kernel exp(−γ‖x − z‖²), on scaled features."""
+    trend: Float[Any, " Q"] | None = None
+    """c, of each z_i and z_i z_j; None without the quadratic trend."""
+
+    @property
+    def num_features(self) -> int:
+        """Length of ψ(x)."""
+        return (0 if self.trend is None else len(self.trend)) + self.projection.shape[1]
+
+    def __call__(self, features: Float[Any, "*S F"]) -> Float[Any, "*S r"]:
+        """Map features of states and actions, in the library of their array."""
+        xp = library_of(features)
+        scaled = (features - self.centre) / self.scale
+        if self.trend is None:
+            return self._smooth(scaled)
+        return xp.concatenate([self.trend * quadratic(scaled), self._smooth(scaled)], axis=-1)
+
+    def _smooth(self, scaled: Float[Any, "*S F"]) -> Float[Any, "*S r"]:
+        return gaussian(scaled, self.landmarks, self.gamma) @ self.projection
+
+
+def gaussian(rows: Float[Any, "*S F"], others: Float[Any, "m F"], gamma: Any) -> Float[Any, "*S m"]:
+    """k(x, z) = exp(−γ‖x − z‖²) of each row with each of some others."""
+    xp = library_of(rows)
+    far = xp.sum(rows**2, axis=-1, keepdims=True) + xp.sum(others**2, axis=-1)
+    return xp.exp(-gamma * xp.maximum(far - 2.0 * rows @ others.T, 0.0))
+
+
+def quadratic(scaled: Float[Any, "*S F"]) -> Float[Any, "*S Q"]:
+    """Features, and the product of each two of them, squares among them."""
+    xp = library_of(scaled)
+    one, other = _pairs(scaled.shape[-1])
+    return xp.concatenate([scaled, scaled[..., one] * scaled[..., other]], axis=-1)
+
+
+@cache
+def _pairs(num_features: int) -> tuple[np.ndarray, np.ndarray]:
+    """Each two of so many features; to find them takes longer than to multiply those of one state."""
+    return np.triu_indices(num_features)
+
+
+def fit_kernel_map(
+    rows: Float[np.ndarray, "k F"],
+    num_landmarks: int,
+    gamma: float | None,
+    rng: np.random.Generator,
+    trend: tuple[float, float] | None = None,
+) -> KernelMap:
+    """Choose landmarks among rows of features.
+
+    Parameters
+    ----------
+    rows
+        Features of the stages and actions that were logged.
+    num_landmarks
+        m, at most; fewer serve where they explain all rows.
+    gamma
+        γ on scaled features; None for 1/F.
+    rng
+        Draws the landmarks.
+    trend
+        Root mean squares, over rows, of the part of c · q(z) that is linear and of that of the products, beside a
+        Gaussian kernel of 1; None for no trend. So the more products there are, the less each counts.
+    """
+    centre, spread = rows.mean(axis=0), rows.std(axis=0)
+    scale = np.where(spread > 1e-9 * np.maximum(np.abs(centre), 1e-9), spread, np.inf)
+    num_varied = max(int(np.isfinite(scale).sum()), 1)
+    width = 1.0 / num_varied if gamma is None else float(gamma)
+    scaled = (rows - centre) / scale
+    weight = None
+    if trend is not None:
+        # The linear part of q and its products have root mean squares of their own.
+        parts = np.split(np.asarray(quadratic(scaled)), [scaled.shape[1]], axis=1)
+        means = [float(np.sqrt(np.sum(part**2, axis=-1).mean())) for part in parts]
+        each = [size / mean if mean > 0 else 0.0 for size, mean in zip(trend, means, strict=True)]
+        weight = np.repeat(each, [part.shape[1] for part in parts])
+    if num_landmarks == 0:
+        return KernelMap(centre, scale, scaled[:0], np.zeros((0, 0)), np.asarray(width), weight)
+    found = fit_nystrom(partial(gaussian, gamma=width), scaled, num_landmarks, rng)
+    return KernelMap(centre, scale, found.landmarks, found.projection, np.asarray(width), weight)
+
 
 REGS = np.logspace(-3, 2, 11)
 """The λ that ``reg="cv"`` chooses from; features are scaled to unit variance, so they need no other unit."""
 
 KERNEL_REGS = np.logspace(-6, 1, 15)
 """The same for the norm of an RKHS."""
-
 
 StageMode = Literal["separate", "pooled"]
 
@@ -28,23 +129,33 @@ def _is_number(value: Any) -> bool:
 class LinearQ:
     """Q is linear in its features; λ weighs them as if each had unit variance."""
 
+    name = "linear"
     regs = REGS
     is_scaled = True
 
     def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> None:
         """Features stay as they are."""
 
+    def num_features(self, num_inputs: int) -> int:
+        """Count the features that a Q of so many inputs has, at most."""
+        return num_inputs
+
 
 @dataclass(frozen=True)
 class QuadraticQ:
     """Q is linear in its features and in the products of each two; λ weighs all as if each had unit variance."""
 
+    name = "quadratic"
     regs = REGS
     is_scaled = True
 
     def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> KernelMap:
         """Find mean and variance of the completed stages; nothing is drawn."""
         return fit_kernel_map(rows, 0, None, np.random.default_rng(random_state), trend=(1.0, 1.0))
+
+    def num_features(self, num_inputs: int) -> int:
+        """Count them and their products."""
+        return num_inputs + num_inputs * (num_inputs + 1) // 2
 
 
 @dataclass(frozen=True)
@@ -85,76 +196,35 @@ class KernelQ:
         if self.trend is not None and not (len(self.trend) == 2 and all(_is_number(c) and c > 0 for c in self.trend)):
             raise ArgumentError(f"trend is {self.trend!r}; it is two finite numbers > 0, or None for no trend")
 
+    @property
+    def name(self) -> str:
+        """What kind it is."""
+        return "kernel" if self.trend is None else "smooth"
+
     def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> KernelMap:
         """Choose landmarks among the completed stages."""
         rng = np.random.default_rng(random_state)
         return fit_kernel_map(rows, self.num_landmarks, self.gamma, rng, self.trend)
 
+    def num_features(self, num_inputs: int) -> int:
+        """Count landmarks and what the trend has."""
+        return self.num_landmarks + (0 if self.trend is None else QuadraticQ().num_features(num_inputs))
+
 
 @dataclass(frozen=True)
-class TabularQ:
+class TabularQ(LinearQ):
     """Q has a value for each action in each state, of a state that one column names (`tabular`)."""
 
-    regs = REGS
-    is_scaled = True
-
-    def features(self, rows: Float[np.ndarray, "k F"], random_state: int) -> None:
-        """A state is its number."""
+    name = "tabular"
 
 
-QSpace = LinearQ | QuadraticQ | KernelQ | TabularQ
+QSpace = LinearQ | QuadraticQ | KernelQ
 
 SMOOTH = KernelQ(num_landmarks=48, trend=(3.0, 1.5))
 """A quadratic and a smooth remainder. Its numbers were chosen on logs of the pick cell, of kin of the clinical trial
 and of a world of 20 covariates, all of seeds below 1000; `benchmarks/learners.py` judges by others."""
 
-Q_SPACES: dict[str, QSpace] = {
-    "linear": LinearQ(),
-    "quadratic": QuadraticQ(),
-    "kernel": KernelQ(),
-    "smooth": SMOOTH,
-    "tabular": TabularQ(),
-}
-
-
-MOST_WORK = 1e8
-"""K·F³ of K blocks of F features that a Q may have which nobody asked for: seconds. Twenty covariates of three actions,
-or eight of sixteen, are smooth; thirty-two of sixteen are linear."""
-MOST_MEMORY = 4e9
-"""That sums over rows may take [bytes]."""
-NUM_SUMS = 4
-"""Matrices of sums of each fold and block (`sums.Moments`)."""
-
-
-def num_features_of(space: QSpace, num_inputs: int) -> int:
-    """Count the features that a Q of so many inputs has, at most."""
-    num_products = num_inputs * (num_inputs + 1) // 2
-    if isinstance(space, KernelQ):
-        return space.num_landmarks + (0 if space.trend is None else num_inputs + num_products)
-    return num_inputs + (num_products if isinstance(space, QuadraticQ) else 0)
-
-
-def is_affordable(space: QSpace, num_inputs: int, num_blocks: int) -> bool:
-    """Tell whether a Q is fitted in seconds."""
-    return num_blocks * num_features_of(space, num_inputs) ** 3 <= MOST_WORK
-
-
-def refuse_too_large(space: QSpace, num_inputs: int, num_blocks: int, num_sums: int) -> None:
-    """Refuse a Q whose sums over rows take more than `MOST_MEMORY`.
-
-    Raises
-    ------
-    ArgumentError
-        They do.
-    """
-    num_features = num_features_of(space, num_inputs)
-    needed = 8.0 * NUM_SUMS * num_sums * num_blocks * (1 + num_features) ** 2
-    if needed > MOST_MEMORY:
-        raise ArgumentError(
-            f"q_function is {name_of(space)!r}: {num_features} features for each of {num_blocks} actions take "
-            f"{needed / 1e9:.0f} GB, and {MOST_MEMORY / 1e9:.0f} GB are allowed; leave covariates out, group their "
-            "categories, or choose 'linear' or KernelQ(num_landmarks=…)"
-        )
+Q_SPACES: dict[str, QSpace] = {space.name: space for space in (LinearQ(), QuadraticQ(), KernelQ(), SMOOTH, TabularQ())}
 
 
 @dataclass(frozen=True)
@@ -179,13 +249,7 @@ Reg = CrossValidation | float
 
 
 def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "smooth", "tabular"] | str) -> QSpace:
-    """Read what a user says of 𝒬: a name, or the space itself.
-
-    Raises
-    ------
-    ArgumentError
-        It is neither.
-    """
+    """Read what a user says of 𝒬, a name or the space itself, or refuse it."""
     if isinstance(q_function, str) and q_function in Q_SPACES:
         return Q_SPACES[q_function]
     if not isinstance(q_function, QSpace):
@@ -196,35 +260,15 @@ def q_space_of(q_function: QSpace | Literal["linear", "quadratic", "kernel", "sm
     return q_function
 
 
-def name_of(space: QSpace) -> str:
-    """Name the kind of a 𝒬."""
-    if isinstance(space, KernelQ):
-        return "kernel" if space.trend is None else "smooth"
-    names = {QuadraticQ: "quadratic", TabularQ: "tabular"}
-    return names.get(type(space), "linear")
-
-
 def stage_mode_of(stages: StageMode | str) -> StageMode:
-    """Read what a user says of stages.
-
-    Raises
-    ------
-    ArgumentError
-        It is neither ``"separate"`` nor ``"pooled"``.
-    """
+    """Read what a user says of stages, or refuse it."""
     if stages == "separate" or stages == "pooled":
         return stages
     raise ArgumentError(f"stages is {stages!r}; it is 'separate' or 'pooled'")
 
 
 def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
-    """Read what a user says of λ: ``"cv"``, a `CrossValidation`, or a number; what was read already stays.
-
-    Raises
-    ------
-    ArgumentError
-        It is none of these.
-    """
+    """Read what a user says of λ, ``"cv"``, a `CrossValidation`, or a number, or refuse it."""
     if isinstance(reg, CrossValidation):
         return reg
     if isinstance(reg, str) and reg == "cv":
@@ -235,13 +279,16 @@ def reg_of(reg: Reg | int | Literal["cv"] | str) -> Reg:
 
 
 def pessimism_of(pessimism: float | int | str) -> float:
-    """Read what a user says of pessimism.
-
-    Raises
-    ------
-    ArgumentError
-        It is no finite number ≥ 0.
-    """
+    """Read what a user says of pessimism, or refuse it."""
     if not (_is_number(pessimism) and float(pessimism) >= 0.0):
         raise ArgumentError(f"pessimism is {pessimism!r}; it is a number of standard errors ≥ 0, or 'auto'")
     return float(pessimism)
+
+
+def half_life_of(value: float | int | str | None) -> float | str | None:
+    """Read what a user says of a half-life [trajectories], or refuse it."""
+    if value is None or value == "auto":
+        return value
+    if isinstance(value, str | bool) or not 0 < value < np.inf:
+        raise ArgumentError(f"half_life is {value!r}; it is a number of trajectories above 0, 'auto' or None")
+    return float(value)

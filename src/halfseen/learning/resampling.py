@@ -141,35 +141,28 @@ def bootstrap(
 def _learned_again(
     model: QModel, trajectories: TrajectoryArrays, log: Transitions, counts: Int[np.ndarray, "B n"]
 ) -> list[QFunctions]:
-    """Learn from some draws, in which each trajectory counts so often."""
-    if isinstance(model.space, TabularQ):
-        return [_table_again(model, trajectories, each) for each in counts]
+    """Learn from some draws, in which each trajectory counts so often; one that was not drawn counts for nothing."""
     regression = replace(model, pessimism=0.0).regression(*log.is_possible.shape[::2])
-    return [fit_q(model.recent(_redrawn(model, trajectories, log, each)), regression) for each in counts]
+    fits = []
+    for each in counts:
+        drawn = trajectories.take(np.repeat(np.arange(len(each)), each))
+        again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
+        if isinstance(model.space, TabularQ):
+            fits.append(again.fit(again.transitions(drawn)))
+            continue
+        weight, imputed = again.weights_and_imputation(drawn)
+        back = partial(_spread, each)
+        if imputed is not None:
+            of_trajectories = {name: back(leaf) for name, leaf in imputed._asdict().items() if name != "is_used"}
+            imputed = imputed._replace(**of_trajectories)
+        redrawn = log._replace(weight=back(weight), imputation=imputed).counted(each.astype(np.float64))
+        fits.append(fit_q(model.recent(redrawn), regression))
+    return fits
 
 
-def _table_again(model: QModel, trajectories: TrajectoryArrays, counts: Int[np.ndarray, " n"]) -> QFunctions:
-    """Learn a table from a draw, whose trajectories are repeated."""
-    drawn = trajectories.take(np.repeat(np.arange(trajectories.num_trajectories), counts))
-    again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
-    return again.fit(again.transitions(drawn))
-
-
-def _redrawn(
-    model: QModel, trajectories: TrajectoryArrays, log: Transitions, counts: Int[np.ndarray, " n"]
-) -> Transitions:
-    """Weigh and impute a draw by what is estimated from it; a trajectory that was not drawn counts for nothing."""
-    drawn = trajectories.take(np.repeat(np.arange(trajectories.num_trajectories), counts))
-    again = replace(model, cut_model=model.targets.fit_cuts(drawn.clocks))
-    weight, imputed = again.weights_and_imputation(drawn)
+def _spread(counts: Int[np.ndarray, " n"], leaf: np.ndarray) -> np.ndarray:
+    """Of each trajectory what its first copy has; 0 where it was not drawn."""
     first, was_drawn = np.cumsum(counts) - counts, counts > 0
-
-    def back(leaf: np.ndarray) -> np.ndarray:
-        spread = np.zeros((trajectories.num_trajectories, *leaf.shape[1:]))
-        spread[was_drawn] = leaf[first[was_drawn]]
-        return spread
-
-    if imputed is not None:
-        of_trajectories = {name: back(leaf) for name, leaf in imputed._asdict().items() if name != "is_used"}
-        imputed = imputed._replace(**of_trajectories)
-    return log._replace(weight=back(weight), imputation=imputed).counted(counts.astype(np.float64))
+    spread = np.zeros((len(counts), *leaf.shape[1:]))
+    spread[was_drawn] = leaf[first[was_drawn]]
+    return spread

@@ -88,17 +88,7 @@ class TrajectoryArrays(NamedTuple):
 
 
 def trajectory_arrays(logs: Logs, encoded: Encoded, covariates: Frame | None) -> TrajectoryArrays:
-    """Lay out a log.
-
-    Parameters
-    ----------
-    logs
-        The log.
-    encoded
-        Its features and actions, padded to T.
-    covariates
-        What cuts may depend on, a row for each stage of the log; None for nothing.
-    """
+    """Lay out a log, given its features and actions, padded to T, and what cuts may depend on, a row a stage."""
     horizon = encoded.action.shape[1]
     at = stage_places(logs)
 
@@ -248,13 +238,7 @@ def unseen_in_words(support: Support, names: tuple[str, ...], stages: StageMode)
 
 
 def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
-    """Refuse a log in which no trajectory came to its own end.
-
-    Raises
-    ------
-    PositivityError
-        All were cut.
-    """
+    """Refuse a log in which no trajectory came to its own end."""
     if not is_finished.any():
         raise PositivityError(
             f"all {len(is_finished)} trajectories were cut, so how a trajectory ends was never seen; record until some "
@@ -263,26 +247,14 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
 
 
 def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
-    """Refuse rewards so small that their squares cannot be squared.
-
-    Raises
-    ------
-    LogError
-        The largest is above 0 and below the inverse of what a log may hold.
-    """
+    """Refuse rewards so small that their squares cannot be squared."""
     largest = float(np.max(np.abs(reward), initial=0.0))
     if 0.0 < largest < 1 / LARGEST:
         raise LogError(f"the largest reward is {largest:g}, whose fourth power is 0; give rewards in another unit")
 
 
 def refuse_too_few(num_seen: int, num_trajectories: int) -> None:
-    """Refuse to hold out trajectories where fewer than two completed a stage.
-
-    Raises
-    ------
-    ArgumentError
-        The message says how many did.
-    """
+    """Refuse to hold out trajectories where fewer than two completed a stage."""
     if num_seen < 2:
         raise ArgumentError(
             f"reg is 'cv', which holds out trajectories, but {num_seen} of {num_trajectories} completed a stage; give "

@@ -2,33 +2,39 @@
 
 Each backward step asks every shard of the log for sums, and adds them in the order of the shards; so what is learned is
 what the whole log in memory would give, but for the rounding of the sums, and the same bytes whichever worker sums.
-What is no sum is fitted to the same sample of trajectories as in memory (`q_model`). The log itself is read and checked
-once; after that its arrays are read from disk, where they were kept (`kept_parts`). Anyone who has not got a part lays
-it out again, to the same bytes; so it does not matter which worker sums a shard, nor how often one is lost.
+What is no sum is fitted to the same sample of trajectories as in memory (`sample`). The log itself is read and checked
+once; after that its arrays are read from disk, where they were kept between passes, for reading and checking takes
+longest. What cannot be kept is no loss but of time: anyone who has not got a part lays it out again, to the same bytes;
+so it does not matter which worker sums a shard, nor how often one is lost. The folder is private to the user and gone
+after the passes; its arrays are mapped, so that a pass reads no more of them than it looks at.
 """
 
 import ctypes
+import os
+import shutil
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache, partial, reduce
 from itertools import chain
-from tempfile import TemporaryFile
-from typing import NamedTuple
+from pathlib import Path
+from tempfile import TemporaryDirectory, TemporaryFile
+from typing import Any, NamedTuple
+from uuid import uuid4
 
 import numpy as np
 
 from halfseen.arrays import mapped
 from halfseen.censoring import StageClocks, WeightDiagnostics
-from halfseen.censoring.stage_clocks import stacked
+from halfseen.censoring.clocks import stacked
 from halfseen.censoring.weights import WeightTally, weight_diagnostics
-from halfseen.learning.half_life import with_half_life
-from halfseen.learning.judging import with_stages
-from halfseen.learning.kept_parts import KeptParts, kept_parts
-from halfseen.learning.q_model import QModel, sampled
+from halfseen.learning.judging import with_half_life, with_stages
+from halfseen.learning.q_model import QModel
 from halfseen.learning.q_space import CrossValidation
 from halfseen.learning.recursion import QFunctions, Step, StepSums, backward, sums_of_step
 from halfseen.learning.rows import Support, TrajectoryArrays, refuse_all_cut, refuse_too_few
+from halfseen.learning.sample import sampled
 from halfseen.learning.sums import Rows, packed
 from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
@@ -38,6 +44,9 @@ from halfseen.progress import Progress
 from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Pool, Workers
 from halfseen.workers.threads import one_thread
+
+MOST_SHARE = 0.5
+"""Of the room that there is on the disk, for all that is kept of a log."""
 
 
 class Learned(NamedTuple):
@@ -54,27 +63,9 @@ class Learned(NamedTuple):
 
 
 def learned_from(logs: Logs | LogStream, model: QModel, has_choice: bool, workers: Workers | None = None) -> Learned:
-    """Learn from a log, in memory or in passes over a stream.
+    """Learn from a log, in memory, or in passes over a stream, whose shards workers sum.
 
-    Parameters
-    ----------
-    logs
-        The log.
-    model
-        How Q is fitted.
-    has_choice
-        Whether stages are to be pooled is for the log to say (`judging`).
-    workers
-        Who sums the shards of a stream; None for this process alone.
-
-    Raises
-    ------
-    ArgumentError
-        A part of the model cannot be fitted.
-    PositivityError
-        All trajectories were cut, or a weight is not identified.
-    WorkerError
-        Workers were lost again and again.
+    Where it has a choice, whether stages are to be pooled is for the log to say (`judging`).
     """
     if isinstance(logs, LogStream):
         return _streaming(logs, model, has_choice, workers or ALONE)
@@ -185,6 +176,79 @@ def give_back() -> None:
 
 
 @dataclass(frozen=True)
+class KeptParts:
+    """A folder of parts, by kind and number; every process that asks writes and reads whole files."""
+
+    name: str
+    """Of the folder, or what to call one that each process makes for itself."""
+    is_shared: bool
+    """Whether all that ask are on this machine, and the folder is there."""
+    most_bytes: int
+    """That a part may take."""
+
+    def keep(self, kind: str, number: int, part: Any) -> None:
+        """Keep a part, records of arrays in one another, if there is room; what is there already is replaced.
+
+        A part is written whole: if the disk is full, nothing of it is left.
+        """
+        import joblib
+
+        if num_bytes_of(part) > self.most_bytes:
+            return
+        file = self._file(kind, number)
+        beside = file.with_name(f"{file.name}.{os.getpid()}")
+        try:
+            joblib.dump(part, beside)
+            beside.replace(file)
+        except OSError:
+            beside.unlink(missing_ok=True)
+
+    def read(self, kind: str, number: int) -> Any:
+        """Read what is kept of a part; None if nothing is."""
+        import joblib
+
+        try:
+            return joblib.load(self._file(kind, number), mmap_mode="r")
+        except FileNotFoundError:
+            return None
+
+    def forget(self, kind: str, number: int) -> None:
+        """Make room."""
+        self._file(kind, number).unlink(missing_ok=True)
+
+    def _file(self, kind: str, number: int) -> Path:
+        return Path(self.name if self.is_shared else _own_folder(self.name)) / f"{kind}-{number}"
+
+
+def num_bytes_of(part: Any) -> int:
+    """Bytes of the arrays; those that repeat themselves are written out."""
+    return sum(map(num_bytes_of, part)) if isinstance(part, tuple) else getattr(part, "nbytes", 0)
+
+
+@contextmanager
+def kept_parts(num_parts: int, is_shared: bool = True) -> Iterator[KeptParts]:
+    """Have a place for so many parts of a log, for the length of a ``with`` block.
+
+    Where not all workers are on this machine, each keeps what it has laid out itself, until it has another log.
+    """
+    with TemporaryDirectory(prefix="halfseen-") as name:
+        most = int(MOST_SHARE * shutil.disk_usage(name).free / num_parts)
+        yield KeptParts(name if is_shared else uuid4().hex, is_shared, most)
+
+
+_OWN: dict[str, TemporaryDirectory] = {}
+
+
+def _own_folder(name: str) -> str:
+    """Folder of this process for one log; that of the log before goes."""
+    if name not in _OWN:
+        while _OWN:
+            _OWN.popitem()[1].cleanup()
+        _OWN[name] = TemporaryDirectory(prefix="halfseen-")
+    return _OWN[name].name
+
+
+@dataclass(frozen=True)
 class _Work:
     """What all workers are told once a pass: the log, the model as far as it is fitted, and where parts are kept."""
 
@@ -195,7 +259,7 @@ class _Work:
 
     def trajectories_of(self, shard: Shard) -> Iterator[TrajectoryArrays]:
         """Lay out the parts of a shard as arrays."""
-        reader = self._reader()
+        reader = cache(partial(ShardReader, self.folder))
         for part in shard.parts:
             trajectories = self.kept.read("trajectories", part.number)
             if trajectories is None:
@@ -212,38 +276,33 @@ class _Work:
         self, shard: Shard, fold: Int[np.ndarray, " n"], is_first: bool
     ) -> Iterator[tuple[Part, Rows, Float[np.ndarray, "n T"] | None]]:
         """Pack the parts of a shard; for the first time with the weight of every stage."""
-        reader, begin = self._reader(), shard.trajectories.start
+        reader, begin = cache(partial(ShardReader, self.folder)), shard.trajectories.start
         for part in shard.parts:
             rows, weight = None if is_first else self.kept.read("rows", part.number), None
             if rows is None:
                 trajectories = self.kept.read("trajectories", part.number) or self._laid_out(reader, part)
                 weight, imputed = self.model.weights_and_imputation(trajectories)
-                log = self.model.weighted(
-                    trajectories, weight, imputed, fold[part.trajectories[0] - begin : part.trajectories[1] - begin]
-                )
-                log = self.model.recent(log, part.trajectories[0], self.num_trajectories)
+                first, end = part.trajectories
+                log = self.model.weighted(trajectories, weight, imputed, fold[first - begin : end - begin])
+                log = self.model.recent(log, first, self.num_trajectories)
                 weight = log.weight
                 rows = packed(log, self.model.regression(self.num_trajectories, log.is_possible.shape[-1]))
                 self.kept.forget("trajectories", part.number)
                 self.kept.keep("rows", part.number, rows)
             yield part, rows, weight
 
-    def _reader(self) -> Callable[[], ShardReader]:
-        """The log, opened where a part of it is to be read."""
-        return cache(partial(ShardReader, self.folder))
-
     def _laid_out(self, reader: Callable[[], ShardReader], part: Part) -> TrajectoryArrays:
+        """A part of the log, which is opened where it is first read."""
         logs = reader().read(part)
         self.model.check_horizon(logs)
         return self.model.lay_out(logs)
 
 
 _Look = tuple[Support, list[StageClocks]]
-"""What was seen completed; and what Ĝ is fitted to, beyond the ends of the trajectories, if it is."""
 
 
 def _look_at(work: _Work, shard: Shard) -> _Look:
-    """Read, check and lay out a shard for the first time."""
+    """Read a shard for the first time: what was seen completed, and what Ĝ is fitted to beyond ends, if it is."""
     model, looks = work.model, []
     for trajectories in work.trajectories_of(shard):
         clocks = model.targets.looks_at(trajectories.clocks)

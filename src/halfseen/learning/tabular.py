@@ -66,24 +66,15 @@ class StateActions(NamedActions):
         """Encode a state as its number, from 1; 0 where no stage began."""
         (column,), shape = self.covariates, (logs.num_trajectories, horizon)
         number, action = np.zeros(shape), np.zeros(shape, dtype=np.int64)
-        at, is_possible = (
-            stage_places(logs),
-            np.broadcast_to(self._possible_by_stage(horizon), (*shape, len(self.names))),
-        )
+        at = stage_places(logs)
+        is_possible = np.broadcast_to(self._possible_by_stage(horizon), (*shape, len(self.names)))
         number[at] = 1 + self.looks_at.codes(logs.stages, column)
         action[at] = self._codes(logs, is_possible)
         return Encoded(np.broadcast_to(number[..., None, None], (*is_possible.shape, 1)), is_possible, action)
 
 
 def with_states(task: Any, logs: Any, targets: Any) -> StateActions:
-    """Make a task of named actions one of a table.
-
-    Raises
-    ------
-    ArgumentError
-        The task is another, or looks at none or several columns, or at one that holds neither names nor numbers; the
-        log is read in passes; or targets are imputed, which takes a regression.
-    """
+    """Make a task of named actions one of a table."""
     if not isinstance(task, NamedActions) or len(task.covariates) != 1:
         raise ArgumentError(
             "q_function is 'tabular', which takes named actions and one covariate, the name of the state"
@@ -132,11 +123,6 @@ def fit_table(log: Transitions, num_states: int, reg: float | None = None) -> QF
     -------
     QFunctions
         By steps to go, one first; coefficients are Q of the first state and how far each other state lies from it.
-
-    Raises
-    ------
-    ArgumentError
-        No stage was completed whose outcome is known.
     """
     rows, horizon = _rows_of(log), log.action.shape[1]
     if not len(rows.cell):
@@ -145,12 +131,12 @@ def fit_table(log: Transitions, num_states: int, reg: float | None = None) -> QF
     every, going = _Cells(rows, shape), _Cells(rows.at(~rows.is_at_horizon), shape)
     value, each = np.zeros(num_states), []
     for to_go in range(horizon):
-        table = (going if to_go and len(going.id) else every).table(value, reg)
-        value = table.q.max(axis=1)
-        each.append(table)
-    q = np.stack([table.q for table in each]).swapaxes(-1, -2)
+        each.append((going if to_go and len(going.id) else every).table(value, reg))
+        value = each[-1][0].max(axis=1)
+    tables, kappas = zip(*each, strict=True)
+    q = np.stack(tables).swapaxes(-1, -2)
     q[..., 1:] -= q[..., :1]
-    return QFunctions(q, np.repeat([[table.kappa] for table in each], shape[1], axis=1))
+    return QFunctions(q, np.repeat(np.array(kappas)[:, None], shape[1], axis=1))
 
 
 class _Rows(NamedTuple):
@@ -179,11 +165,6 @@ def _rows_of(log: Transitions) -> _Rows:
     return _Rows(cell[done], successor[done], log.reward[done], own[done], stage[done] == number.shape[1] - 1)
 
 
-class _Table(NamedTuple):
-    q: Float[np.ndarray, "S A"]
-    kappa: float
-
-
 class _Cells:
     """Rows by cell, and what is the same at every step."""
 
@@ -198,15 +179,15 @@ class _Cells:
         self.rest = 1.0 - self.n / self.n_of_state[self.state]
         self.freedom = np.bincount(self.state, self.n - 1.0, shape[0])
 
-    def table(self, value: Float[np.ndarray, " S"], reg: float | None) -> _Table:
-        """Q of each state and action, given V̂ of what follows."""
+    def table(self, value: Float[np.ndarray, " S"], reg: float | None) -> tuple[Float[np.ndarray, "S A"], float]:
+        """Q of each state and action, given V̂ of what follows; and κ."""
         target = self.rows.reward + np.append(0.0, value)[self.rows.successor]
         mean = self._sum(self.rows.weight * target) / self.weight
         squares = self._sum(self.rows.weight * (target - mean[self.of_row]) ** 2) / self.weight * self.n
         of_state = self._within_states(mean, self.n)
         if reg is not None:
             apart = mean - of_state[self.state]
-            return self._filled(of_state[self.state] + apart * self.n / (self.n + reg), 0.0, of_state, reg)
+            return self._filled(of_state[self.state] + apart * self.n / (self.n + reg), 0.0, of_state), reg
         # Where nothing varies in a cell, what differs is sure, however little it is.
         variance = np.maximum(self._variance(squares), ROUNDING**2 * (target**2).mean() or 1.0)
         noise = variance[self.state]
@@ -215,7 +196,7 @@ class _Cells:
         kappa = self._kappa(apart**2 * self.n / noise)
         of_state = self._shrunk(of_state, variance)
         q = of_state[self.state] + liking + apart * self.n / (self.n + kappa)
-        return self._filled(q, float(np.sqrt(noise.mean() / max(kappa, 1.0))), of_state, kappa)
+        return self._filled(q, float(np.sqrt(noise.mean() / max(kappa, 1.0))), of_state), kappa
 
     def _variance(self, squares: Float[np.ndarray, " c"]) -> Float[np.ndarray, " S"]:
         """σ_s² of X in one cell of each state, shrunk towards that of all."""
@@ -245,15 +226,15 @@ class _Cells:
         return shrunk
 
     def _filled(
-        self, q: Float[np.ndarray, " c"], below: float, of_state: Float[np.ndarray, " S"], kappa: float
-    ) -> _Table:
+        self, q: Float[np.ndarray, " c"], below: float, of_state: Float[np.ndarray, " S"]
+    ) -> Float[np.ndarray, "S A"]:
         """Lay cells out as a table; what was not seen lies below the least of its state."""
         least = np.where(self.is_seen, np.inf, of_state)
         np.minimum.at(least, self.state, q)
         other = np.where(self.is_seen, least - below - ROUNDING * (1.0 + np.abs(least)), of_state)
         table = np.repeat(other, self.shape[1])
         table[self.id] = q
-        return _Table(table.reshape(self.shape), kappa)
+        return table.reshape(self.shape)
 
     def _sum(self, of_row: Float[np.ndarray, " m"]) -> Float[np.ndarray, " c"]:
         return np.bincount(self.of_row, of_row, len(self.id))

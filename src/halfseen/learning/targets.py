@@ -51,8 +51,18 @@ class DoublyRobust(CensoringSpec):
         return cut_model.begun_weights(trajectories.clocks)
 
 
+class _WithoutCutModel:
+    """No model of the cuts is fitted, so nothing is looked at for one."""
+
+    def looks_at(self, clocks: StageClocks) -> None:
+        """Nothing is fitted."""
+
+    def fit_cuts(self, clocks: StageClocks) -> None:
+        """No model of the cuts is needed."""
+
+
 @dataclass(frozen=True)
-class BuckleyJames:
+class BuckleyJames(_WithoutCutModel):
     """No weights: what a cut stage would have brought is imputed by a regression alone (see `imputation`).
 
     Parameters
@@ -66,30 +76,18 @@ class BuckleyJames:
     name = "buckley-james"
     is_imputed = True
 
-    def looks_at(self, clocks: StageClocks) -> None:
-        """Nothing is fitted."""
-
-    def fit_cuts(self, clocks: StageClocks) -> None:
-        """No model of the cuts is needed."""
-
     def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 for each begun stage."""
         return trajectories.is_begun.astype(np.float64)
 
 
 @dataclass(frozen=True)
-class Unweighted:
+class Unweighted(_WithoutCutModel):
     """Completed stages count alike, and cut ones not at all: biased where cuts are many, and the contrast to it."""
 
     name = "none"
     is_imputed = False
     outcome_covariates = None
-
-    def looks_at(self, clocks: StageClocks) -> None:
-        """Nothing is fitted."""
-
-    def fit_cuts(self, clocks: StageClocks) -> None:
-        """No model of the cuts is asked for."""
 
     def weights(self, trajectories: TrajectoryArrays, cut_model: CutModel | None) -> Float[np.ndarray, "n T"]:
         """1 for each completed stage."""
@@ -104,13 +102,7 @@ CENSORING_CHOICES = (*CENSORING_NAMES, *BY_NAME)
 
 
 def targets_of(censoring: Targets | CensoringModel | str) -> Targets:
-    """Read what a user says of censoring: a name, a model of the cuts (weights by it), or the targets themselves.
-
-    Raises
-    ------
-    ArgumentError
-        It is none of these.
-    """
+    """Read what a user says of censoring: a name, a model of the cuts (weights by it), or the targets themselves."""
     if isinstance(censoring, Weighted | DoublyRobust | BuckleyJames | Unweighted):
         return censoring
     if isinstance(censoring, str) and censoring in BY_NAME:
@@ -145,12 +137,6 @@ def named_targets(
         `DoublyRobust`, and not `Weighted`.
     outcome_covariates
         What the outcome regression looks at, where there is one.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such model, or doubly robust targets are wanted without one, or something is said of weights where
-        there are none.
     """
     if isinstance(censoring, str) and censoring in BY_NAME:
         of_weights = {"by": None if by == "trajectory" else by, "covariates": covariates, "truncate_at": truncate_at}

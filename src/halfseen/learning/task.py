@@ -12,7 +12,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError
 from halfseen.lazy import Frame
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 from halfseen.shapes import Bool, Float, Int
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ class LearnedQ(NamedTuple):
     behaviour: Float[np.ndarray, "K G"] | None = None
     """Coefficients of the behaviour policy, which waives margins (`behaviour`); None where it is not known."""
     behaviour_weight: float = 0.0
-    """τ: what a nat of log b counts for beside Q (`preference`)."""
+    """τ: what a nat of log b counts for beside Q (`behaviour`)."""
 
 
 @runtime_checkable
@@ -152,13 +152,7 @@ class Task(Protocol):
 
 
 def named_task(name: str, **parameters: Any) -> Task:
-    """Make a task that has a name.
-
-    Raises
-    ------
-    ArgumentError
-        There is none of this name.
-    """
+    """Make a task that has a name."""
     if name not in TASKS:
         raise ArgumentError(f"task is {name!r}; it is {', '.join(map(repr, TASKS))}, or an object that is a Task")
     module, attribute = TASKS[name].split(":")
@@ -177,21 +171,7 @@ OF_LINEAR = {"q_function": AUTO, "stages": AUTO, "reg": "cv", "pessimism": AUTO,
 def learner_of(name: str, plain: type, laws: str | None, parameters: Mapping[str, Any]) -> type:
     """Choose who learns a task that has a name: with the help of laws, or by eq. 3 alone.
 
-    Parameters
-    ----------
-    name
-        Of the task.
-    plain
-        The learner without laws.
-    laws
-        ``"auto"`` or None.
-    parameters
-        Of the learner.
-
-    Raises
-    ------
-    ArgumentError
-        `laws` is neither, or something is said of laws where none help.
+    That is where laws are None or something is said of it; what is said of laws where none help is refused.
     """
     if laws not in (AUTO, None):
         raise ArgumentError(f"laws is {laws!r}; it is 'auto', or None for eq. 3 without laws")

@@ -33,7 +33,7 @@ from halfseen.reading import reason_of
 
 JUST_BEFORE = 0.01
 """Of the time since the clock before it: how long before the end of a stage a trajectory ends that was cut after it. It
-is less than others take to their next clock, and more than rounding (`halfseen.censoring.tied_times`)."""
+is less than others take to their next clock, and more than rounding (`halfseen.censoring.clocks`)."""
 RESOLUTION_S = 1e-9
 """What a clock can tell apart [s]; a trajectory that was torn before its clock moved ends there."""
 CRASH, STILL_RUNNING, RESUMED = "crash", "still-running", "resumed"

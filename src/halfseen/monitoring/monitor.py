@@ -11,7 +11,7 @@ import numpy as np
 
 from halfseen.censoring.cut_model import CensoringSpec
 from halfseen.errors import PolicyError
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.specification import task_of
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.rows import trajectory_arrays

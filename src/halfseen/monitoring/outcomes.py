@@ -15,8 +15,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from halfseen.censoring.clocks import StageClocks, stacked
 from halfseen.censoring.cut_model import CensoringSpec, CutModel
-from halfseen.censoring.stage_clocks import StageClocks, stacked
 from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.shapes import Bool, Float
 

@@ -15,7 +15,7 @@ import numpy as np
 from onnx import TensorProto, helper, numpy_helper
 
 from halfseen.learning.discrete_policy import DiscretePolicy
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 
 OPSET, IR_VERSION = 18, 9
 SCORES, ACTION = "scores", "action"

@@ -13,7 +13,7 @@ import numpy as np
 from halfseen.arrays import STATIC, Array, at, library_of, mapped, record
 from halfseen.errors import ArgumentError
 from halfseen.learning.behaviour import excess_propensity, seen_among
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 from halfseen.learning.rows import q_values
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.features import table_features, table_q, team_features

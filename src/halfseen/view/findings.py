@@ -10,8 +10,7 @@ import halfseen
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import noted
 from halfseen.evaluation import Evaluation, evaluate
-from halfseen.evaluation.specification import specification_of
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.specification import specification_of, task_of
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest

@@ -6,7 +6,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from halfseen.evaluation.targets import task_of
+from halfseen.evaluation.specification import task_of
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.learning.resampling import bootstrap

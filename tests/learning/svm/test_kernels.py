@@ -11,16 +11,17 @@ from sklearn.metrics import pairwise
 
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredSVR
-from halfseen.learning.svm import set_kernel
+from halfseen.learning.svm import kernels
 from halfseen.learning.svm.kernels import (
     BLOCK_ENTRIES,
+    SetKernel,
+    as_sets,
     checked_gram,
     kernel_diagonal,
     named_kernel,
     row_blocks,
     scale_gamma,
 )
-from halfseen.learning.svm.set_kernel import SetKernel, as_sets
 
 REFERENCES = {
     "linear": (lambda x, z: pairwise.linear_kernel(x, z), lambda x, z: np.dot(x, z)),
@@ -187,7 +188,7 @@ def naive(base, first, second, pooling="mean"):
 def blocks(request, monkeypatch):
     """Blocks that hold all pairs, or fewer than a set has, so that sets lie across their edges."""
     if request.param == "small":
-        monkeypatch.setattr(set_kernel, "PAIRS_AT_ONCE", 30)
+        monkeypatch.setattr(kernels, "PAIRS_AT_ONCE", 30)
 
 
 @pytest.mark.usefixtures("blocks")

@@ -86,18 +86,20 @@ def test_slope_is_that_of_the_envelope_by_its_definition(name, y, v, step):
     assert min(abs(own - ahead), abs(own - back)) * step < 1e-5
 
 
+GRID = np.linspace(-30, 30, 60_001)
+
+
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("t", [-25.0, -1.2, -0.6, -0.2, 0.0, 0.2, 0.6, 1.2, 25.0])
 @pytest.mark.parametrize("y", [-1.0, 1.0])
-def test_conjugate_is_the_supremum(name, t, y):
-    loss, y = loss_of(name), np.array([y])
-    s = np.concatenate([np.linspace(-30, 30, 600_001), [-1e9, 1e9]])
-    gains = t * s - loss.value(np.full(len(s), y[0]), s)
-    found = loss.conjugate(y, np.array([t]))[0]
-    if found == np.inf:
-        assert gains.argmax() >= len(s) - 2
-    else:
-        assert found == pytest.approx(gains.max(), abs=1e-6)
+def test_conjugate_is_the_supremum(name, y):
+    loss, s = loss_of(name), np.concatenate([GRID, [-1e9, 1e9]])
+    value = loss.value(np.full(len(s), y), s)
+    for t in (-25.0, -1.2, -0.6, -0.2, 0.0, 0.2, 0.6, 1.2, 25.0):
+        gains, found = t * s - value, loss.conjugate(np.array([y]), np.array([t]))[0]
+        if found == np.inf:
+            assert gains.argmax() >= len(GRID)
+        else:
+            assert found == pytest.approx(gains.max(), abs=1e-6)
 
 
 @pytest.mark.parametrize("quantile", [0.05, 0.5, 0.9])
@@ -125,7 +127,7 @@ def test_refuses(name, parameters, says):
         named_loss(name, **parameters)
 
 
-ROWS, Y, LABELS, _ = tied_rows()
+ROWS, Y, LABELS, _ = tied_rows(24)
 GRAM, MASS = rbf_kernel(ROWS, gamma=0.3), np.full(len(Y), 1 / len(Y))
 
 
@@ -193,8 +195,7 @@ def test_conjugate_and_envelope_are_worked_out(name):
     own, y = OWN[name], np.zeros(5)
     loss = OwnLoss(own)
     t = np.array([-0.9, -0.3, 0.0, 0.3, 0.9])
-    s = np.linspace(-30, 30, 600_001)
-    supremum = [(slope * s - own.value(0.0, s)).max() for slope in t]
+    supremum = [(slope * GRID - own.value(0.0, GRID)).max() for slope in t]
     np.testing.assert_allclose(loss.conjugate(y, t), supremum, atol=1e-6)
     assert (loss.conjugate(y[:2], np.array([-1.1, 1.1])) > 1e3).all()
     if name != "log-cosh":
@@ -212,7 +213,7 @@ def kinked(value):
     [
         (kinked(lambda y, s: np.sqrt(np.abs(y - s))), r"bends down at y = .*convex in s"),
         (kinked(lambda y, s: np.where(s > y, np.nan, 0.0)), r"not finite; return one finite number a row"),
-        (kinked(lambda y, s: np.abs(y - s).sum()), r"gives shape \(\) for 40 rows"),
+        (kinked(lambda y, s: np.abs(y - s).sum()), r"gives shape \(\) for 24 rows"),
         (SimpleNamespace(value=absolute), r"without value\(y, s\) and proximal\(y, v, step\) or derivative"),
         (np.abs, r"without value\(y, s\)"),
     ],

@@ -6,9 +6,8 @@ from sklearn.kernel_approximation import Nystroem
 
 from halfseen.errors import ArgumentError
 from halfseen.learning.svm import nystrom
-from halfseen.learning.svm.kernels import named_kernel
+from halfseen.learning.svm.kernels import SetKernel, as_sets, named_kernel
 from halfseen.learning.svm.nystrom import fit_nystrom
-from halfseen.learning.svm.set_kernel import SetKernel, as_sets
 
 RBF = named_kernel("rbf", 0.5)
 

@@ -2,8 +2,7 @@
 
 The times T_i may be right-censored; w_i are the inverse-probability-of-censoring weights.
 
-Read down, in the order of the work. What is minimised: `targets` (Y, of times that may be cut, and w) → `losses` (L) →
-`kernels` (‖f‖), `set_kernel` (of sets), `nystrom` (when there are many rows). How: `newton` (smooth functions),
-`interior` (losses with kinks, where most rows lie on one) → `solver` (all losses, and the duality gap). The estimators:
-`cross_validation` (λ, γ, and probabilities) → `machine` (what both share) → `estimators`.
+Read down, in the order of the work. What is minimised: `rows` (Y, of times that may be cut, w, and what is held out) →
+`losses` (L) → `kernels` (‖f‖), `nystrom` (when there are many rows). How: `newton` (smooth functions) → `solver` (all
+losses, and the duality gap). The estimators: `machine` (what both share) → `estimators`.
 """

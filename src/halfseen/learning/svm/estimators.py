@@ -11,13 +11,12 @@ from sklearn.utils.multiclass import check_classification_targets
 from sklearn.utils.validation import column_or_1d
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.censoring.tied_times import clock_tolerance_s
+from halfseen.censoring.clocks import clock_tolerance_s
 from halfseen.errors import ArgumentError
-from halfseen.learning.svm.cross_validation import Sigmoid, fit_sigmoid, hold_out
 from halfseen.learning.svm.losses import CLASSIFICATION, REGRESSION
 from halfseen.learning.svm.machine import CensoredSVM
+from halfseen.learning.svm.rows import Ends, Sigmoid, as_ends, fit_sigmoid, hold_out, target_values
 from halfseen.learning.svm.solver import best_constant
-from halfseen.learning.svm.targets import Ends, as_ends, target_values
 from halfseen.shapes import Float
 
 

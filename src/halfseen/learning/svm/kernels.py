@@ -1,9 +1,18 @@
-"""Kernels between rows of numbers: by name, their widths, and what one's own must pass.
+"""Kernels between rows of numbers, and between sets of objects: by name, their widths, and what one's own must pass.
 
-A kernel takes n and m rows (or sets, `set_kernel`) and gives the (n, m) values of k; the same object twice gives an
-exactly symmetric matrix. scikit-learn's give the same values, and are what the tests compare with; its import takes
-longer than most fits. The Gaussian and the Laplacian kernel are bounded by 1, as the theory of the censored SVM asks
-(design, §2); the linear and the polynomial kernel are bounded only where the rows are.
+A kernel takes n and m rows (or sets) and gives the (n, m) values of k; the same object twice gives an exactly symmetric
+matrix. scikit-learn's give the same values, and are what the tests compare with; its import takes longer than most
+fits. The Gaussian and the Laplacian kernel are bounded by 1, as the theory of the censored SVM asks (design, §2); the
+linear and the polynomial kernel are bounded only where the rows are.
+
+A set A, of scenes whose number of objects varies, is represented by the mean of its objects in the feature space of a
+kernel k₀ between objects,
+
+    k(A, B) = 1/(|A|·|B|) Σ_{a∈A} Σ_{b∈B} k₀(a, b),
+
+which is a kernel again, bounded where k₀ is [GartnerFlachKowalczykSmola2002]_ [SmolaGrettonSongScholkopf2007]_. The
+mean knows in which shares the objects come and not how many they are; the sum knows both and is bounded only where
+the number of objects is. The empty set is the zero of that space: its k with everything is 0.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -45,28 +54,16 @@ KERNEL_NAMES = ("linear", "rbf", "laplacian", "polynomial")
 
 @dataclass(frozen=True)
 class VectorKernel:
-    """A kernel between rows of numbers.
-
-    Attributes
-    ----------
-    name
-        "linear": x·z; "rbf": exp(−γ‖x − z‖²), the Gaussian kernel; "laplacian": exp(−γ‖x − z‖₁); "polynomial":
-        (γ x·z + c)^d.
-    gamma
-        γ > 0 [1 / unit of the rows, squared but for "laplacian"]; "linear" doesn't read it.
-    degree, coef0
-        Whole d ≥ 1 and c ≥ 0 of "polynomial", without which it is not positive semidefinite.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such kernel, or a parameter that it uses makes it none.
-    """
+    """A kernel between rows of numbers."""
 
     name: str
+    """"linear": x·z; "rbf": exp(−γ‖x − z‖²), the Gaussian kernel; "laplacian": exp(−γ‖x − z‖₁); "polynomial": (γ x·z +
+    c)^d."""
     gamma: float | int = 1.0
+    """γ > 0 [1 / unit of the rows, squared but for "laplacian"]; "linear" doesn't read it."""
     degree: float | int = 3
     coef0: float | int = 1.0
+    """Whole d ≥ 1 and c ≥ 0 of "polynomial", without which it is not positive semidefinite."""
 
     def __post_init__(self) -> None:
         if self.name not in KERNEL_NAMES:
@@ -121,21 +118,7 @@ def named_kernel(kernel: str | Kernel, gamma: float | int, degree: float | int =
 def checked_gram(
     kernel: Kernel, first: Sequence[Any] | np.ndarray, second: Sequence[Any] | np.ndarray
 ) -> Float[np.ndarray, "n m"]:
-    """kernel(first, second), refused where it is no part of a Gram matrix.
-
-    Parameters
-    ----------
-    kernel
-        Any kernel; one of the user's own is meant.
-    first, second
-        n and m rows; where they are the same object, symmetry is asked for.
-
-    Raises
-    ------
-    ArgumentError
-        The values have another shape or are not finite, or, where `first` is `second`, are not symmetric within
-        `SYMMETRY_TOLERANCE`, or negative on the diagonal.
-    """
+    """kernel(first, second), refused where it is no part of a Gram matrix; one of rows with themselves is symmetric."""
     shape = len(first), len(second)
     try:
         gram = np.asarray(kernel(first, second), dtype=np.float64)
@@ -198,11 +181,6 @@ def scale_gamma(rows: Float[np.ndarray, "n F"], counts: Rows | None = None) -> f
     -------
     float
         γ [1 / squared unit of the rows].
-
-    Raises
-    ------
-    ArgumentError
-        A value, or the variance, is not finite.
     """
     if rows.size == 0:
         return 1.0
@@ -214,3 +192,128 @@ def scale_gamma(rows: Float[np.ndarray, "n F"], counts: Rows | None = None) -> f
     # The mean of equal values is rounded, and their variance with it.
     rounding = float(8.0 * np.finfo(np.float64).eps * np.abs(rows).max()) ** 2
     return 1.0 if variance <= max(rounding, SMALLEST_VARIANCE) else 1.0 / (rows.shape[1] * variance)
+
+
+PAIRS_AT_ONCE = 2**22
+"""Values of k₀ that are held at once (32 MiB)."""
+
+
+@dataclass(frozen=True)
+class SetKernel:
+    """Mean (or sum) over all pairs of objects of a kernel between objects.
+
+    Attributes
+    ----------
+    base
+        k₀: a name that `named_kernel` takes, or a callable.
+    gamma, degree, coef0
+        Parameters of k₀.
+    pooling
+        "mean", or "sum" where the number of objects counts.
+
+    Raises
+    ------
+    ArgumentError
+        A parameter is none of a kernel.
+    """
+
+    base: str | Kernel = "rbf"
+    gamma: float | int = 1.0
+    degree: float | int = 3
+    coef0: float | int = 1.0
+    pooling: str = "mean"
+
+    def __post_init__(self) -> None:
+        named_kernel(self.base, self.gamma, self.degree, self.coef0)
+        if self.pooling not in ("mean", "sum"):
+            raise ArgumentError(f"pooling {self.pooling!r} is unknown; give mean or sum")
+
+    def __call__(
+        self, first: Sequence[Any] | np.ndarray, second: Sequence[Any] | np.ndarray
+    ) -> Float[np.ndarray, "n m"]:
+        """Values of k for all pairs of sets, exactly symmetric where `first` is `second`.
+
+        Parameters
+        ----------
+        first, second
+            Sets: arrays of shape (number of objects, F).
+
+        Raises
+        ------
+        ArgumentError
+            An element is no set; its row is named.
+        """
+        kernel = named_kernel(self.base, self.gamma, self.degree, self.coef0)
+        (objects, pool), (others, other_pool) = (self._pooled(as_sets(sets)) for sets in (first, second))
+        if objects.shape[1] != others.shape[1] and len(objects) and len(others):
+            raise ArgumentError(
+                f"objects have {objects.shape[1]} and {others.shape[1]} features; give sets of the same"
+            )
+        gram = np.zeros((len(first), len(second)))
+        if len(others):
+            for some in row_blocks(len(objects), len(others), PAIRS_AT_ONCE):
+                gram += pool[:, some] @ (other_pool @ kernel(objects[some], others).T).T
+        return 0.5 * (gram + gram.T) if first is second else gram
+
+    def _pooled(self, sets: np.ndarray) -> tuple[Float[np.ndarray, "objects F"], Any]:
+        """All objects, and the sparse matrix of shape (sets, objects) that pools them."""
+        from scipy.sparse import csc_array
+
+        counts = np.array([len(objects) for objects in sets], dtype=np.int64)
+        owner = np.repeat(np.arange(len(sets)), counts)
+        share = 1.0 / counts[owner] if self.pooling == "mean" else np.ones(len(owner))
+        matrix = csc_array((share, (owner, np.arange(len(owner)))), shape=(len(sets), len(owner)))
+        return all_objects(sets), matrix
+
+
+def as_sets(rows: Sequence[Any] | np.ndarray) -> np.ndarray:
+    """Checked sets, as an array of arrays.
+
+    Parameters
+    ----------
+    rows
+        Sets: a sequence of arrays of shape (number of objects, F); a set without objects may have any F.
+
+    Returns
+    -------
+    ndarray
+        Shape (n,), of float64 arrays: rows[indices] works as for numbers.
+    """
+    sets = np.empty(len(rows), dtype=object)
+    num_features = None
+    for row, value in enumerate(rows):
+        sets[row] = objects = _as_objects(value, row)
+        if len(objects):
+            num_features = objects.shape[1] if num_features is None else num_features
+            if objects.shape[1] != num_features:
+                raise ArgumentError(
+                    f"set in row {row}: objects have {objects.shape[1]} features, those of rows above {num_features}; "
+                    "give every object the same features"
+                )
+    return sets
+
+
+def all_objects(sets: np.ndarray) -> Float[np.ndarray, "objects F"]:
+    """The objects of all checked sets, one below the other."""
+    filled = [objects for objects in sets if len(objects)]
+    return np.concatenate(filled) if filled else np.empty((0, 0))
+
+
+def _as_objects(value: Any, row: int) -> Float[np.ndarray, "objects F"]:
+    try:
+        objects = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise ArgumentError(f"set in row {row} is not made of numbers ({error}); give an array of floats") from error
+    if objects.size == 0 and objects.ndim < 2:
+        return np.empty((0, 0))
+    if objects.ndim != 2:
+        raise ArgumentError(
+            f"set in row {row} has shape {objects.shape}; give one row per object and one column per feature"
+        )
+    if not np.isfinite(objects).all():
+        which, feature = np.argwhere(~np.isfinite(objects))[0]
+        raise ArgumentError(
+            f"set in row {row}, object {which}, feature {feature}: {objects[which, feature]} is no finite number; "
+            "fill it in or leave the object out"
+        )
+    return objects

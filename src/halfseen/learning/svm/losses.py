@@ -57,24 +57,17 @@ class PiecewiseLoss:
 
     Its conjugate is high · t₊ − low · t₋ + ½ softness t² for −down ≤ t ≤ up, and its envelope of a step is the loss
     whose softness is larger by that step.
-
-    Parameters
-    ----------
-    up, down
-        Largest slopes > 0 above and below; ∞ needs a softness.
-    softness
-        ≥ 0; with 0 the slopes are at once the largest.
-    epsilon
-        The edges are y − ε and y + ε.
-    is_of_difference
-        Else y = ±1, and the only edge is y: nothing is lost where y s ≥ 1.
     """
 
     up: float = 1.0
     down: float = 1.0
+    """Largest slopes > 0 above and below; ∞ needs a softness."""
     softness: float = 0.0
+    """≥ 0; with 0 the slopes are at once the largest."""
     epsilon: float | int = 0.0
+    """The edges are y − ε and y + ε."""
     is_of_difference: bool = True
+    """Else y = ±1, and the only edge is y: nothing is lost where y s ≥ 1."""
 
     @property
     def is_smooth(self) -> bool:
@@ -146,13 +139,7 @@ def _within(values: Rows, t: Rows, low: Rows | float, high: Rows | float) -> Row
 
 
 def named_loss(name: str, *, epsilon: float | int = 0.1, quantile: float | int = 0.5, delta: float | int = 1.0) -> Loss:
-    """The loss of this name.
-
-    Raises
-    ------
-    ArgumentError
-        There is no such loss, or its parameter is out of range.
-    """
+    """The loss of this name."""
     if name == "pinball" and not 0.0 < quantile < 1.0:
         raise ArgumentError(f"quantile is {quantile}; it lies in (0, 1), and 0.5 is the median")
     if name == "epsilon-insensitive" and not 0.0 <= epsilon < np.inf:
@@ -181,15 +168,10 @@ NUDGE = 1e-6
 
 @dataclass(frozen=True)
 class OwnLoss:
-    """A user's loss with all that the solver and its certificate need.
-
-    Parameters
-    ----------
-    own
-        An object with ``value(y, s)`` and ``proximal(y, v, step)`` or ``derivative(y, s)``.
-    """
+    """A user's loss with all that the solver and its certificate need."""
 
     own: Any
+    """An object with ``value(y, s)`` and ``proximal(y, v, step)`` or ``derivative(y, s)``."""
     is_smooth: ClassVar[bool] = False
     is_of_difference: ClassVar[bool] = False
 
@@ -232,13 +214,7 @@ class OwnLoss:
 
 
 def own_loss(own: Any, y: Rows) -> Loss:
-    """Take a loss of the library as it is, and a user's after a trial on the targets.
-
-    Raises
-    ------
-    ArgumentError
-        The object lacks a method, returns something else than one finite number a row, or is not convex.
-    """
+    """Take a loss of the library as it is, and a user's after a trial on the targets."""
     if isinstance(own, PiecewiseLoss | Logistic):
         return own
     if not hasattr(own, "value") or not (hasattr(own, "proximal") or hasattr(own, "derivative")):

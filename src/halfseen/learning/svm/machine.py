@@ -15,14 +15,12 @@ from sklearn.utils.validation import _check_sample_weight, check_is_fitted, vali
 from halfseen.arrays import RowIds, Rows
 from halfseen.censoring import CensoringModel, WeightDiagnostics, warn_if_few, weight_diagnostics
 from halfseen.errors import ArgumentError, HalfseenWarning
-from halfseen.learning.svm.cross_validation import Fold, folds_of_seen, hold_out
-from halfseen.learning.svm.kernels import checked_gram, named_kernel, scale_gamma
+from halfseen.learning.svm.kernels import SetKernel, all_objects, as_sets, checked_gram, named_kernel, scale_gamma
 from halfseen.learning.svm.losses import CLASSIFICATION, Loss, named_loss, own_loss
 from halfseen.learning.svm.newton import Coefficients, Features, Gram, Space
 from halfseen.learning.svm.nystrom import Nystrom, fit_nystrom, inverse_root
-from halfseen.learning.svm.set_kernel import SetKernel, all_objects, as_sets
+from halfseen.learning.svm.rows import Ends, Fold, as_ends, folds_of_seen, hold_out, row_weights
 from halfseen.learning.svm.solver import Problem, solve
-from halfseen.learning.svm.targets import Ends, as_ends, row_weights
 from halfseen.progress import Progress
 from halfseen.shapes import Float
 
@@ -278,19 +276,9 @@ def _refuse_dependent(rows: Float[np.ndarray, "n F"], has_offset: bool) -> None:
 
 
 def check_gram_fits(num_rows: int, available_bytes: int | None = None) -> None:
-    """Refuse n × n matrices, three of which are held at once, that would not fit in the free memory.
+    """Refuse n × n matrices, three of which are held at once, that would not fit in the free memory [B].
 
-    Parameters
-    ----------
-    num_rows
-        n.
-    available_bytes
-        Free memory [B]; None asks the machine.
-
-    Raises
-    ------
-    ArgumentError
-        They don't fit; the message says how many landmarks would.
+    The message says how many landmarks would.
     """
     free = free_bytes() if available_bytes is None else available_bytes
     needed = 3 * 8 * num_rows**2

@@ -7,6 +7,7 @@ values of the kernel between them, g = K α, or `Features`, g = Φ θ and ‖g�
 """
 
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any, TypeAlias, no_type_check
@@ -133,7 +134,13 @@ def _solver(matrix: Float[np.ndarray, "k k"], ridge: Rows) -> Callable[[Rows], R
     """Solve (K + diag ρ) x = r, by a factor in single precision and refinement in double where that gets there."""
     system = matrix.copy()
     system[np.diag_indices_from(system)] += ridge
-    single = _single_factor(system) if len(ridge) >= SINGLE_FROM else None
+    single = None
+    if len(ridge) >= SINGLE_FROM:
+        # What is too large for single precision becomes infinite, and is missed.
+        with np.errstate(over="ignore"), suppress(np.linalg.LinAlgError):
+            # LAPACK counts by columns, and to it the rows of a symmetric matrix are as good: nothing is copied.
+            columns = system.astype(np.float32).T
+            single = scipy.linalg.cho_factor(columns, lower=True, overwrite_a=True, check_finite=False)
     double = cache(lambda: factored(system))
 
     def solve(right: Rows) -> Rows:
@@ -151,17 +158,6 @@ def _solver(matrix: Float[np.ndarray, "k k"], ridge: Rows) -> Callable[[Rows], R
         return scipy.linalg.cho_solve(double(), right, check_finite=False)
 
     return solve
-
-
-def _single_factor(system: Float[np.ndarray, "k k"]) -> tuple[np.ndarray, bool] | None:
-    # What is too large for single precision becomes infinite, and is missed.
-    with np.errstate(over="ignore"):
-        single = system.astype(np.float32)
-    try:
-        # LAPACK counts by columns, and to it the rows of a symmetric matrix are as good: nothing is copied.
-        return scipy.linalg.cho_factor(single.T, lower=True, overwrite_a=True, check_finite=False)
-    except np.linalg.LinAlgError:
-        return None
 
 
 def factored(system: Float[np.ndarray, "k k"]) -> tuple[Float[np.ndarray, "k k"], bool]:

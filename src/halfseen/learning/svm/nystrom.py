@@ -50,31 +50,18 @@ FEATURES_AT_ONCE = 2**22
 
 @dataclass(frozen=True)
 class Nystrom:
-    """Sums of the kernel with landmarks: features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z).
-
-    Attributes
-    ----------
-    kernel
-        k.
-    landmarks
-        Shape (m, F), or (m,) of sets.
-    projection
-        R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span. Or
-        shape (m,), for one function instead of features.
-    """
+    """Sums of the kernel with landmarks: features φ(x) = Rᵀ k(landmarks, x), so that φ(x)·φ(z) ≈ k(x, z)."""
 
     kernel: Kernel
+    """k."""
     landmarks: np.ndarray
+    """Shape (m, F), or (m,) of sets."""
     projection: Float[np.ndarray, "m ..."]
+    """R, shape (m, r): R Rᵀ is the inverse of k between landmarks, without the directions that they don't span. Or
+    shape (m,), for one function instead of features."""
 
     def transform(self, rows: Sequence[Any] | np.ndarray) -> Float[np.ndarray, "n ..."]:
-        """Φ of n rows or sets, in blocks: no second buffer of its size is needed.
-
-        Raises
-        ------
-        ArgumentError
-            The kernel of a row is not finite.
-        """
+        """Φ of n rows or sets, in blocks: no second buffer of its size is needed."""
         features = np.empty((len(rows), *self.projection.shape[1:]))
         for few in row_blocks(len(rows), len(self.landmarks), FEATURES_AT_ONCE):
             np.matmul(self.kernel(rows[few], self.landmarks), self.projection, out=features[few])
@@ -104,11 +91,6 @@ def fit_nystrom(kernel: Kernel, rows: np.ndarray, num_landmarks: int, rng: np.ra
         m, at most; fewer serve where they explain all rows. With as many as there are rows, ΦΦᵀ is K.
     rng
         Draws the landmarks.
-
-    Raises
-    ------
-    ArgumentError
-        No landmark is asked for, or the kernel's values are not those of one.
     """
     if num_landmarks < 1:
         raise ArgumentError(f"num_landmarks is {num_landmarks}; give at least 1")

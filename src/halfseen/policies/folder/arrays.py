@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.learning.kernel_map import KernelMap
+from halfseen.learning.q_space import KernelMap
 
 Arrays = Mapping[str, np.ndarray]
 

@@ -5,7 +5,7 @@ from dataclasses import fields
 from typing import Any
 
 from halfseen.learning.q_model import QModel
-from halfseen.learning.q_space import CrossValidation, KernelQ, QSpace, name_of, q_space_of
+from halfseen.learning.q_space import CrossValidation, KernelQ, QSpace, q_space_of
 from halfseen.learning.targets import DoublyRobust, Targets, named_targets
 
 
@@ -22,7 +22,7 @@ def described(model: QModel) -> dict[str, Any]:
     return {
         "horizon": model.horizon,
         **{field.name: getattr(task, field.name) for field in fields(task) if field.repr},
-        "q_function": name_of(model.space),
+        "q_function": model.space.name,
         **{name: getattr(model.space, name, None) for name in ("num_landmarks", "gamma", "trend")},
         "pessimism": model.pessimism,
         "censoring": targets.name,

@@ -14,7 +14,7 @@ from halfseen.censoring import positivity_report, weight_diagnostics
 from halfseen.censoring.positivity import PositivityReport
 from halfseen.estimator import check_fitted
 from halfseen.learning.q_learner import CensoredQLearner
-from halfseen.learning.recency import latest
+from halfseen.learning.sample import latest
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.data_quality import data_warnings

@@ -24,7 +24,7 @@ from halfseen.cell.calibration import law_folder
 from halfseen.cell.calibration.attempts import FACTS, HORIZON, trials
 from halfseen.cell.calibration.grasping import GraspFit, fit_grasping, held_given_past
 from halfseen.learning.svm.estimators import CensoredSVC
-from halfseen.learning.svm.set_kernel import SetKernel
+from halfseen.learning.svm.kernels import SetKernel
 from halfseen.logs import read_logs
 from halfseen.shapes import Float, Int
 from halfseen.study.experiment import PieceOf, Row

@@ -1,6 +1,22 @@
-"""All that a log tells of the state of a stage, whether or not Q looks at it.
+"""Weights by states: how much more often the policy comes to a state, instead of what the way to it weighs.
 
-The mean of a weight among all that are in the same state, E[ω | S], for several weightings of a log at once.
+Products of ratios over stages carry the luck of all that went before. Where what comes next depends on the past through
+S_t alone, only their mean given S_t matters, the ratio of how often policy and log are in a state [XieMaWang2019]_
+[KallusUehara2020]_. With one stage's weight made of the one before,
+
+    w_t = min(ρ̄_t(S_t) π(A_t | S_t) / b(A_t | S_t), √n),
+    ρ̄_1 = 1,  ρ̄_{t+1}(s) = E[w_t δ_t / K̂_t | S_{t+1} = s],  K̂_t = Ĝ(U_t⁻) / Ĝ(U_{t−1}⁻),
+
+no product is ever formed. S_t is all that the log tells of a stage, whether or not Q̂ looks at it: so weights may be
+right where Q̂ is not. In the doubly robust value an error of ρ̄ is multiplied by one of Q̂; on products of ratios Q̂ may
+be what it likes, and a past that S_t does not tell may matter. So where a log shows that it does, products are taken,
+and whole: Q̂ is wrong there, too, and what is cut off would leave it uncorrected.
+
+A weight beyond √n belongs to fewer than √n of n trajectories, and is cut off there [Ionides2008]_: what it takes away
+is at most an error of Q̂ times the weight that is lost, which `Marginal.lost` tells.
+
+*The mean of a weight among all that are in the same state*, E[ω | S], is worked out for several weightings of a log at
+once, each without a fold of its own:
 
     m(s) = f(s) + Σ_c K_h(s − c) Σ_{i at c} (ω_i − f(S_i)) / Σ_c K_h(s − c) n_c,
 
@@ -9,12 +25,10 @@ regression; neighbours are counted at the nearest of few places c, so that a lon
 two guesses and some widths h, up to one that makes neighbours of all, the one is taken that foretells the weights of
 trajectories that were left out best. Weights are no less than 0, and their mean is kept: m is scaled to the sum of ω.
 
-Whether what went before a stage foretells its outcome beyond what its state and action do.
-
-Weights by states (`marginal`) stand on S_t carrying all that matters of the history. Residuals Y_t − Q̂_t of stages
-from the second on, by a Q̂ that never saw the trajectory, and the history h_t = (A_{t−1}, φ(S_{t−1}), R_{t−1}) are both
-freed from what φ(S_t) and A_t say linearly, and then should have nothing to do with each other: with U_i = Σ_t h̃_it
-r̃_it,
+*Whether what went before a stage foretells its outcome* beyond what its state and action do: residuals Y_t − Q̂_t of
+stages from the second on, by a Q̂ that never saw the trajectory, and the history h_t = (A_{t−1}, φ(S_{t−1}), R_{t−1})
+are both freed from what φ(S_t) and A_t say linearly, and then should have nothing to do with each other: with
+U_i = Σ_t h̃_it r̃_it,
 
     W = (Σ_i U_i)ᵀ (Σ_i U_i U_iᵀ)⁻¹ (Σ_i U_i)
 
@@ -28,6 +42,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from halfseen.evaluation.weights import StageWeights, uncut_before
 from halfseen.learning.covariates import Categories, Covariates, fit_covariates, learned_categories
 from halfseen.learning.rows import TrajectoryArrays, stage_places
 from halfseen.logs import Logs
@@ -41,17 +56,7 @@ def states_of(
     left_out: Sequence[str] = (),
     added: Sequence[str] = (),
 ) -> Float[np.ndarray, "n T F"]:
-    """Lay out the covariates that can be looked at; zeros where no stage was begun.
-
-    Parameters
-    ----------
-    logs, trajectories
-        The log, and the same laid out.
-    known
-        Categories that are given.
-    left_out, added
-        Covariates that are not wanted, and other columns that are.
-    """
+    """Lay out the covariates that can be looked at, but some and with other columns; zeros where no stage was begun."""
     names = [name for name in fit_covariates(logs) if name not in left_out]
     looked_at = Covariates((*names, *added), learned_categories([logs], names, known))
     return laid_out(looked_at.encode(logs.stages), logs, trajectories)
@@ -74,15 +79,6 @@ RIDGE = 1.0
 """Of the linear guess on standardised covariates: a prior of one row."""
 
 
-class Neighbours(NamedTuple):
-    """Which places states are near."""
-
-    nearest: Int[np.ndarray, " m"]
-    """Place of each row."""
-    squared: Float[np.ndarray, "m C"]
-    """Mean squared difference to each place, over covariates."""
-
-
 def mean_by_state(
     weight: Float[np.ndarray, "B m"], states: Sequence[Float[np.ndarray, "m _"]], is_fitted: Bool[np.ndarray, "B m"]
 ) -> Float[np.ndarray, "B m"]:
@@ -97,10 +93,11 @@ def mean_by_state(
     is_fitted
         Rows that each weighting is fitted to; by the others the form is chosen.
     """
-    scaled = [standardised(some) for some in states]
-    each = [found for some in scaled for found in _forms(weight, some, neighbours(some), is_fitted)]
+    each = [found for some in states for found in _forms(weight, standardised(some), is_fitted)]
     errors = [float(np.sum(np.where(is_fitted, 0.0, weight - found) ** 2)) for found in each]
-    return _with_sums(each[int(np.argmin(errors))], weight, is_fitted)
+    best = each[int(np.argmin(errors))]
+    has, wanted = (np.where(is_fitted, one, 0.0).sum(axis=1, keepdims=True) for one in (best, weight))
+    return np.where(has > 0, best * wanted / np.where(has > 0, has, 1.0), weight)
 
 
 def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
@@ -110,31 +107,24 @@ def standardised(states: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m G"]:
     return (states[:, differs] - states[:, differs].mean(axis=0)) / spread[differs]
 
 
-def neighbours(scaled: Float[np.ndarray, "m F"]) -> Neighbours:
-    """Find the places that stand for states: all that differ, or as many of them as are allowed, drawn."""
+def _forms(
+    weight: Float[np.ndarray, "B m"], scaled: Float[np.ndarray, "m F"], is_fitted: Bool[np.ndarray, "B m"]
+) -> Iterator[Float[np.ndarray, "B m"]]:
+    """Give m by each guess and width, around all places that differ, or as many of them as are allowed, drawn."""
     places = np.unique(scaled, axis=0)
     if len(places) > MOST_PLACES:
         places = places[np.random.default_rng(0).choice(len(places), MOST_PLACES, replace=False)]
     lengths = (scaled**2).sum(axis=1)[:, None] + (places**2).sum(axis=1) - 2.0 * scaled @ places.T
+    # Mean squared difference to each place, over covariates.
     squared = np.maximum(lengths, 0.0) / max(scaled.shape[1], 1)
-    return Neighbours(squared.argmin(axis=1), squared)
-
-
-def _forms(
-    weight: Float[np.ndarray, "B m"],
-    scaled: Float[np.ndarray, "m F"],
-    near: Neighbours,
-    is_fitted: Bool[np.ndarray, "B m"],
-) -> Iterator[Float[np.ndarray, "B m"]]:
-    """Give m by each guess and width."""
-    is_at = np.zeros(near.squared.shape)
-    is_at[np.arange(len(is_at)), near.nearest] = 1.0
+    is_at = np.zeros(squared.shape)
+    is_at[np.arange(len(is_at)), squared.argmin(axis=1)] = 1.0
     counts = is_fitted @ is_at
     for guess in (np.zeros_like(weight), linear(weight, scaled, is_fitted)):
         sums = np.where(is_fitted, weight - guess, 0.0) @ is_at
         mean = sums.sum(axis=1, keepdims=True) / np.maximum(counts.sum(axis=1, keepdims=True), 1.0)
         for width in WIDTHS:
-            kernel = np.exp(-near.squared / (2.0 * width**2))
+            kernel = np.exp(-squared / (2.0 * width**2))
             mass = counts @ kernel.T
             is_near = mass > 1e-9
             local = np.where(is_near, sums @ kernel.T / np.where(is_near, mass, 1.0), mean)
@@ -150,14 +140,6 @@ def linear(
     gram = np.einsum("bm,mp,mq->bpq", is_fitted, design, design, optimize=True) + penalty
     cross = np.where(is_fitted, weight, 0.0) @ design
     return np.linalg.solve(gram, cross[..., None])[..., 0] @ design.T
-
-
-def _with_sums(
-    found: Float[np.ndarray, "B m"], weight: Float[np.ndarray, "B m"], is_fitted: Bool[np.ndarray, "B m"]
-) -> Float[np.ndarray, "B m"]:
-    """The same, with the sum of the weights that it was fitted to."""
-    has, wanted = (np.where(is_fitted, each, 0.0).sum(axis=1, keepdims=True) for each in (found, weight))
-    return np.where(has > 0, found * wanted / np.where(has > 0, has, 1.0), weight)
 
 
 CLEARLY = 3.72
@@ -199,11 +181,19 @@ def history_deviate(
             trajectories.reward[trajectory, before],
         ]
     )
-    freed = _freed(np.column_stack([history, residual[trajectory, now]]), known)
-    history, left = _varied(freed[:, :-1], history), freed[:, -1]
+    columns = np.column_stack([history, residual[trajectory, now]])
+    freed = columns - known @ np.linalg.lstsq(known, columns, rcond=1e-9)[0]
+    # Of the history what something is left of, with standard deviation 1.
+    spread, left = freed[:, :-1].std(axis=0), freed[:, -1]
+    kept = spread > 1e-3 * np.maximum(history.std(axis=0), 1e-12)
+    history = freed[:, :-1][:, kept] / spread[kept]
     score = np.zeros((trajectories.num_trajectories, history.shape[1]))
     np.add.at(score, trajectory, history * left[:, None])
-    return _deviate(*wald(score))
+    squared, freedom = wald(score)
+    if freedom == 0:
+        return -np.inf
+    part = 2.0 / (9.0 * freedom)
+    return float(((squared / freedom) ** (1.0 / 3.0) - (1.0 - part)) / np.sqrt(part))
 
 
 def wald(score: Float[np.ndarray, "n H"]) -> tuple[float, int]:
@@ -216,13 +206,6 @@ def wald(score: Float[np.ndarray, "n H"]) -> tuple[float, int]:
     return float(np.sum(along**2 / spread[kept])), int(kept.sum())
 
 
-def _deviate(squared: float, freedom: int) -> float:
-    if freedom == 0:
-        return -np.inf
-    part = 2.0 / (9.0 * freedom)
-    return float(((squared / freedom) ** (1.0 / 3.0) - (1.0 - part)) / np.sqrt(part))
-
-
 def _known(features: Float[np.ndarray, "m F"], taken: Float[np.ndarray, "m A"]) -> Float[np.ndarray, "m C"]:
     """A constant and φ(S_t) for each action, or φ(S_t) for all of them where stages are few."""
     wide = np.column_stack([np.ones(len(features)), features])
@@ -231,13 +214,76 @@ def _known(features: Float[np.ndarray, "m F"], taken: Float[np.ndarray, "m A"]) 
     return (taken[:, :, None] * wide[:, None, :]).reshape(len(features), -1)
 
 
-def _freed(columns: Float[np.ndarray, "m H"], known: Float[np.ndarray, "m C"]) -> Float[np.ndarray, "m H"]:
-    """What a regression on `known` leaves of each column."""
-    return columns - known @ np.linalg.lstsq(known, columns, rcond=1e-9)[0]
+class Marginal(NamedTuple):
+    """Weights by states."""
+
+    by_fold: tuple[StageWeights, ...]
+    """Fitted without each fold, and last to all trajectories."""
+    lost: float
+    """Stages of a trajectory, weighted as under the policy, that were cut off."""
 
 
-def _varied(freed: Float[np.ndarray, "m H"], whole: Float[np.ndarray, "m H"]) -> Float[np.ndarray, "m G"]:
-    """Columns of which something is left, with standard deviation 1."""
-    spread = freed.std(axis=0)
-    kept = spread > 1e-3 * np.maximum(whole.std(axis=0), 1e-12)
-    return freed[:, kept] / spread[kept]
+def marginal_weights(
+    single: Float[np.ndarray, "n T"],
+    uncut: Float[np.ndarray, "B n T"],
+    trajectories: TrajectoryArrays,
+    beyond: Float[np.ndarray, "n T G"],
+    fold: Int[np.ndarray, " n"],
+    is_imputed: bool,
+) -> Marginal:
+    """Work out w_t of the stages of a log.
+
+    Parameters
+    ----------
+    single
+        π/b of each stage, not multiplied; what it holds for an unknown action does not count.
+    uncut
+        δ_t / Ĝ(U_t⁻), fitted without each fold, and last to all trajectories.
+    trajectories
+        The log.
+    beyond
+        Covariates of each stage that Q does not look at.
+    fold
+        Of each trajectory.
+    is_imputed
+        Whether begun stages have a target; else completed ones, which weigh w_t / K̂_t.
+    """
+    known = trajectories.is_begun & trajectories.has_action
+    is_fitted = fold != np.arange(len(uncut))[:, None]
+    last, is_finished = trajectories.is_begun.sum(axis=1) - 1, trajectories.clocks.is_finished
+    passed = _passed(uncut)
+    weight, standing = np.zeros_like(uncut), np.zeros_like(uncut)
+    by_state, ended, lost = np.ones(uncut.shape[:2]), np.zeros(uncut.shape[:2]), 0.0
+    for t in range(single.shape[1]):
+        whole = np.where(known[:, t], by_state * single[:, t], 0.0)
+        begun = np.minimum(whole, np.sqrt(len(single)))
+        completed = begun * passed[..., t]
+        lost += float((whole - begun)[-1].mean())
+        weight[..., t] = begun if is_imputed else completed
+        standing[..., t] = np.where(trajectories.is_begun[:, t], weight[..., t], ended)
+        ended = np.where(is_finished & (last == t), completed, ended)
+        by_state = _next_by_state(completed, t + 1, trajectories, beyond, is_fitted)
+    return Marginal(tuple(StageWeights(*each) for each in zip(weight, standing, strict=True)), lost)
+
+
+def _next_by_state(
+    completed: Float[np.ndarray, "B n"],
+    stage: int,
+    trajectories: TrajectoryArrays,
+    beyond: Float[np.ndarray, "n T G"],
+    is_fitted: Bool[np.ndarray, "B n"],
+) -> Float[np.ndarray, "B n"]:
+    """ρ̄ of the states of a stage (from 0); 0 where it was not begun."""
+    answer = np.zeros_like(completed)
+    if stage < trajectories.action.shape[1] and trajectories.is_begun[:, stage].any():
+        rows = np.flatnonzero(trajectories.is_begun[:, stage])
+        looked_at, others = trajectories.features[rows, stage, 0], beyond[rows, stage]
+        sets = [looked_at, np.column_stack([looked_at, others])] if others.shape[1] else [looked_at]
+        answer[:, rows] = mean_by_state(completed[:, rows], sets, is_fitted[:, rows])
+    return answer
+
+
+def _passed(uncut: Float[np.ndarray, "B n T"]) -> Float[np.ndarray, "B n T"]:
+    """δ_t / K̂_t, of the last factors."""
+    before = uncut_before(uncut)
+    return np.where(before > 0, uncut / np.where(before > 0, before, 1.0), 0.0)
