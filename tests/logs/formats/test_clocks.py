@@ -1,6 +1,7 @@
 """Seconds count from the beginning of each trajectory, whatever a source counts from."""
 
 import warnings
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -10,7 +11,7 @@ from hypothesis import strategies as st
 from foreign import arrays, episodes, last_of, rows_of, write_arrays, write_lerobot, write_rows
 from halfseen.errors import HalfseenWarning
 from halfseen.logs.formats import StepRules, read_lerobot, read_minari, read_step_arrays, read_steps
-from halfseen.logs.formats.clocks import ends_by_observations, ends_by_steps
+from halfseen.logs.formats.steps import ends_by_observations, ends_by_steps
 from refusals import refused
 
 FOUND = episodes(lengths=(3, 3, 3))
@@ -124,5 +125,7 @@ def test_each_way_of_counting_gives_the_same_seconds(durations, begin):
         found = ends_by_steps("a", "t", range(len(running)), running)
     for ours, theirs in zip(found, wanted, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9)
-    for each in wanted:
-        np.testing.assert_allclose(ends_by_observations(begin + np.array([0.0, *each])), each, atol=1e-9)
+    begins = np.cumsum([0, *(len(each) + 1 for each in wanted)])
+    found = ends_by_observations(begin + np.concatenate([[0.0, *each] for each in wanted]), begins)
+    ours = [found[first : last - 1] for first, last in pairwise(begins)]
+    np.testing.assert_allclose(np.concatenate(ours), np.concatenate(wanted), atol=1e-9)

@@ -1,6 +1,6 @@
 """Logs from ROS 2 bags (SQLite or MCAP storage) and ROS 1 bags, by a mapping file.
 
-Read down: `bag_mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
+Read down: `mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
 Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
 ``sensor_msgs/PointCloud2`` for clouds.
 
@@ -29,8 +29,8 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.bag_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, read_clouds, read_events
+from halfseen.logs.formats.mapping import BagMapping, read_mapping
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 

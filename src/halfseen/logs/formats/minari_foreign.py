@@ -9,9 +9,15 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import ArgumentError, LogError
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE
-from halfseen.logs.formats.clocks import ends_by_observations, ends_by_steps, even_ends
-from halfseen.logs.formats.steps import Ending, StepRules, StepTable, columns_of, refuse_early
+from halfseen.logs.formats.steps import (
+    Ending,
+    StepRules,
+    StepTable,
+    columns_of,
+    ends_by_steps,
+    even_ends,
+    refuse_early,
+)
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Float, Shaped
 
@@ -24,17 +30,18 @@ def read_foreign(dataset: Any, name: str, rules: StepRules) -> Logs:
     begins = np.cumsum([0, *(len(each) + 1 for each in episodes)])
     is_step = np.ones(begins[-1], dtype=bool)
     is_step[begins[1:] - 1] = False
-    steps = StepTable(
-        names=[int(each.id) for each in episodes],
+    names = [int(each.id) for each in episodes]
+    table = StepTable(
+        names=names,
         begins=begins,
         is_step=is_step,
         observed={column: np.concatenate([each[column] for each in seen]) for column in (seen or [{}])[0]},
         actions=np.concatenate([[], *(each.actions for each in episodes)]).astype(np.int64),
         rewards=np.concatenate([[], *(each.rewards for each in episodes)]).astype(np.float64),
         ends_s=_ends(episodes, name, rules),
-        endings=[_ending(each, name, rules) for each in episodes],
+        endings=_endings(episodes, names, name, rules),
     )
-    return steps.logs(name)
+    return table.logs(name)
 
 
 def _check_spaces(dataset: Any, name: str) -> None:
@@ -69,19 +76,17 @@ def _observations(observed: Any, num_steps: int, place: str) -> dict[str, Shaped
     return columns
 
 
-def _ends(episodes: list[Any], name: str, rules: StepRules) -> list[Float[np.ndarray, " _"]]:
-    """Time from the beginning of its episode to the end of each step [s], by episode."""
-    step_s, clock = rules.step_in(name), rules.clock
-    if clock is None:
-        return [even_ends(len(episode), step_s) for episode in episodes]
+def _ends(episodes: list[Any], name: str, rules: StepRules) -> Float[np.ndarray, " M"]:
+    """Time from the beginning of its episode to the end of each step [s]."""
+    step_s, clock, sizes = rules.step_in(name), rules.clock, [len(episode) for episode in episodes]
+    if clock is None or not any(sizes):
+        return even_ends(np.cumsum([0, *sizes]), step_s)
     times_s = {k: _clock(each, clock, f"{name}, episode {each.id}") for k, each in enumerate(episodes) if len(each)}
-    of_steps = [k for k in times_s if len(times_s[k]) == len(episodes[k])]
+    of_steps = [k for k in times_s if len(times_s[k]) == sizes[k]]
     ids = [int(episodes[k].id) for k in of_steps]
-    by_steps = dict(zip(of_steps, ends_by_steps(name, clock, ids, [times_s[k] for k in of_steps]), strict=True))
-    return [
-        by_steps[k] if k in by_steps else ends_by_observations(times_s.get(k, np.zeros(1)))
-        for k in range(len(episodes))
-    ]
+    ends_s = {k: times[1:] - times[0] for k, times in times_s.items()}
+    ends_s |= zip(of_steps, ends_by_steps(name, clock, ids, [times_s[k] for k in of_steps]), strict=True)
+    return np.concatenate(list(ends_s.values()))
 
 
 def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
@@ -99,11 +104,15 @@ def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
     return values.astype(np.float64)
 
 
-def _ending(episode: Any, name: str, rules: StepRules) -> Ending:
-    terminated, truncated = (np.asarray(flags, dtype=bool) for flags in (episode.terminations, episode.truncations))
-    if not len(terminated):
-        raise LogError(f"{name}, episode {episode.id}: it has no step; leave the episode out")
-    refuse_early(name, int(episode.id), terminated | truncated)
-    if terminated[-1]:
-        return FINISHED, None
-    return rules.of_truncated if truncated[-1] else (CUT, UNKNOWN_CAUSE)
+def _endings(episodes: list[Any], names: list[int], name: str, rules: StepRules) -> list[Ending]:
+    for each in episodes:
+        if not len(each):
+            raise LogError(f"{name}, episode {each.id}: it has no step; leave the episode out")
+    begins = np.cumsum([0, *map(len, episodes)])
+    is_terminated, is_truncated = (
+        np.concatenate([[], *(getattr(each, flags) for each in episodes)]).astype(bool)
+        for flags in ("terminations", "truncations")
+    )
+    refuse_early(name, names, begins, is_terminated | is_truncated)
+    last = begins[1:] - 1
+    return rules.endings(is_terminated[last], is_truncated[last])

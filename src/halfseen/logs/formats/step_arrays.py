@@ -5,9 +5,8 @@ truncated, and ``next_observations`` what was observed after each step. ``observ
 is in ``infos`` and elsewhere is read where it is named as the action, the reward, the end or the clock.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import pairwise
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -16,13 +15,10 @@ import numpy as np
 
 from halfseen.errors import LogError, warn
 from halfseen.installation import extra
-from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.formats import steps
-from halfseen.logs.formats.clocks import ends_by_steps, even_ends
-from halfseen.logs.formats.steps import Columns, StepRules, StepTable
+from halfseen.logs.columns import CUT
+from halfseen.logs.formats.steps import StepColumns, StepRules, StepTable, ends_by_steps, even_ends, require
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
-from halfseen.shapes import Bool, Float
 
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"
@@ -58,60 +54,49 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     file, rules = Path(file), StepRules() if rules is None else rules
     place = str(file)
     named = {"action": "actions", "reward": "rewards", "done": "terminals"} | rules.named
-    columns = _arrays(file, named)
-    is_terminal = steps.flags_of(place, named["done"], columns[named["done"]])
-    is_timeout = _timeouts(place, columns, len(is_terminal))
-    observed = steps.observed_columns(place, _below(columns, SEEN))
-    following = _following(place, columns, observed)
+    steps = StepColumns(place, _arrays(file, named))
+    is_terminal = steps.flags(named["done"])
+    if TIMEOUTS in steps.columns:
+        is_timeout = steps.flags(TIMEOUTS)
+    else:
+        warn(place, f"there are no {TIMEOUTS}, so that an episode ends where it terminated, and nowhere else")
+        is_timeout = np.zeros(len(is_terminal), dtype=bool)
+    observed = steps.observed([name for name in steps.columns if _is_below(name, SEEN)])
+    following = _following(steps, observed)
     ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
-    begins = np.append(0, ends).astype(np.int64)
+    of_steps = begins = np.append(0, ends).astype(np.int64)
     rows = np.arange(len(is_terminal))
     if following is not None:  # below each episode what was observed after its last step
         rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
         observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
+    step_s = rules.step_in(place)
+    if rules.clock is None or not len(ends):
+        ends_s = even_ends(of_steps, step_s)
+    else:
+        times_s = np.split(steps.numbers(rules.clock), ends[:-1])
+        ends_s = np.concatenate(ends_by_steps(place, rules.clock, range(len(ends)), times_s))
     table = StepTable(
         names=range(len(ends)),
         begins=begins,
         is_step=rows < len(is_terminal),
         observed=observed,
-        actions=steps.actions_of(place, named["action"], columns[named["action"]]),
-        rewards=steps.numbers_of(place, named["reward"], columns[named["reward"]], "reward"),
-        ends_s=_ends(place, columns, rules, list(pairwise([0, *ends.tolist()]))),
-        endings=[
-            (FINISHED, None) if is_terminal[last] else rules.of_truncated if is_timeout[last] else (CUT, END_OF_DATA)
-            for last in ends - 1
-        ],
+        actions=steps.actions(named["action"]),
+        rewards=steps.numbers(named["reward"], "reward"),
+        ends_s=ends_s,
+        endings=rules.endings(is_terminal[ends - 1], is_timeout[ends - 1], (CUT, END_OF_DATA)),
     )
     return table.logs(place)
-
-
-def _ends(
-    place: str, columns: Columns, rules: StepRules, bounds: list[tuple[int, int]]
-) -> list[Float[np.ndarray, " _"]]:
-    """Time from the beginning of its episode to the end of each step [s], by episode."""
-    step_s = rules.step_in(place)
-    if rules.clock is None:
-        return [even_ends(end - begin, step_s) for begin, end in bounds]
-    times_s = steps.numbers_of(place, rules.clock, columns[rules.clock])
-    return ends_by_steps(place, rules.clock, range(len(bounds)), [times_s[begin:end] for begin, end in bounds])
-
-
-def _timeouts(place: str, columns: Columns, num_steps: int) -> Bool[np.ndarray, " N"]:
-    if TIMEOUTS in columns:
-        return steps.flags_of(place, TIMEOUTS, columns[TIMEOUTS])
-    warn(place, f"there are no {TIMEOUTS}, so that an episode ends where it terminated, and nowhere else")
-    return np.zeros(num_steps, dtype=bool)
 
 
 def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
     """Read the arrays that are wanted, and tell which are left out."""
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
-        steps.require(str(file), there, names)
+        require(str(file), there, names)
         asked = {*names.values(), TIMEOUTS}
         wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
         if not any(_is_below(name, SEEN) for name in wanted):
-            steps.require(str(file), there, {"observations": SEEN}, "rename it")
+            require(str(file), there, {"observations": SEEN}, "rename it")
         check_unpacked(num_bytes, sum(prod(there[name].shape) * there[name].dtype.itemsize for name in wanted))
         num_steps = there[names["done"]].shape[:1]
         for name in wanted:
@@ -178,17 +163,17 @@ def _is_below(name: str, group: str) -> bool:
     return name == group or name.startswith(f"{group}/")
 
 
-def _below(columns: Columns, group: str) -> dict[str, np.ndarray]:
-    return {name: values for name, values in columns.items() if _is_below(name, group)}
-
-
-def _following(place: str, columns: Columns, observed: Columns) -> dict[str, np.ndarray] | None:
+def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
     """What was observed after each step, by the names of what was observed before it; None where it is not there."""
-    found = {f"{SEEN}{name.removeprefix(NEXT_SEEN)}": values for name, values in _below(columns, NEXT_SEEN).items()}
+    found = {
+        f"{SEEN}{name.removeprefix(NEXT_SEEN)}": values
+        for name, values in steps.columns.items()
+        if _is_below(name, NEXT_SEEN)
+    }
     if not found:
         return None
-    following = steps.observed_columns(place, found)
+    following = StepColumns(steps.place, found).observed(found)
     if set(following) != set(observed):
         differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
-        raise LogError(f"{place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
+        raise LogError(f"{steps.place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
     return following

@@ -1,7 +1,8 @@
-"""Which column of a table carries what: a mapping file, in the words of a bag's."""
+"""Mapping files (TOML): which topic of a bag, or which column of a table, carries what."""
 
 import re
 from collections.abc import Iterator
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -12,10 +13,151 @@ from halfseen.logs.columns import FINISHED, STAGE_COLUMNS
 from halfseen.reading import read_text, reason_of, toml_of
 
 Of = TypeVar("Of")
+Given: Any = {"frozen": True, "forbid_unknown_fields": True}
 NUMBERS = ("probability", "reward")
 """Keys of numbers; covariates may be such, too."""
-_KEYS = ("object", "probability", "reward", "ending")
-Given: Any = {"frozen": True, "forbid_unknown_fields": True}
+_KEYS = ("cloud", "action", "object", "probability", "reward", "ending")
+MAPPING_TEMPLATE = Path(__file__).with_name("bag_mapping.toml").read_text(encoding="utf-8")
+"""A whole mapping file of a bag, with comments."""
+_CLOCKS = ("log", "publish", "header")
+
+
+def mapping_in(file: str | Path, kind: type[Of], remedy: str) -> Of:
+    """Read a mapping file (TOML) as a record of a kind (`ArgumentError`); what makes one is the remedy."""
+    try:
+        return msgspec.convert(toml_of(read_text(Path(file))), kind)
+    except OSError as error:
+        raise ArgumentError(f"{file}: it cannot be read ({error.strerror}); {remedy}") from error
+    except msgspec.ValidationError as error:
+        raise ArgumentError(f"{file}, {_reworded(str(error))}; {remedy}") from error
+    except ValueError as error:
+        raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
+
+
+def _reworded(trouble: str) -> str:
+    """Begin with the key what msgspec ends with."""
+    words, _, place = trouble.partition(" - at `$")
+    key = re.sub(r"\[\.\.\.\]", "", place.strip("`."))
+    name = re.search(r"Object (?:missing required|contains unknown) field `(\w+)`", words)
+    if name is not None:
+        trouble = "missing; add it" if "required" in words else "unknown"
+        return f"{key}.{name[1]}: it is {trouble}".removeprefix(".")
+    return f"{key}: {words[:1].lower()}{words[1:]}".removeprefix(": ")
+
+
+def _mapped(mapping: Any) -> dict[str, Any]:
+    """All that is mapped, by its table in the file, in the order in which it counts within a row."""
+    named = {"trajectory": mapping.trajectory, **{f"covariates.{name}": of for name, of in mapping.covariates.items()}}
+    named |= {key: getattr(mapping, key, None) for key in _KEYS}
+    return {key: source for key, source in named.items() if source is not None}
+
+
+def _refuse(file: str | Path, mapping: Any, troubles: Iterator[tuple[str, str]]) -> None:
+    """Refuse a mapping that does not fit together, by key."""
+    taken = [f"covariates.{name}" for name in mapping.covariates if name in (*STAGE_COLUMNS, "cloud")]
+    trouble_of_name = "stages have such a column already; give the covariate another name"
+    for key, trouble in chain(troubles, zip(taken, repeat(trouble_of_name))):
+        raise ArgumentError(f"{file}, {key}: {trouble}")
+
+
+class Source(msgspec.Struct, **Given):
+    """Where a value comes from.
+
+    Parameters
+    ----------
+    topic
+        Topic of the messages.
+    field
+        Path into the message; None where the message itself is meant.
+    """
+
+    topic: str = ""
+    field: str | None = None
+
+
+class EndingSource(Source, **Given):
+    """Where an ending comes from; values in `finished` are no cause of a cut."""
+
+    finished: Annotated[list[str | int | bool], msgspec.Meta(min_length=1)] = msgspec.field(
+        default_factory=lambda: [FINISHED]
+    )
+
+
+class BagMapping(msgspec.Struct, **Given):
+    """Which topic carries what; made by `read_mapping`.
+
+    Parameters
+    ----------
+    action, reward, ending
+        What every bag has.
+    clock
+        "log", "publish" or "header".
+    trajectory, object, probability, cloud
+        What a bag may have.
+    covariates
+        Source of each covariate of the stages.
+    """
+
+    action: Source
+    reward: Source
+    ending: EndingSource
+    clock: str = "log"
+    trajectory: Source | None = None
+    object: Source | None = None
+    probability: Source | None = None
+    cloud: Source | None = None
+    covariates: dict[str, Source] = {}
+    file: str = msgspec.field(default="", name="file of the mapping")
+    """Where it was read, for messages."""
+
+    @property
+    def sources(self) -> dict[str, Source]:
+        """All that is mapped, by its table in the file, such as ``covariates.occlusion``."""
+        return _mapped(self)
+
+
+def read_mapping(file: str | Path) -> BagMapping:
+    """Read a mapping file (TOML); `MAPPING_TEMPLATE` is one, and says what each table means.
+
+    Raises
+    ------
+    ArgumentError
+        It is missing or no TOML, a table is missing, or something in it is unknown or of the wrong type; the file and
+        the key are named.
+
+    Examples
+    --------
+    All that a mapping may hold; the first three tables are needed::
+
+        action = {topic = "/pick/action", field = "data"}
+        reward = {topic = "/pick/reward", field = "data"}
+        ending = {topic = "/episode/end", field = "data", finished = ["finished"]}
+
+        clock = "log"
+        trajectory = {topic = "/episode/begin", field = "data"}
+        object = {topic = "/pick/object", field = "data"}
+        probability = {topic = "/pick/probability", field = "data"}
+        cloud = {topic = "/camera/points"}
+
+        [covariates]
+        occlusion = {topic = "/camera/occlusion", field = "data"}
+    """
+    mapping = mapping_in(file, BagMapping, "`halfseen convert --mapping-template` prints one")
+    _refuse(file, mapping, _troubles_of_bag(mapping))
+    return msgspec.structs.replace(mapping, file=str(file))
+
+
+def _troubles_of_bag(mapping: BagMapping) -> Iterator[tuple[str, str]]:
+    """What of the mapping of a bag does not fit together, by key."""
+    if mapping.clock not in _CLOCKS:
+        yield "clock", f"{mapping.clock!r} is none of {', '.join(map(repr, _CLOCKS))}; choose one"
+    for key, source in mapping.sources.items():
+        if not source.topic:
+            yield f"{key}.topic", "it is missing; add it"
+        if not source.field and key not in ("trajectory", "cloud"):
+            yield f"{key}.field", "it is missing; add it"
+        if source.field is not None and key == "cloud":
+            yield "cloud.field", "a cloud is a whole message; leave it out"
 
 
 class Layout(msgspec.Struct, **Given):
@@ -148,9 +290,7 @@ class EventMapping(msgspec.Struct, **Given):
     @property
     def entries(self) -> dict[str, Entry]:
         """All that is mapped, in the order in which it counts within a row."""
-        named = {"trajectory": self.trajectory, **{f"covariates.{name}": one for name, one in self.covariates.items()}}
-        named |= {"action": self.action, **{key: getattr(self, key) for key in _KEYS}}
-        return {key: entry for key, entry in named.items() if entry is not None}
+        return _mapped(self)
 
     def column(self, key: str) -> str:
         """The column of what is mapped."""
@@ -168,30 +308,11 @@ def read_event_mapping(file: str | Path) -> EventMapping:
     Raises
     ------
     ArgumentError
-        It is missing or no TOML, or something in it is missing, unknown or of the wrong type; the key is named.
+        As `read_mapping`.
     """
     mapping = mapping_in(file, EventMapping, "`halfseen convert TABLE --mapping-template` prints one")
-    for key, trouble in _troubles(mapping):
-        raise ArgumentError(f"{file}, {key}: {trouble}")
+    _refuse(file, mapping, _troubles_of_table(mapping))
     return mapping
-
-
-def mapping_in(file: str | Path, kind: type[Of], remedy: str) -> Of:
-    """Read a mapping file (TOML) as a record of a kind; what makes one is the remedy.
-
-    Raises
-    ------
-    ArgumentError
-        As `read_event_mapping`.
-    """
-    try:
-        return msgspec.convert(toml_of(read_text(Path(file))), kind)
-    except OSError as error:
-        raise ArgumentError(f"{file}: it cannot be read ({error.strerror}); {remedy}") from error
-    except msgspec.ValidationError as error:
-        raise ArgumentError(f"{file}, {_reworded(str(error))}; {remedy}") from error
-    except ValueError as error:
-        raise ArgumentError(f"{file}: it is no TOML ({reason_of(error)}); mend it") from error
 
 
 def is_event_mapping(file: str | Path) -> bool:
@@ -202,19 +323,8 @@ def is_event_mapping(file: str | Path) -> bool:
         return False
 
 
-def _reworded(trouble: str) -> str:
-    """Begin with the key what msgspec ends with."""
-    words, _, place = trouble.partition(" - at `$")
-    key = re.sub(r"\[\.\.\.\]", "", place.strip("`."))
-    name = re.search(r"Object (?:missing required|contains unknown) field `(\w+)`", words)
-    if name is not None:
-        trouble = "missing; add it" if "required" in words else "unknown"
-        return f"{key}.{name[1]}: it is {trouble}".removeprefix(".")
-    return f"{key}: {words[:1].lower()}{words[1:]}".removeprefix(": ")
-
-
-def _troubles(mapping: EventMapping) -> Iterator[tuple[str, str]]:
-    """What of a mapping does not fit together, by key."""
+def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
+    """What of the mapping of a table does not fit together, by key."""
     clock, layout = mapping.clock, mapping.table
     if layout.thousands is not None and layout.thousands == layout.decimal:
         yield "table.thousands", "it is the mark of fractions, too; mend one of the two"
@@ -238,6 +348,3 @@ def _troubles(mapping: EventMapping) -> Iterator[tuple[str, str]]:
             isinstance(value, str) for value in entry.values.values()
         ):
             yield f"{key}.values", "they are text; give numbers"
-    for name in mapping.covariates:
-        if name in (*STAGE_COLUMNS, "cloud"):
-            yield f"covariates.{name}", "stages have such a column already; give the covariate another name"
