@@ -15,12 +15,11 @@ from halfseen.learning.named_task import NamedActions
 from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
-from halfseen.logs.spelling import composed
 from halfseen.policies.folder import read_policy
 from halfseen.policies.rule_files import read_rule_table
 from halfseen.policies.rule_table import Rule
 from halfseen.shapes import Float
-from halfseen.suggestions import did_you_mean
+from halfseen.suggestions import composed, did_you_mean
 
 LOGGING, LOGGING_RULE = "logging", "logging-rule"
 """The logging policy as it was, and what it does where it does not explore."""

@@ -15,8 +15,8 @@ from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task, named_task
 from halfseen.logs import Logs
 from halfseen.logs.columns import shown
-from halfseen.logs.spelling import composed
 from halfseen.shapes import Float, Int
+from halfseen.suggestions import composed
 
 
 @dataclass(frozen=True)

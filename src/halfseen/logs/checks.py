@@ -8,12 +8,13 @@ although that decides a moment later. A robot r that dropped out alone has the c
 trajectory.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_of_one_robot, is_own_reward
+from halfseen.errors import LogError
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_of_one_robot, is_own_reward, shown
 from halfseen.shapes import Bool
 
 EARLIEST_DATE_S = 1e9
@@ -168,3 +169,37 @@ def type_of(table: str, column: str) -> str | None:
     if is_of_one_robot(column) and is_own_reward(column) == (table == "stages") and table != "objects":
         return "name or null" if column.endswith("_out_cause") else "number"
     return COLUMN_TYPES[table].get(column)
+
+
+MOST_UNIT_CHARS = 24
+_UNIT_REMEDY = f"give a text of one line and at most {MOST_UNIT_CHARS} characters, such as 'parts', or leave it out"
+
+
+def checked_unit(unit: Any) -> str | None:
+    """Take a unit of rewards without the blanks around it; None where there is none.
+
+    Raises
+    ------
+    LogError
+        It is no short text.
+    """
+    if unit is None:
+        return None
+    stripped = unit.strip() if isinstance(unit, str) else ""
+    if not stripped or len(stripped) > MOST_UNIT_CHARS or not stripped.isprintable():
+        raise LogError(f"reward_unit is {shown(unit)}, which is no short text; {_UNIT_REMEDY}")
+    return stripped
+
+
+def common_unit(units: Iterable[str | None]) -> str | None:
+    """The one unit of several logs; those that name none go with the others.
+
+    Raises
+    ------
+    LogError
+        Two are in different ones.
+    """
+    known = list(dict.fromkeys(unit for unit in units if unit is not None))
+    if len(known) > 1:
+        raise LogError(f"rewards are in {known[0]!r} and in {known[1]!r}; bring the logs to one unit before they join")
+    return known[0] if known else None

@@ -20,7 +20,7 @@ from halfseen.logs.columns import OBJECT_COLUMNS, shown
 from halfseen.logs.grouping import can_be_counted, coded, far_apart, grouped_covariates, is_one_kind, rows_with
 from halfseen.logs.logs import Logs
 from halfseen.logs.plausibility import cuts_called_finished, leaks, outcomes_among_covariates, untrue_probabilities
-from halfseen.logs.spelling import alike, spelled_out
+from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01

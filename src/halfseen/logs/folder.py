@@ -21,12 +21,12 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError, within
+from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import converting, frame_of
 from halfseen.logs.journal import is_journal
 from halfseen.logs.missing import Filling
 from halfseen.logs.parquet_footer import check_unpacked_table
 from halfseen.logs.recorded import journal_log
-from halfseen.logs.units import checked_unit
 from halfseen.reading import TABLE, check_file, json_of, read_text, refused
 from halfseen.writing import placed
 

@@ -16,6 +16,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.checks import common_unit
 from halfseen.logs.columns import shown
 from halfseen.logs.folder import MANIFEST, Folder, Place, place_of, write_manifest
 from halfseen.logs.logs import Logs
@@ -23,7 +24,6 @@ from halfseen.logs.missing import KEEP
 from halfseen.logs.opening import read_logs
 from halfseen.logs.recorded import STILL_RUNNING
 from halfseen.logs.stream import TRAJECTORIES_AT_ONCE
-from halfseen.logs.units import common_unit
 from halfseen.writing import placed, refuse_taken
 
 

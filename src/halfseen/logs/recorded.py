@@ -25,10 +25,10 @@ from typing import Any
 import pyarrow as pa
 
 from halfseen.errors import LogError, NothingRecordedError, within
+from halfseen.logs.checks import common_unit
 from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_own_reward, shown
 from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
 from halfseen.logs.missing import is_flag
-from halfseen.logs.units import common_unit
 from halfseen.reading import reason_of
 
 JUST_BEFORE = 0.01

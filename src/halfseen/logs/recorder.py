@@ -28,6 +28,7 @@ from types import TracebackType
 from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import UNKNOWN_CAUSE, shown
 from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal import PART_BYTES
@@ -36,7 +37,6 @@ from halfseen.logs.logs import Logs
 from halfseen.logs.recorded import CRASH, RESUMED
 from halfseen.logs.recording_state import Recorded, TrajectoryState, torn_by
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
-from halfseen.logs.units import checked_unit
 
 
 class LogRecorder:
