@@ -5,7 +5,7 @@ A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by s
 Read down: `missing` (what stands for null in covariates) → `columns` (what is accepted, names, types, refusals) →
 `checks` (the rules) → `checked_tables` → `logs` (the record). On disk: `folder` (Parquet) → `stream` (a log
 that need not fit in memory) → `opening` (either) → `joining` (many as one). While a robot runs: `journal` (lines,
-chained by checksums) → `journal_writer` → `recorded` (from events to tables) → `values` → `recording_state` →
+chained by checksums) → `journal_writer` → `recorded` (from events to tables) → `recording_state` →
 `trajectory_recorder` → `recorder` → `protocol` (without Python). What `halfseen inspect` finds: `plausibility`,
 `data_quality`. Other forms: `formats`.
 """
