@@ -18,12 +18,12 @@ import pyarrow.parquet as pq
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.checks import common_unit
 from halfseen.logs.columns import shown
-from halfseen.logs.folder import MANIFEST, Folder, Place, place_of, write_manifest
+from halfseen.logs.folder import Place, place_of
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import KEEP
-from halfseen.logs.opening import read_logs
+from halfseen.logs.parquet import MANIFEST, write_manifest
 from halfseen.logs.recorded import STILL_RUNNING
-from halfseen.logs.stream import TRAJECTORIES_AT_ONCE
+from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
 from halfseen.writing import placed, refuse_taken
 
 
@@ -116,7 +116,7 @@ def write_stream(
         if not writers:
             raise ArgumentError("there is no part; give at least one log")
         stack.close()
-        write_manifest(Folder(fresh, rows, unit))
+        write_manifest(fresh, rows, unit)
 
 
 def _without_nulls(schema: pa.Schema) -> pa.Schema:

@@ -25,8 +25,8 @@ from halfseen.logs.columns import (
     shown,
     through_arrow,
 )
-from halfseen.logs.folder import TABLES, write_tables
 from halfseen.logs.missing import KEEP, Filling, Missing
+from halfseen.logs.parquet import TABLES, write_tables
 from halfseen.shapes import Float
 
 

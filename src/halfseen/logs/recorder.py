@@ -30,10 +30,10 @@ from typing import Any
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import UNKNOWN_CAUSE, shown
-from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal import PART_BYTES
 from halfseen.logs.journal_writer import JournalWriter, synced_events
 from halfseen.logs.logs import Logs
+from halfseen.logs.parquet import MANIFEST
 from halfseen.logs.recorded import CRASH, RESUMED
 from halfseen.logs.recording_state import Recorded, TrajectoryState
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder

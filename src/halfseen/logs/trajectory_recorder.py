@@ -256,8 +256,8 @@ class TrajectoryRecorder:
         times = float(thousandfold(end_s, state.completed_s, 2 * UNIT_TOLERANCE)) if state.is_given else 0.0
         if times > 1.0:
             raise LogError(
-                f"{where}: elapsed_s {end_s} is {times:.0e} times the {state.completed_s} of the completed stage, as if "
-                "units were mixed; give both in seconds"
+                f"{where}: elapsed_s {end_s} is {times:.0e} times the {state.completed_s} of the completed stage, as "
+                "if units were mixed; give both in seconds"
             )
         self._end({"event": FINISHED}, state, elapsed_s)
 

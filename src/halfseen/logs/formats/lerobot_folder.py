@@ -25,7 +25,7 @@ import pyarrow as pa
 
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import FINISHED, shown
-from halfseen.logs.formats.step_tables import as_array, parquet_file, read_tables, whole_table
+from halfseen.logs.formats.step_tables import as_array, read_tables, whole_table
 from halfseen.logs.formats.steps import (
     Ending,
     StepColumns,
@@ -38,6 +38,7 @@ from halfseen.logs.formats.steps import (
     require,
 )
 from halfseen.logs.logs import Logs
+from halfseen.logs.parquet import parquet_file
 from halfseen.reading import json_of, read_text, reason_of
 from halfseen.shapes import Bool, Float, Int
 

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
-import pyarrow.parquet as pq
 
 from halfseen.errors import LogError, warn
 from halfseen.logs.columns import refuse_repeated, shown
@@ -33,7 +32,7 @@ from halfseen.logs.formats.steps import (
     require,
 )
 from halfseen.logs.logs import Logs
-from halfseen.logs.parquet_footer import check_unpacked_table
+from halfseen.logs.parquet import parquet_file
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
 from halfseen.shapes import Float, Int, Shaped
 
@@ -179,14 +178,6 @@ def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..
         raise LogError(
             f"{place}: {name} holds {table.schema.field(name).type}, which is not read; convert it"
         ) from error
-
-
-def parquet_file(file: Path) -> pq.ParquetFile:
-    """Open a Parquet file whose size was checked, packed and unpacked."""
-    num_bytes = check_file(file, TABLE)
-    table = pq.ParquetFile(file)
-    check_unpacked_table(file, num_bytes, table)
-    return table
 
 
 def whole_table(file: Path) -> Any:

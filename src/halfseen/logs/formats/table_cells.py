@@ -20,7 +20,8 @@ import pyarrow as pa
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.mapping import Layout
-from halfseen.logs.formats.step_tables import LAST, parquet_file, whole_table
+from halfseen.logs.formats.step_tables import LAST, whole_table
+from halfseen.logs.parquet import parquet_file
 from halfseen.reading import TABLE, opened, reason_of
 from halfseen.suggestions import did_you_mean
 
