@@ -64,12 +64,8 @@ def test_a_log_without_numeric_covariates_shows_the_stage(root):
         assert_same(logs, read_minari(source))
 
 
-def test_what_halfseen_wrote_is_read_in_part_checked_and_never_replaced(flat, root):
+def test_what_halfseen_wrote_is_read_in_part_and_checked(flat):
     write_minari(flat, "pick-v0")
-    before = (root / "pick-v0" / "data" / "main_data.hdf5").read_bytes()
-    with refused("it is there already", ArgumentError):
-        write_minari(flat.select([1]), "pick-v0")
-    assert (root / "pick-v0" / "data" / "main_data.hdf5").read_bytes() == before
     with refused(r"'my pick': it is no name of a dataset; call it .namespace/.name-v0", ArgumentError):
         write_minari(flat, "my pick")
     with refused("leave clock, step_s and truncated out", ArgumentError):
@@ -146,13 +142,6 @@ def test_each_ending_has_its_meaning(truncated, ending):
     assert logs.is_finished.tolist() == [True, ending is None, True, False]
     assert logs.end_s.tolist() == [1.5] * 4
     assert logs.stages.groupby("trajectory").size().tolist() == [3, 4 - (ending is None), 3, 4]
-
-
-def test_a_named_info_is_the_clock():
-    dataset = by_hand([(LAST, NO)])
-    assert read_minari(dataset, clock="t").elapsed_s().tolist() == [[0.5, 2.0, 4.0]]
-    ends = by_hand([(LAST, NO)], infos={"t": np.array([1.0, 2.5, 4.0])}, name="ends-v0")
-    assert read_minari(ends, clock="t").elapsed_s().tolist() == [[1.0, 2.5, 4.0]]
 
 
 def test_parts_of_an_observation_become_columns():
