@@ -38,18 +38,12 @@ NAMES_OF_ENDS = {
 
 @dataclass(frozen=True)
 class DataWarning:
-    """Something that looks wrong.
-
-    Parameters
-    ----------
-    kind
-        Which check found it, for programs.
-    sentence
-        What was found, and what to look at, for people.
-    """
+    """Something that looks wrong."""
 
     kind: str
+    """Which check found it, for programs."""
     sentence: str
+    """What was found, and what to look at, for people."""
 
 
 def data_warnings(logs: Logs) -> tuple[DataWarning, ...]:

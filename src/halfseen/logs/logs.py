@@ -325,10 +325,9 @@ class SummaryTally:
 
     def add(self, part: Logs) -> None:
         """Count a part."""
-        actions, num_finished = part.stages["action"][part.stages["elapsed_s"].notna()], int(part.is_finished.sum())
-        self._counts.update(num_trajectories=part.num_trajectories, num_finished=num_finished)
-        self._counts.update(num_cut=part.num_trajectories - num_finished)
-        self._counts.update(num_stages=part.num_stages, num_completed=len(actions))
+        actions, num_cut = part.stages["action"][part.stages["elapsed_s"].notna()], int((~part.is_finished).sum())
+        self._counts.update(num_trajectories=part.num_trajectories, num_finished=part.num_trajectories - num_cut)
+        self._counts.update(num_cut=num_cut, num_stages=part.num_stages, num_completed=len(actions))
         for name, values in (("causes", part.trajectories["cause"]), ("actions", actions)):
             counts = values.value_counts(sort=False).items()
             self._named[name].update({str(value): int(count) for value, count in counts if count})

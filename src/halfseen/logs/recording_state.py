@@ -37,7 +37,6 @@ class Schema:
     labels: Kinds = field(default_factory=dict)
     """Of the names of trajectories, actions, objects and robots, where there are any."""
     trajectories: Kinds = field(default_factory=dict)
-    """Of the columns of the trajectories."""
     covariates: Kinds | None = None
     """Of the covariates of the stages; None before the first stage."""
     objects: Kinds | None = None
@@ -154,11 +153,9 @@ class TrajectoryState:
     stage: int = 0
     """Number of the stage that began last; 0 before the first."""
     is_in_stage: bool = False
-    """Whether that stage is in progress."""
     has_action: bool = False
     """Whether it began with an action."""
     is_ended: bool = False
-    """Whether the trajectory is finished or cut."""
     at_s: float = 0.0
     """Time of the last event [s]."""
     is_given: bool | None = None

@@ -46,13 +46,7 @@ Tables = dict[str, pa.Table]
 
 
 class ShardReader:
-    """Reads parts of a folder, each from the groups of rows that hold it.
-
-    Parameters
-    ----------
-    folder
-        The folder.
-    """
+    """Reads parts of a folder, each from the groups of rows that hold it."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
@@ -131,13 +125,6 @@ class LogStream:
     missing
         What stands for covariates of the stages that are null, as `Logs` takes it; it is learned in a pass of its own.
 
-    Attributes
-    ----------
-    reward_unit
-        What rewards are counted in; None if nobody has said.
-    as_folder
-        What a worker needs to know, to read a shard.
-
     Raises
     ------
     LogError
@@ -145,6 +132,19 @@ class LogStream:
     ArgumentError
         `trajectories_at_once` is below 1, or `missing` is no rule or names no covariate.
     """
+
+    as_folder: Folder
+    """What a worker needs to know, to read a shard."""
+    reward_unit: str | None
+    """What rewards are counted in; None if nobody has said."""
+    num_stages: int
+    """Number of stages of all trajectories together."""
+    has_objects: bool
+    """Whether the stages have objects."""
+    end_s: Rows
+    """Observed end of each trajectory [s]."""
+    is_finished: RowMask
+    """True where the trajectory reached its own end, False where it was cut."""
 
     def __init__(
         self, folder: str | Place, trajectories_at_once: int = TRAJECTORIES_AT_ONCE, *, missing: Missing = None
@@ -155,6 +155,7 @@ class LogStream:
         self.trajectories_at_once = trajectories_at_once
         self.as_folder = read_manifest(self.folder)
         self.reward_unit = self.as_folder.reward_unit
+        self.num_stages, self.has_objects = self.as_folder.num_rows["stages"], "objects" in self.as_folder.num_rows
         for name in self.as_folder.num_rows:
             with within(self.folder):
                 columns = as_frame(name, self.as_folder.opened(name).schema_arrow.remove_metadata().empty_table())
@@ -169,7 +170,7 @@ class LogStream:
         ]
         if not ends:
             checked_trajectories(as_frame("trajectories", self.as_folder.opened("trajectories").read()))
-        self._end_s, self._is_finished = (np.concatenate(each) for each in zip(*ends, strict=True))
+        self.end_s, self.is_finished = (np.concatenate(each) for each in zip(*ends, strict=True))
 
     @property
     def trajectories(self) -> pd.DataFrame:
@@ -179,22 +180,12 @@ class LogStream:
     @property
     def num_trajectories(self) -> int:
         """Number n of trajectories."""
-        return len(self._end_s)
+        return len(self.end_s)
 
     @property
     def trajectory_ids(self) -> np.ndarray:
         """Names of the trajectories, shape (n,); they are read when they are asked for."""
         return self.trajectories["trajectory"].to_numpy()
-
-    @property
-    def end_s(self) -> Rows:
-        """Observed end of each trajectory [s]."""
-        return self._end_s
-
-    @property
-    def is_finished(self) -> RowMask:
-        """True where the trajectory reached its own end, False where it was cut."""
-        return self._is_finished
 
     def shards(self) -> list[Shard]:
         """Deal the parts into shards, by the size of the log alone.
@@ -224,16 +215,6 @@ class LogStream:
     def filling(self) -> Filling | None:
         """What stands for covariates that were null; None if null is refused."""
         return self.as_folder.filling
-
-    @property
-    def num_stages(self) -> int:
-        """Number of stages of all trajectories together."""
-        return self.as_folder.num_rows["stages"]
-
-    @property
-    def has_objects(self) -> bool:
-        """Whether the stages have objects."""
-        return "objects" in self.as_folder.num_rows
 
     @property
     def has_all_actions(self) -> bool:

@@ -22,42 +22,23 @@ _IDL_LINE = "=" * 80 + "\n"
 
 
 class Channel(NamedTuple):
-    """What carries messages of one type under a topic.
-
-    Parameters
-    ----------
-    topic
-        Its name.
-    kind
-        Type of its messages.
-    key
-        What tells it from the others of its bag.
-    decode
-        Makes a message of bytes; of broken ones it raises nearly anything.
-    """
+    """What carries messages of one type under a topic."""
 
     topic: str
     kind: str
     key: Any
+    """What tells it from the others of its bag."""
     decode: Callable[[bytes], Any]
+    """Makes a message of bytes; of broken ones it raises nearly anything."""
 
 
 class Recorded(NamedTuple):
-    """A message as it was recorded.
-
-    Parameters
-    ----------
-    channel
-        Which carried it.
-    log_ns, publish_ns
-        When it was recorded, and when it was sent [ns]; None where the bag does not say.
-    content
-        Its bytes.
-    """
+    """A message as it was recorded."""
 
     channel: Channel
     log_ns: int
     publish_ns: int | None
+    """When it was recorded, and when it was sent [ns]; None where the bag does not say."""
     content: bytes
 
 

@@ -32,24 +32,16 @@ MOST_LATE_NS = 5 * 10**9
 
 
 class Event(NamedTuple):
-    """One value that a message, or a row of a table, carries.
-
-    Parameters
-    ----------
-    stamp_ns
-        When, on the clock of the mapping [ns].
-    key
-        Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``.
-    value
-        Text, a number or a boolean; of a cloud its number among the bag's clouds, to be read by `read_clouds`.
-    place
-        Where it stands, as a message begins; empty in a bag, whose reader names the bag.
-    """
+    """One value that a message, or a row of a table, carries."""
 
     stamp_ns: int
+    """When, on the clock of the mapping [ns]."""
     key: str
+    """Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``."""
     value: Any
+    """Text, a number or a boolean; of a cloud its number among the bag's clouds, to be read by `read_clouds`."""
     place: str = ""
+    """Where it stands, as a message begins; empty in a bag, whose reader names the bag."""
 
 
 def check_topics(bags: list[Path], mapping: BagMapping) -> None:

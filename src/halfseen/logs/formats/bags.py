@@ -190,37 +190,23 @@ def _objects(
 
 @dataclass
 class Trajectory:
-    """A trajectory that a bag or a table of events tells of.
-
-    Parameters
-    ----------
-    name
-        What it is called.
-    needed
-        What must have been seen before an action, and where it comes from: covariates, and "cloud".
-    finished
-        Endings that are no cause of a cut.
-    end_s
-        When it ended, or its last message came [s].
-    ending, cause
-        As in `trajectories` of `Logs`; at first the cause of one that has no ending.
-    stages
-        One entry a stage: the columns that were recorded.
-    clouds
-        Number of the cloud of each stage, None where none had come.
-    place
-        Where the last event stands, for messages.
-    """
+    """A trajectory that a bag or a table of events tells of."""
 
     name: Any
     needed: Mapping[str, str]
+    """What must have been seen before an action, and where it comes from: covariates, and "cloud"."""
     finished: Collection[Any]
     end_s: float = 0.0
+    """When it ended, or its last message came [s]."""
     ending: str | None = None
     cause: str | None = CRASH
+    """As in `trajectories` of `Logs`; at first the cause of one that has no ending."""
     stages: list[dict[str, Any]] = field(default_factory=list)
+    """One entry a stage: the columns that were recorded."""
     clouds: list[int | None] = field(default_factory=list)
+    """Number of the cloud of each stage, None where none had come."""
     place: str = ""
+    """Where the last event stands, for messages."""
 
     @property
     def missing(self) -> list[str]:

@@ -61,18 +61,11 @@ def _refuse(file: str | Path, mapping: Any, troubles: Iterator[tuple[str, str]])
 
 
 class Source(msgspec.Struct, **Given):
-    """Where a value comes from.
-
-    Parameters
-    ----------
-    topic
-        Topic of the messages.
-    field
-        Path into the message; None where the message itself is meant.
-    """
+    """Where a value comes from."""
 
     topic: str = ""
     field: str | None = None
+    """Path into the message; None where the message itself is meant."""
 
 
 class EndingSource(Source, **Given):
@@ -161,58 +154,34 @@ def _troubles_of_bag(mapping: BagMapping) -> Iterator[tuple[str, str]]:
 
 
 class Layout(msgspec.Struct, **Given):
-    """How a file of text holds a table; what is None is found in the file.
-
-    Parameters
-    ----------
-    separator
-        Between cells.
-    decimal
-        Mark of a fraction.
-    thousands
-        Mark between groups of three digits: point, comma, apostrophe or space.
-    encoding
-        Of the text.
-    heading
-        Line that names the columns, from 1.
-    query
-        Of a database: the SELECT whose rows are read.
-    """
+    """How a file of text holds a table; what is None is found in the file."""
 
     separator: Annotated[str, msgspec.Meta(min_length=1, max_length=1)] | None = None
     decimal: Literal[",", "."] | None = None
     thousands: Literal[".", ",", "'", " "] | None = None
+    """Mark between groups of three digits: point, comma, apostrophe or space."""
     encoding: Literal["utf-8", "utf-8-sig", "cp1252", "utf-16"] | None = None
     heading: Annotated[int, msgspec.Meta(ge=1)] = 1
+    """Line that names the columns, from 1."""
     query: str | None = None
+    """Of a database: the SELECT whose rows are read."""
 
 
 class Clock(msgspec.Struct, **Given):
-    """Where times stand, and how they are written.
-
-    Parameters
-    ----------
-    field
-        Column of the time of a row; or those of its date and of its time of day, which are read with a space between.
-    format
-        Of times that are not ISO 8601, as in Python: ``%d.%m.%Y %H:%M:%S``. Without a day they are times of day, and
-        the next day begins where they fall back past midnight.
-    zone
-        Of dates without one, such as ``Europe/Berlin``.
-    unit
-        Of times that are numbers.
-    since
-        What numbers count from: the beginning of the trajectory, or of the stage; None for a clock of their own.
-    begin
-        Of one row a stage: column of the time at which the stage began; or two, as of `field`.
-    """
+    """Where times stand, and how they are written."""
 
     field: str | Annotated[list[str], msgspec.Meta(min_length=1)]
+    """Column of the time of a row; or those of its date and of its time of day, which are read with a space between."""
     format: str | None = None
+    """Of times that are not ISO 8601, as in Python: ``%d.%m.%Y %H:%M:%S``. Without a day they are times of day, and
+    the next day begins where they fall back past midnight."""
     zone: str | None = None
+    """Of dates without one, such as ``Europe/Berlin``."""
     unit: Literal["s", "ms", "us", "ns", "min"] | None = None
     since: Literal["trajectory", "stage"] | None = None
+    """What numbers count from: the beginning of the trajectory, or of the stage; None for a clock of their own."""
     begin: str | list[str] | None = None
+    """Of one row a stage: column of the time at which the stage began; or two, as of `field`."""
 
     @property
     def fields(self) -> list[str]:
@@ -226,24 +195,16 @@ class Clock(msgspec.Struct, **Given):
 
 
 class Entry(msgspec.Struct, **Given):
-    """Where a value stands.
-
-    Parameters
-    ----------
-    field
-        Its column; by default that of the events.
-    topic
-        Which events carry it; None for any row in which the cell is not empty.
-    values
-        What text stands for; other text stays what it is.
-    type
-        Of a covariate, if it is not to be found.
-    """
+    """Where a value stands."""
 
     field: str | None = None
+    """Its column; by default that of the events."""
     topic: str | list[str] | None = None
+    """Which events carry it; None for any row in which the cell is not empty."""
     values: dict[str, str | int | float] = {}
+    """What text stands for; other text stays what it is."""
     type: Literal["number", "text"] | None = None
+    """Of a covariate, if it is not to be found."""
 
     @property
     def topics(self) -> list[str]:

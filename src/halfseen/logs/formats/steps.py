@@ -172,35 +172,21 @@ class StepColumns:
 
 @dataclass(frozen=True)
 class StepTable:
-    """Episodes of a dataset, one below the other, in N rows: a step each, or what was observed after the last one.
-
-    Parameters
-    ----------
-    names
-        Of the E trajectories.
-    begins
-        Rows in which episodes begin, and the number of rows, shape (E + 1,).
-    is_step
-        Rows in which something was done: all but, perhaps, the last of an episode, shape (N,).
-    observed
-        Columns of what was observed, N rows each.
-    actions
-        Of the M steps: whole numbers or text, shape (M,).
-    rewards
-        What each step earned, shape (M,).
-    ends_s
-        Time from the beginning of its episode to the end of each step [s], shape (M,).
-    endings
-        Ending and cause of each episode.
-    """
+    """Episodes of a dataset, one below the other, in N rows: a step each, or what was observed after the last one."""
 
     names: Sequence[int | str]
+    """Of the E trajectories."""
     begins: Int[np.ndarray, " E1"]
+    """Rows in which episodes begin, and the number of rows, shape (E + 1,)."""
     is_step: Bool[np.ndarray, " N"]
+    """Rows in which something was done: all but, perhaps, the last of an episode, shape (N,)."""
     observed: Mapping[str, Shaped[np.ndarray, " N"]]
     actions: Shaped[np.ndarray, " M"]
+    """Of the M steps: whole numbers or text, shape (M,)."""
     rewards: Float[np.ndarray, " M"]
+    """What each step earned, shape (M,)."""
     ends_s: Float[np.ndarray, " M"]
+    """Time from the beginning of its episode to the end of each step [s], shape (M,)."""
     endings: Sequence[Ending]
 
     def logs(self, place: str) -> Logs:

@@ -32,27 +32,15 @@ ROWS_LOOKED_AT = 50
 
 @dataclass(frozen=True)
 class Cells:
-    """A table of text; an empty cell is an empty text.
-
-    Parameters
-    ----------
-    file
-        Its name, for messages.
-    columns
-        Cells of each column.
-    rows
-        Number of each row in its file, from 1; of several files behind the name of its own.
-    layout
-        How it was read.
-    word
-        What rows are called: line, or row where a file has no lines; file, of several.
-    """
+    """A table of text; an empty cell is an empty text."""
 
     file: str
     columns: dict[str, list[str]]
     rows: Sequence[int | str]
+    """Number of each row in its file, from 1; of several files behind the name of its own."""
     layout: Layout
     word: str = "line"
+    """What rows are called: line, or row where a file has no lines; file, of several."""
 
     def place(self, row: int, column: str | None = None) -> str:
         """Name a row, or a cell."""
