@@ -124,7 +124,6 @@ class Logs:
     ...         "trajectory": [0, 1],
     ...         "end_s": [4.0, 2.5],
     ...         "ending": ["finished", "cut"],
-    ...         "cause": [None, "battery"],
     ...     },
     ... )
     >>> logs.elapsed_s()
@@ -139,7 +138,6 @@ class Logs:
     objects: pd.DataFrame | None
     """One row an object of a stage, sorted by trajectory, stage and object; None where there are none."""
     reward_unit: str | None
-    """What rewards are counted in, such as "parts"; None if nobody has said."""
     missing: Filling | str | None
     """What was said of null, and learned: what a part of this log, or the like of it, is made with."""
 
@@ -170,13 +168,7 @@ class Logs:
         return self.missing if isinstance(self.missing, Filling) else None
 
     def in_unit(self, reward_unit: str | None) -> "Logs":
-        """The same log with rewards that are said to be counted in this unit; no number changes.
-
-        Raises
-        ------
-        LogError
-            The unit is no short text.
-        """
+        """The same log with rewards that are said to be counted in this unit, a short text; no number changes."""
         same = copy(self)
         same.reward_unit = checked_unit(reward_unit)
         return same
@@ -319,7 +311,8 @@ class SummaryTally:
 
     def __init__(self) -> None:
         self._counts: Counter[str] = Counter()
-        self._named: dict[str, Counter[str]] = {"causes": Counter(), "actions": Counter()}
+        self._causes: Counter[str] = Counter()
+        self._actions: Counter[str] = Counter()
         self._objects: set[Any] = set()
         self._extents: list[tuple[int, float, float]] = []
 
@@ -328,23 +321,29 @@ class SummaryTally:
         actions, num_cut = part.stages["action"][part.stages["elapsed_s"].notna()], int((~part.is_finished).sum())
         self._counts.update(num_trajectories=part.num_trajectories, num_finished=part.num_trajectories - num_cut)
         self._counts.update(num_cut=num_cut, num_stages=part.num_stages, num_completed=len(actions))
-        for name, values in (("causes", part.trajectories["cause"]), ("actions", actions)):
-            counts = values.value_counts(sort=False).items()
-            self._named[name].update({str(value): int(count) for value, count in counts if count})
+        self._causes.update(_counts(part.trajectories["cause"]))
+        self._actions.update(_counts(actions))
         self._objects.update(() if part.objects is None else part.objects["object"].unique())
         self._extents.append((part.horizon, float(part.end_s.min()), float(part.end_s.max())))
 
     def summary(self) -> LogsSummary:
-        """What was counted; names that are as frequent stand in their own order, so the same log reads the same."""
+        """What was counted; equal counts stand in the order of the names, so the same log reads the same."""
         horizons, shortest_s, longest_s = zip(*self._extents, strict=True)
         return LogsSummary(
             **self._counts,
-            **{
-                name: dict(sorted(of.items(), key=lambda pair: (-pair[1], pair[0]))) for name, of in self._named.items()
-            },
             cut_share=1.0 - self._counts["num_finished"] / self._counts["num_trajectories"],
+            causes=_ranked(self._causes),
             horizon=max(horizons),
             shortest_s=min(shortest_s),
             longest_s=max(longest_s),
+            actions=_ranked(self._actions),
             num_objects=len(self._objects),
         )
+
+
+def _counts(values: Any) -> dict[str, int]:
+    return {str(value): int(count) for value, count in values.value_counts(sort=False).items() if count}
+
+
+def _ranked(counts: Counter[str]) -> dict[str, int]:
+    return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))

@@ -137,8 +137,8 @@ class StepColumns:
         if flat.ndim == 1 and flat.dtype.kind == "f":
             is_null = np.isnan(flat)
             if (is_null | (np.isfinite(flat) & (flat == np.floor(flat)) & (np.abs(flat) < 2**53))).all():
-                whole = np.where(is_null, 0, flat).astype(np.int64)
-                return np.where(is_null, None, whole.astype(object)) if is_null.any() else whole
+                whole: Any = np.where(is_null, 0, flat).astype(np.int64)
+                return np.where(is_null, np.array(None), whole.astype(object)) if is_null.any() else whole
         raise ArgumentError(
             f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and the action of a stage is one "
             "of finitely many; discretise it (say, with numpy.digitize), or name another column, of whole numbers or "
