@@ -14,6 +14,7 @@ A shard is whole trajectories that stand one after another, which any process ca
 import shlex
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -235,20 +236,15 @@ class TableInGroups:
         self._file = folder.opened(name)
         sizes = [self._file.metadata.row_group(group).num_rows for group in range(self._file.num_row_groups)]
         self._begin = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
-        self._held: tuple[int, pa.Table] | None = None
+        self._group = lru_cache(maxsize=1)(self._file.read_row_group)
 
     def rows(self, begin: int, end: int) -> pa.Table:
         """Read some rows (`LogError` where the file is broken)."""
         first = int(np.searchsorted(self._begin, begin, side="right")) - 1
         last = int(np.searchsorted(self._begin, end, side="left"))
-        groups = [self._group(group) for group in range(first, last)]
+        with whole_table(self._file_name):
+            groups = [self._group(group) for group in range(first, last)]
         return pa.concat_tables(groups).slice(begin - int(self._begin[first]), end - begin)
-
-    def _group(self, group: int) -> pa.Table:
-        if self._held is None or self._held[0] != group:
-            with whole_table(self._file_name):
-                self._held = group, self._file.read_row_group(group)
-        return self._held[1]
 
 
 def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:

@@ -5,7 +5,7 @@ here: a struct of Thrift's compact protocol, a number for each field, and a valu
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from operator import index
 from pathlib import Path
 from struct import unpack
@@ -109,18 +109,16 @@ class _Footer:
 
     def struct(self) -> dict[int, Any]:
         """Fields by their numbers."""
-        return dict(self._fields())
-
-    def _fields(self) -> Iterator[tuple[int, Any]]:
         self._level += 1
         if self._level > MOST_LEVELS:
             raise ValueError("its footer is nested too deep")
-        number = 0
+        fields, number = {}, 0
         while header := self._byte():
             step, kind = header >> 4, header & 15
             number = number + step if step else self._signed()
-            yield number, kind == 1 if kind in (1, 2) else self._value(kind)
+            fields[number] = kind == 1 if kind in (1, 2) else self._value(kind)
         self._level -= 1
+        return fields
 
     def _value(self, kind: int) -> Any:
         if kind in (1, 2, 3):
