@@ -5,6 +5,7 @@ The log is made by a loop over rows, which shares nothing with the readers.
 
 import csv
 import json
+import warnings
 
 import h5py
 import numpy as np
@@ -171,3 +172,30 @@ def write_arrays(file, rows):
             if values is not None:
                 root.create_dataset(name, data=values)
     return file
+
+
+def write_minari_episodes(name, endings, **other):
+    """Make a dataset of Minari with an episode of three steps for each ending, its flags of termination and truncation.
+
+    What an episode holds may be other, or (`each`) other in each; spaces may be, too.
+    """
+    import minari
+    from gymnasium import spaces
+    from minari.data_collector import EpisodeBuffer
+
+    parts = {"observations": np.arange(8.0).reshape(4, 2), "actions": np.array([0, 1, 0]), "rewards": [1.0, 2.0, 3.0]}
+    parts |= {"infos": {"t": np.array([5.0, 5.5, 7.0, 9.0]), "note": ["a", "b", "c", "d"]}}
+    seen = {"action_space": spaces.Discrete(2), "observation_space": spaces.Box(-9, 9, (2,), np.float64)}
+    each = other.pop("each", [{}] * len(endings))
+    parts, seen = ({key: other.get(key, value) for key, value in known.items()} for known in (parts, seen))
+    buffers = [
+        EpisodeBuffer(terminations=last, truncations=cut, **parts | more)
+        for (last, cut), more in zip(endings, each, strict=True)
+    ]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # Minari misses an author, a licence and an environment
+        return minari.create_dataset_from_buffers(name, buffers, **seen)
+
+
+NO, LAST = [False, False, False], [False, False, True]
+"""Flags of three steps."""

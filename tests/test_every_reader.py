@@ -37,7 +37,7 @@ from halfseen.logs.formats import (
     write_csv,
     write_minari,
 )
-from halfseen.logs.parquet_footer import bytes_of_texts, chunks_of
+from halfseen.logs.parquet import bytes_of_texts, chunks_of
 from halfseen.perception import read_cloud
 from halfseen.perception.label_files import read_labels
 from halfseen.policies import read_policy
@@ -269,7 +269,7 @@ def test_a_table_of_few_bytes_and_many_values_is_refused_before_it_is_read(place
 
 @pytest.mark.parametrize("nested", [False, True])
 def test_a_text_that_is_stored_once_counts_in_every_row(place, monkeypatch, nested):
-    monkeypatch.setattr("halfseen.logs.parquet_footer.ALWAYS_UNPACKED", 10**5)
+    monkeypatch.setattr("halfseen.logs.parquet.ALWAYS_UNPACKED", 10**5)
     file = place / "texts.parquet"
     texts = pa.DictionaryArray.from_arrays(pa.array([0, 1, None] * 1000), ["n" * 700, "m" * 50])
     plain = texts.cast(pa.string())

@@ -69,7 +69,7 @@ def draw_steps() -> Figure:
     actions, rewards = np.array(["look", "pick", "look"]), np.array([-0.1, 5.0, -0.1])
     for row, has_last in enumerate((True, False)):
         seen = np.arange(1.0, 4.0 + has_last)
-        is_step, begins, ends_s = np.arange(len(seen)) < 3, np.array([0, len(seen)]), [np.arange(1.0, 4.0)]
+        is_step, begins, ends_s = np.arange(len(seen)) < 3, np.array([0, len(seen)]), np.arange(1.0, 4.0)
         steps = StepTable([0], begins, is_step, {"x": seen}, actions, rewards, ends_s, [(CUT, TRUNCATED)])
         stages = steps.logs("three steps").stages
         top = 2.6 * row

@@ -1,7 +1,24 @@
-"""What may have been meant by a name that does not exist."""
+"""Names that are alike: what may have been meant by one that does not exist, and those that differ in spelling alone.
 
+Spelling is capitals, separators, or how Unicode composes a letter. Signs, digits apart and decimal points count: ``-x``
+is not ``+x``, nor ``2.5`` ``25``, nor ``slot 1 2`` ``slot 12``.
+"""
+
+import re
 from collections.abc import Iterable
 from difflib import get_close_matches
+from unicodedata import normalize
+
+DASHES = re.compile("[\u2010-\u2015\u2212\ufe63\uff0d]")
+_SEPARATORS = re.compile(
+    r"""
+      (?<=[^\W\d_])-(?=[^\W\d_])      # e-stop
+    | [\s_]+-[\s_]+                   # pick - left
+    | (?<!\d)[\s_]+ | [\s_]+(?!\d)    # no space between digits
+    | [.,:;/'"()\[\]](?!\d)           # no decimal point
+    """,
+    re.VERBOSE,
+)
 
 
 def closest(given: object, known: Iterable[object]) -> str | None:
@@ -23,3 +40,28 @@ def did_you_mean(given: object, known: Iterable[object]) -> str:
     """
     name = closest(given, known)
     return "" if name is None else f"; did you mean {name!r}?"
+
+
+def folded(name: str) -> str:
+    """Take from a name what is only spelling."""
+    text = DASHES.sub("-", composed(composed(name).casefold()))
+    return re.sub(r"[\s_]+", " ", _SEPARATORS.sub("", text)) or text
+
+
+def composed(name: str) -> str:
+    """Bring a name into Unicode's composed form, in which é is one character."""
+    return normalize("NFC", name)
+
+
+def alike(names: Iterable[object]) -> list[list[str]]:
+    """Group those of some names that differ only in their spelling; each group has two or more, in order."""
+    groups: dict[str, list[str]] = {}
+    for name in sorted(set(map(str, names))):
+        groups.setdefault(folded(name), []).append(name)
+    return [same for same in groups.values() if len(same) > 1]
+
+
+def spelled_out(names: list[str]) -> list[str]:
+    """Write names so that one sees how they differ: by their code points where Unicode composes one otherwise."""
+    same = len(set(map(composed, names))) < len(names)
+    return [ascii(name) if same else repr(name) for name in names]

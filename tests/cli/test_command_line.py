@@ -153,7 +153,7 @@ def raising(monkeypatch):
         def fail(*_, **__):
             raise raised
 
-        for place in ("halfseen.logs.read_logs", "halfseen.logs.opening.opened"):
+        for place in ("halfseen.logs.read_logs", "halfseen.logs.stream.opened"):
             monkeypatch.setattr(place, fail)
 
     return let

@@ -11,7 +11,7 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.evaluation import HeldOutVerdict, held_out
 from halfseen.evaluation.exploring import Exploration, Region
 from halfseen.learning import CensoredQLearner
-from halfseen.logs import LogStream, opening
+from halfseen.logs import LogStream, stream
 from halfseen.logs.formats import write_csv
 from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import read_policy
@@ -200,14 +200,14 @@ def test_all_that_is_told_is_the_same(folder, log, stages, tmp_path, by_sevens):
 
 
 def test_many_stages_are_read_in_passes_and_few_are_not(folder, tmp_path, monkeypatch):
-    assert not isinstance(opening.opened(folder / "flat"), LogStream)
-    monkeypatch.setattr(opening, "MOST_STAGES_IN_MEMORY", 10)
-    assert isinstance(opening.opened(folder / "flat"), LogStream)
-    assert not isinstance(opening.opened(folder / "flat", streaming=False), LogStream)
+    assert not isinstance(stream.opened(folder / "flat"), LogStream)
+    monkeypatch.setattr(stream, "MOST_STAGES_IN_MEMORY", 10)
+    assert isinstance(stream.opened(folder / "flat"), LogStream)
+    assert not isinstance(stream.opened(folder / "flat", streaming=False), LogStream)
     # Other forms are not.
     write_csv(flat_log(), tmp_path / "csv")
     with pytest.raises(LogError, match="only folders of Parquet files are read in passes; make one of it"):
-        opening.opened(tmp_path / "csv", streaming=True)
+        stream.opened(tmp_path / "csv", streaming=True)
 
 
 def test_a_verdict_on_some_of_the_trajectories_says_so(folder, tmp_path, monkeypatch):

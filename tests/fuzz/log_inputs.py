@@ -79,18 +79,10 @@ def minari(folder: Path) -> None:
 
 @seed(LOGS, f"convert in/hand-v0 {ONE}", f"convert in/hand-v0 --clock t {ONE}")
 def minari_foreign(folder: Path) -> None:
-    import minari as library
-    from gymnasium import spaces
-    from minari.data_collector import EpisodeBuffer
+    from foreign import LAST, NO, write_minari_episodes
 
-    no, last = [False, False, False], [False, False, True]
-    seen = {"observations": np.arange(8.0).reshape(4, 2), "infos": {"t": np.array([5.0, 5.5, 7.0, 9.0])}}
-    done = {"actions": np.array([0, 1, 0]), "rewards": [1.0, 2.0, 3.0]}
-    ends = ({"terminations": last, "truncations": no}, {"terminations": no, "truncations": last})
-    buffers = [EpisodeBuffer(**seen, **done, **each) for each in ends]
-    box = spaces.Box(-9, 9, (2,), np.float64)
     with datasets_in(folder):
-        library.create_dataset_from_buffers("hand-v0", buffers, action_space=spaces.Discrete(2), observation_space=box)
+        write_minari_episodes("hand-v0", [(LAST, NO), (NO, LAST)])
 
 
 def bag(folder: Path, storage: str, with_cloud: bool = False) -> None:

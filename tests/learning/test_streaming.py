@@ -138,7 +138,7 @@ def bits(learner):
 
 @pytest.mark.parametrize("options", [DEFAULT, *OTHERS], ids=["default", "paper", "doubly robust by stage"])
 def test_one_worker_and_two_learn_the_same_bytes(known, tmp_path, options, monkeypatch):
-    monkeypatch.setattr("halfseen.logs.stream.NUM_SHARDS", 3)
+    monkeypatch.setattr("halfseen.logs.folder.NUM_SHARDS", 3)
     stream = streamed(known, tmp_path / "logs", 40)
     learner = CensoredQLearner(2, **{"actions": ACTIONS, "covariates": FULL, **options})
     one = bits(learner.fit(stream))
@@ -168,7 +168,7 @@ class Killing(KaplanMeier):
 
 
 def test_a_shard_of_a_killed_worker_is_summed_again(known, tmp_path, monkeypatch):
-    monkeypatch.setattr("halfseen.logs.stream.NUM_SHARDS", 3)
+    monkeypatch.setattr("halfseen.logs.folder.NUM_SHARDS", 3)
     cloudpickle.register_pickle_by_value(sys.modules[__name__])
     stream = streamed(known, tmp_path / "logs", 40)
     options = {"actions": ACTIONS, "covariates": FULL, **OF_PAPER}

@@ -12,7 +12,7 @@ from halfseen.learning.resampling import bootstrap
 from halfseen.learning.rows import Transitions
 from halfseen.learning.tabular import STAGES_OF_VARIANCE, fit_table
 from halfseen.logs import Logs
-from halfseen.logs.opening import opened
+from halfseen.logs.stream import opened
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.promised_parts import promised_parts
 from halfseen.policies.learner_choice import learner_for

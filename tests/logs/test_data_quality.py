@@ -8,7 +8,7 @@ import pytest
 
 from halfseen.logs import Logs
 from halfseen.logs.data_quality import data_warnings
-from halfseen.logs.spelling import alike
+from halfseen.suggestions import alike
 
 NAMES = ("stages", "trajectories", "objects")
 

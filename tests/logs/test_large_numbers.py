@@ -1,4 +1,7 @@
-"""Numbers that are names stay what they are beyond 2^53, where fractions skip every other one."""
+"""Numbers of all sizes: names stay what they are beyond 2^53, and rewards that no square can hold are refused.
+
+Beyond 2^53 fractions skip every other whole number. Rewards of other sizes only scale what is learned.
+"""
 
 import sqlite3
 from contextlib import closing
@@ -9,10 +12,13 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from halfseen.errors import LogError
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, Logs, LogStream, read_logs
 from halfseen.logs.formats import Queries, read_csv, read_sql, write_csv
 from halfseen.logs.joining import joined
 from refusals import refused
+from small_logs import log_of
 
 LARGE = 2**53
 """The first whole number that a fraction does not tell from the next one."""
@@ -125,3 +131,37 @@ def test_a_recorder_keeps_them(tmp_path):
     logs = read_logs(tmp_path / "recorded")
     assert logs.stages["object"].tolist()[0] == logs.stages["action"].tolist()[0] == logs.trajectory_ids[0] == other
     assert logs.objects["object"].tolist() == [one, other] * 2
+
+
+# Rewards.
+
+
+def scaled(scale):
+    rewards, each = np.random.default_rng(0).normal(size=40), np.arange(40)
+    return log_of(trajectory=each, reward=scale * rewards, action=np.where(each % 2, "a", "b"), x=each / 39.0)
+
+
+@pytest.mark.parametrize("scale", [1e155, 1e76])
+def test_no_reward_too_large_to_be_squared(tmp_path, scale):
+    with refused(r"trajectory .*: reward .* give rewards in another unit", LogError):
+        scaled(scale)
+    with LogRecorder(tmp_path / "logs") as recorder:
+        trajectory = recorder.begin_trajectory()
+        trajectory.begin_stage({"x": 0.5}, action="a")
+        with refused(r"stage 1: reward is 1e\+\d+; give rewards in another unit", LogError):
+            trajectory.complete_stage(scale)
+        trajectory.complete_stage(1.0)
+
+
+@pytest.mark.parametrize("scale", [1e-76, 1e-200])
+def test_nothing_is_learned_from_rewards_too_small_to_be_squared(scale):
+    with refused(r"largest reward is .*e-\d+, .* give rewards in another unit", LogError):
+        CensoredQLearner(1, ["a", "b"], ["x"]).fit(scaled(scale))
+
+
+@pytest.mark.parametrize("scale", [1e70, 1e-70])
+def test_other_sizes_only_scale_q(scale):
+    q = [CensoredQLearner(1, ["a", "b"], ["x"]).fit(scaled(s)).policy_ for s in (1.0, scale)]
+    frames = scaled(1.0).stages[["x"]]
+    one, other = (policy.scores(frames, 1) for policy in q)
+    np.testing.assert_allclose(other, scale * one, rtol=1e-6)

@@ -1,6 +1,7 @@
 """Logs that cannot be true: each lie is found in a cell of four actions, and an honest log of it raises no doubt."""
 
 import warnings
+from functools import cache
 
 import numpy as np
 import pandas as pd
@@ -41,6 +42,7 @@ def a_part(number, rng):
     return rows, {"trajectory": number, "end_s": elapsed_s, "ending": "finished", "cause": None}
 
 
+@cache
 def tables(num_parts=400, seed=0):
     rng = np.random.default_rng(seed)
     rows, trajectories = zip(*(a_part(number, rng) for number in range(num_parts)), strict=True)
@@ -100,7 +102,7 @@ def test_a_lie_is_found(name):
 
 
 def test_what_depends_on_the_action_was_written_down_after_it():
-    stages, trajectories = tables(1500)
+    stages, trajectories = tables(1000)
     load = stages["action"].eq("fingers") + 0.3 * np.random.default_rng(1).standard_normal(len(stages))
     assert kinds(stages.assign(load=load), trajectories) == {"leak"}
 
@@ -155,7 +157,7 @@ def evaluated(stages, trajectories, **options):
 
 
 def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trusted():
-    stages, trajectories = tables(1500)
+    stages, trajectories = tables(1000)
     honest, told = evaluated(stages, trajectories), evaluated(stages.assign(probability=0.8125), trajectories)
     assert honest.verdict == "better"
     assert told.verdict == told.comparisons[0].verdict == "inconclusive"
@@ -174,7 +176,7 @@ def test_no_verdict_rests_on_probabilities_that_nobody_had_unless_they_are_trust
 
 @pytest.mark.parametrize("lie", [as_finished, lambda s, p: (s.assign(vacuum_bar=s["won"]), p)], ids=["ends", "leak"])
 def test_no_verdict_rests_on_cuts_called_ends_or_on_outcomes_among_covariates(lie):
-    assert evaluated(*lie(*tables(1500))).verdict == "inconclusive"
+    assert evaluated(*lie(*tables(1000))).verdict == "inconclusive"
 
 
 def test_the_bound_of_an_excess_holds():

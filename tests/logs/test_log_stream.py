@@ -30,8 +30,8 @@ PLAIN, OF_OBJECTS, NAMED = {}, {"has_objects": True}, {"name_of": "p{:03d}".form
     [(PLAIN, 4, 7), (OF_OBJECTS, 4, 3), (NAMED, 2, 3), (PLAIN, 10, 100), (OF_OBJECTS, 100, 5), (NAMED, 10, 5)],
 )
 def test_parts_put_together_are_the_log(tmp_path, monkeypatch, kind, trajectories_at_once, rows_in_group):
-    monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", rows_in_group)
-    monkeypatch.setattr("halfseen.logs.stream.NUM_SHARDS", 3)
+    monkeypatch.setattr("halfseen.logs.parquet.ROWS_IN_GROUP", rows_in_group)
+    monkeypatch.setattr("halfseen.logs.folder.NUM_SHARDS", 3)
     logs = two_stages(range(13), **kind)
     logs.write(tmp_path / "logs")
     monkeypatch.setattr("halfseen.logs.folder.ROWS_IN_GROUP", 3)

@@ -100,27 +100,21 @@ def test_whatever_is_valid_is_sorted_and_can_be_taken_apart(tables, data):
     # Every stage has its place.
     expected = np.full((logs.num_trajectories, logs.horizon), np.nan)
     rows = {trajectory: row for row, trajectory in enumerate(logs.trajectory_ids)}
+    began_s, before = [], {}
     for trajectory, stage, elapsed_s in logs.stages[["trajectory", "stage", "elapsed_s"]].itertuples(index=False):
         expected[rows[trajectory], stage - 1] = elapsed_s
+        began_s.append(before.get(trajectory, 0.0))
+        before[trajectory] = elapsed_s
     np.testing.assert_array_equal(logs.elapsed_s(), expected)
+    # A stage begins when the one before it was completed.
+    np.testing.assert_array_equal(logs.begun_s(), began_s)
+    np.testing.assert_array_equal(logs.durations_s(), logs.stages["elapsed_s"] - began_s)
     # Whole trajectories are kept.
     kept = data.draw(st.sets(st.sampled_from(logs.trajectory_ids.tolist()), min_size=1))
     part = logs.select(sorted(kept))
     assert set(part.trajectory_ids.tolist()) == kept
     assert part.num_stages == logs.stages["trajectory"].isin(kept).sum()
     assert_same(part, part.select(part.trajectory_ids))
-
-
-@given(tables=valid_tables())
-def test_a_stage_begins_when_the_one_before_it_was_completed(tables):
-    log = Logs(**tables)
-    began_s, lasted_s, before = [], [], {}
-    for stage in log.stages.itertuples():
-        began_s.append(before.get(stage.trajectory, 0.0))
-        lasted_s.append(stage.elapsed_s - began_s[-1])
-        before[stage.trajectory] = stage.elapsed_s
-    np.testing.assert_array_equal(log.begun_s(), began_s)
-    np.testing.assert_array_equal(log.durations_s(), lasted_s)
 
 
 def test_does_not_touch_what_it_is_given():

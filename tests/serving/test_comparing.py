@@ -13,7 +13,7 @@ from halfseen.cli.serve import serve
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import read_logs
 from halfseen.logs.journal import JOURNAL, JournalEvents
-from halfseen.logs.recording_state import torn_by
+from halfseen.logs.recorder import torn_by
 from halfseen.monitoring.dealing import Terms, standing
 from halfseen.policies import read_policy
 from halfseen.policies.folder import write_policy

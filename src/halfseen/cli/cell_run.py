@@ -84,7 +84,7 @@ def run(
     from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
     from halfseen.cell.live_cell import Stops
     from halfseen.cell.summary import summarised
-    from halfseen.logs.folder import MANIFEST
+    from halfseen.logs.parquet import MANIFEST
     from halfseen.workers import Workers
 
     refuse = partial(refuse_taken, out, overwrite, MANIFEST, "logs")

@@ -198,7 +198,7 @@ def learn(
     total = START + LEARN + (FOLDS + JUDGE if has_verdict else 0) + LOOK
     with Progress(total, "start") as bar, noted() as of_library:
         from halfseen.learning.discrete_policy import more_cautious_learner
-        from halfseen.logs.opening import parts_of
+        from halfseen.logs.stream import parts_of
         from halfseen.policies.exploration_table import as_csv
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.record import plain
@@ -240,7 +240,7 @@ def _opened(
 ) -> "Logs | LogStream":
     from halfseen.logs import Logs
     from halfseen.logs.joining import since as later
-    from halfseen.logs.opening import opened
+    from halfseen.logs.stream import opened
 
     log = opened(logs, streaming, missing=missing)
     if since is None:

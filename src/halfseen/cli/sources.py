@@ -169,7 +169,7 @@ def read(kind: str, source: str, how: Reading, missing: str | None = None) -> "L
 def _read_sql(url: str, how: Reading, missing: str | None) -> "Logs":
     """Read a database by its queries, which options say, or a file."""
     from halfseen.logs.formats import Queries, read_event_mapping, read_event_table, read_queries, read_sql
-    from halfseen.logs.formats.event_mapping import is_event_mapping
+    from halfseen.logs.formats.mapping import is_event_mapping
     from halfseen.logs.formats.sql_rows import read_rows, shown_url
 
     if how.mapping is not None:

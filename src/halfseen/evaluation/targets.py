@@ -19,12 +19,11 @@ from halfseen.learning.rows import TrajectoryArrays
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
 from halfseen.logs.columns import shown
-from halfseen.logs.spelling import composed
 from halfseen.policies.folder import read_policy
 from halfseen.policies.rule_files import read_rule_table
 from halfseen.policies.rule_table import Rule
 from halfseen.shapes import Float, Int
-from halfseen.suggestions import did_you_mean
+from halfseen.suggestions import composed, did_you_mean
 
 
 @dataclass(frozen=True)

@@ -123,7 +123,7 @@ class Covariates:
         import pandas as pd
 
         from halfseen.logs.columns import value_at
-        from halfseen.logs.spelling import alike, spelled_out
+        from halfseen.suggestions import alike, spelled_out
 
         values: Any = frame[column]
         is_null = values.isna().to_numpy()

@@ -38,8 +38,8 @@ from halfseen.learning.sample import sampled
 from halfseen.learning.sums import Rows, packed
 from halfseen.learning.task import RewardedStages
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.folder import Folder
-from halfseen.logs.stream import Part, Shard, ShardReader, Tables, logs_of
+from halfseen.logs.folder import Folder, Part, Shard
+from halfseen.logs.stream import ShardReader, Tables, logs_of
 from halfseen.progress import Progress
 from halfseen.shapes import Float, Int
 from halfseen.workers import ALONE, Pool, Workers

@@ -3,9 +3,9 @@
 A *trajectory* is one episode. It ends *finished*, or *cut*: right-censored by something outside the task.
 
 Read down: `missing` (what stands for null in covariates) → `columns` (what is accepted, names, types, refusals) →
-`checks` (the rules) → `checked_tables` → `logs` (the record) → `summary`. On disk: `folder` (Parquet) → `stream` (a log
-that need not fit in memory) → `opening` (either) → `joining` (many as one). While a robot runs: `journal` (lines,
-chained by checksums) → `journal_writer` → `recorded` (from events to tables) → `values` → `recording_state` →
+`checks` (the rules) → `checked_tables` → `logs` (the record). On disk: `parquet` → `folder` → `stream` (a log of
+any form, whole or in passes) → `joining` (many as one). While a robot runs: `journal` (lines,
+chained by checksums) → `journal_writer` → `recorded` (from events to tables) → `recording_state` →
 `trajectory_recorder` → `recorder` → `protocol` (without Python). What `halfseen inspect` finds: `plausibility`,
 `data_quality`. Other forms: `formats`.
 """
@@ -16,11 +16,9 @@ from halfseen.lazy import lazy_names
 
 if TYPE_CHECKING:
     from halfseen.logs.joining import Compacted, compact, write_stream
-    from halfseen.logs.logs import Logs
-    from halfseen.logs.opening import read_logs
+    from halfseen.logs.logs import Logs, LogsSummary
     from halfseen.logs.recorder import LogRecorder
-    from halfseen.logs.stream import LogStream
-    from halfseen.logs.summary import LogsSummary
+    from halfseen.logs.stream import LogStream, read_logs
     from halfseen.logs.trajectory_recorder import CAUSES, TrajectoryRecorder
 
 __all__ = [
@@ -44,10 +42,10 @@ __getattr__ = lazy_names(
         "LogRecorder": "recorder",
         "LogStream": "stream",
         "Logs": "logs",
-        "LogsSummary": "summary",
+        "LogsSummary": "logs",
         "TrajectoryRecorder": "trajectory_recorder",
         "compact": "joining",
-        "read_logs": "opening",
+        "read_logs": "stream",
         "write_stream": "joining",
     },
 )

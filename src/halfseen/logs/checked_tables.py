@@ -69,9 +69,9 @@ def checked_trajectories(frame: pd.DataFrame) -> pd.DataFrame:
     words = trajectories["ending"].map(lambda ending: ending if isinstance(ending, str) else "").astype(object)
     is_cut, is_finished = (words.eq(word).to_numpy(dtype=bool) for word in (CUT, FINISHED))
     values = _values(trajectories, is_cut=is_cut, is_finished=is_finished)
-    _enforce(trajectories, values, checks.TRAJECTORY_RULES, ("trajectory",))
     causes = [column for column in trajectories.columns if is_of_one_robot(column) and column.endswith("_cause")]
     rules = [
+        *checks.TRAJECTORY_RULES,
         *map(checks.out_cause_rule, causes),
         *(checks.drop_out_rules(k)[0] for k in robots_that_may_drop_out(trajectories)),
     ]

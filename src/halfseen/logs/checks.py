@@ -1,4 +1,4 @@
-"""What must hold for a log: one table of rules, each with the column that it is about, what is wrong, and the remedy.
+"""What must hold for a log: one table of rules, each with what is wrong, and the remedy.
 
 Tables are brought to these types and into order, and each rule is asked. Of several robots a stage belongs to the
 one that decided at its beginning, and what a robot began is over, at the latest, by the clock at which it decides
@@ -8,12 +8,13 @@ although that decides a moment later. A robot r that dropped out alone has the c
 trajectory.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_of_one_robot, is_own_reward
+from halfseen.errors import LogError
+from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_of_one_robot, is_own_reward, shown
 from halfseen.shapes import Bool
 
 EARLIEST_DATE_S = 1e9
@@ -42,94 +43,84 @@ Mask = Bool[np.ndarray, " rows"]
 
 
 class Rule(NamedTuple):
-    """What must not be.
+    """What must not be."""
 
-    Parameters
-    ----------
-    column
-        What it is about.
-    is_wrong
-        Which rows break it, from the table's columns and what is derived of them.
-    message
-        What is wrong; names in braces stand for values of the row.
-    remedy
-        What to do.
-    """
-
-    column: str
     is_wrong: Callable[[Any], Mask]
+    """Which rows break it, from the table's columns and what is derived of them."""
     message: str
+    """What is wrong; names in braces stand for values of the row."""
     remedy: str
+    """What to do."""
 
 
 # fmt: off
 TRAJECTORY_RULES = (
-    Rule("trajectory", lambda t: t.trajectory.duplicated().to_numpy(),
+    Rule(lambda t: t.trajectory.duplicated().to_numpy(),
          "it is in trajectories twice", "give each trajectory one row and a name of its own"),
-    Rule("end_s", lambda t: ~((t.end_s > 0) & np.isfinite(t.end_s)),
+    Rule(lambda t: ~((t.end_s > 0) & np.isfinite(t.end_s)),
          "end_s {end_s} is no end", "give the finite time from its beginning to its end, > 0 s"),
-    Rule("end_s", lambda t: t.end_s >= EARLIEST_DATE_S,
+    Rule(lambda t: t.end_s >= EARLIEST_DATE_S,
          "end_s {end_s} is a date or no seconds", "give the seconds since the trajectory's beginning"),
-    Rule("ending", lambda t: ~t.is_cut & ~t.is_finished,
+    Rule(lambda t: ~t.is_cut & ~t.is_finished,
          "ending {ending} is unknown", f"say {FINISHED!r} where the trajectory reached its own end, and {CUT!r} where "
          "something outside the task ended it"),
-    Rule("cause", lambda t: ~t.is_cut & t.cause.notna().to_numpy(),
+    Rule(lambda t: ~t.is_cut & t.cause.notna().to_numpy(),
          "it finished, yet has the cause {cause}", f"only a cut has one: leave it null, or make the ending {CUT!r}"),
 )
 ORDER_RULES = (
-    Rule("stage", lambda s: ~s.is_first & (s.stage == s.stage_before),
+    Rule(lambda s: ~s.is_first & (s.stage == s.stage_before),
          "the stage is there twice", "drop one of the two rows, or renumber them"),
-    Rule("stage", lambda s: s.stage != s.expected,
+    Rule(lambda s: s.stage != s.expected,
          "stage {expected} is missing before it", "number the stages of a trajectory 1, 2, 3, … without gaps"),
-    Rule("elapsed_s", lambda s: ~s.is_completed & ~s.is_cut_stage,
+    Rule(lambda s: ~s.is_completed & ~s.is_cut_stage,
          "elapsed_s is null, yet only the last stage of a cut trajectory is not completed",
          "give the clock at its end, or cut the trajectory there"),
-    Rule("elapsed_s", lambda s: s.is_completed & s.is_cut_stage,
+    Rule(lambda s: s.is_completed & s.is_cut_stage,
          "elapsed_s {elapsed_s} completes the last stage of a cut trajectory",
          "add the stage in which the cut fell, with covariates and elapsed_s null, or make the ending 'finished'"),
     # Where two robots of a team are free at once, the stage between their decisions takes no time.
-    Rule("elapsed_s",
-         lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
+    Rule(lambda s: s.is_completed & ~((s.elapsed_s < np.inf) & ((s.elapsed_s > 0) | s.may_stand & (s.elapsed_s == 0))),
          "elapsed_s {elapsed_s} is no time after the trajectory's beginning", "fix the clock"),
-    Rule("elapsed_s", lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
+    Rule(lambda s: (not s.may_stand) & s.is_completed & ~s.is_first & (s.elapsed_s == s.before_s),
          "elapsed_s {elapsed_s} is also the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
-    Rule("elapsed_s", lambda s: s.is_completed & ~s.is_first & (s.elapsed_s < s.before_s),
+    Rule(lambda s: s.is_completed & ~s.is_first & (s.elapsed_s < s.before_s),
          "elapsed_s {elapsed_s} is before the {before_s} of stage {stage_before}", "sort the stages or fix the clock"),
-    Rule("elapsed_s", lambda s: s.is_completed & (s.elapsed_s > s.end_s * (1.0 + ROUNDING)),
+    Rule(lambda s: s.is_completed & (s.elapsed_s > s.end_s * (1.0 + ROUNDING)),
          "elapsed_s {elapsed_s} is after the trajectory's end_s {end_s}",
          "fix end_s, or make this the stage in which the trajectory was cut"),
-    Rule("elapsed_s", lambda s: s.is_last & (s.times > 1.0),
+    Rule(lambda s: s.is_last & (s.times > 1.0),
          "end_s {end_s} is {times:.0e} times the elapsed_s {elapsed_s} of the last stage, as if units were mixed",
          "give both in seconds"),
 )
 ROBOT_RULE = Rule(
-    "robot", lambda s: s.is_at_same, "robot {robot} begins with object {object}, which robot {other} is at since stage "
-    "{since}", f"mend robot or object, or leave {ROBOT!r} out if one robot made all stages")
+    lambda s: s.is_at_same,
+    "robot {robot} begins with object {object}, which robot {other} is at since stage {since}",
+    f"mend robot or object, or leave {ROBOT!r} out if one robot made all stages",
+)
 COMPLETION_RULES = (
-    Rule("action", lambda s: s.is_completed & s.action.isna().to_numpy(),
+    Rule(lambda s: s.is_completed & s.action.isna().to_numpy(),
          "the stage is completed, yet its action is null", "give the action that was taken"),
-    Rule("reward", lambda s: s.is_completed & ~np.isfinite(s.reward),
+    Rule(lambda s: s.is_completed & ~np.isfinite(s.reward),
          "the stage is completed, yet its reward is {reward}", "give the finite reward that it earned"),
-    Rule("reward", lambda s: ~s.is_completed & ~np.isnan(s.reward),
+    Rule(lambda s: ~s.is_completed & ~np.isnan(s.reward),
          "reward {reward} is given, yet the stage was not completed", "leave it null, or give elapsed_s"),
-    Rule("reward", lambda s: np.abs(s.reward) > LARGEST,
+    Rule(lambda s: np.abs(s.reward) > LARGEST,
          "reward {reward}: the fourth power of such a number is none", "give rewards in another unit"),
-    Rule("probability",
-         lambda s: ~((s.probability > 0) & (s.probability <= 1)) & (s.is_completed | ~np.isnan(s.probability)),
+    Rule(lambda s: ~((s.probability > 0) & (s.probability <= 1)) & (s.is_completed | ~np.isnan(s.probability)),
          "probability {probability} of the logged action is outside (0, 1]",
          "fix it, or leave the column out if it was not logged"),
 )
 OBJECT_RULES = (
-    Rule("stage", lambda o: o.trajectory_row < 0,
+    Rule(lambda o: o.trajectory_row < 0,
          "trajectories has no such trajectory", "add its row to trajectories, or drop its objects"),
-    Rule("stage", lambda o: (o.stage < 1) | (o.stage > o.last),
+    Rule(lambda o: (o.stage < 1) | (o.stage > o.last),
          "the trajectory has stages 1 to {last}", "add the stage to stages, or drop its objects"),
 )
 
 
 def own_reward_rule(column: str) -> Rule:
     """Of what one robot brought in a stage."""
-    return Rule(column, lambda s: ~np.where(s.is_completed, np.isfinite(vars(s)[column]), np.isnan(vars(s)[column])),
+    return Rule(lambda s: ~np.where(s.is_completed, np.isfinite(vars(s)[column]), np.isnan(vars(s)[column])),
                 f"{column} is {{{column}}}",
                 "give a finite number for each completed stage, and null for one that was not, or leave it out")
 
@@ -137,7 +128,7 @@ def own_reward_rule(column: str) -> Rule:
 def out_cause_rule(cause: str) -> Rule:
     """Of why a robot dropped out."""
     clock, robot = cause.replace("_cause", "_s"), cause.split("_")[0]
-    return Rule(cause, lambda t: vars(t)[cause].notna().to_numpy() & np.isnan(vars(t).get(clock, np.nan)),
+    return Rule(lambda t: vars(t)[cause].notna().to_numpy() & np.isnan(vars(t).get(clock, np.nan)),
                 f"{cause} is given, yet {clock} is not", f"give the clock at which robot {robot} dropped out")
 
 
@@ -145,10 +136,10 @@ def drop_out_rules(robot: int) -> tuple[Rule, Rule]:
     """Of a robot that may drop out: of its clock in trajectories, and of what it decides in stages."""
     clock = f"{robot}_out_s"
     return (
-        Rule(clock, lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
+        Rule(lambda t: ~np.isnan(vars(t)[clock]) & ~((vars(t)[clock] > 0) & (vars(t)[clock] <= t.end_s)),
              f"{clock} {{{clock}}} lies outside the trajectory, which ends at {{end_s}} s",
              "fix it, null where the robot did not drop out before it"),
-        Rule(ROBOT, lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > vars(s)[clock]),
+        Rule(lambda s: s.robot.eq(robot).to_numpy(dtype=bool) & (s.begin_s > vars(s)[clock]),
              f"robot {robot} decides at {{begin_s}} s, yet dropped out at {{{clock}}} s",
              f"fix {clock} or the stage's robot"),
     )
@@ -168,3 +159,37 @@ def type_of(table: str, column: str) -> str | None:
     if is_of_one_robot(column) and is_own_reward(column) == (table == "stages") and table != "objects":
         return "name or null" if column.endswith("_out_cause") else "number"
     return COLUMN_TYPES[table].get(column)
+
+
+MOST_UNIT_CHARS = 24
+_UNIT_REMEDY = f"give a text of one line and at most {MOST_UNIT_CHARS} characters, such as 'parts', or leave it out"
+
+
+def checked_unit(unit: Any) -> str | None:
+    """Take a unit of rewards without the blanks around it; None where there is none.
+
+    Raises
+    ------
+    LogError
+        It is no short text.
+    """
+    if unit is None:
+        return None
+    stripped = unit.strip() if isinstance(unit, str) else ""
+    if not stripped or len(stripped) > MOST_UNIT_CHARS or not stripped.isprintable():
+        raise LogError(f"reward_unit is {shown(unit)}, which is no short text; {_UNIT_REMEDY}")
+    return stripped
+
+
+def common_unit(units: Iterable[str | None]) -> str | None:
+    """The one unit of several logs; those that name none go with the others.
+
+    Raises
+    ------
+    LogError
+        Two are in different ones.
+    """
+    known = list(dict.fromkeys(unit for unit in units if unit is not None))
+    if len(known) > 1:
+        raise LogError(f"rewards are in {known[0]!r} and in {known[1]!r}; bring the logs to one unit before they join")
+    return known[0] if known else None

@@ -122,14 +122,11 @@ def frame_of(table: pa.Table) -> pd.DataFrame:
     """Make a frame; whole numbers with nulls become fractions, but where fractions do not tell them apart."""
     frame = table.to_pandas()
     for name, column in zip(table.column_names, table.columns, strict=True):
-        if column.null_count and pa.types.is_integer(column.type) and _is_beyond_fractions(column):
-            frame[name] = column.to_pandas(types_mapper={column.type: pd.Int64Dtype()}.get)
+        if column.null_count and pa.types.is_integer(column.type):
+            numbers = column.drop_null().to_numpy()
+            if len(numbers) and max(-int(numbers.min()), int(numbers.max())) >= LARGEST_FRACTION:
+                frame[name] = column.to_pandas(types_mapper={column.type: pd.Int64Dtype()}.get)
     return frame
-
-
-def _is_beyond_fractions(column: pa.ChunkedArray) -> bool:
-    numbers = column.drop_null().to_numpy()
-    return len(numbers) > 0 and max(-int(numbers.min()), int(numbers.max())) >= LARGEST_FRACTION
 
 
 def _column(values: Any) -> Any:
@@ -336,13 +333,10 @@ def _missing_numbers(values: Any) -> Bool[np.ndarray, " rows"]:
         return ~np.isfinite(values.to_numpy(dtype=np.float64, na_value=np.nan))
     if values.dtype == object and pd.api.types.infer_dtype(values, skipna=True) == "mixed":
         lists: Any = pa.array(values, from_pandas=True)
-        if pa.types.is_list(lists.type) and _holds_numbers(lists.type.value_type):
+        item = lists.type.value_type if pa.types.is_list(lists.type) else pa.string()
+        if pa.types.is_floating(item) or pa.types.is_integer(item) or pa.types.is_null(item):
             missing = np.array(lists.is_null())
             is_wrong = ~np.isfinite(lists.flatten().cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False))
             missing[np.array(lists.value_parent_indices(), dtype=np.int64)[is_wrong]] = True
             return missing
     return np.zeros(len(values), dtype=bool)
-
-
-def _holds_numbers(kind: pa.DataType) -> bool:
-    return pa.types.is_floating(kind) or pa.types.is_integer(kind) or pa.types.is_null(kind)

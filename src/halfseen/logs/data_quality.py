@@ -20,7 +20,7 @@ from halfseen.logs.columns import OBJECT_COLUMNS, shown
 from halfseen.logs.grouping import can_be_counted, coded, far_apart, grouped_covariates, is_one_kind, rows_with
 from halfseen.logs.logs import Logs
 from halfseen.logs.plausibility import cuts_called_finished, leaks, outcomes_among_covariates, untrue_probabilities
-from halfseen.logs.spelling import alike, spelled_out
+from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
@@ -38,18 +38,12 @@ NAMES_OF_ENDS = {
 
 @dataclass(frozen=True)
 class DataWarning:
-    """Something that looks wrong.
-
-    Parameters
-    ----------
-    kind
-        Which check found it, for programs.
-    sentence
-        What was found, and what to look at, for people.
-    """
+    """Something that looks wrong."""
 
     kind: str
+    """Which check found it, for programs."""
     sentence: str
+    """What was found, and what to look at, for people."""
 
 
 def data_warnings(logs: Logs) -> tuple[DataWarning, ...]:

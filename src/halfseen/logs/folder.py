@@ -1,4 +1,4 @@
-"""Logs on disk: a folder of Parquet files that is there whole or not at all, or the journal of a recorder.
+"""Logs on disk: a folder of Parquet files that is there whole or not at all, or the journal of a recorder; its shards.
 
 ::
 
@@ -7,28 +7,30 @@
       stages.parquet
       trajectories.parquet
       objects.parquet    where the stages have objects
+
+A shard is whole trajectories that stand one after another, which any process can read alone.
 """
 
-import json
 import shlex
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pandas as pd
+import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError, within
+from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import converting, frame_of
 from halfseen.logs.journal import is_journal
 from halfseen.logs.missing import Filling
-from halfseen.logs.parquet_footer import check_unpacked_table
+from halfseen.logs.parquet import FORMAT, MANIFEST, ROWS_IN_GROUP, TABLES, VERSION, parquet_file
 from halfseen.logs.recorded import journal_log
-from halfseen.logs.units import checked_unit
-from halfseen.reading import TABLE, check_file, json_of, read_text, refused
-from halfseen.writing import placed
+from halfseen.reading import json_of, read_text, refused
 
 Place = Any
 """A `Path`, or what does the same in a store (``UPath``)."""
@@ -81,13 +83,15 @@ def asking(place: Place) -> Iterator[None]:
         raise LogError(f"{place}: the store did not answer ({reason}); check the address and your access") from error
 
 
-MANIFEST = "logs.json"
-FORMAT, VERSION = "halfseen-logs", 2
-TABLES = ("stages", "trajectories", "objects")
 FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".parquet")
 """Files of other programs, of which `halfseen convert` makes logs by a mapping."""
-ROWS_IN_GROUP = 65_536
-"""Rows that are read at once by anyone who wants one of them."""
+MOST_PARTS = 64
+"""Of a shard; a worker that is lost takes with it what it was to read."""
+NUM_SHARDS = 64
+"""Of a log with enough parts, at least."""
+compute: Any = pyarrow.compute
+UNSORTED = "write the logs by Logs.write or write_stream, which sort them"
+"""What to do about a folder whose tables are not sorted."""
 
 
 class Folder(NamedTuple):
@@ -112,12 +116,7 @@ class Folder(NamedTuple):
         file = self.place / f"{name}.parquet"
         # Not read_table, which makes columns of a folder that is called a=b.
         with whole_table(file), asking(self.place):
-            if isinstance(file, Path):
-                num_bytes = check_file(file, TABLE)
-                opened = pq.ParquetFile(file)
-                check_unpacked_table(file, num_bytes, opened)
-            else:
-                opened = pq.ParquetFile(file.open("rb"))
+            opened = parquet_file(file) if isinstance(file, Path) else pq.ParquetFile(file.open("rb"))
         if opened.metadata.num_rows != self.num_rows[name]:
             raise LogError(
                 f"{file}: it has {opened.metadata.num_rows} rows where {MANIFEST} counts {self.num_rows[name]}; files "
@@ -157,31 +156,6 @@ def read_folder(folder: Place) -> dict[str, Any]:
         # What was read is as large again as the table, and Arrow would keep the room.
         pa.default_memory_pool().release_unused()
     return {**tables, "reward_unit": described.reward_unit}
-
-
-def write_tables(
-    folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite: bool, reward_unit: str | None = None
-) -> None:
-    """Write tables beside `folder`, then put them in its place by renaming.
-
-    Raises
-    ------
-    ArgumentError
-        The folder exists, holds something other than logs, or cannot be written.
-    """
-    with placed(folder, overwrite=overwrite, marker=MANIFEST) as fresh:
-        for name, table in tables.items():
-            arrow = pa.Table.from_pandas(table, preserve_index=False)
-            pq.write_table(arrow, fresh / f"{name}.parquet", ROWS_IN_GROUP, compression="zstd")
-        write_manifest(Folder(fresh, {name: len(table) for name, table in tables.items()}, reward_unit))
-
-
-def write_manifest(folder: Folder) -> None:
-    """Write down how many rows each table of a folder has, and the unit of rewards if there is one."""
-    manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, "rows": folder.num_rows}
-    if folder.reward_unit is not None:
-        manifest["reward_unit"] = folder.reward_unit
-    (folder.place / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def read_manifest(folder: Place) -> Folder:
@@ -230,3 +204,84 @@ def whole_table(file: Place) -> AbstractContextManager[None]:
     """Refuse a table that cannot be read, and say why (`LogError`)."""
     missing = "it is missing; copy the whole folder, or write the logs again"
     return refused(file, "it is no whole Parquet file", "copy it again, or write the logs again", missing)
+
+
+class Part(NamedTuple):
+    """Trajectories that are held in memory at once."""
+
+    number: int
+    trajectories: tuple[int, int]
+    """Rows of the table of trajectories: the first, and the one after the last."""
+    rows: dict[str, tuple[int, int]]
+    """Of the other tables."""
+
+
+class Shard(NamedTuple):
+    """Parts that are read one after the other."""
+
+    number: int
+    parts: tuple[Part, ...]
+
+    @property
+    def trajectories(self) -> slice:
+        """Rows of the table of trajectories."""
+        return slice(self.parts[0].trajectories[0], self.parts[-1].trajectories[1])
+
+
+class TableInGroups:
+    """A table of a folder, read by the groups of rows that hold what is wanted; one is held."""
+
+    def __init__(self, folder: Folder, name: str) -> None:
+        self._file_name = folder.place / f"{name}.parquet"
+        self._file = folder.opened(name)
+        sizes = [self._file.metadata.row_group(group).num_rows for group in range(self._file.num_row_groups)]
+        self._begin = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
+        self._group = lru_cache(maxsize=1)(self._file.read_row_group)
+
+    def rows(self, begin: int, end: int) -> pa.Table:
+        """Read some rows (`LogError` where the file is broken)."""
+        first = int(np.searchsorted(self._begin, begin, side="right")) - 1
+        last = int(np.searchsorted(self._begin, end, side="left"))
+        with whole_table(self._file_name):
+            groups = [self._group(group) for group in range(first, last)]
+        return pa.concat_tables(groups).slice(begin - int(self._begin[first]), end - begin)
+
+
+def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
+    """Deal the parts of a folder into shards, by its size alone.
+
+    Raises
+    ------
+    LogError
+        A table has not as many trajectories, one after another, as that of the trajectories.
+    """
+    num_trajectories = folder.num_rows["trajectories"]
+    ends = {name: _ends(folder, name, trajectories_at_once) for name in folder.num_rows if name != "trajectories"}
+    parts = []
+    for number, first in enumerate(range(0, num_trajectories, trajectories_at_once)):
+        rows = {name: (int(end[number]), int(end[number + 1])) for name, end in ends.items()}
+        parts.append(Part(number, (first, min(first + trajectories_at_once, num_trajectories)), rows))
+    size = min(max(len(parts) // NUM_SHARDS, 1), MOST_PARTS)
+    groups = [parts[first : first + size] for first in range(0, len(parts), size)]
+    return [Shard(number, tuple(group)) for number, group in enumerate(groups)]
+
+
+def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
+    """Rows of a table in which parts begin, and the number of its rows."""
+    found, num_trajectories, num_rows, last = [], 0, 0, None
+    for column in folder.batches(name, ["trajectory"]):
+        is_new = np.ones(len(column), dtype=bool)
+        values = column["trajectory"]
+        differs = compute.fill_null(compute.not_equal(values.slice(1), values.slice(0, len(values) - 1)), True)
+        is_new[1:] = differs.to_numpy(zero_copy_only=False)
+        is_new[0] = last is None or values[0].as_py() != last
+        at = np.flatnonzero(is_new)
+        numbers = num_trajectories + np.arange(len(at))
+        found.append(num_rows + at[numbers % trajectories_at_once == 0])
+        num_trajectories, num_rows, last = num_trajectories + len(at), num_rows + len(column), values[-1].as_py()
+    if num_trajectories != folder.num_rows["trajectories"]:
+        raise LogError(
+            f"{folder.place / name}.parquet: the rows of its trajectories do not stand together, or a trajectory has "
+            f"none; {UNSORTED}"
+        )
+    return np.concatenate([*found, [num_rows]])

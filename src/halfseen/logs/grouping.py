@@ -19,21 +19,13 @@ FEWEST_APART, FEWEST_SHARE, GAP, RATIO = 3, 0.01, 30.0, 300.0
 
 
 class Grouped(NamedTuple):
-    """One covariate, in groups.
-
-    Parameters
-    ----------
-    name
-        Of the column.
-    group
-        Of each row, from 0.
-    words
-        What each of the G groups holds: "below 3", "'red'".
-    """
+    """One covariate, in groups."""
 
     name: str
     group: RowIds
+    """Of each row, from 0."""
     words: tuple[str, ...]
+    """What each of the G groups holds: "below 3", "'red'"."""
 
     @property
     def num_groups(self) -> int:

@@ -16,14 +16,14 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.checks import common_unit
 from halfseen.logs.columns import shown
-from halfseen.logs.folder import MANIFEST, Folder, Place, place_of, write_manifest
+from halfseen.logs.folder import Place, place_of
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import KEEP
-from halfseen.logs.opening import read_logs
+from halfseen.logs.parquet import MANIFEST, write_manifest
 from halfseen.logs.recorded import STILL_RUNNING
-from halfseen.logs.stream import TRAJECTORIES_AT_ONCE
-from halfseen.logs.units import common_unit
+from halfseen.logs.stream import TRAJECTORIES_AT_ONCE, read_logs
 from halfseen.writing import placed, refuse_taken
 
 
@@ -44,15 +44,12 @@ def joined(parts: Sequence[Logs]) -> Logs:
         raise LogError("there is no log to join; give at least one")
     if len({part.objects is None for part in parts}) > 1:
         raise LogError("only some of the logs have objects; join those that have and those that have none apart")
-    tables: Any = {name: _stacked([part.tables[name] for part in parts]) for name in parts[0].tables}
+    # By Arrow: a column that is null throughout one log has no type there, and takes that of the others.
+    frames = {name: [part.tables[name] for part in parts] for name in parts[0].tables}
+    arrow = {name: [pa.Table.from_pandas(each, preserve_index=False) for each in of] for name, of in frames.items()}
+    tables: Any = {name: pa.concat_tables(of, promote_options="permissive") for name, of in arrow.items()}
     missing = parts[0].missing if all(part.missing == parts[0].missing for part in parts) else None
     return Logs(**tables, reward_unit=common_unit(part.reward_unit for part in parts), missing=missing)
-
-
-def _stacked(frames: list[pd.DataFrame]) -> pa.Table:
-    # By Arrow: a column that is null throughout one log has no type there, and takes that of the others.
-    tables = [pa.Table.from_pandas(frame, preserve_index=False) for frame in frames]
-    return pa.concat_tables(tables, promote_options="permissive")
 
 
 def write_stream(
@@ -116,7 +113,7 @@ def write_stream(
         if not writers:
             raise ArgumentError("there is no part; give at least one log")
         stack.close()
-        write_manifest(Folder(fresh, rows, unit))
+        write_manifest(fresh, rows, unit)
 
 
 def _without_nulls(schema: pa.Schema) -> pa.Schema:

@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 from halfseen.errors import ArgumentError, LogError, within
 from halfseen.locks import is_locked
 from halfseen.logs import journal
-from halfseen.logs.units import common_unit
+from halfseen.logs.checks import common_unit
 
 FSYNC: dict[str, Container[str]] = {
     "never": (),

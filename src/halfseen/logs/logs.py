@@ -1,6 +1,8 @@
 """The record of what happened: trajectories, their stages, the objects that stood there."""
 
+from collections import Counter
 from copy import copy
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +12,7 @@ import pandas as pd
 from halfseen.arrays import RowMask, Rows
 from halfseen.errors import LogError
 from halfseen.logs.checked_tables import checked_objects, checked_stages, checked_trajectories, complete_stages
+from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import (
     FINISHED,
     OBJECT_COLUMNS,
@@ -22,11 +25,54 @@ from halfseen.logs.columns import (
     shown,
     through_arrow,
 )
-from halfseen.logs.folder import write_tables
 from halfseen.logs.missing import KEEP, Filling, Missing
-from halfseen.logs.summary import LogsSummary, SummaryTally
-from halfseen.logs.units import checked_unit
+from halfseen.logs.parquet import TABLES, write_tables
 from halfseen.shapes import Float
+
+
+@dataclass(frozen=True)
+class LogsSummary:
+    """Counts of a log.
+
+    Parameters
+    ----------
+    num_trajectories, num_finished, num_cut
+        Trajectories, and how they ended.
+    cut_share
+        Proportion of the trajectories that were cut, in [0, 1].
+    num_stages, num_completed
+        Stages of all trajectories, and those that were completed.
+    horizon
+        Stages of the longest trajectory.
+    shortest_s, longest_s
+        The earliest and the latest observed end of a trajectory [s].
+    causes, actions
+        Number of trajectories for each cause of a cut, and of completed stages for each action, the most frequent
+        first.
+    num_objects
+        Number of different objects' names; 0 where the stages have none.
+    """
+
+    num_trajectories: int
+    num_finished: int
+    num_cut: int
+    cut_share: float
+    causes: dict[str, int]
+    num_stages: int
+    num_completed: int
+    horizon: int
+    shortest_s: float
+    longest_s: float
+    actions: dict[str, int]
+    num_objects: int
+
+    def __str__(self) -> str:
+        trajectories = "trajectory" if self.num_trajectories == 1 else "trajectories"
+        stages = "1 stage" if self.horizon == 1 else f"{self.horizon} stages"
+        return (
+            f"{self.num_trajectories} {trajectories} of up to {stages} and {self.longest_s:.4g} s: {self.num_finished} "
+            f"finished, {self.num_cut} cut ({self.cut_share:.0%})."
+        )
 
 
 class Logs:
@@ -78,13 +124,22 @@ class Logs:
     ...         "trajectory": [0, 1],
     ...         "end_s": [4.0, 2.5],
     ...         "ending": ["finished", "cut"],
-    ...         "cause": [None, "battery"],
     ...     },
     ... )
     >>> logs.elapsed_s()
     array([[1.5, 4. ],
            [nan, nan]])
     """
+
+    trajectories: pd.DataFrame
+    """One row a trajectory, sorted by trajectory: trajectory, end_s [s], ending, cause, and what else was given."""
+    stages: pd.DataFrame
+    """One row a stage, sorted by trajectory and stage."""
+    objects: pd.DataFrame | None
+    """One row an object of a stage, sorted by trajectory, stage and object; None where there are none."""
+    reward_unit: str | None
+    missing: Filling | str | None
+    """What was said of null, and learned: what a part of this log, or the like of it, is made with."""
 
     def __init__(
         self,
@@ -95,97 +150,63 @@ class Logs:
         reward_unit: str | None = None,
         missing: Missing = None,
     ) -> None:
-        self._reward_unit = checked_unit(reward_unit)
+        self.reward_unit = checked_unit(reward_unit)
         ends = checked_trajectories(as_frame("trajectories", trajectories, TRAJECTORY_COLUMNS))
         rows = checked_stages(as_frame("stages", stages, STAGE_COLUMNS), ends)
         rows, filling = complete_stages(rows, missing)
-        self._missing = KEEP if missing == KEEP else filling
-        self._objects = None
-        if objects is not None:
-            there = checked_objects(as_frame("objects", objects, OBJECT_COLUMNS), rows, ends)
-            self._objects = through_arrow("objects", there)
-        self._trajectories, self._stages = through_arrow("trajectories", ends), through_arrow("stages", rows)
+        self.missing = KEEP if missing == KEEP else filling
+        there = None if objects is None else checked_objects(as_frame("objects", objects, OBJECT_COLUMNS), rows, ends)
+        self.objects = None if there is None else through_arrow("objects", there)
+        self.trajectories, self.stages = through_arrow("trajectories", ends), through_arrow("stages", rows)
 
     def __repr__(self) -> str:
         return f"<Logs: {self.summary()}>"
 
     @property
-    def trajectories(self) -> pd.DataFrame:
-        """One row a trajectory, sorted by trajectory: trajectory, end_s [s], ending, cause, and what else was given."""
-        return self._trajectories
-
-    @property
-    def stages(self) -> pd.DataFrame:
-        """One row a stage, sorted by trajectory and stage."""
-        return self._stages
-
-    @property
-    def objects(self) -> pd.DataFrame | None:
-        """One row an object of a stage, sorted by trajectory, stage and object; None where there are none."""
-        return self._objects
-
-    @property
-    def reward_unit(self) -> str | None:
-        """What rewards are counted in, such as "parts"; None if nobody has said."""
-        return self._reward_unit
-
-    @property
     def filling(self) -> Filling | None:
         """What stands for covariates that were null; None where null is refused, or stands."""
-        return self._missing if isinstance(self._missing, Filling) else None
-
-    @property
-    def missing(self) -> Filling | str | None:
-        """What was said of null, and learned: what a part of this log, or the like of it, is made with."""
-        return self._missing
+        return self.missing if isinstance(self.missing, Filling) else None
 
     def in_unit(self, reward_unit: str | None) -> "Logs":
-        """The same log with rewards that are said to be counted in this unit; no number changes.
-
-        Raises
-        ------
-        LogError
-            The unit is no short text.
-        """
+        """The same log with rewards that are said to be counted in this unit, a short text; no number changes."""
         same = copy(self)
-        same._reward_unit = checked_unit(reward_unit)
+        same.reward_unit = checked_unit(reward_unit)
         return same
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
         """The tables that there are, by name: stages, trajectories and, where there are any, objects."""
-        tables = {"stages": self._stages, "trajectories": self._trajectories, "objects": self._objects}
-        return {name: table for name, table in tables.items() if table is not None}
+        return {name: table for name in TABLES if (table := vars(self)[name]) is not None}
 
     @property
     def num_trajectories(self) -> int:
         """Number of trajectories n."""
-        return len(self._trajectories)
+        return len(self.trajectories)
 
     @property
     def num_stages(self) -> int:
         """Number of stages of all trajectories together, those in which a cut fell included."""
-        return len(self._stages)
+        return len(self.stages)
 
     @property
     def horizon(self) -> int:
         """Number of stages T of the longest trajectory."""
-        return int(self._stages["stage"].max())
+        return int(self.stages["stage"].max())
 
     @property
     def trajectory_ids(self) -> np.ndarray:
         """Names of the trajectories, shape (n,): the order of every array below."""
-        return self._trajectories["trajectory"].to_numpy()
+        return self.trajectories["trajectory"].to_numpy()
 
     @property
     def end_s(self) -> Rows:
         """Observed end of each trajectory [s]."""
-        return self._trajectories["end_s"].to_numpy()
+        return self.trajectories["end_s"].to_numpy()
 
     @property
     def is_finished(self) -> RowMask:
         """True where the trajectory reached its own end, False where it was cut."""
-        return (self._trajectories["ending"] == FINISHED).to_numpy(dtype=bool)
+        return (self.trajectories["ending"] == FINISHED).to_numpy(dtype=bool)
 
     @property
     def cut_share(self) -> float:
@@ -195,12 +216,12 @@ class Logs:
     @property
     def stage_covariates(self) -> list[str]:
         """Names of the stages' covariates."""
-        return [column for column in self._stages.columns if is_stage_covariate(column)]
+        return [column for column in self.stages.columns if is_stage_covariate(column)]
 
     @property
     def trajectory_columns(self) -> list[str]:
         """Names of what else is known of the trajectories, such as the scene."""
-        return [column for column in self._trajectories.columns if column not in TRAJECTORY_COLUMNS]
+        return [column for column in self.trajectories.columns if column not in TRAJECTORY_COLUMNS]
 
     def elapsed_s(self) -> Float[np.ndarray, "n T"]:
         """Clock at the end of each stage [s], NaN where it was not completed or there is none."""
@@ -214,27 +235,27 @@ class Logs:
         LogError
             There is no such column, or it holds no numbers.
         """
-        require_columns("stages", self._stages, (column,))
-        if not pd.api.types.is_numeric_dtype(self._stages[column].dtype):
+        require_columns("stages", self.stages, (column,))
+        if not pd.api.types.is_numeric_dtype(self.stages[column].dtype):
             raise LogError(f"stages: column {column!r} holds no numbers; ask for a numeric column")
         values = np.full((self.num_trajectories, self.horizon), np.nan)
-        stage = self._stages["stage"].to_numpy()
-        values[np.cumsum(stage == 1) - 1, stage - 1] = self._stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
+        stage = self.stages["stage"].to_numpy()
+        values[np.cumsum(stage == 1) - 1, stage - 1] = self.stages[column].to_numpy(dtype=np.float64, na_value=np.nan)
         return values
 
     def durations_s(self) -> Float[np.ndarray, " rows"]:
         """Duration of each stage [s]; NaN where it was not completed."""
-        return self._stages["elapsed_s"].to_numpy(dtype=np.float64) - self.begun_s()
+        return self.stages["elapsed_s"].to_numpy(dtype=np.float64) - self.begun_s()
 
     def begun_s(self) -> Float[np.ndarray, " rows"]:
         """Clock at which each stage began [s]."""
-        elapsed_s = self._stages["elapsed_s"].to_numpy(dtype=np.float64)
-        return np.where(self._stages["stage"].to_numpy() == 1, 0.0, np.append(0.0, elapsed_s[:-1]))
+        elapsed_s = self.stages["elapsed_s"].to_numpy(dtype=np.float64)
+        return np.where(self.stages["stage"].to_numpy() == 1, 0.0, np.append(0.0, elapsed_s[:-1]))
 
     @property
     def has_objects(self) -> bool:
         """Whether the stages have objects."""
-        return self._objects is not None
+        return self.objects is not None
 
     @property
     def has_all_actions(self) -> bool:
@@ -258,14 +279,13 @@ class Logs:
         unknown = wanted[~wanted.isin(self.trajectory_ids)]
         if len(unknown):
             raise LogError(f"trajectory {shown(unknown[0])}: there is no such trajectory; choose among trajectory_ids")
-
         kept: Any = {name: table[pd.Index(table["trajectory"]).isin(wanted)] for name, table in self.tables.items()}
-        return Logs(**kept, reward_unit=self._reward_unit, missing=self.missing)
+        return Logs(**kept, reward_unit=self.reward_unit, missing=self.missing)
 
     def summary(self) -> LogsSummary:
         """Count what is there: trajectories, endings and causes, stages, clock, actions."""
         tally = SummaryTally()
-        tally.add(self._trajectories, self._stages, self._objects)
+        tally.add(self)
         return tally.summary()
 
     def write(self, folder: str | Path, *, overwrite: bool = False) -> None:
@@ -283,4 +303,47 @@ class Logs:
         ArgumentError
             The folder exists, or cannot be written.
         """
-        write_tables(Path(folder), self.tables, overwrite=overwrite, reward_unit=self._reward_unit)
+        write_tables(Path(folder), self.tables, overwrite=overwrite, reward_unit=self.reward_unit)
+
+
+class SummaryTally:
+    """Counts a log that comes in parts."""
+
+    def __init__(self) -> None:
+        self._counts: Counter[str] = Counter()
+        self._causes: Counter[str] = Counter()
+        self._actions: Counter[str] = Counter()
+        self._objects: set[Any] = set()
+        self._extents: list[tuple[int, float, float]] = []
+
+    def add(self, part: Logs) -> None:
+        """Count a part."""
+        actions, num_cut = part.stages["action"][part.stages["elapsed_s"].notna()], int((~part.is_finished).sum())
+        self._counts.update(num_trajectories=part.num_trajectories, num_finished=part.num_trajectories - num_cut)
+        self._counts.update(num_cut=num_cut, num_stages=part.num_stages, num_completed=len(actions))
+        self._causes.update(_counts(part.trajectories["cause"]))
+        self._actions.update(_counts(actions))
+        self._objects.update(() if part.objects is None else part.objects["object"].unique())
+        self._extents.append((part.horizon, float(part.end_s.min()), float(part.end_s.max())))
+
+    def summary(self) -> LogsSummary:
+        """What was counted; equal counts stand in the order of the names, so the same log reads the same."""
+        horizons, shortest_s, longest_s = zip(*self._extents, strict=True)
+        return LogsSummary(
+            **self._counts,
+            cut_share=1.0 - self._counts["num_finished"] / self._counts["num_trajectories"],
+            causes=_ranked(self._causes),
+            horizon=max(horizons),
+            shortest_s=min(shortest_s),
+            longest_s=max(longest_s),
+            actions=_ranked(self._actions),
+            num_objects=len(self._objects),
+        )
+
+
+def _counts(values: Any) -> dict[str, int]:
+    return {str(value): int(count) for value, count in values.value_counts(sort=False).items() if count}
+
+
+def _ranked(counts: Counter[str]) -> dict[str, int]:
+    return dict(sorted(counts.items(), key=lambda pair: (-pair[1], pair[0])))

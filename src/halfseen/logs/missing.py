@@ -31,24 +31,15 @@ _LARGEST = 1e300
 
 @dataclass(frozen=True)
 class Fill:
-    """What stands for one covariate where it is missing.
-
-    Parameters
-    ----------
-    rule
-        ``"median+flag"`` or ``"last"``.
-    value
-        The median, or the category of what is missing; None of text that the log never lacked.
-    num_missing
-        Stages of the log that lacked it.
-    has_flag
-        Whether a column tells where it was missing.
-    """
+    """What stands for one covariate where it is missing."""
 
     rule: Literal["median+flag", "last"]
     value: float | str | None
+    """The median, or the category of what is missing; None of text that the log never lacked."""
     num_missing: int = 0
+    """Stages of the log that lacked it."""
     has_flag: bool = False
+    """Whether a column tells where it was missing."""
 
     def __post_init__(self) -> None:
         if isinstance(self.value, float) and not np.isfinite(self.value):
@@ -66,17 +57,16 @@ class Fill:
         """What its value is."""
         return "the median of the logs" if self.is_number else "a category of its own"
 
+    @property
+    def stands(self) -> str:
+        """Say what stands where it is missing."""
+        value = f"the median {self.value:.6g}" if self.is_number else f"the category {self.value!r}"
+        return f"the last value of its trajectory stands, or {value}," if self.rule == LAST else f"{value} stands"
+
 
 @dataclass(frozen=True)
 class Filling:
     """What stands for covariates that are missing.
-
-    Parameters
-    ----------
-    fills
-        By covariate.
-    num_stages
-        Stages of the log that it was learned from.
 
     Examples
     --------
@@ -87,6 +77,7 @@ class Filling:
 
     fills: Mapping[str, Fill]
     num_stages: int
+    """Stages of the log that it was learned from."""
 
     def __post_init__(self) -> None:
         if self.num_stages < 1:
@@ -162,7 +153,7 @@ class Filling:
     def lines(self) -> list[str]:
         """Say of each covariate that was missing how often, and what stands for it."""
         return [
-            f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; {_stands(fill)} for it"
+            f"{name} is missing in {share_of(fill.num_missing, self.num_stages)}; {fill.stands} for it"
             for name, fill in self.fills.items()
             if fill.num_missing
         ]
@@ -348,8 +339,3 @@ def _numbers(values: Any) -> np.ndarray:
 
 def _is_null(value: Any) -> bool:
     return value is None or (isinstance(value, float) and bool(value != value))
-
-
-def _stands(fill: Fill) -> str:
-    value = f"the median {fill.value:.6g}" if fill.is_number else f"the category {fill.value!r}"
-    return f"the last value of its trajectory stands, or {value}," if fill.rule == LAST else f"{value} stands"

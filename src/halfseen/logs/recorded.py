@@ -25,10 +25,10 @@ from typing import Any
 import pyarrow as pa
 
 from halfseen.errors import LogError, NothingRecordedError, within
+from halfseen.logs.checks import common_unit
 from halfseen.logs.columns import CUT, FINISHED, ROBOT, STEPPED_BACK, is_own_reward, shown
 from halfseen.logs.journal import JournalEvents, following, is_being_recorded, journal_parts, tell_missing
 from halfseen.logs.missing import is_flag
-from halfseen.logs.units import common_unit
 from halfseen.reading import reason_of
 
 JUST_BEFORE = 0.01
@@ -119,7 +119,10 @@ def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory
             if event["event"] == "hole" and trajectory is not None:
                 trajectory.end(CUT, None, CRASH)
             elif event["event"] == "stage" and event["stage"] == 1:
-                _check_new(trajectory, event)
+                # A first stage is given twice where Ctrl-C came before the recorder knew of the first.
+                if trajectory is not None and trajectory.name != event["trajectory"]:
+                    name = event["trajectory"]
+                    raise KeyError(f"trajectory {name!r} begins before trajectory {trajectory.name!r} ended")
                 trajectory = RecordedTrajectory(event)
             elif trajectory is not None:
                 trajectory.add(event)
@@ -131,12 +134,6 @@ def recorded_trajectories(events: JournalEvents) -> Iterator["RecordedTrajectory
     last = trajectory or torn
     if last is not None:
         yield last
-
-
-def _check_new(trajectory: "RecordedTrajectory | None", event: dict[str, Any]) -> None:
-    """A first stage is given twice where Ctrl-C came before the recorder knew of the first."""
-    if trajectory is not None and trajectory.name != event["trajectory"]:
-        raise KeyError(f"trajectory {event['trajectory']!r} begins before trajectory {trajectory.name!r} ended")
 
 
 class RecordedTrajectory:

@@ -21,22 +21,22 @@ What a recorder knows is a value that is replaced whole. An event and what is kn
 assignment, which Ctrl-C cannot part: it comes before both, and the event is then taken back, or after both.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
 from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.checks import checked_unit
 from halfseen.logs.columns import UNKNOWN_CAUSE, shown
-from halfseen.logs.folder import MANIFEST
 from halfseen.logs.journal import PART_BYTES
 from halfseen.logs.journal_writer import JournalWriter, synced_events
 from halfseen.logs.logs import Logs
+from halfseen.logs.parquet import MANIFEST
 from halfseen.logs.recorded import CRASH, RESUMED
-from halfseen.logs.recording_state import Recorded, TrajectoryState, torn_by
+from halfseen.logs.recording_state import Recorded, TrajectoryState
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
-from halfseen.logs.units import checked_unit
 
 
 class LogRecorder:
@@ -164,7 +164,7 @@ class LogRecorder:
         is_read = any(event["event"] == "done" and not event.get("is_given") for event in self._torn)
         if not self._torn or is_read or self._trajectory is not None:
             return None
-        known, state = self._journal.known, TrajectoryState.of(self._torn)
+        known, state = self._journal.known, _state_after(self._torn)
         columns, more = self._torn[0]["columns"], (self._check, self._keeps_events)
         trajectory = TrajectoryRecorder(self._journal, state.name, columns, known.schema, *more)
         self._journal.append({"event": RESUMED, "trajectory": state.name}, replace(known, trajectory=state))
@@ -209,3 +209,32 @@ class LogRecorder:
             self._names.add(name)
         schema, _ = schema.with_stage(event["covariates"], event.get("objects"), event, where)
         self._restored = replace(known, schema=schema)
+
+
+def torn_by(events: list[dict[str, Any]], event: dict[str, Any]) -> list[dict[str, Any]]:
+    """Events of the trajectory in progress after one more; empty where none is."""
+    match event["event"]:
+        case "stage" if event["stage"] == 1:
+            return [event]
+        case "finished" | "cut" | "hole":
+            return []
+        case "stage" | "done" | "running" | "out" if events:
+            events.append(event)
+    return events
+
+
+def _state_after(events: Sequence[dict[str, Any]]) -> TrajectoryState:
+    """Where a trajectory stands whose events a journal has; its clock is one that is given from now on."""
+    last = next(event for event in reversed(events) if event["event"] == "stage")
+    done = [event for event in events if event["event"] == "done"]
+    return TrajectoryState(
+        name=last["trajectory"],
+        number=1,
+        stage=last["stage"],
+        is_in_stage=not done or events.index(done[-1]) < events.index(last),
+        has_action="action" in last,
+        at_s=max(event.get("at_s", 0.0) for event in events),
+        is_given=True,
+        completed_s=done[-1]["at_s"] if done else 0.0,
+        events=tuple(events),
+    )

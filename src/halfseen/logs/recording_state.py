@@ -1,77 +1,173 @@
-"""Where a recording stands: values that are replaced whole, after each event."""
+"""Where a recording stands: names and kinds of what came so far, and the trajectory in progress; replaced whole.
+
+Columns keep their names and kinds from the first row on, as `Logs` wants it: after hours of recording it would be too
+late to say so. A kind is number, truth value, text, or a list of one of these. Numbers that include fractions, and
+those that include whole numbers so large that a fraction cannot tell them apart, are kinds of their own.
+"""
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from functools import reduce
+from math import isfinite
 from typing import Any
 
-from halfseen.errors import LogError
-from halfseen.logs.checks import EARLIEST_DATE_S, UNIT_TOLERANCE, thousandfold
-from halfseen.logs.recorded import RESOLUTION_S
-from halfseen.logs.values import Schema, checked_number
+import numpy as np
 
+from halfseen.errors import LogError
+from halfseen.logs.checks import EARLIEST_DATE_S
+from halfseen.logs.columns import LARGEST_FRACTION, OWN_NAMES, STEPPED_BACK, is_of_one_robot, shown
+from halfseen.logs.missing import is_flag
+from halfseen.logs.recorded import RESOLUTION_S
+
+_LARGEST_WHOLE = 2**63
+
+_NUMBER, _FRACTION, _HUGE, _TEXT, _TRUTH = "number", "fraction", "whole number beyond 2^53", "text", "truth value"
+_EMPTY_LIST = "list"
 _CLOCK_REMEDY = "give the time since the trajectory began [s]"
+
+Row = dict[str, Any]
+Kinds = dict[str, str]
+
+
+@dataclass
+class Schema:
+    """Names and kinds of what was recorded so far."""
+
+    labels: Kinds = field(default_factory=dict)
+    """Of the names of trajectories, actions, objects and robots, where there are any."""
+    trajectories: Kinds = field(default_factory=dict)
+    covariates: Kinds | None = None
+    """Of the covariates of the stages; None before the first stage."""
+    objects: Kinds | None = None
+    """Of the columns of the objects; None before the first stage, empty where stages have none."""
+    has_probability: bool | None = None
+    """Whether actions come with their probability; None before the first action."""
+    has_robot: bool | None = None
+    """Whether stages say which robot decides; None before the first stage."""
+
+    def with_trajectory(self, name: Any, columns: Mapping[str, Any]) -> tuple["Schema", Any, Row]:
+        """Check a trajectory's name and columns; columns may differ between trajectories, and None leaves one out."""
+        schema, where = replace(self, labels=dict(self.labels)), f"trajectory {shown(name)}"
+        name = schema._label("trajectory", name, where)
+        row, kinds = _row(columns, self.trajectories, where, "column")
+        schema.trajectories = {**self.trajectories, **kinds}
+        return schema, name, row
+
+    def with_stage(
+        self, covariates: Any, objects: Any, chosen: Mapping[str, Any], where: str
+    ) -> tuple["Schema", dict[str, Any]]:
+        """Check what is known when a stage begins, and make its event.
+
+        Of `chosen`, robot, action, object, probability and stepped_back are None or left out where there is none;
+        `where` names the trajectory and the stage.
+        """
+        schema = replace(self, labels=dict(self.labels))
+        seen, schema.covariates = _row(covariates, self.covariates, where, "covariate")
+        rows, robot = schema._rows(objects, where), chosen.get("robot")
+        schema._check_always("robot", robot is not None, where)
+        event = {"covariates": seen} | ({} if robot is None else {"robot": schema._label("robot", robot, where)})
+        event |= schema._choice(chosen, where)
+        if rows and "object" in event and event["object"] not in [row["object"] for row in rows]:
+            others = ", ".join(shown(row["object"]) for row in rows)
+            what = f"object {shown(event['object'])} of the action is not among the objects of the stage"
+            raise LogError(f"{where}: {what} ({others})")
+        return schema, event | ({"objects": rows} if rows else {})
+
+    def _rows(self, objects: Any, where: str) -> list[Row]:
+        if objects is not None and not isinstance(objects, Iterable):
+            raise LogError(f"{where}: objects is {_short(objects)}; give a list with a dict for each")
+        given = [] if objects is None else list(objects)
+        if not given:
+            if self.objects:
+                raise LogError(f"{where}: it has no objects, though stages before it have; give those that stood there")
+            if objects is not None:
+                raise LogError(f"{where}: objects is empty; give those that stood there, or None in every stage")
+            self.objects = {}
+            return []
+        if self.objects == {}:
+            raise LogError(f"{where}: it has objects, though stages before it have none; give them always or never")
+        rows = [self._object_row(each, where) for each in given]
+        names = [row["object"] for row in rows]
+        repeated = next((name for k, name in enumerate(names) if name in names[:k]), None)
+        if repeated is not None:
+            raise LogError(f"{where}, object {shown(repeated)}: it is there twice; give each object one row")
+        return rows
+
+    def _object_row(self, given: Any, where: str) -> Row:
+        if not isinstance(given, Mapping) or "object" not in given:
+            raise LogError(f"{where}: object {_short(given)} has no name; give a dict with 'object' and its covariates")
+        name = self._label("object", given["object"], where)
+        values = {column: value for column, value in given.items() if column != "object"}
+        row, kinds = _row(values, self.objects, f"{where}, object {shown(name)}", "covariate", {"object": "name"})
+        self.objects = kinds
+        return {"object": name, **row}
+
+    def _choice(self, chosen: Mapping[str, Any], where: str) -> Row:
+        action, acted_on, probability = (chosen.get(name) for name in ("action", "object", "probability"))
+        if action is None:
+            if acted_on is not None or probability is not None:
+                raise LogError(f"{where}: object or probability is given without action; give the action as well")
+            return {}
+        choice: Row = {"action": self._label("action", action, where)}
+        if acted_on is not None:
+            choice["object"] = self._label("object", acted_on, where)
+        self._check_always("probability", probability is not None, where)
+        if probability is not None:
+            remedy = "give the probability in (0, 1] with which the action was chosen, or leave it out everywhere"
+            choice["probability"] = checked_number(probability, "probability", where, remedy)
+            if not 0 < choice["probability"] <= 1:
+                raise LogError(f"{where}: probability is {choice['probability']}; {remedy}")
+        why = chosen.get(STEPPED_BACK)
+        if why is not None and not isinstance(why, str):
+            raise LogError(f"{where}: {STEPPED_BACK} is {_short(why)}; say why the rule decided, or leave it out")
+        return choice | ({} if why is None else {STEPPED_BACK: checked_text(why, where, STEPPED_BACK)})
+
+    def _check_always(self, what: str, is_given: bool, where: str) -> None:
+        """Refuse what is given in some stages only."""
+        if getattr(self, f"has_{what}") not in (None, is_given):
+            word = "given" if is_given else "missing"
+            raise LogError(f"{where}: {what} is {word}, unlike in stages before; give it always or never")
+        setattr(self, f"has_{what}", is_given)
+
+    def _label(self, what: str, value: Any, where: str) -> int | str:
+        label, kind = _plain(value, where, what)
+        if not isinstance(label, int | str) or isinstance(label, bool):
+            raise LogError(f"{where}: {what} {_short(label)} is no name; give a whole number or text")
+        kind = _in_words(kind)
+        known = self.labels.setdefault(what, kind)
+        if known != kind:
+            raise LogError(
+                f"{where}: {what} {_short(label)} is a {kind}, those before are {known}; give names of one kind"
+            )
+        return label
 
 
 @dataclass(frozen=True)
 class TrajectoryState:
-    """Where a trajectory that is being recorded stands, and its clock, which never goes back.
-
-    Parameters
-    ----------
-    name
-        What it is called.
-    number
-        Its number among the trajectories that this recorder began.
-    stage
-        Number of the stage that began last; 0 before the first.
-    is_in_stage, has_action
-        Whether that stage is in progress, and began with an action.
-    is_ended
-        Whether the trajectory is finished or cut.
-    at_s
-        Time of the last event [s].
-    is_given
-        Whether times are given, not read from the machine's clock; None before the first.
-    began_s
-        When the trajectory began, on the machine's clock [s].
-    completed_s
-        When its last stage was completed [s].
-    noted_s
-        When it was last known on disk to be running [s].
-    events
-        Its events so far, where somebody checks the trajectory as it grows; else empty.
-    """
+    """Where a trajectory that is being recorded stands, and its clock, which never goes back."""
 
     name: int | str
     number: int = 0
+    """Among the trajectories that this recorder began."""
     stage: int = 0
+    """Number of the stage that began last; 0 before the first."""
     is_in_stage: bool = False
     has_action: bool = False
+    """Whether it began with an action."""
     is_ended: bool = False
     at_s: float = 0.0
+    """Time of the last event [s]."""
     is_given: bool | None = None
+    """Whether times are given, not read from the machine's clock; None before the first."""
     began_s: float = 0.0
+    """When the trajectory began, on the machine's clock [s]."""
     completed_s: float = 0.0
+    """When its last stage was completed [s]."""
     noted_s: float = 0.0
+    """When it was last known on disk to be running [s]."""
     events: tuple[dict[str, Any], ...] = ()
-
-    @classmethod
-    def of(cls, events: Sequence[dict[str, Any]]) -> "TrajectoryState":
-        """Where a trajectory stands whose events a journal has; its clock is one that is given from now on."""
-        last = next(event for event in reversed(events) if event["event"] == "stage")
-        done = [event for event in events if event["event"] == "done"]
-        return cls(
-            name=last["trajectory"],
-            number=1,
-            stage=last["stage"],
-            is_in_stage=not done or events.index(done[-1]) < events.index(last),
-            has_action="action" in last,
-            at_s=max(event.get("at_s", 0.0) for event in events),
-            is_given=True,
-            completed_s=done[-1]["at_s"] if done else 0.0,
-            events=tuple(events),
-        )
+    """Its events so far, where somebody checks the trajectory as it grows; else empty."""
 
     def started(self) -> "TrajectoryState":
         """The state whose clock begins to count now."""
@@ -108,42 +204,139 @@ class TrajectoryState:
         """Time of the trajectory's end [s]: without a word about it, a clock that is given stands at the last event."""
         return self.at_s if self.is_given and elapsed_s is None else self.time_of(elapsed_s, where)
 
-    def check_units(self, end_s: float, where: str) -> None:
-        """Refuse a given end at a power of a thousand times the last stage's clock, which `Logs` takes for a unit."""
-        times = float(thousandfold(end_s, self.completed_s, 2 * UNIT_TOLERANCE)) if self.is_given else 0.0
-        if times > 1.0:
-            raise LogError(
-                f"{where}: elapsed_s {end_s} is {times:.0e} times the {self.completed_s} of the completed stage, as if "
-                "units were mixed; give both in seconds"
-            )
-
 
 @dataclass(frozen=True)
 class Recorded:
-    """What a folder holds.
-
-    Parameters
-    ----------
-    schema
-        Names and kinds of what was recorded so far.
-    num_shares
-        Of how many robots each stage tells the rewards; None before the first completed stage.
-    trajectory
-        The trajectory that began last; None before the first of this recorder.
-    """
+    """What a folder holds."""
 
     schema: Schema = field(default_factory=Schema)
     num_shares: int | None = None
+    """Of how many robots each stage tells the rewards; None before the first completed stage."""
     trajectory: TrajectoryState | None = None
+    """The trajectory that began last; None before the first of this recorder."""
 
 
-def torn_by(events: list[dict[str, Any]], event: dict[str, Any]) -> list[dict[str, Any]]:
-    """Events of the trajectory in progress after one more; empty where none is."""
-    match event["event"]:
-        case "stage" if event["stage"] == 1:
-            return [event]
-        case "finished" | "cut" | "hole":
-            return []
-        case "stage" | "done" | "running" | "out" if events:
-            events.append(event)
-    return events
+def checked_number(value: Any, what: str, where: str, remedy: str) -> float:
+    """Turn a number of any kind into a float; NaN and infinity are refused."""
+    plain = value.item() if isinstance(value, np.generic | np.ndarray) and np.size(value) == 1 else value
+    try:
+        number = float("nan") if isinstance(plain, str | bytes) else float(plain)
+    except (TypeError, ValueError, OverflowError):
+        number = float("nan")
+    if not isfinite(number):
+        raise LogError(f"{where}: {what} is {_short(plain)}; {remedy}")
+    return number
+
+
+def checked_text(value: str, where: str, what: str) -> str:
+    """Refuse text that files or tables do not hold, or do not tell apart."""
+    if "\0" in value:
+        raise LogError(f"{where}: {what} {_short(value)} holds the character NUL; end the text before it")
+    try:
+        value.encode()
+    except UnicodeEncodeError as error:
+        raise LogError(f"{where}: {what} {_short(value)} is no Unicode text; decode it") from error
+    return value
+
+
+def _row(
+    values: Any, known: Kinds | None, where: str, word: str, also: Kinds | None = None
+) -> tuple[dict[str, Any], Kinds]:
+    """Values as JSON holds them, and their kinds; `also` those of what is there besides.
+
+    Those of a trajectory, which are columns, may be None or missing; covariates are the same in every row, but for
+    flags of missing ones, which one policy has and another has not.
+    """
+    if not isinstance(values, Mapping):
+        raise LogError(f"{where}: covariates are a {type(values).__name__}; give a dict of names and values")
+    row: Row = {}
+    kinds: Kinds = dict(also or {})
+    for name, value in values.items():
+        if not isinstance(name, str):
+            raise LogError(f"{where}: {word} {name!r} has a name that is not text; rename it")
+        before, what = (known or {}).get(name), f"{word} {_written(name)}"
+        if before is None and (name.strip().lower() in OWN_NAMES or is_of_one_robot(name)):
+            raise LogError(f"{where}: {name!r} is a name of the log's own; choose another for what you add")
+        if value is None and word == "column":
+            continue
+        if before is None:
+            checked_text(name, where, f"name of {word}")
+        row[name], kind = _plain(value, where, what)
+        kinds[name] = _common_kind(before, kind, where, what)
+    if known is not None and word != "column":
+        for name in (name for name in known if name not in kinds and not is_flag(name, kinds)):
+            raise LogError(
+                f"{where}: {word} {_written(name)} is missing, though it was there before; give it in every row"
+            )
+        for name in (name for name in kinds if name not in known and not is_flag(name, known)):
+            raise LogError(f"{where}: {word} {_written(name)} was not there before; give the same in every row")
+        kinds = {**known, **kinds}
+    return row, kinds
+
+
+def _common_kind(before: str | None, now: str, where: str, what: str) -> str:
+    """The kind of a column that was of one kind, and is now given another."""
+    if before is None or before == now:
+        return now
+    for kind, other in ((before, now), (now, before)):
+        if _holds(kind, other):
+            return kind
+    if _in_words(before) == _in_words(now):
+        raise LogError(
+            f"{where}: {what} has a whole number beyond 2^53 and a fraction, now or before, and no column holds both "
+            "exactly; give such whole numbers as text"
+        )
+    raise LogError(f"{where}: {what} is a {_in_words(now)}, before it was a {_in_words(before)}; give it one type")
+
+
+def _holds(kind: str, other: str) -> bool:
+    """Whether a column of one kind also holds what is of the other."""
+    if kind.startswith(_EMPTY_LIST) and other.startswith(_EMPTY_LIST):
+        item, other_item = (each.removeprefix("list of ").removesuffix("s") for each in (kind, other))
+        return other == _EMPTY_LIST or (kind != _EMPTY_LIST and _holds(item, other_item))
+    return other in (kind, _NUMBER) if kind in (_FRACTION, _HUGE) else other == kind
+
+
+def _in_words(kind: str) -> str:
+    """Numbers of all kinds are numbers."""
+    return kind.replace(_FRACTION, _NUMBER).replace(_HUGE, _NUMBER)
+
+
+def _plain(value: Any, where: str, what: str) -> tuple[Any, str]:
+    """A value as JSON holds it, and its kind."""
+    if isinstance(value, np.generic | np.ndarray):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return value, _TRUTH
+    if isinstance(value, int | float):
+        is_whole = isinstance(value, int)
+        if not (-_LARGEST_WHOLE <= value < _LARGEST_WHOLE if is_whole else isfinite(value)):
+            raise LogError(f"{where}: {what} is {_short(value)}; give the finite number that the policy saw")
+        is_huge = is_whole and abs(value) > LARGEST_FRACTION
+        return value, _HUGE if is_huge else _NUMBER if is_whole else _FRACTION
+    if isinstance(value, str):
+        return checked_text(value, where, what), _TEXT
+    if isinstance(value, list | tuple):
+        return _plain_list(value, where, what)
+    raise LogError(f"{where}: {what} is {_short(value)}; give a number, text, or a flat list of these")
+
+
+def _plain_list(values: list | tuple, where: str, what: str) -> tuple[list[Any], str]:
+    pairs = [_plain(value, where, what) for value in values]
+    kinds = {kind for _, kind in pairs}
+    if any(kind.startswith(_EMPTY_LIST) for kind in kinds) or len(set(map(_in_words, kinds))) > 1:
+        raise LogError(f"{where}: {what} is no flat list of one type; give numbers or text, side by side")
+    common: Any = reduce(lambda one, other: _common_kind(one, other, where, what), kinds, None)
+    return [plain for plain, _ in pairs], _EMPTY_LIST if common is None else f"list of {common}s"
+
+
+def _written(name: str) -> str:
+    return name if name.isprintable() else repr(name)
+
+
+def _short(value: Any) -> str:
+    """Write a value in a line, however long it is."""
+    if isinstance(value, int) and value.bit_length() > 200:
+        return f"a whole number of {value.bit_length()} bits"
+    text = repr(value)
+    return text if len(text) <= 80 else f"{text[:77]}…"

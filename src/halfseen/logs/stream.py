@@ -1,10 +1,8 @@
-"""A log that need not fit in memory: read a few thousand whole trajectories at a time, in order or by shards.
+"""A log of any form, read whole; or, if it need not fit in memory, a few thousand whole trajectories at a time."""
 
-A shard is whole trajectories that stand one after another, which any process can read alone.
-"""
-
-from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,14 +22,22 @@ from halfseen.logs.columns import (
     require_columns,
     shown,
 )
-from halfseen.logs.folder import Folder, Place, place_of, read_manifest, whole_table
+from halfseen.logs.folder import (
+    UNSORTED,
+    Folder,
+    Part,
+    Place,
+    Shard,
+    TableInGroups,
+    place_of,
+    read_folder,
+    read_manifest,
+    shards_of,
+)
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Filling, Missing, learned_filling
+from halfseen.logs.parquet import MANIFEST
 
-MOST_PARTS = 64
-"""Of a shard; a worker that is lost takes with it what it was to read."""
-NUM_SHARDS = 64
-"""Of a log with enough parts, at least."""
 compute: Any = pyarrow.compute
 
 
@@ -39,40 +45,12 @@ Tables = dict[str, pa.Table]
 """By name."""
 
 
-class Part(NamedTuple):
-    """Trajectories that are held in memory at once."""
-
-    number: int
-    trajectories: tuple[int, int]
-    """Rows of the table of trajectories: the first, and the one after the last."""
-    rows: dict[str, tuple[int, int]]
-    """Of the other tables."""
-
-
-class Shard(NamedTuple):
-    """Parts that are read one after the other."""
-
-    number: int
-    parts: tuple[Part, ...]
-
-    @property
-    def trajectories(self) -> slice:
-        """Rows of the table of trajectories."""
-        return slice(self.parts[0].trajectories[0], self.parts[-1].trajectories[1])
-
-
 class ShardReader:
-    """Reads parts of a folder, each from the groups of rows that hold it.
-
-    Parameters
-    ----------
-    folder
-        The folder.
-    """
+    """Reads parts of a folder, each from the groups of rows that hold it."""
 
     def __init__(self, folder: Folder) -> None:
         self._folder = folder
-        self._tables = {name: _Table(folder, name) for name in folder.num_rows}
+        self._tables = {name: TableInGroups(folder, name) for name in folder.num_rows}
 
     def read(self, part: Part) -> Logs:
         """Read a part.
@@ -105,16 +83,13 @@ class ShardReader:
         return {name: table.filter(compute.is_in(table["trajectory"], kept_names)) for name, table in tables.items()}
 
 
-_REMEDY = "write the logs by Logs.write or write_stream, which sort them"
-
-
 def _refuse_others(file: Place, trajectories: pa.ChunkedArray, names: list[Any]) -> None:
     """Refuse rows of other trajectories than those that stand there."""
     for found, name in zip(trajectories.unique().to_pylist(), names, strict=True):
         if found != name:
             raise LogError(
                 f"{file}: rows of trajectory {shown(found)} stand where trajectories.parquet has trajectory "
-                f"{shown(name)}; {_REMEDY}"
+                f"{shown(name)}; {UNSORTED}"
             )
 
 
@@ -129,67 +104,6 @@ def logs_of(folder: Folder, parts: Sequence[Tables]) -> Logs:
     tables: dict[str, Any] = {name: pa.concat_tables([part[name] for part in parts]) for name in folder.num_rows}
     with within(folder.place):
         return Logs(**tables, reward_unit=folder.reward_unit, missing=folder.filling)
-
-
-class _Table:
-    def __init__(self, folder: Folder, name: str) -> None:
-        self._file_name = folder.place / f"{name}.parquet"
-        self._file = folder.opened(name)
-        sizes = [self._file.metadata.row_group(group).num_rows for group in range(self._file.num_row_groups)]
-        self._begin = np.concatenate([[0], np.cumsum(sizes, dtype=np.int64)])
-        self._held: tuple[int, pa.Table] | None = None
-
-    def rows(self, begin: int, end: int) -> pa.Table:
-        first = int(np.searchsorted(self._begin, begin, side="right")) - 1
-        last = int(np.searchsorted(self._begin, end, side="left"))
-        groups = [self._group(group) for group in range(first, last)]
-        return pa.concat_tables(groups).slice(begin - int(self._begin[first]), end - begin)
-
-    def _group(self, group: int) -> pa.Table:
-        if self._held is None or self._held[0] != group:
-            with whole_table(self._file_name):
-                self._held = group, self._file.read_row_group(group)
-        return self._held[1]
-
-
-def shards_of(folder: Folder, trajectories_at_once: int) -> list[Shard]:
-    """Deal the parts of a folder into shards, by its size alone.
-
-    Raises
-    ------
-    LogError
-        A table has not as many trajectories, one after another, as that of the trajectories.
-    """
-    num_trajectories = folder.num_rows["trajectories"]
-    ends = {name: _ends(folder, name, trajectories_at_once) for name in folder.num_rows if name != "trajectories"}
-    parts = []
-    for number, first in enumerate(range(0, num_trajectories, trajectories_at_once)):
-        rows = {name: (int(end[number]), int(end[number + 1])) for name, end in ends.items()}
-        parts.append(Part(number, (first, min(first + trajectories_at_once, num_trajectories)), rows))
-    size = min(max(len(parts) // NUM_SHARDS, 1), MOST_PARTS)
-    groups = [parts[first : first + size] for first in range(0, len(parts), size)]
-    return [Shard(number, tuple(group)) for number, group in enumerate(groups)]
-
-
-def _ends(folder: Folder, name: str, trajectories_at_once: int) -> np.ndarray:
-    """Rows of a table in which parts begin, and the number of its rows."""
-    found, num_trajectories, num_rows, last = [], 0, 0, None
-    for column in folder.batches(name, ["trajectory"]):
-        is_new = np.ones(len(column), dtype=bool)
-        values = column["trajectory"]
-        differs = compute.fill_null(compute.not_equal(values.slice(1), values.slice(0, len(values) - 1)), True)
-        is_new[1:] = differs.to_numpy(zero_copy_only=False)
-        is_new[0] = last is None or values[0].as_py() != last
-        at = np.flatnonzero(is_new)
-        numbers = num_trajectories + np.arange(len(at))
-        found.append(num_rows + at[numbers % trajectories_at_once == 0])
-        num_trajectories, num_rows, last = num_trajectories + len(at), num_rows + len(column), values[-1].as_py()
-    if num_trajectories != folder.num_rows["trajectories"]:
-        raise LogError(
-            f"{folder.place / name}.parquet: the rows of its trajectories do not stand together, or a trajectory has "
-            f"none; {_REMEDY}"
-        )
-    return np.concatenate([*found, [num_rows]])
 
 
 TRAJECTORIES_AT_ONCE = 2_000
@@ -211,13 +125,6 @@ class LogStream:
     missing
         What stands for covariates of the stages that are null, as `Logs` takes it; it is learned in a pass of its own.
 
-    Attributes
-    ----------
-    reward_unit
-        What rewards are counted in; None if nobody has said.
-    as_folder
-        What a worker needs to know, to read a shard.
-
     Raises
     ------
     LogError
@@ -225,6 +132,19 @@ class LogStream:
     ArgumentError
         `trajectories_at_once` is below 1, or `missing` is no rule or names no covariate.
     """
+
+    as_folder: Folder
+    """What a worker needs to know, to read a shard."""
+    reward_unit: str | None
+    """What rewards are counted in; None if nobody has said."""
+    num_stages: int
+    """Number of stages of all trajectories together."""
+    has_objects: bool
+    """Whether the stages have objects."""
+    end_s: Rows
+    """Observed end of each trajectory [s]."""
+    is_finished: RowMask
+    """True where the trajectory reached its own end, False where it was cut."""
 
     def __init__(
         self, folder: str | Place, trajectories_at_once: int = TRAJECTORIES_AT_ONCE, *, missing: Missing = None
@@ -235,6 +155,7 @@ class LogStream:
         self.trajectories_at_once = trajectories_at_once
         self.as_folder = read_manifest(self.folder)
         self.reward_unit = self.as_folder.reward_unit
+        self.num_stages, self.has_objects = self.as_folder.num_rows["stages"], "objects" in self.as_folder.num_rows
         for name in self.as_folder.num_rows:
             with within(self.folder):
                 columns = as_frame(name, self.as_folder.opened(name).schema_arrow.remove_metadata().empty_table())
@@ -249,7 +170,7 @@ class LogStream:
         ]
         if not ends:
             checked_trajectories(as_frame("trajectories", self.as_folder.opened("trajectories").read()))
-        self._end_s, self._is_finished = (np.concatenate(each) for each in zip(*ends, strict=True))
+        self.end_s, self.is_finished = (np.concatenate(each) for each in zip(*ends, strict=True))
 
     @property
     def trajectories(self) -> pd.DataFrame:
@@ -259,22 +180,12 @@ class LogStream:
     @property
     def num_trajectories(self) -> int:
         """Number n of trajectories."""
-        return len(self._end_s)
+        return len(self.end_s)
 
     @property
     def trajectory_ids(self) -> np.ndarray:
         """Names of the trajectories, shape (n,); they are read when they are asked for."""
         return self.trajectories["trajectory"].to_numpy()
-
-    @property
-    def end_s(self) -> Rows:
-        """Observed end of each trajectory [s]."""
-        return self._end_s
-
-    @property
-    def is_finished(self) -> RowMask:
-        """True where the trajectory reached its own end, False where it was cut."""
-        return self._is_finished
 
     def shards(self) -> list[Shard]:
         """Deal the parts into shards, by the size of the log alone.
@@ -306,16 +217,6 @@ class LogStream:
         return self.as_folder.filling
 
     @property
-    def num_stages(self) -> int:
-        """Number of stages of all trajectories together."""
-        return self.as_folder.num_rows["stages"]
-
-    @property
-    def has_objects(self) -> bool:
-        """Whether the stages have objects."""
-        return "objects" in self.as_folder.num_rows
-
-    @property
     def has_all_actions(self) -> bool:
         """Whether the action of every stage is known, also where a trajectory was cut."""
         return all(bool(frame["action"].notna().all()) for frame in self.stage_columns("action"))
@@ -343,6 +244,75 @@ class LogStream:
                 trajectories = checked_trajectories(frame)
                 names = trajectories["trajectory"].to_numpy()
                 if not (names == frame["trajectory"].to_numpy()).all() or (last is not None and not names[0] > last):
-                    raise LogError(f"trajectories.parquet is not sorted by trajectory, or has one twice; {_REMEDY}")
+                    raise LogError(f"trajectories.parquet is not sorted by trajectory, or has one twice; {UNSORTED}")
             last = names[-1]
             yield trajectories
+
+
+MOST_STAGES_IN_MEMORY = 500_000
+"""A log of more is read in passes where nothing else is said (`opened`)."""
+
+
+def read_logs(folder: str | Place, *, missing: Missing = None) -> Logs:
+    """Read a folder that `Logs.write` or a `LogRecorder` wrote, or one of CSV files, and check it again.
+
+    A recorder's folder can be read at any time. A trajectory that a crash tore has the cause "crash"; one that is being
+    recorded has the cause "still-running".
+
+    Parameters
+    ----------
+    folder
+        The folder; its address, where it lies in an object store, as Parquet files.
+    missing
+        What stands for covariates of the stages that are null, as `Logs` takes it.
+
+    Raises
+    ------
+    LogError
+        The folder or one of its files is missing, broken or of another version, or the tables break an invariant.
+    """
+    folder = place_of(folder)
+    is_here = isinstance(folder, Path)
+    if is_here and (folder / "stages.csv").is_file() and not (folder / MANIFEST).exists():
+        # Formats know logs, not the other way round.
+        from halfseen.logs.formats.csv_folder import read_csv
+
+        return read_csv(folder, missing=missing)
+    tables = read_folder(folder)
+    with within(folder):
+        return Logs(**tables, missing=missing)
+
+
+def opened(folder: str | Place, streaming: bool | None = None, *, missing: Missing = None) -> Logs | LogStream:
+    """Read a log, or, if it is one of many stages, open it to be read in passes.
+
+    Parameters
+    ----------
+    folder
+        A log of any form, or the address of one of Parquet files in an object store.
+    streaming
+        Whether it is to be read in passes; None for what suits its size.
+    missing
+        What stands for covariates of the stages that are null, as `Logs` takes it.
+
+    Raises
+    ------
+    LogError
+        The folder or one of its files is missing or broken, or it is to be read in passes and its form cannot.
+    """
+    folder = place_of(folder)
+    # In a store there is no other form.
+    is_parquet = not isinstance(folder, Path) or (folder / MANIFEST).is_file()
+    if streaming and not is_parquet:
+        raise LogError(
+            f"{folder}: only folders of Parquet files are read in passes; make one of it: halfseen convert {folder} "
+            "--out FOLDER"
+        )
+    if streaming is None:
+        streaming = is_parquet and read_manifest(folder).num_rows["stages"] > MOST_STAGES_IN_MEMORY
+    return LogStream(folder, missing=missing) if streaming else read_logs(folder, missing=missing)
+
+
+def parts_of(log: Logs | LogStream) -> Iterable[Logs]:
+    """Parts of a log, which is one in memory."""
+    return [log] if isinstance(log, Logs) else log

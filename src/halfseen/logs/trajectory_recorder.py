@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 
 from halfseen.errors import LogError
-from halfseen.logs.checks import LARGEST
+from halfseen.logs.checks import LARGEST, UNIT_TOLERANCE, thousandfold
 from halfseen.logs.columns import CUT, FINISHED, STEPPED_BACK, shown
 from halfseen.logs.journal_writer import JournalWriter
 from halfseen.logs.logs import Logs
 from halfseen.logs.recorded import CRASH, STILL_RUNNING, followed, tables_of
-from halfseen.logs.recording_state import Recorded, TrajectoryState
-from halfseen.logs.values import Schema, checked_number, checked_robot, checked_text
+from halfseen.logs.recording_state import Recorded, Schema, TrajectoryState, checked_number, checked_text
 
 CAUSES = ("operator", "emergency-stop", "time-out", "battery", "sensor-lost", CRASH)
 """Usual causes of cuts; any other text will do."""
@@ -212,7 +211,9 @@ class TrajectoryRecorder:
         where = self._where(state.stage)
         if not (state.events and self._journal.known.schema.has_robot):
             raise LogError(f"{where}: no robot has decided yet, so none drops out; begin_stage() with its robot first")
-        number = checked_robot(robot, where)
+        number = robot.item() if isinstance(robot, np.generic) else robot
+        if not isinstance(number, int) or isinstance(number, bool) or number < 0:
+            raise LogError(f"{where}: robot {shown(number)} is no number of one; give 0, 1, …")
         if any(event["event"] == "out" and event["robot"] == number for event in state.events):
             raise LogError(f"{where}: robot {number} has dropped out before; once is for good")
         at_s = state.time_of(elapsed_s, where)
@@ -250,7 +251,14 @@ class TrajectoryRecorder:
                 f"trajectory {shown(self.name)}: {what}; complete it before finish(), or cut() the trajectory"
             )
         where = self._where(state.stage)
-        state.check_units(state.end_s(elapsed_s, where), where)
+        end_s = state.end_s(elapsed_s, where)
+        # What `Logs` takes for another unit.
+        times = float(thousandfold(end_s, state.completed_s, 2 * UNIT_TOLERANCE)) if state.is_given else 0.0
+        if times > 1.0:
+            raise LogError(
+                f"{where}: elapsed_s {end_s} is {times:.0e} times the {state.completed_s} of the completed stage, as "
+                "if units were mixed; give both in seconds"
+            )
         self._end({"event": FINISHED}, state, elapsed_s)
 
     def cut(self, cause: Any, *, elapsed_s: Any = None) -> None:

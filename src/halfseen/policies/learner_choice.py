@@ -10,7 +10,7 @@ from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.tabular import is_state
 from halfseen.learning.task import AUTO
 from halfseen.logs import Logs, LogStream
-from halfseen.logs.opening import parts_of
+from halfseen.logs.stream import parts_of
 from halfseen.suggestions import did_you_mean
 
 TABLE_HORIZON = 10

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import Points, mapped
+from halfseen.logs.recording_state import Schema
 from halfseen.logs.trajectory_recorder import log_so_far
-from halfseen.logs.values import Schema
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.tables.present import Present
 from halfseen.world.log_checks import DISHWASHER, OPTIONAL_COLUMNS, PLACE_COLUMNS, TABLE

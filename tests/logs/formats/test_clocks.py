@@ -1,16 +1,28 @@
 """Seconds count from the beginning of each trajectory, whatever a source counts from."""
 
 import warnings
+from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from foreign import arrays, episodes, last_of, rows_of, write_arrays, write_lerobot, write_rows
+from foreign import (
+    LAST,
+    NO,
+    arrays,
+    episodes,
+    last_of,
+    rows_of,
+    write_arrays,
+    write_lerobot,
+    write_minari_episodes,
+    write_rows,
+)
 from halfseen.errors import HalfseenWarning
 from halfseen.logs.formats import StepRules, read_lerobot, read_minari, read_step_arrays, read_steps
-from halfseen.logs.formats.clocks import ends_by_observations, ends_by_steps
+from halfseen.logs.formats.steps import ends_by_observations, ends_by_steps
 from refusals import refused
 
 FOUND = episodes(lengths=(3, 3, 3))
@@ -24,18 +36,8 @@ RULES = StepRules(clock="t")
 
 
 def of_minari(folder, times):
-    import minari
-    from gymnasium import spaces
-    from minari.data_collector import EpisodeBuffer
-
-    parts = {"observations": np.zeros((4, 1)), "actions": np.zeros(3, dtype=int), "rewards": [0.0, 1.0, 2.0]}
-    flags = {"terminations": [False, False, True], "truncations": [False] * 3}
-    buffers = [EpisodeBuffer(**parts, **flags, infos={"t": np.array(each)}) for each in times]
-    seen = {"action_space": spaces.Discrete(2), "observation_space": spaces.Box(-1, 1, (1,), np.float64)}
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # Minari misses an author, a licence and an environment
-        dataset = minari.create_dataset_from_buffers("clock-v0", buffers, **seen)
-    return read_minari(dataset, clock="t")
+    infos = [{"infos": {"t": np.array(each)}} for each in times]
+    return read_minari(write_minari_episodes("clock-v0", [(LAST, NO)] * len(times), each=infos), clock="t")
 
 
 def of_rlds(folder, times):
@@ -124,5 +126,7 @@ def test_each_way_of_counting_gives_the_same_seconds(durations, begin):
         found = ends_by_steps("a", "t", range(len(running)), running)
     for ours, theirs in zip(found, wanted, strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=1e-9)
-    for each in wanted:
-        np.testing.assert_allclose(ends_by_observations(begin + np.array([0.0, *each])), each, atol=1e-9)
+    begins = np.cumsum([0, *(len(each) + 1 for each in wanted)])
+    found = ends_by_observations(begin + np.concatenate([[0.0, *each] for each in wanted]), begins)
+    ours = [found[first : last - 1] for first, last in pairwise(begins)]
+    np.testing.assert_allclose(np.concatenate(ours), np.concatenate(wanted), atol=1e-9)

@@ -3,6 +3,7 @@
 import json
 import warnings
 from functools import partial
+from itertools import product
 
 import numpy as np
 import pyarrow as pa
@@ -82,6 +83,72 @@ def test_other_columns_are_named_and_a_clock_goes_its_own_way(tmp_path):
     np.testing.assert_allclose(logs.elapsed_s(), [[0.5, 2.0, 2.1], [0.25, np.nan, np.nan]])
     np.testing.assert_allclose(logs.end_s, [2.1, 0.35])
     assert read_quietly(tmp_path, StepRules(step_s=2.0)).end_s.tolist() == [6.0, 4.0]
+
+
+# Endings, by the flags of the last frame in all combinations.
+
+UNKNOWN = ("cut", "unknown")
+FLAGS = list(product([False, True], repeat=2))
+"""Of the last frame: terminated (or what says so), truncated. As in Gymnasium, what terminated has no future."""
+BY_GYMNASIUM = dict(zip(FLAGS, [UNKNOWN, CUT, FINISHED, FINISHED], strict=True))
+OF_LEROBOT = dict(zip(FLAGS, [UNKNOWN, CUT, FINISHED, CUT], strict=True))
+"""LeRobot's `next.done` is terminated or truncated."""
+TRUNCATED = pytest.mark.parametrize("truncated", ["cut", "finished"])
+
+
+def endings_of(logs):
+    return [
+        (ending, cause)
+        for ending, cause in logs.trajectories[["ending", "cause"]].astype(object).replace({np.nan: None}).to_numpy()
+    ]
+
+
+def wanted(table, truncated):
+    """What each combination is, where what was truncated finished, or was cut."""
+    return [FINISHED if table[flags] == CUT and truncated == "finished" else table[flags] for flags in FLAGS]
+
+
+@TRUNCATED
+@pytest.mark.parametrize(
+    ("own", "table"),
+    [("next.done", OF_LEROBOT), ("next.terminated", BY_GYMNASIUM), ("next.success", BY_GYMNASIUM)],
+)
+@pytest.mark.parametrize("is_named", [False, True])
+def test_each_combination_of_lerobot_is_an_ending(tmp_path, own, table, truncated, is_named):
+    found = episodes(lengths=(3, 1, 2, 4))
+    flags = {own: [one for one, _ in FLAGS], "next.truncated": [two for _, two in FLAGS]}
+    write_lerobot(tmp_path, found, extra={name: last_of(found, each) for name, each in flags.items()})
+    logs = read_lerobot(tmp_path, StepRules(truncated=truncated, done=own if is_named else None))
+    assert endings_of(logs) == wanted(table, truncated)
+    # The frame in which an episode was cut has no outcome; a finished one is whole.
+    assert logs.stages["reward"].isna().sum() == sum(ending == "cut" for ending, _ in endings_of(logs))
+
+
+@TRUNCATED
+def test_what_terminated_says_goes_before_done(tmp_path, truncated):
+    found = episodes(lengths=(3, 1, 2, 4))
+    terminated = [True, False, True, False]
+    flags = {"next.done": [True] * 4, "next.terminated": terminated, "next.truncated": [False, True, True, False]}
+    write_lerobot(tmp_path, found, extra={name: last_of(found, each) for name, each in flags.items()})
+    ending = CUT if truncated == "cut" else FINISHED
+    assert endings_of(read_lerobot(tmp_path, StepRules(truncated=truncated))) == [FINISHED, ending, FINISHED, UNKNOWN]
+
+
+def test_done_alone_may_be_a_truncation_and_truncated_alone_no_end(tmp_path):
+    found = episodes()
+    write_lerobot(tmp_path / "done", found, extra={"next.done": last_of(found, [True] * 3)})
+    with pytest.warns(HalfseenWarning, match=r"every episode ends with next\.done, which LeRobot sets where one was"):
+        assert endings_of(read_lerobot(tmp_path / "done")) == [FINISHED] * 3
+    write_lerobot(tmp_path / "cut", found, extra={"next.truncated": last_of(found, [True, False, True])})
+    assert endings_of(read_lerobot(tmp_path / "cut")) == [CUT, UNKNOWN, CUT]
+
+
+@pytest.mark.parametrize("flag", ["next.done", "next.terminated", "next.truncated"])
+def test_an_episode_that_ends_before_its_last_frame_is_refused(tmp_path, flag):
+    found = episodes()
+    write_lerobot(tmp_path, found, extra={flag: [False] * 4 + [True] + [False] * 3})
+    with refused(r"episode 2: step 1 of 4 ends it; make two episodes of it"):
+        read_lerobot(tmp_path)
 
 
 # What is wrong.

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from bags import SCHEMAS, Said, as_ros, pose, tables_of, write_bag, write_bag_of_ros_1, write_mcap
 from halfseen.logs.formats import read_bag
-from halfseen.logs.formats.clocks import JITTER_NS, runs_of
+from halfseen.logs.formats.bag_messages import JITTER_NS, runs_of
 from refusals import refused
 
 OF_ROS = {"covariates.x": "/x pose.position.x", "reward": "/reward pose.position.x"}

@@ -149,7 +149,7 @@ def assert_back(logs, back, lost):
 @pytest.mark.parametrize(
     ("form", "at"),
     [
-        ("parquet", "halfseen.logs.folder.pq.write_table"),
+        ("parquet", "halfseen.logs.parquet.pq.write_table"),
         ("csv", "halfseen.logs.formats.csv_folder.arrow_csv.write_csv"),
         ("minari", "minari.dataset._storages.hdf5_storage.HDF5Storage.update_episode_metadata"),
     ],

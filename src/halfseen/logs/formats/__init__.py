@@ -1,20 +1,19 @@
 """Logs in other forms: CSV, any table, databases, bags, MCAP, and datasets of Minari, LeRobot, RLDS and D4RL.
 
-Read down: `as_text` (columns as text, and what a form cannot hold) → `csv_folder` → `older` (logs of version 1)
- → `sql_rows` → `steps` (steps of others, column by column, as stages) → `minari` → `step_tables` →
-`lerobot_folder` → `step_arrays` → `mcap_files`, `bag_mapping`, `bag_messages`, `bags` → `event_mapping`, `table_cells`,
+Read down: `as_text` (columns as text, and what a form cannot hold) → `csv_folder` → `older` (logs of version 1) →
+`mapping` (files that say where things stand) → `sql_rows` → `steps` (steps of others, column by column, as stages) →
+`step_tables` → `lerobot_folder` → `step_arrays` → `minari` → `bag_files`, `bag_messages`, `bags` → `table_cells`,
 `event_tables` (any table, by a mapping as bags have), `event_template`. Libraries that only some users need load when
 they are used.
 """
 
 from halfseen.logs.formats.as_text import Loss, losses
-from halfseen.logs.formats.bag_mapping import MAPPING_TEMPLATE, BagMapping, read_mapping
 from halfseen.logs.formats.bags import read_bag
 from halfseen.logs.formats.csv_folder import read_csv, write_csv
-from halfseen.logs.formats.event_mapping import EventMapping, read_event_mapping
 from halfseen.logs.formats.event_tables import read_event_table
 from halfseen.logs.formats.event_template import mapping_of
 from halfseen.logs.formats.lerobot_folder import read_lerobot
+from halfseen.logs.formats.mapping import MAPPING_TEMPLATE, BagMapping, EventMapping, read_event_mapping, read_mapping
 from halfseen.logs.formats.minari import read_minari, seen_by_halfseen_alone, write_minari
 from halfseen.logs.formats.older import is_older, read_older
 from halfseen.logs.formats.sql_rows import Queries, read_queries, read_sql

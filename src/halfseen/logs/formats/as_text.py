@@ -223,14 +223,11 @@ def losses(logs: Logs, form: str) -> list[Loss]:
     if form == MINARI and not logs.stages["elapsed_s"].notna().to_numpy().any():
         trouble = "none was completed, so that Minari would have no step; record longer, or write Parquet"
         found.append(Loss("stages", None, trouble, is_refused=True))
-    return found + (_null_in_numbers(logs) if form == MINARI else [])
-
-
-def _null_in_numbers(logs: Logs) -> list[Loss]:
+    null = missing_in(logs.stages, logs.stage_covariates) if form == MINARI else {}
     remedy = "fill it in, and write that: read_logs(LOGS, missing='median+flag')"
-    return [
+    return found + [
         Loss("stages", name, f"is null in {share_of(num, logs.num_stages)}; {remedy}", is_refused=True)
-        for name, num in missing_in(logs.stages, logs.stage_covariates).items()
+        for name, num in null.items()
         if pd.api.types.is_numeric_dtype(logs.stages[name].dtype)
     ]
 

@@ -1,49 +1,47 @@
-"""Messages of bags by a mapping: in the order of a clock, their fields read by path."""
+"""Messages of bags by a mapping: in the order of a clock, their fields read by path.
+
+A simulation's clock falls back when it is reset, and what follows is of another run. Messages of several topics come a
+little out of order, so that a small fall is none. Nor is one of some seconds where the clock goes on as before: that
+message was late. Just after a reset some messages may still be of the run before. When each was recorded tells all
+these apart.
+"""
 
 import re
-from collections.abc import Collection, Iterator, Mapping
-from contextlib import ExitStack, contextmanager
-from functools import partial
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, HalfseenError, LogError
-from halfseen.installation import extra
-from halfseen.logs.formats.bag_mapping import BagMapping, Source
-from halfseen.logs.formats.clocks import runs_of
-from halfseen.logs.formats.mcap_files import Channel, McapFiles, Recorded
-from halfseen.reading import TABLE, check_file, refused
+from halfseen.errors import ArgumentError, LogError
+from halfseen.logs.formats.bag_files import Recorded, decoded, messages_of, opened_bag
+from halfseen.logs.formats.mapping import BagMapping, Source
 from halfseen.shapes import Float
 
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
-STORAGES = (".mcap", ".db3", ".bag")
 
 _SECONDS, _NANOSECONDS = ("sec", "seconds", "secs"), ("nanosec", "nsec", "nanos", "nsecs")
 # Types of a PointCloud2's fields [ROS's numbers]; coordinates are one of these.
 _FLOATS = {7: "f4", 8: "f8"}
 
+JITTER_NS = 10**9
+"""How far stamps fall at most without a reset, and how long after one messages of the run before still come [ns]."""
+MOST_LATE_NS = 5 * 10**9
+"""How late a message may be of which the clock goes on as before [ns]."""
+
 
 class Event(NamedTuple):
-    """One value that a message, or a row of a table, carries.
-
-    Parameters
-    ----------
-    stamp_ns
-        When, on the clock of the mapping [ns].
-    key
-        Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``.
-    value
-        Text, a number or a boolean; of a cloud its number among the bag's clouds, to be read by `read_clouds`.
-    place
-        Where it stands, as a message begins; empty in a bag, whose reader names the bag.
-    """
+    """One value that a message, or a row of a table, carries."""
 
     stamp_ns: int
+    """When, on the clock of the mapping [ns]."""
     key: str
+    """Its table in the mapping file, such as ``reward`` or ``covariates.occlusion``."""
     value: Any
+    """Text, a number or a boolean; of a cloud its number among the bag's clouds, to be read by `read_clouds`."""
     place: str = ""
+    """Where it stands, as a message begins; empty in a bag, whose reader names the bag."""
 
 
 def check_topics(bags: list[Path], mapping: BagMapping) -> None:
@@ -58,7 +56,7 @@ def check_topics(bags: list[Path], mapping: BagMapping) -> None:
     """
     types: dict[str, str] = {}
     for bag in bags:
-        with _opened(bag) as reader:
+        with opened_bag(bag) as reader:
             types |= {channel.topic: channel.kind for channel in reader.channels}
     for key, source in mapping.sources.items():
         if source.topic not in types:
@@ -90,11 +88,11 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
     for key, source in mapping.sources.items():
         by_topic.setdefault(source.topic, []).append((key, source))
     events: list[tuple[int, Event]] = []
-    with _opened(bag) as reader:
+    with opened_bag(bag) as reader:
         wanted = [channel for channel in reader.channels if channel.topic in by_topic]
         num_clouds = 0
-        for recorded in _messages(bag, reader, wanted):
-            message, channel = _decoded(bag, recorded), recorded.channel
+        for recorded in messages_of(bag, reader, wanted):
+            message, channel = decoded(bag, recorded), recorded.channel
             stamp_ns = _stamp(message, recorded, mapping)
             for key, source in by_topic[channel.topic]:
                 if key == "cloud":
@@ -110,6 +108,42 @@ def read_events(bag: Path, mapping: BagMapping) -> list[list[Event]]:
     for number, (_, event) in zip(numbers, events, strict=True):
         runs[number].append(event)
     return [sorted(run, key=lambda event: event.stamp_ns) for run in runs]
+
+
+def runs_of(stamps_ns: Sequence[int], recorded_ns: Sequence[int]) -> list[int]:
+    """Number the run, from 0, of each of N messages.
+
+    Parameters
+    ----------
+    stamps_ns
+        Clock of each message [ns].
+    recorded_ns
+        When it was recorded [ns]; never falls.
+    """
+    # Of Python's own: a broken stamp may have any number of digits.
+    ahead_ns = [stamp_ns - at_ns for stamp_ns, at_ns in zip(stamps_ns, recorded_ns, strict=True)]
+    runs: list[int] = []
+    run = reset_ns = highest_ns = 0
+    now = before = 0  # how far ahead of the recorder's the clock is, in this run and in the one before
+    for k, (stamp_ns, offset) in enumerate(zip(stamps_ns, ahead_ns, strict=True)):
+        if run and recorded_ns[k] - reset_ns <= JITTER_NS and abs(offset - before) < abs(offset - now):
+            runs.append(run - 1)
+            continue
+        is_fall = bool(runs) and stamp_ns < highest_ns - JITTER_NS
+        if is_fall and not (now - offset <= MOST_LATE_NS and _goes_on(k, now, ahead_ns, recorded_ns)):
+            run, reset_ns, before = run + 1, recorded_ns[k], now
+            highest_ns, now = stamp_ns, offset
+        elif not runs or stamp_ns > highest_ns:
+            highest_ns, now = stamp_ns, offset
+        runs.append(run)
+    return runs
+
+
+def _goes_on(k: int, now: int, ahead_ns: Sequence[int], recorded_ns: Sequence[int]) -> bool:
+    """Whether the clock goes on after message k as if that had not come, rather than from there."""
+    begin = bisect_right(recorded_ns, recorded_ns[k] + JITTER_NS)
+    end = bisect_right(recorded_ns, recorded_ns[k] + 2 * JITTER_NS)
+    return any(abs(each - now) < abs(each - ahead_ns[k]) for each in ahead_ns[begin : max(end, begin + 1)])
 
 
 def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, Any]]:
@@ -129,11 +163,11 @@ def read_clouds(bag: Path, topic: str, wanted: set[int]) -> Iterator[tuple[int, 
     LogError
         The bag is broken.
     """
-    with _opened(bag) as reader:
+    with opened_bag(bag) as reader:
         channels = [channel for channel in reader.channels if channel.topic == topic]
-        for number, recorded in enumerate(_messages(bag, reader, channels)):
+        for number, recorded in enumerate(messages_of(bag, reader, channels)):
             if number in wanted:
-                yield number, _decoded(bag, recorded)
+                yield number, decoded(bag, recorded)
 
 
 def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple[int, int]]:
@@ -167,73 +201,6 @@ def points_of(message: Any, where: str) -> tuple[Float[np.ndarray, "n 3"], tuple
     points = np.frombuffer(lines.tobytes(), dtype=layout)
     with np.errstate(invalid="ignore"):  # signalling NaN
         return np.stack([points[axis].astype(np.float64) for axis in "xyz"], axis=1), (rows, columns)
-
-
-class _RosBag:
-    """A bag that rosbags opens; it speaks as `McapFiles` does."""
-
-    def __init__(self, files: list[Path]) -> None:
-        highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
-        self._reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
-        self._reader.open()
-        self.close = self._reader.close
-        self._connections = {id(each): each for each in self._reader.connections}
-        self.channels = [
-            Channel(each.topic, each.msgtype, key, partial(self._decoded, each.msgtype))
-            for key, each in self._connections.items()
-        ]
-
-    def _decoded(self, kind: str, content: bytes) -> Any:
-        return self._reader.deserialize(content, kind)
-
-    def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
-        by_key = {channel.key: channel for channel in channels}
-        for each, log_ns, content in self._reader.messages(connections=[self._connections[key] for key in by_key]):
-            yield Recorded(by_key[id(each)], log_ns, None, content)
-
-
-@contextmanager
-def _opened(bag: Path) -> Iterator[Any]:
-    if not bag.exists():
-        raise LogError(f"{bag}: there is no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
-    files = [bag]
-    if bag.is_dir() and not (bag / "metadata.yaml").exists():  # the recorder died before it wrote that
-        files = sorted(file for file in bag.iterdir() if file.suffix in STORAGES)
-    if not files:
-        raise LogError(f"{bag}: it holds no bag ({', '.join(STORAGES)}); give the folder that `ros2 bag record` wrote")
-    with ExitStack() as stack:
-        with _whole(bag):
-            inside = [each for file in files for each in (file.iterdir() if file.is_dir() else [file])]
-            inside = [each for each in inside if each in files or not each.is_dir()]
-            for file in inside:
-                check_file(file, TABLE)
-            stored = sorted(file for file in inside if file.suffix != ".yaml")
-            if stored and all(file.suffix == ".mcap" for file in stored):
-                reader = McapFiles(stored)
-            else:
-                reader = _RosBag(files)
-                stack.callback(reader.close)
-            if not all(isinstance(word, str) for each in reader.channels for word in (each.topic, each.kind)):
-                raise ValueError("a topic has a name or a type that is no text")
-        yield reader
-
-
-def _whole(bag: Path) -> Any:
-    remedy = "mend it with `ros2 bag reindex` or `mcap recover`, then convert again"
-    return refused(bag, "it is no whole bag", remedy, passed=(HalfseenError,))
-
-
-def _messages(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recorded]:
-    with _whole(bag):
-        for message in reader.messages(channels) if channels else ():
-            if not isinstance(message.log_ns, int):
-                raise ValueError("the time stamp of a message is no whole number")
-            yield message
-
-
-def _decoded(bag: Path, message: Recorded) -> Any:
-    with _whole(bag):
-        return message.channel.decode(message.content)
 
 
 def _stamp(message: Any, recorded: Recorded, mapping: BagMapping) -> int:

@@ -1,6 +1,6 @@
 """Logs from ROS 2 bags (SQLite or MCAP storage) and ROS 1 bags, by a mapping file.
 
-Read down: `bag_mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
+Read down: `mapping` (which topic carries what) → `bag_messages` (values in the order of time) → here.
 Messages of standard types are enough: ``std_msgs`` for actions, rewards and endings,
 ``sensor_msgs/PointCloud2`` for clouds.
 
@@ -29,8 +29,8 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
 from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats.bag_mapping import BagMapping, read_mapping
 from halfseen.logs.formats.bag_messages import Event, check_topics, points_of, read_clouds, read_events
+from halfseen.logs.formats.mapping import BagMapping, read_mapping
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 
@@ -190,37 +190,23 @@ def _objects(
 
 @dataclass
 class Trajectory:
-    """A trajectory that a bag or a table of events tells of.
-
-    Parameters
-    ----------
-    name
-        What it is called.
-    needed
-        What must have been seen before an action, and where it comes from: covariates, and "cloud".
-    finished
-        Endings that are no cause of a cut.
-    end_s
-        When it ended, or its last message came [s].
-    ending, cause
-        As in `trajectories` of `Logs`; at first the cause of one that has no ending.
-    stages
-        One entry a stage: the columns that were recorded.
-    clouds
-        Number of the cloud of each stage, None where none had come.
-    place
-        Where the last event stands, for messages.
-    """
+    """A trajectory that a bag or a table of events tells of."""
 
     name: Any
     needed: Mapping[str, str]
+    """What must have been seen before an action, and where it comes from: covariates, and "cloud"."""
     finished: Collection[Any]
     end_s: float = 0.0
+    """When it ended, or its last message came [s]."""
     ending: str | None = None
     cause: str | None = CRASH
+    """As in `trajectories` of `Logs`; at first the cause of one that has no ending."""
     stages: list[dict[str, Any]] = field(default_factory=list)
+    """One entry a stage: the columns that were recorded."""
     clouds: list[int | None] = field(default_factory=list)
+    """Number of the cloud of each stage, None where none had come."""
     place: str = ""
+    """Where the last event stands, for messages."""
 
     @property
     def missing(self) -> list[str]:

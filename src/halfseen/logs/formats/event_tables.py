@@ -19,7 +19,7 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
-from halfseen.logs.formats.event_mapping import NUMBERS, Entry, EventMapping, read_event_mapping
+from halfseen.logs.formats.mapping import NUMBERS, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
 from halfseen.logs.formats.table_values import Marks, Stamps
 from halfseen.logs.logs import Logs

@@ -12,7 +12,7 @@ import pandas as pd
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
-from halfseen.logs.formats.event_mapping import Layout
+from halfseen.logs.formats.mapping import Layout
 from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
 from halfseen.logs.formats.table_values import (
     ISO,

@@ -16,7 +16,6 @@ LeRobot's ``next.done`` is true where an episode terminated or was truncated. An
 last frame is ``next.terminated`` or ``next.success``, or ``next.done`` and not ``next.truncated``.
 """
 
-from itertools import pairwise
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -25,12 +24,21 @@ import numpy as np
 import pyarrow as pa
 
 from halfseen.errors import LogError, warn
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
-from halfseen.logs.formats import steps
-from halfseen.logs.formats.clocks import ends_by_observations, even_ends
-from halfseen.logs.formats.step_tables import as_array, parquet_file, read_tables, whole_table
-from halfseen.logs.formats.steps import Columns, Ending, StepRules, StepTable
+from halfseen.logs.columns import FINISHED, shown
+from halfseen.logs.formats.step_tables import as_array, read_tables, whole_table
+from halfseen.logs.formats.steps import (
+    Ending,
+    StepColumns,
+    StepRules,
+    StepTable,
+    begins_of,
+    ends_by_observations,
+    even_ends,
+    refuse_early,
+    require,
+)
 from halfseen.logs.logs import Logs
+from halfseen.logs.parquet import parquet_file
 from halfseen.reading import json_of, read_text, reason_of
 from halfseen.shapes import Bool, Float, Int
 
@@ -72,23 +80,23 @@ def read_lerobot(folder: str | Path, rules: StepRules | None = None) -> Logs:
     folder, rules = Path(folder), StepRules() if rules is None else rules
     place, data, info = str(folder), str(folder / "data"), _info(folder / INFO)
     action, reward = rules.action or "action", rules.reward or "next.reward"
-    columns = _columns(folder, info.features, {"action": action, "reward": reward, **rules.named})
-    episode = columns[EPISODE]
-    begins = steps.begins_of(data, "frames", episode, "copy the dataset again")
+    steps = StepColumns(place, _columns(folder, info.features, {"action": action, "reward": reward, **rules.named}))
+    episode = steps.columns[EPISODE]
+    begins = begins_of(data, "frames", episode, "copy the dataset again")
     _check_counts(folder, info, episode, begins)
-    seen = {name: values for name, values in columns.items() if name.startswith(SEEN)}
+    seen = {name: values for name, values in steps.columns.items() if name.startswith(SEEN)}
     tasks = folder / "meta" / "tasks.parquet"
-    if TASK_INDEX in columns and tasks.exists():
-        seen["task"] = _tasks(tasks, columns[TASK_INDEX])
+    if TASK_INDEX in steps.columns and tasks.exists():
+        seen["task"] = _tasks(tasks, steps.columns[TASK_INDEX])
     table = StepTable(
         names=episode[begins[:-1]].tolist(),
         begins=begins,
         is_step=np.ones(len(episode), dtype=bool),
-        observed=steps.observed_columns(place, seen),
-        actions=steps.actions_of(place, action, columns[action]),
-        rewards=steps.numbers_of(place, reward, columns[reward], "reward"),
-        ends_s=_ends(place, columns, info.fps, rules, begins),
-        endings=_endings(place, columns, rules, begins),
+        observed=StepColumns(place, seen).observed(seen),
+        actions=steps.actions(action),
+        rewards=steps.numbers(reward, "reward"),
+        ends_s=_ends(steps, info.fps, rules, begins),
+        endings=_endings(steps, rules, begins),
     )
     return table.logs(place)
 
@@ -120,7 +128,7 @@ def _columns(folder: Path, features: dict[str, Any], named: dict[str, str]) -> d
     pictures = [name for name, feature in features.items() if feature.get("dtype") in _PICTURES]
     with whole_table(files[0]):
         there = [str(name) for name in parquet_file(files[0]).schema_arrow.names if name not in pictures]
-    steps.require(str(folder), there, {**named, "number of each episode": EPISODE})
+    require(str(folder), there, {**named, "number of each episode": EPISODE})
     seen = [name for name in there if name.startswith(SEEN)]
     known = dict.fromkeys([*seen, *named.values(), EPISODE, TIMESTAMP, TASK_INDEX, *FLAGS])
     wanted = [name for name in known if name in there]
@@ -169,22 +177,20 @@ def _check_counts(folder: Path, info: Info, episode: np.ndarray, begins: np.ndar
         )
 
 
-def _endings(place: str, columns: Columns, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> list[Ending]:
+def _endings(steps: StepColumns, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> list[Ending]:
     """Ending and cause of each episode."""
     names = FLAGS if rules.done is None else (*FLAGS, rules.done)
-    flags = {name: steps.flags_of(place, name, columns[name]) for name in names if name in columns}
+    flags = {name: steps.flags(name) for name in names if name in steps.columns}
+    last = begins[1:] - 1
     is_truncated = flags.get(TRUNCATED, np.zeros(int(begins[-1]), dtype=bool))
-    is_own_end = _own_ends(place, flags, is_truncated, rules, begins[1:] - 1)
+    is_own_end = _own_ends(steps.place, flags, is_truncated, rules, last)
     if is_own_end is None:
-        return [rules.of_truncated] * (len(begins) - 1)
+        return rules.endings(last < 0, last >= 0)
     ends_it = np.any([is_truncated, *(flags[name] for name in flags if name != SUCCESS or name == rules.done)], axis=0)
-    for begin, end in pairwise(begins.tolist()):
-        steps.refuse_early(place, int(columns[EPISODE][begin]), ends_it[begin:end])
-    broke_off = (CUT, UNKNOWN_CAUSE) if TRUNCATED in flags else rules.of_truncated
-    return [
-        (FINISHED, None) if is_own_end[last] else rules.of_truncated if is_truncated[last] else broke_off
-        for last in begins[1:] - 1
-    ]
+    refuse_early(steps.place, steps.columns[EPISODE][begins[:-1]].tolist(), begins, ends_it)
+    if TRUNCATED not in flags:
+        is_truncated = ~is_truncated
+    return rules.endings(is_own_end[last], is_truncated[last])
 
 
 def _own_ends(
@@ -219,32 +225,28 @@ def _own_ends(
     return None
 
 
-def _ends(
-    place: str, columns: Columns, fps: float, rules: StepRules, begins: Int[np.ndarray, " E1"]
-) -> list[Float[np.ndarray, " _"]]:
-    """Time from the beginning of its episode to the end of each frame [s], by episode."""
+def _ends(steps: StepColumns, fps: float, rules: StepRules, begins: Int[np.ndarray, " E1"]) -> Float[np.ndarray, " N"]:
+    """Time from the beginning of its episode to the end of each frame [s]."""
     step_s = rules.step_s or 1.0 / fps
-    bounds = list(pairwise(begins.tolist()))
-    if rules.clock is None:
-        if rules.step_s is None and TIMESTAMP in columns:
-            _check_stamps(place, columns, fps, begins)
-        return [even_ends(end - begin, step_s) for begin, end in bounds]
-    times_s = steps.numbers_of(place, rules.clock, columns[rules.clock])
-    return [ends_by_observations(np.append(times_s[begin:end], times_s[end - 1] + step_s)) for begin, end in bounds]
+    if rules.clock is not None:
+        return ends_by_observations(steps.numbers(rules.clock), begins, step_s)
+    if rules.step_s is None and TIMESTAMP in steps.columns:
+        _check_stamps(steps, fps, begins)
+    return even_ends(begins, step_s)
 
 
-def _check_stamps(place: str, columns: Columns, fps: float, begins: Int[np.ndarray, " E1"]) -> None:
+def _check_stamps(steps: StepColumns, fps: float, begins: Int[np.ndarray, " E1"]) -> None:
     """Refuse to count frames where the time stamps tell otherwise."""
-    stamps = steps.numbers_of(place, TIMESTAMP, columns[TIMESTAMP])
+    stamps = steps.numbers(TIMESTAMP)
     first = np.repeat(begins[:-1], np.diff(begins))
     counted = (np.arange(len(stamps)) - first) / fps
     wrong = ~(np.abs(stamps - stamps[first] - counted) < 0.5 / fps)
     if wrong.any():
         row = int(np.argmax(wrong))
         raise LogError(
-            f"{place}, episode {shown(columns[EPISODE][row])}: frame {row - first[row]} has the {TIMESTAMP} "
-            f"{stamps[row]:g} s, and by {fps:g} frames a second it is {counted[row]:g} s; name {TIMESTAMP} as clock, "
-            "or give step_s"
+            f"{steps.place}, episode {shown(steps.columns[EPISODE][row])}: frame {row - first[row]} has the "
+            f"{TIMESTAMP} {stamps[row]:g} s, and by {fps:g} frames a second it is {counted[row]:g} s; name {TIMESTAMP} "
+            "as clock, or give step_s"
         )
 
 

@@ -36,7 +36,7 @@ from halfseen.errors import ArgumentError, HalfseenError, LogError
 from halfseen.installation import command_for, extra
 from halfseen.logs.columns import CUT, FINISHED
 from halfseen.logs.formats.as_text import MINARI, ColumnType, column_types, from_texts, refuse_lost, texts
-from halfseen.logs.formats.minari_foreign import read_foreign
+from halfseen.logs.formats.step_arrays import read_episodes
 from halfseen.logs.formats.steps import StepRules
 from halfseen.logs.logs import Logs
 from halfseen.reading import TABLE, check_file, reason_of
@@ -228,7 +228,7 @@ def read_minari(dataset: Any, *, clock: str | None = None, step_s: float | None 
             )
         if KEY in metadata:
             return _read_own(dataset, json.loads(metadata[KEY]))
-        return read_foreign(dataset, f"dataset {name}", rules)
+        return read_episodes(dataset, f"dataset {name}", rules)
     except (HalfseenError, MemoryError):
         raise
     except Exception as error:  # h5py raises nearly anything

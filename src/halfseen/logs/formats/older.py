@@ -13,8 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from halfseen.errors import HalfseenError, LogError
-from halfseen.logs import folder as parquet
-from halfseen.logs.folder import Place, asking
+from halfseen.logs import parquet
+from halfseen.logs.folder import Place, asking, read_folder
 from halfseen.logs.formats import csv_folder
 from halfseen.logs.journal import OLDER, VERSION, journal_line, journal_parts
 from halfseen.logs.logs import Logs
@@ -45,7 +45,7 @@ def read_older(folder: Place) -> Logs:
     with _as_of_today(folder) as translated:
         try:
             is_csv = (translated / "stages.csv").exists()
-            return csv_folder.read_csv(translated) if is_csv else Logs(**parquet.read_folder(translated))
+            return csv_folder.read_csv(translated) if is_csv else Logs(**read_folder(translated))
         except HalfseenError as error:
             # What is wrong with the translation is wrong with the folder.
             raise LogError(f"{folder}: {str(error).replace(f'{translated}/', '')}") from error

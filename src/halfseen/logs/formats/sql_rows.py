@@ -19,7 +19,7 @@ from halfseen.errors import ArgumentError, HalfseenError, LogError, within
 from halfseen.installation import extra
 from halfseen.logs.columns import OWN_NAMES, refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
-from halfseen.logs.formats.event_mapping import Given, mapping_in
+from halfseen.logs.formats.mapping import Given, mapping_in
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.reading import TABLE, UNPACKED, check_file, reason_of

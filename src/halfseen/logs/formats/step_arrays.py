@@ -1,28 +1,39 @@
-"""Arrays of steps in an HDF5 file, like those of D4RL: all episodes one below the other, one row a step.
+"""Arrays of steps: in an HDF5 file like those of D4RL, and in Minari's datasets that others wrote.
 
-``observations``, ``actions``, ``rewards`` and ``terminals`` are needed; ``timeouts`` says where an episode was
-truncated, and ``next_observations`` what was observed after each step. ``observations`` may be a group of arrays. What
-is in ``infos`` and elsewhere is read where it is named as the action, the reward, the end or the clock.
+In HDF5 all episodes lie one below the other, one row a step. ``observations``, ``actions``, ``rewards`` and
+``terminals`` are needed; ``timeouts`` says where an episode was truncated, and ``next_observations`` what was observed
+after each step. ``observations`` may be a group of arrays. What is in ``infos`` and elsewhere is read where it is named
+as the action, the reward, the end or the clock.
+
+Minari keeps one observation more than there are steps. An episode that terminated is a trajectory that finished, one
+that was truncated a trajectory that was cut.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from itertools import pairwise
 from math import prod
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from halfseen.errors import LogError, warn
+from halfseen.errors import ArgumentError, LogError, warn
 from halfseen.installation import extra
-from halfseen.logs.columns import CUT, FINISHED
-from halfseen.logs.formats import steps
-from halfseen.logs.formats.clocks import ends_by_steps, even_ends
-from halfseen.logs.formats.steps import Columns, StepRules, StepTable
+from halfseen.logs.columns import CUT
+from halfseen.logs.formats.steps import (
+    Ending,
+    StepColumns,
+    StepRules,
+    StepTable,
+    columns_of,
+    ends_by_steps,
+    even_ends,
+    refuse_early,
+    require,
+)
 from halfseen.logs.logs import Logs
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, refused
-from halfseen.shapes import Bool, Float
+from halfseen.shapes import Float, Shaped
 
 SEEN, NEXT_SEEN, TIMEOUTS = "observations", "next_observations", "timeouts"
 END_OF_DATA = "end-of-data"
@@ -58,60 +69,49 @@ def read_step_arrays(file: str | Path, rules: StepRules | None = None) -> Logs:
     file, rules = Path(file), StepRules() if rules is None else rules
     place = str(file)
     named = {"action": "actions", "reward": "rewards", "done": "terminals"} | rules.named
-    columns = _arrays(file, named)
-    is_terminal = steps.flags_of(place, named["done"], columns[named["done"]])
-    is_timeout = _timeouts(place, columns, len(is_terminal))
-    observed = steps.observed_columns(place, _below(columns, SEEN))
-    following = _following(place, columns, observed)
+    steps = StepColumns(place, _arrays(file, named))
+    is_terminal = steps.flags(named["done"])
+    if TIMEOUTS in steps.columns:
+        is_timeout = steps.flags(TIMEOUTS)
+    else:
+        warn(place, f"there are no {TIMEOUTS}, so that an episode ends where it terminated, and nowhere else")
+        is_timeout = np.zeros(len(is_terminal), dtype=bool)
+    observed = steps.observed([name for name in steps.columns if _is_below(name, SEEN)])
+    following = _following(steps, observed)
     ends = np.array(sorted({*(np.flatnonzero(is_terminal | is_timeout) + 1), len(is_terminal)} - {0}), dtype=np.int64)
-    begins = np.append(0, ends).astype(np.int64)
+    of_steps = begins = np.append(0, ends).astype(np.int64)
     rows = np.arange(len(is_terminal))
     if following is not None:  # below each episode what was observed after its last step
         rows, begins = np.insert(rows, ends, len(rows) + ends - 1), begins + np.arange(len(begins))
         observed = {name: np.append(values, following[name])[rows] for name, values in observed.items()}
+    step_s = rules.step_in(place)
+    if rules.clock is None or not len(ends):
+        ends_s = even_ends(of_steps, step_s)
+    else:
+        times_s = np.split(steps.numbers(rules.clock), ends[:-1])
+        ends_s = np.concatenate(ends_by_steps(place, rules.clock, range(len(ends)), times_s))
     table = StepTable(
         names=range(len(ends)),
         begins=begins,
         is_step=rows < len(is_terminal),
         observed=observed,
-        actions=steps.actions_of(place, named["action"], columns[named["action"]]),
-        rewards=steps.numbers_of(place, named["reward"], columns[named["reward"]], "reward"),
-        ends_s=_ends(place, columns, rules, list(pairwise([0, *ends.tolist()]))),
-        endings=[
-            (FINISHED, None) if is_terminal[last] else rules.of_truncated if is_timeout[last] else (CUT, END_OF_DATA)
-            for last in ends - 1
-        ],
+        actions=steps.actions(named["action"]),
+        rewards=steps.numbers(named["reward"], "reward"),
+        ends_s=ends_s,
+        endings=rules.endings(is_terminal[ends - 1], is_timeout[ends - 1], (CUT, END_OF_DATA)),
     )
     return table.logs(place)
-
-
-def _ends(
-    place: str, columns: Columns, rules: StepRules, bounds: list[tuple[int, int]]
-) -> list[Float[np.ndarray, " _"]]:
-    """Time from the beginning of its episode to the end of each step [s], by episode."""
-    step_s = rules.step_in(place)
-    if rules.clock is None:
-        return [even_ends(end - begin, step_s) for begin, end in bounds]
-    times_s = steps.numbers_of(place, rules.clock, columns[rules.clock])
-    return ends_by_steps(place, rules.clock, range(len(bounds)), [times_s[begin:end] for begin, end in bounds])
-
-
-def _timeouts(place: str, columns: Columns, num_steps: int) -> Bool[np.ndarray, " N"]:
-    if TIMEOUTS in columns:
-        return steps.flags_of(place, TIMEOUTS, columns[TIMEOUTS])
-    warn(place, f"there are no {TIMEOUTS}, so that an episode ends where it terminated, and nowhere else")
-    return np.zeros(num_steps, dtype=bool)
 
 
 def _arrays(file: Path, names: dict[str, str]) -> dict[str, np.ndarray]:
     """Read the arrays that are wanted, and tell which are left out."""
     with _opened(file) as (root, num_bytes):
         there = _named(file, root)
-        steps.require(str(file), there, names)
+        require(str(file), there, names)
         asked = {*names.values(), TIMEOUTS}
         wanted = [name for name in there if name in asked or _is_below(name, SEEN) or _is_below(name, NEXT_SEEN)]
         if not any(_is_below(name, SEEN) for name in wanted):
-            steps.require(str(file), there, {"observations": SEEN}, "rename it")
+            require(str(file), there, {"observations": SEEN}, "rename it")
         check_unpacked(num_bytes, sum(prod(there[name].shape) * there[name].dtype.itemsize for name in wanted))
         num_steps = there[names["done"]].shape[:1]
         for name in wanted:
@@ -178,17 +178,116 @@ def _is_below(name: str, group: str) -> bool:
     return name == group or name.startswith(f"{group}/")
 
 
-def _below(columns: Columns, group: str) -> dict[str, np.ndarray]:
-    return {name: values for name, values in columns.items() if _is_below(name, group)}
-
-
-def _following(place: str, columns: Columns, observed: Columns) -> dict[str, np.ndarray] | None:
+def _following(steps: StepColumns, observed: Mapping[str, Any]) -> dict[str, np.ndarray] | None:
     """What was observed after each step, by the names of what was observed before it; None where it is not there."""
-    found = {f"{SEEN}{name.removeprefix(NEXT_SEEN)}": values for name, values in _below(columns, NEXT_SEEN).items()}
+    found = {
+        f"{SEEN}{name.removeprefix(NEXT_SEEN)}": values
+        for name, values in steps.columns.items()
+        if _is_below(name, NEXT_SEEN)
+    }
     if not found:
         return None
-    following = steps.observed_columns(place, found)
+    following = StepColumns(steps.place, found).observed(found)
     if set(following) != set(observed):
         differing = ", ".join(sorted(set(following) ^ set(observed))[:10])
-        raise LogError(f"{place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
+        raise LogError(f"{steps.place}: {NEXT_SEEN} and {SEEN} differ in {differing}; write both of the same shape")
     return following
+
+
+# Minari's.
+
+
+def read_episodes(dataset: Any, name: str, rules: StepRules) -> Logs:
+    """Read a dataset of which halfseen knows no more than Minari does; `halfseen.logs.formats.read_minari` says how."""
+    _check_spaces(dataset, name)
+    episodes = list(dataset)
+    seen = [_observations(each.observations, len(each), f"{name}, episode {each.id}") for each in episodes]
+    begins = np.cumsum([0, *(len(each) + 1 for each in episodes)])
+    is_step = np.ones(begins[-1], dtype=bool)
+    is_step[begins[1:] - 1] = False
+    names = [int(each.id) for each in episodes]
+    table = StepTable(
+        names=names,
+        begins=begins,
+        is_step=is_step,
+        observed={column: np.concatenate([each[column] for each in seen]) for column in (seen or [{}])[0]},
+        actions=np.concatenate([[], *(each.actions for each in episodes)]).astype(np.int64),
+        rewards=np.concatenate([[], *(each.rewards for each in episodes)]).astype(np.float64),
+        ends_s=_ends_of_episodes(episodes, name, rules),
+        endings=_endings_of_episodes(episodes, names, name, rules),
+    )
+    return table.logs(name)
+
+
+def _check_spaces(dataset: Any, name: str) -> None:
+    from gymnasium import spaces
+
+    if not isinstance(dataset.action_space, spaces.Discrete):
+        raise ArgumentError(
+            f"{name}: actions are {dataset.action_space}, and a stage has one of finitely many; discretise them (say, "
+            "with numpy.digitize) and write the dataset again with a Discrete action space"
+        )
+    kinds = (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)
+    entries = dataset.observation_space
+    for space in entries.values() if isinstance(entries, spaces.Dict) else [entries]:
+        if not isinstance(space, kinds):
+            raise ArgumentError(
+                f"{name}: observations are {space}, which no columns of numbers hold; flatten them with "
+                "gymnasium.wrappers.FlattenObservation and write the dataset again"
+            )
+
+
+def _observations(observed: Any, num_steps: int, place: str) -> dict[str, Shaped[np.ndarray, " T1"]]:
+    """Columns of the observation: obs_0, obs_1, …, or key_0, key_1, … where it has parts."""
+    parts = observed if isinstance(observed, dict) else {"obs": observed}
+    columns = {}
+    for key, part in parts.items():
+        values = np.asarray(part)
+        if len(values) != num_steps + 1:
+            raise LogError(
+                f"{place}: {len(values)} observations for {num_steps} steps; Minari keeps one more than there are steps"
+            )
+        columns |= columns_of(key, values.reshape(len(values), -1))
+    return columns
+
+
+def _ends_of_episodes(episodes: list[Any], name: str, rules: StepRules) -> Float[np.ndarray, " M"]:
+    """Time from the beginning of its episode to the end of each step [s]."""
+    step_s, clock, sizes = rules.step_in(name), rules.clock, [len(episode) for episode in episodes]
+    if clock is None or not any(sizes):
+        return even_ends(np.cumsum([0, *sizes]), step_s)
+    times_s = {k: _clock(each, clock, f"{name}, episode {each.id}") for k, each in enumerate(episodes) if len(each)}
+    of_steps = [k for k in times_s if len(times_s[k]) == sizes[k]]
+    ids = [int(episodes[k].id) for k in of_steps]
+    ends_s = {k: times[1:] - times[0] for k, times in times_s.items()}
+    ends_s |= zip(of_steps, ends_by_steps(name, clock, ids, [times_s[k] for k in of_steps]), strict=True)
+    return np.concatenate(list(ends_s.values()))
+
+
+def _clock(episode: Any, clock: str, place: str) -> Float[np.ndarray, " T"]:
+    """Time of each observation, or of the end of each step [s]."""
+    num_steps = len(episode)
+    infos = episode.infos or {}
+    if clock not in infos:
+        raise LogError(f"{place}: there is no info {clock!r} among {', '.join(infos) or 'none'}; name another clock")
+    values = np.asarray(infos[clock])
+    if values.shape not in {(num_steps,), (num_steps + 1,)} or values.dtype.kind not in "fiu":
+        raise LogError(
+            f"{place}: info {clock!r} is {values.dtype} of shape {values.shape}, no time for each of {num_steps} steps "
+            "[s]; name another clock"
+        )
+    return values.astype(np.float64)
+
+
+def _endings_of_episodes(episodes: list[Any], names: list[int], name: str, rules: StepRules) -> list[Ending]:
+    for each in episodes:
+        if not len(each):
+            raise LogError(f"{name}, episode {each.id}: it has no step; leave the episode out")
+    begins = np.cumsum([0, *map(len, episodes)])
+    is_terminated, is_truncated = (
+        np.concatenate([[], *(getattr(each, flags) for each in episodes)]).astype(bool)
+        for flags in ("terminations", "truncations")
+    )
+    refuse_early(name, names, begins, is_terminated | is_truncated)
+    last = begins[1:] - 1
+    return rules.endings(is_terminated[last], is_truncated[last])

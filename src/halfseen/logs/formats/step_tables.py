@@ -10,26 +10,31 @@ import mmap
 import re
 import struct
 from collections.abc import Iterable, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.csv as arrow_csv
-import pyarrow.parquet as pq
 
 from halfseen.errors import LogError, warn
-from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, refuse_repeated, shown
-from halfseen.logs.formats import steps
+from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.as_text import from_list_texts
-from halfseen.logs.formats.clocks import ends_by_observations, even_ends
 from halfseen.logs.formats.csv_folder import read_cells
-from halfseen.logs.formats.steps import Columns, Ending, StepRules, StepTable
+from halfseen.logs.formats.steps import (
+    StepColumns,
+    StepRules,
+    StepTable,
+    begins_of,
+    ends_by_observations,
+    even_ends,
+    refuse_early,
+    require,
+)
 from halfseen.logs.logs import Logs
-from halfseen.logs.parquet_footer import check_unpacked_table
+from halfseen.logs.parquet import parquet_file
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
-from halfseen.shapes import Bool, Float, Int, Shaped
+from halfseen.shapes import Float, Int, Shaped
 
 SEEN = "observation"
 EPISODES = ("episode_id", "episode_index", "episode")
@@ -68,73 +73,55 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     place = ", ".join(map(str, paths[:3])) + (f" and {len(paths) - 3} more" if len(paths) > 3 else "")
     table = _flattened(place, read_tables(paths))
     named = {"action": "action", "reward": "reward", "done": TERMINAL} | rules.named
-    steps.require(place, table.column_names, {"end of an episode": LAST}, "add it")
-    steps.require(place, table.column_names, named)
-    columns = {name: as_array(place, table, name) for name in (*named.values(), LAST)}
-    is_last, is_terminal = (steps.flags_of(place, name, columns[name]) for name in (LAST, named["done"]))
-    names, begins = _episodes(place, table)
+    require(place, table.column_names, {"end of an episode": LAST}, "add it")
+    require(place, table.column_names, named)
+    label = next((name for name in EPISODES if name in table.column_names), None)
+    if label is None:
+        require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
+    seen = [name for name in table.column_names if name.startswith(SEEN)]
+    read = {*named.values(), LAST, label, *seen, *({FIRST} & {*table.column_names})} - {None}
+    steps = StepColumns(place, {name: as_array(place, table, name) for name in read})
+    is_last, is_terminal = steps.flags(LAST), steps.flags(named["done"])
+    names, begins = _episodes(steps, label)
+    last = begins[1:] - 1
     is_step = np.ones(len(is_last), dtype=bool)
-    is_step[begins[1:] - 1] = ~is_last[begins[1:] - 1]
-    rewards = steps.numbers_of(place, named["reward"], columns[named["reward"]], "reward")
-    seen = {name: as_array(place, table, name) for name in table.column_names if name.startswith(SEEN)}
+    is_step[last] = ~is_last[last]
+    rewards = steps.numbers(named["reward"], "reward")
     _warn_of_unread(place, table, {*named.values()}, rewards[~is_step])
-    rows = [slice(*bounds) for bounds in pairwise(begins.tolist())]
-    found = StepTable(
-        names=names,
-        begins=begins,
-        is_step=is_step,
-        observed=steps.observed_columns(place, seen),
-        actions=steps.actions_of(place, named["action"], columns[named["action"]][is_step]),
-        rewards=rewards[is_step],
-        ends_s=_ends(place, columns, rules, [is_step[each] for each in rows], begins),
-        endings=[
-            _ending(place, name, is_last[each], is_terminal[each], rules)
-            for name, each in zip(names, rows, strict=True)
-        ],
-    )
-    return found.logs(place)
-
-
-def _ends(
-    place: str,
-    columns: Columns,
-    rules: StepRules,
-    is_step: list[Bool[np.ndarray, " _"]],
-    begins: Int[np.ndarray, " E1"],
-) -> list[Float[np.ndarray, " _"]]:
-    """Time from the beginning of its episode to the end of each step [s]; one that no row follows counts as none."""
+    observed = steps.observed(seen)
+    actions = steps.actions(named["action"], is_step)
     step_s = rules.step_in(place)
     if rules.clock is None:
-        return [even_ends(int(np.count_nonzero(each)), step_s) for each in is_step]
-    times_s = np.split(steps.numbers_of(place, rules.clock, columns[rules.clock]), begins[1:-1])
-    return [
-        ends_by_observations(np.append(times, times[-1:]) if steps[-1] else times)
-        for times, steps in zip(times_s, is_step, strict=True)
-    ]
+        ends_s = even_ends(np.append(0, np.cumsum(is_step))[begins], step_s)
+    else:
+        ends_s = ends_by_observations(steps.numbers(rules.clock), begins)[is_step]
+    refuse_early(place, names, begins, is_last | is_terminal)
+    if (wrong := is_terminal[last] & ~is_last[last]).any():
+        name = shown(names[int(np.argmax(wrong))])
+        raise LogError(f"{place}, episode {name}: its last row terminates it and is not {LAST}; mend one of the two")
+    endings = rules.endings(is_terminal[last], is_last[last])
+    return StepTable(names, begins, is_step, observed, actions, rewards[is_step], ends_s, endings).logs(place)
 
 
-def _episodes(place: str, table: pa.Table) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
+def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], Int[np.ndarray, " E1"]]:
     """Names of the episodes, the rows in which they begin, and the number of rows."""
-    is_first = steps.flags_of(place, FIRST, as_array(place, table, FIRST)) if FIRST in table.column_names else None
-    column = next((name for name in EPISODES if name in table.column_names), None)
-    if column is None and is_first is None:
-        steps.require(place, table.column_names, {"beginning of an episode": FIRST}, f"add it, or {EPISODES[0]}")
-    if column is None and is_first is not None:
+    place, is_first = steps.place, steps.flags(FIRST) if FIRST in steps.columns else np.zeros(0, dtype=bool)
+    if label is None:
         if len(is_first) and not is_first[0]:
             raise LogError(f"{place}, row 0: {FIRST} is false, so that it belongs to no episode; mend it")
         at = np.flatnonzero(is_first)
         return list(range(len(at))), np.append(at, len(is_first))
-    labels = as_array(place, table, str(column))
-    if labels.ndim != 1 or labels.dtype.kind not in "iuO" or any(label is None for label in labels.tolist()):
-        raise LogError(f"{place}: {column} holds {labels.dtype}, or null, and not names; give whole numbers or text")
-    begins_here = np.append(True, labels[1:] != labels[:-1])[: len(labels)].astype(bool)
-    if is_first is not None and (is_first != begins_here).any():
-        row = int(np.argmax(is_first != begins_here))
+    labels = steps.columns[label]
+    if labels.ndim != 1 or labels.dtype.kind not in "iuO" or any(name is None for name in labels.tolist()):
+        raise LogError(f"{place}: {label} holds {labels.dtype}, or null, and not names; give whole numbers or text")
+    wrong = is_first != np.append(True, labels[1:] != labels[:-1]).astype(bool) if len(is_first) else is_first
+    if wrong.any():
+        row = int(np.argmax(wrong))
         raise LogError(
-            f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {column} is {shown(labels[row])}; mend one of "
+            f"{place}, row {row}: {FIRST} is {bool(is_first[row])}, yet {label} is {shown(labels[row])}; mend one of "
             "the two"
         )
-    begins = steps.begins_of(place, "rows", labels, "sort them")
+    begins = begins_of(place, "rows", labels, "sort them")
     return labels[begins[:-1]].tolist(), begins
 
 
@@ -150,19 +137,6 @@ def _warn_of_unread(place: str, table: pa.Table, read: set[str], last_rewards: F
             f"{num_lost} rewards other than 0 stand in rows that are {LAST}, in which nothing was done any more: they "
             "are not read",
         )
-
-
-def _ending(
-    place: str, name: int | str, is_last: Bool[np.ndarray, " O"], is_terminal: Bool[np.ndarray, " O"], rules: StepRules
-) -> Ending:
-    steps.refuse_early(place, name, is_last | is_terminal)
-    if is_terminal[-1] and not is_last[-1]:
-        raise LogError(
-            f"{place}, episode {shown(name)}: its last row terminates it and is not {LAST}; mend one of the two"
-        )
-    if is_terminal[-1]:
-        return FINISHED, None
-    return rules.of_truncated if is_last[-1] else (CUT, UNKNOWN_CAUSE)
 
 
 def read_tables(files: Sequence[Path], columns: Iterable[str] | None = None) -> pa.Table:
@@ -204,14 +178,6 @@ def as_array(place: str, table: pa.Table, name: str) -> Shaped[np.ndarray, "N ..
         raise LogError(
             f"{place}: {name} holds {table.schema.field(name).type}, which is not read; convert it"
         ) from error
-
-
-def parquet_file(file: Path) -> pq.ParquetFile:
-    """Open a Parquet file whose size was checked, packed and unpacked."""
-    num_bytes = check_file(file, TABLE)
-    table = pq.ParquetFile(file)
-    check_unpacked_table(file, num_bytes, table)
-    return table
 
 
 def whole_table(file: Path) -> Any:

@@ -6,10 +6,15 @@ not, into the last step itself, whose reward is passed over, as a stage that was
 
 Columns have one row a step. What is observed may be whole arrays, of which columns are made; all else is one value a
 step.
+
+Times count from the beginning of an episode. Those of T + 1 observations say when it began. Those at which its T steps
+ended do not: such a clock begins at 0 in each episode, or it runs on over episodes, and each begins when the one before
+ended.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from math import prod
 from typing import Any
 
@@ -17,15 +22,15 @@ import numpy as np
 import pandas as pd
 
 from halfseen.errors import ArgumentError, LogError, warn, within
-from halfseen.logs.columns import CUT, FINISHED, shown
+from halfseen.logs.columns import CUT, FINISHED, UNKNOWN_CAUSE, shown
 from halfseen.logs.logs import Logs
 from halfseen.shapes import Bool, Float, Int, Shaped
 
 TRUNCATED = "truncated"
 MOST_NUMBERS = 1000
 """Of one observation; what has more is an image or the like, of which no columns are made."""
-Columns = Mapping[str, Shaped[np.ndarray, "N ..."]]
-"""What a dataset holds, by name: one row a step."""
+MOST_FIRST = 3.0
+"""How many times as long as the longest other step a first one may be, where it is not sure when it began."""
 Ending = tuple[str, str | None]
 """Ending and cause, as in `trajectories` of `Logs`."""
 _MEANT = {"reward": "a number", "done": "true or false", "clock": "a time [s]"}
@@ -75,10 +80,15 @@ class StepRules:
         roles = ("action", "reward", "done", "clock")
         return {role: getattr(self, role) for role in roles if getattr(self, role) is not None}
 
-    @property
-    def of_truncated(self) -> Ending:
-        """Ending and cause of an episode that did not terminate."""
-        return (FINISHED, None) if self.truncated == FINISHED else (CUT, TRUNCATED)
+    def endings(
+        self, is_finished: Iterable[Any], is_truncated: Iterable[Any], otherwise: Ending = (CUT, UNKNOWN_CAUSE)
+    ) -> list[Ending]:
+        """Ending and cause of each episode, which reached its own end, or was truncated, or ended otherwise."""
+        truncated = (FINISHED, None) if self.truncated == FINISHED else (CUT, TRUNCATED)
+        return [
+            (FINISHED, None) if finished else truncated if stopped else otherwise
+            for finished, stopped in zip(is_finished, is_truncated, strict=True)
+        ]
 
     def step_in(self, place: str) -> float:
         """How long a step lasts without a clock [s]; 1 s, with a warning, where nobody says."""
@@ -91,36 +101,92 @@ class StepRules:
 
 
 @dataclass(frozen=True)
-class StepTable:
-    """Episodes of a dataset, one below the other, in N rows: a step each, or what was observed after the last one.
+class StepColumns:
+    """What a dataset holds, by name, one row a step; `place` names the dataset in messages."""
 
-    Parameters
-    ----------
-    names
-        Of the E trajectories.
-    begins
-        Rows in which episodes begin, and the number of rows, shape (E + 1,).
-    is_step
-        Rows in which something was done: all but, perhaps, the last of an episode, shape (N,).
-    observed
-        Columns of what was observed, N rows each.
-    actions
-        Of the M steps: whole numbers or text, shape (M,).
-    rewards
-        What each step earned, shape (M,).
-    ends_s
-        Of each episode, the time from its beginning to the end of each step [s].
-    endings
-        Ending and cause of each episode.
-    """
+    place: str
+    columns: Mapping[str, Shaped[np.ndarray, "N ..."]]
+
+    def numbers(self, name: str, role: str = "clock") -> Float[np.ndarray, " N"]:
+        """Rewards, flags or times, one number each step; true counts 1, and anything else is refused."""
+        values, flat = self.columns[name], self._flat(name)
+        if flat.ndim != 1 or flat.dtype.kind not in "biuf":
+            raise ArgumentError(
+                f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and not {_MEANT[role]} for "
+                f"each step; name another column as {role}"
+            )
+        return flat.astype(np.float64)
+
+    def flags(self, name: str) -> Bool[np.ndarray, " N"]:
+        """True and false; 1 and 0 are such, and anything else is refused."""
+        numbers = self.numbers(name, "done")
+        wrong = ~((numbers == 0) | (numbers == 1))
+        if wrong.any():
+            row = int(np.argmax(wrong))
+            value = shown(self._flat(name)[row])
+            raise LogError(f"{self.place}, row {row}: {name} is {value}, neither true nor false; mend it")
+        return numbers.astype(bool)
+
+    def actions(self, name: str, rows: Bool[np.ndarray, " N"] | slice = slice(None)) -> Shaped[np.ndarray, " M"]:
+        """Actions of some rows, each one of finitely many: whole numbers (null as None) or text."""
+        values, flat = self.columns[name], self._flat(name)[rows]
+        if flat.ndim == 1 and flat.dtype.kind in "biu":
+            return flat.astype(np.int64)
+        if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
+            return flat
+        if flat.ndim == 1 and flat.dtype.kind == "f":
+            is_null = np.isnan(flat)
+            if (is_null | (np.isfinite(flat) & (flat == np.floor(flat)) & (np.abs(flat) < 2**53))).all():
+                whole: Any = np.where(is_null, 0, flat).astype(np.int64)
+                return np.where(is_null, np.array(None), whole.astype(object)) if is_null.any() else whole
+        raise ArgumentError(
+            f"{self.place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and the action of a stage is one "
+            "of finitely many; discretise it (say, with numpy.digitize), or name another column, of whole numbers or "
+            "text, as action"
+        )
+
+    def observed(self, names: Iterable[str]) -> dict[str, Shaped[np.ndarray, " N"]]:
+        """Columns of observations; what is neither numbers nor text, or too long, is passed over with a warning.
+
+        Two observations that make the same column are refused (`LogError`).
+        """
+        observed: dict[str, np.ndarray] = {}
+        passed_over = []
+        for name in names:
+            values = self.columns[name]
+            if values.dtype.kind not in "biufO" or values[:1].size > MOST_NUMBERS or _is_strange(values):
+                passed_over.append(f"{name} ({values.dtype} of shape {values.shape[1:]})")
+                continue
+            for column, entries in columns_of(name, values).items():
+                if column in observed:
+                    raise LogError(f"{self.place}: two observations make a column {column!r}; rename one")
+                observed[column] = entries
+        if passed_over:
+            warn(self.place, f"{', '.join(passed_over)}: no columns of a stage hold it, so it is left out")
+        return observed
+
+    def _flat(self, name: str) -> np.ndarray:
+        values = self.columns[name]
+        return values.reshape(len(values)) if values.ndim > 1 and values[:1].size == 1 else values
+
+
+@dataclass(frozen=True)
+class StepTable:
+    """Episodes of a dataset, one below the other, in N rows: a step each, or what was observed after the last one."""
 
     names: Sequence[int | str]
+    """Of the E trajectories."""
     begins: Int[np.ndarray, " E1"]
+    """Rows in which episodes begin, and the number of rows, shape (E + 1,)."""
     is_step: Bool[np.ndarray, " N"]
-    observed: Columns
+    """Rows in which something was done: all but, perhaps, the last of an episode, shape (N,)."""
+    observed: Mapping[str, Shaped[np.ndarray, " N"]]
     actions: Shaped[np.ndarray, " M"]
+    """Of the M steps: whole numbers or text, shape (M,)."""
     rewards: Float[np.ndarray, " M"]
-    ends_s: Sequence[Float[np.ndarray, " _"]]
+    """What each step earned, shape (M,)."""
+    ends_s: Float[np.ndarray, " M"]
+    """Time from the beginning of its episode to the end of each step [s], shape (M,)."""
     endings: Sequence[Ending]
 
     def logs(self, place: str) -> Logs:
@@ -133,12 +199,13 @@ class StepTable:
         """
         if not self.names:
             raise LogError(f"{place}: it has no episodes; a log has at least one trajectory")
-        for name, times_s in zip(self.names, self.ends_s, strict=True):
-            if not len(times_s):
-                raise LogError(f"{place}, episode {shown(name)}: it has no step; leave the episode out")
+        num_steps = np.add.reduceat(self.is_step, self.begins[:-1], dtype=np.int64)
+        if not num_steps.all():
+            name = self.names[int(np.argmin(num_steps))]
+            raise LogError(f"{place}, episode {shown(name)}: it has no step; leave the episode out")
         ends: dict[str, Any] = {
             "trajectory": self.names,
-            "end_s": [times_s[-1] for times_s in self.ends_s],
+            "end_s": self.ends_s[np.cumsum(num_steps) - 1],
             "ending": [ending for ending, _ in self.endings],
             "cause": [cause for _, cause in self.endings],
         }
@@ -152,7 +219,7 @@ class StepTable:
         is_stage, is_completed = self.is_step.copy(), self.is_step.copy()
         is_stage[last] |= is_cut
         is_completed[last] &= ~is_cut
-        of_steps = {"elapsed_s": np.concatenate(self.ends_s), "reward": self.rewards}
+        of_steps = {"elapsed_s": self.ends_s, "reward": self.rewards}
         numbers = {name: np.full(len(self.is_step), np.nan) for name in of_steps}
         for name, values in of_steps.items():
             numbers[name][is_completed] = values[is_completed[self.is_step]]
@@ -184,13 +251,14 @@ def begins_of(place: str, rows: str, labels: Shaped[np.ndarray, " N"], remedy: s
     return np.append(at, len(labels)).astype(np.int64)
 
 
-def refuse_early(place: str, name: int | str, ends: Bool[np.ndarray, " T"]) -> None:
-    """Refuse an episode that ends before its last step."""
-    if ends[:-1].any():
-        raise LogError(
-            f"{place}, episode {shown(name)}: step {int(np.argmax(ends)) + 1} of {len(ends)} ends it; make two "
-            "episodes of it"
-        )
+def refuse_early(place: str, names: Sequence[int | str], begins: Any, ends: Bool[np.ndarray, " N"]) -> None:
+    """Refuse an episode that ends before its last row (`LogError`); `begins` are as in `StepTable`."""
+    for name, (begin, end) in zip(names, pairwise(begins.tolist()), strict=True):
+        if ends[begin : end - 1].any():
+            raise LogError(
+                f"{place}, episode {shown(name)}: step {int(np.argmax(ends[begin:end])) + 1} of {end - begin} ends it; "
+                "make two episodes of it"
+            )
 
 
 def columns_of(name: str, values: Shaped[np.ndarray, "N ..."]) -> dict[str, Shaped[np.ndarray, " N"]]:
@@ -201,66 +269,8 @@ def columns_of(name: str, values: Shaped[np.ndarray, "N ..."]) -> dict[str, Shap
     return {f"{name}_{k}": flat[:, k] for k in range(flat.shape[1])}
 
 
-def observed_columns(place: str, columns: Columns) -> dict[str, Shaped[np.ndarray, " N"]]:
-    """Make columns of observations; what is neither numbers nor text, or too long, is passed over with a warning.
-
-    Raises
-    ------
-    LogError
-        Two observations make the same column.
-    """
-    observed: dict[str, np.ndarray] = {}
-    passed_over = []
-    for name, values in columns.items():
-        if values.dtype.kind not in "biufO" or values[:1].size > MOST_NUMBERS or _is_strange(values):
-            passed_over.append(f"{name} ({values.dtype} of shape {values.shape[1:]})")
-            continue
-        for column, entries in columns_of(name, values).items():
-            if column in observed:
-                raise LogError(f"{place}: two observations make a column {column!r}; rename one")
-            observed[column] = entries
-    if passed_over:
-        warn(place, f"{', '.join(passed_over)}: no columns of a stage hold it, so it is left out")
-    return observed
-
-
-def numbers_of(
-    place: str, name: str, values: Shaped[np.ndarray, "N ..."], role: str = "clock"
-) -> Float[np.ndarray, " N"]:
-    """Bring rewards, flags or times into numbers, one each step; true counts 1, and anything else is refused."""
-    flat = _flat(values)
-    if flat.ndim != 1 or flat.dtype.kind not in "biuf":
-        raise ArgumentError(
-            f"{place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and not {_MEANT[role]} for each step; "
-            f"name another column as {role}"
-        )
-    return flat.astype(np.float64)
-
-
-def flags_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Bool[np.ndarray, " N"]:
-    """Bring a column into true and false; 1 and 0 are such.
-
-    Raises
-    ------
-    ArgumentError, LogError
-        It holds anything else.
-    """
-    flat = numbers_of(place, name, values, "done")
-    wrong = ~((flat == 0) | (flat == 1))
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise LogError(f"{place}, row {row}: {name} is {shown(_flat(values)[row])}, neither true nor false; mend it")
-    return flat.astype(bool)
-
-
 def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy: str | None = None) -> None:
-    """Refuse a dataset that lacks a column of those that are wanted, by role.
-
-    Raises
-    ------
-    ArgumentError
-        It does; those that are there are named, and what to do: by default, to name another column for that role.
-    """
+    """Refuse a dataset that lacks a column of those that are wanted, by role (`ArgumentError`)."""
     there = list(names)
     for role, name in wanted.items():
         if name not in there:
@@ -270,30 +280,53 @@ def require(place: str, names: Iterable[str], wanted: Mapping[str, str], remedy:
             )
 
 
-def actions_of(place: str, name: str, values: Shaped[np.ndarray, "N ..."]) -> Shaped[np.ndarray, " N"]:
-    """Bring actions, one of finitely many each, into whole numbers (null as None) or text."""
-    flat = _flat(values)
-    if flat.ndim == 1 and flat.dtype.kind in "biu":
-        return flat.astype(np.int64)
-    if flat.ndim == 1 and flat.dtype == object and not _is_strange(flat):
-        return flat
-    if flat.ndim == 1 and flat.dtype.kind == "f":
-        is_null = np.isnan(flat)
-        if (is_null | (np.isfinite(flat) & (flat == np.floor(flat)) & (np.abs(flat) < 2**53))).all():
-            whole = np.where(is_null, 0, flat).astype(np.int64)
-            if is_null.any():
-                whole = whole.astype(object)
-                whole[is_null] = None
-            return whole
-    raise ArgumentError(
-        f"{place}: {name} holds {values.dtype} of shape {values.shape[1:]}, and the action of a stage is one of "
-        "finitely many; discretise it (say, with numpy.digitize), or name another column, of whole numbers or text, as "
-        "action"
+def even_ends(begins: Int[np.ndarray, " E1"], step_s: float) -> Float[np.ndarray, " M"]:
+    """Ends of steps since their episode began [s] that last the same time each, by the steps that begin episodes."""
+    return step_s * (np.arange(1.0, begins[-1] + 1) - np.repeat(begins[:-1], np.diff(begins)))
+
+
+def ends_by_observations(
+    times_s: Float[np.ndarray, " N"], begins: Int[np.ndarray, " E1"], last_s: float = 0.0
+) -> Float[np.ndarray, " N"]:
+    """Ends of rows since their episode began [s], by when each was observed [s]; the last one lasts `last_s` [s]."""
+    ends_s, last = np.append(times_s[1:], 0.0), begins[1:] - 1
+    ends_s[last] = times_s[last] + last_s
+    return ends_s - np.repeat(times_s[begins[:-1]], np.diff(begins))
+
+
+def ends_by_steps(
+    place: str, clock: str, names: Sequence[int | str], times_s: Sequence[Float[np.ndarray, " _"]]
+) -> list[Float[np.ndarray, " _"]]:
+    """Ends of steps since their episode began [s], by the clock at the ends of the steps of each, in order [s].
+
+    Raises
+    ------
+    LogError
+        An episode begins at a time that nobody can tell: its first step would last far longer than any later one.
+    """
+    runs_on = np.array([one[-1] < other[0] for one, other in pairwise(times_s)], dtype=bool)
+    if not runs_on.any():
+        return list(times_s)
+    is_on = bool(runs_on.all())
+    begins_s = [0.0, *(float(one[-1]) if is_on else 0.0 for one in times_s[:-1])]
+    first_s = np.array([float(one[0]) - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)])
+    later_s = np.concatenate([np.diff(one) for one in times_s])
+    unsure_s = np.where(np.append(is_on, runs_on), first_s, 0.0)
+    wrong = unsure_s > MOST_FIRST * later_s.max(initial=-np.inf)
+    if len(later_s) and wrong.any():
+        k = int(np.argmax(wrong))
+        raise LogError(
+            f"{place}, episode {shown(names[k])}: by {clock} its first step would last {unsure_s[k]:g} s, and no later "
+            f"step lasts more than {later_s.max():g} s; let {clock} begin at 0 in each episode, name a clock of the "
+            "observations, or give step_s"
+        )
+    on, own = "begins when the one before ended, and the first at 0", "counts from its own beginning, as others do"
+    warn(
+        place,
+        f"{clock} is later in the first step of an episode than at the end of the one before, {int(runs_on.sum())} of "
+        f"{len(runs_on)} times: each {on if is_on else own}; the first steps last up to {first_s.max():g} s",
     )
-
-
-def _flat(values: np.ndarray) -> np.ndarray:
-    return values.reshape(len(values)) if values.ndim > 1 and values[:1].size == 1 else values
+    return [one - begin_s for one, begin_s in zip(times_s, begins_s, strict=True)]
 
 
 def _is_strange(values: np.ndarray) -> bool:

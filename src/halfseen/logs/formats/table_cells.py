@@ -19,8 +19,9 @@ import pyarrow as pa
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.columns import refuse_repeated, shown
-from halfseen.logs.formats.event_mapping import Layout
-from halfseen.logs.formats.step_tables import LAST, parquet_file, whole_table
+from halfseen.logs.formats.mapping import Layout
+from halfseen.logs.formats.step_tables import LAST, whole_table
+from halfseen.logs.parquet import parquet_file
 from halfseen.reading import TABLE, opened, reason_of
 from halfseen.suggestions import did_you_mean
 
@@ -31,27 +32,15 @@ ROWS_LOOKED_AT = 50
 
 @dataclass(frozen=True)
 class Cells:
-    """A table of text; an empty cell is an empty text.
-
-    Parameters
-    ----------
-    file
-        Its name, for messages.
-    columns
-        Cells of each column.
-    rows
-        Number of each row in its file, from 1; of several files behind the name of its own.
-    layout
-        How it was read.
-    word
-        What rows are called: line, or row where a file has no lines; file, of several.
-    """
+    """A table of text; an empty cell is an empty text."""
 
     file: str
     columns: dict[str, list[str]]
     rows: Sequence[int | str]
+    """Number of each row in its file, from 1; of several files behind the name of its own."""
     layout: Layout
     word: str = "line"
+    """What rows are called: line, or row where a file has no lines; file, of several."""
 
     def place(self, row: int, column: str | None = None) -> str:
         """Name a row, or a cell."""

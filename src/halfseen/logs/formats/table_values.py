@@ -13,7 +13,7 @@ import pandas as pd
 
 from halfseen.errors import ArgumentError, warn
 from halfseen.logs.columns import shown
-from halfseen.logs.formats.event_mapping import Clock
+from halfseen.logs.formats.mapping import Clock
 from halfseen.logs.formats.table_cells import Cells
 from halfseen.reading import reason_of
 from halfseen.shapes import Int

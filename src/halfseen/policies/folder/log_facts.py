@@ -12,7 +12,7 @@ import pandas as pd
 import pyarrow as pa
 
 from halfseen.logs import Logs, LogsSummary
-from halfseen.logs.summary import SummaryTally
+from halfseen.logs.logs import SummaryTally
 from halfseen.policies.folder.arrays import PolicyKind
 from halfseen.policies.folder.stored import TABLE_RANGES
 from halfseen.policies.ranges import margin, most_with_margin
@@ -73,7 +73,7 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
     seen, counts, spread = [], np.zeros((2, 0), dtype=np.int64), _Spread(0, 0.0, 0.0)
     for part in parts:
         digest.add(part)
-        summary.add(part.trajectories, part.stages, part.objects)
+        summary.add(part)
         if kind.has_prior:
             priors.append(_prior(part))
         here = _seen_named(part, policy, is_by_stage) if kind.is_flat else _seen_tables(part)

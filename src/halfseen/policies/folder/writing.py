@@ -18,7 +18,7 @@ from halfseen.learning.sample import latest
 from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.data_quality import data_warnings
-from halfseen.logs.opening import parts_of
+from halfseen.logs.stream import parts_of
 from halfseen.policies.folder.arrays import laid_out
 from halfseen.policies.folder.files import check_target, write_files
 from halfseen.policies.folder.kinds import kind_name_of, kind_named

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 
 from halfseen.errors import ArgumentError
-from halfseen.logs.formats.event_mapping import mapping_in
+from halfseen.logs.formats.mapping import mapping_in
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.suggestions import did_you_mean
 

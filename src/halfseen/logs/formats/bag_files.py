@@ -1,64 +1,118 @@
-"""MCAP files, channel by channel: messages of ROS 2 (CDR), JSON and protobuf, also mixed in one file.
+"""Files of bags, channel by channel: what ROS recorded, and MCAP files of ROS 2 (CDR), JSON and protobuf, also mixed.
 
-Every chunk is unpacked within bounds and checked against its checksum. A ROS message comes as an object, any other as
-nested dicts, lists and plain values.
+Every chunk of MCAP is unpacked within bounds and checked against its checksum. A ROS message comes as an object, any
+other as nested dicts, lists and plain values.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import cache, partial
 from io import BufferedReader
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from halfseen.errors import HalfseenError, LogError
 from halfseen.installation import extra
-from halfseen.reading import TABLE, check_unpacked, json_of, opened
+from halfseen.reading import TABLE, check_file, check_unpacked, json_of, opened, refused
 
+STORAGES = (".mcap", ".db3", ".bag")
 ENCODINGS = ("cdr", "json", "protobuf")
 _IDL_LINE = "=" * 80 + "\n"
 
 
 class Channel(NamedTuple):
-    """What carries messages of one type under a topic.
-
-    Parameters
-    ----------
-    topic
-        Its name.
-    kind
-        Type of its messages.
-    key
-        What tells it from the others of its bag.
-    decode
-        Makes a message of bytes; of broken ones it raises nearly anything.
-    """
+    """What carries messages of one type under a topic."""
 
     topic: str
     kind: str
     key: Any
+    """What tells it from the others of its bag."""
     decode: Callable[[bytes], Any]
+    """Makes a message of bytes; of broken ones it raises nearly anything."""
 
 
 class Recorded(NamedTuple):
-    """A message as it was recorded.
-
-    Parameters
-    ----------
-    channel
-        Which carried it.
-    log_ns, publish_ns
-        When it was recorded, and when it was sent [ns]; None where the bag does not say.
-    content
-        Its bytes.
-    """
+    """A message as it was recorded."""
 
     channel: Channel
     log_ns: int
     publish_ns: int | None
+    """When it was recorded, and when it was sent [ns]; None where the bag does not say."""
     content: bytes
 
 
-class McapFiles:
+@contextmanager
+def opened_bag(bag: Path) -> Iterator[Any]:
+    """Open a bag, a folder or a storage file, whose ``channels`` can be asked for; a broken one is refused."""
+    if not bag.exists():
+        raise LogError(f"{bag}: there is no such bag; give the folder that `ros2 bag record` wrote, or its .mcap file")
+    files = [bag]
+    if bag.is_dir() and not (bag / "metadata.yaml").exists():  # the recorder died before it wrote that
+        files = sorted(file for file in bag.iterdir() if file.suffix in STORAGES)
+    if not files:
+        raise LogError(f"{bag}: it holds no bag ({', '.join(STORAGES)}); give the folder that `ros2 bag record` wrote")
+    with ExitStack() as stack:
+        with _whole(bag):
+            inside = [each for file in files for each in (file.iterdir() if file.is_dir() else [file])]
+            inside = [each for each in inside if each in files or not each.is_dir()]
+            for file in inside:
+                check_file(file, TABLE)
+            stored = sorted(file for file in inside if file.suffix != ".yaml")
+            if stored and all(file.suffix == ".mcap" for file in stored):
+                reader = _McapFiles(stored)
+            else:
+                reader = _RosBag(files)
+                stack.callback(reader.close)
+            if not all(isinstance(word, str) for each in reader.channels for word in (each.topic, each.kind)):
+                raise ValueError("a topic has a name or a type that is no text")
+        yield reader
+
+
+def _whole(bag: Path) -> Any:
+    remedy = "mend it with `ros2 bag reindex` or `mcap recover`, then convert again"
+    return refused(bag, "it is no whole bag", remedy, passed=(HalfseenError,))
+
+
+def messages_of(bag: Path, reader: Any, channels: list[Channel]) -> Iterator[Recorded]:
+    """Read the messages of some channels of an opened bag, in the order of its files (`LogError`)."""
+    with _whole(bag):
+        for message in reader.messages(channels) if channels else ():
+            if not isinstance(message.log_ns, int):
+                raise ValueError("the time stamp of a message is no whole number")
+            yield message
+
+
+def decoded(bag: Path, message: Recorded) -> Any:
+    """Make a message of its bytes (`LogError`)."""
+    with _whole(bag):
+        return message.channel.decode(message.content)
+
+
+class _RosBag:
+    """A bag that rosbags opens; it speaks as `_McapFiles` does."""
+
+    def __init__(self, files: list[Path]) -> None:
+        highlevel, typesys = extra("rosbags.highlevel", "ros"), extra("rosbags.typesys", "ros")
+        self._reader = highlevel.AnyReader(files, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
+        self._reader.open()
+        self.close = self._reader.close
+        self._connections = {id(each): each for each in self._reader.connections}
+        self.channels = [
+            Channel(each.topic, each.msgtype, key, partial(self._decoded, each.msgtype))
+            for key, each in self._connections.items()
+        ]
+
+    def _decoded(self, kind: str, content: bytes) -> Any:
+        return self._reader.deserialize(content, kind)
+
+    def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
+        by_key = {channel.key: channel for channel in channels}
+        for each, log_ns, content in self._reader.messages(connections=[self._connections[key] for key in by_key]):
+            yield Recorded(by_key[id(each)], log_ns, None, content)
+
+
+class _McapFiles:
     """Messages of MCAP files that follow one another; a broken file raises nearly anything."""
 
     def __init__(self, files: Sequence[Path]) -> None:
@@ -67,7 +121,6 @@ class McapFiles:
         self.channels = [channel for number, file in enumerate(files) for channel in _channels(number, file)]
 
     def messages(self, channels: Collection[Channel]) -> Iterator[Recorded]:
-        """Read the messages of some channels in the order of the files."""
         wanted = {channel.key: channel for channel in channels}
         message = extra("mcap.records", "mcap").Message
         for number, file in enumerate(self._files):

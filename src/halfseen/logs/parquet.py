@@ -1,21 +1,55 @@
-"""What a Parquet file takes once it is read, asked before the library that reads it is.
+"""Parquet files of logs: a folder of them is written whole, and what one takes once it is read is asked before.
 
-That ends the process where some of what it would say of a column is broken. So the footer is read here: a struct of
-Thrift's compact protocol, a number for each field, and a value for it.
+The library that reads ends the process where some of what a file says of a column is broken. So the footer is read
+here: a struct of Thrift's compact protocol, a number for each field, and a value for it.
 """
 
-from collections.abc import Iterator
+import json
+from collections.abc import Mapping
 from operator import index
 from pathlib import Path
 from struct import unpack
 from typing import Any, NamedTuple
 
 import numpy as np
+import pandas as pd
 import pyarrow as pa
 import pyarrow.compute
 import pyarrow.parquet as pq
 
-from halfseen.reading import ALWAYS_UNPACKED, MOST_LEVELS, WORDS, check_unpacked
+from halfseen.reading import ALWAYS_UNPACKED, MOST_LEVELS, TABLE, WORDS, check_file, check_unpacked
+from halfseen.writing import placed
+
+MANIFEST = "logs.json"
+FORMAT, VERSION = "halfseen-logs", 2
+TABLES = ("stages", "trajectories", "objects")
+ROWS_IN_GROUP = 65_536
+"""Rows that are read at once by anyone who wants one of them."""
+
+
+def write_tables(
+    folder: Path, tables: Mapping[str, pd.DataFrame], *, overwrite: bool, reward_unit: str | None = None
+) -> None:
+    """Write tables beside `folder`, then put them in its place by renaming.
+
+    Raises
+    ------
+    ArgumentError
+        The folder exists, holds something other than logs, or cannot be written.
+    """
+    with placed(folder, overwrite=overwrite, marker=MANIFEST) as fresh:
+        for name, table in tables.items():
+            arrow = pa.Table.from_pandas(table, preserve_index=False)
+            pq.write_table(arrow, fresh / f"{name}.parquet", ROWS_IN_GROUP, compression="zstd")
+        write_manifest(fresh, {name: len(table) for name, table in tables.items()}, reward_unit)
+
+
+def write_manifest(folder: Path, num_rows: Mapping[str, int], reward_unit: str | None) -> None:
+    """Write down how many rows each table of a folder has, and the unit of rewards if there is one."""
+    manifest: dict[str, Any] = {"format": FORMAT, "version": VERSION, "rows": num_rows}
+    manifest |= {} if reward_unit is None else {"reward_unit": reward_unit}
+    (folder / MANIFEST).write_text(json.dumps(manifest, indent=2, ensure_ascii=False) + "\n", encoding="utf-8")
+
 
 MAGIC = b"PAR1"
 _ROW_GROUPS, _COLUMNS, _META_DATA, _NUM_VALUES, _UNCOMPRESSED = 4, 1, 3, 5, 6
@@ -75,18 +109,16 @@ class _Footer:
 
     def struct(self) -> dict[int, Any]:
         """Fields by their numbers."""
-        return dict(self._fields())
-
-    def _fields(self) -> Iterator[tuple[int, Any]]:
         self._level += 1
         if self._level > MOST_LEVELS:
             raise ValueError("its footer is nested too deep")
-        number = 0
+        fields, number = {}, 0
         while header := self._byte():
             step, kind = header >> 4, header & 15
             number = number + step if step else self._signed()
-            yield number, kind == 1 if kind in (1, 2) else self._value(kind)
+            fields[number] = kind == 1 if kind in (1, 2) else self._value(kind)
         self._level -= 1
+        return fields
 
     def _value(self, kind: int) -> Any:
         if kind in (1, 2, 3):
@@ -138,21 +170,23 @@ BYTES_OF_VALUE = 8
 compute: Any = pyarrow.compute
 
 
-def check_unpacked_table(file: Path, num_bytes: int, opened: pq.ParquetFile) -> None:
-    """Refuse a Parquet file that would take far more memory than its size tells.
+def parquet_file(file: Path) -> pq.ParquetFile:
+    """Open a Parquet file, unless it is too large or would take far more memory than its size tells.
 
     Raises
     ------
     OSError
-        As `halfseen.reading.check_unpacked`.
+        As `halfseen.reading.check_file` and `halfseen.reading.check_unpacked`.
     ValueError
         Its footer is broken.
     """
-    groups = chunks_of(file)
+    num_bytes = check_file(file, TABLE)
+    opened, groups = pq.ParquetFile(file), chunks_of(file)
     if any(len(group) != opened.metadata.num_columns for group in groups):
         raise ValueError("its footer tells of other columns than its schema")
     check_unpacked(num_bytes, _bytes_of_values(groups, opened.schema))
     check_unpacked(num_bytes, bytes_of_texts(groups, file, opened))
+    return opened
 
 
 def _bytes_of_values(groups: list[list[Chunk]], schema: pq.ParquetSchema) -> int:

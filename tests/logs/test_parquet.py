@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from halfseen.errors import LogError
 from halfseen.logs import read_logs
-from halfseen.logs.parquet_footer import MAGIC, chunks_of
+from halfseen.logs.parquet import MAGIC, chunks_of
 
 TABLE = pa.table({"x": [0.5, None, 2.0] * 20, "name": ["a", "b", "a"] * 20, "lists": [[1, 2], [], None] * 20})
 

@@ -23,7 +23,7 @@ from bags import (
     write_mcap,
 )
 from halfseen.errors import ArgumentError
-from halfseen.logs.formats import MAPPING_TEMPLATE, mcap_files, read_bag
+from halfseen.logs.formats import MAPPING_TEMPLATE, bag_files, read_bag
 from refusals import refused
 
 
@@ -152,13 +152,13 @@ def test_a_chunk_of_few_bytes_and_many_or_of_more_than_it_says_is_refused(read_m
         patch.setattr("halfseen.reading.ALWAYS_UNPACKED", 10**6)
         with refused(r"unpacked, it has 6 MB, and at most"):
             read_mcap(two_trajectories(), padded, mapping_for(as_json), compression=compression, chunk_size=10**8)
-    unpacked = mcap_files._unpacked
+    unpacked = bag_files._unpacked
 
     def less(chunk):
         chunk.uncompressed_size -= 5
         return unpacked(chunk)
 
-    monkeypatch.setattr(mcap_files, "_unpacked", less)
+    monkeypatch.setattr(bag_files, "_unpacked", less)
     with refused("a chunk says that it has .* bytes unpacked, and has other"):
         read_mcap(two_trajectories(), as_json, compression=compression, enable_crcs=False)
 
