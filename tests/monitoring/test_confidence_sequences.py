@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from halfseen.errors import ArgumentError
-from halfseen.monitoring.confidence_sequences import MOST_BET, BettingBounds
+from halfseen.monitoring.outcomes import MOST_BET, BettingBounds
 
 
 def naive_betting(values, alpha, grid):

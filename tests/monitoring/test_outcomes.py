@@ -5,8 +5,7 @@ import pytest
 
 from halfseen.censoring import KaplanMeier, StageClocks
 from halfseen.errors import ArgumentError
-from halfseen.monitoring.confidence_sequences import BettingBounds
-from halfseen.monitoring.outcomes import FEWEST, CensoredOutcomes
+from halfseen.monitoring.outcomes import FEWEST, BettingBounds, CensoredOutcomes
 
 
 def ends_as_clocks(end_s, is_finished):

@@ -2,7 +2,7 @@
 
 import pytest
 
-from halfseen.monitoring.relearning import FEWEST, num_needed, relearning
+from halfseen.monitoring.answer import FEWEST, num_needed, relearning
 
 VALUE = {"value": 0.6, "standard_error": 0.1}
 

@@ -9,7 +9,7 @@ from scipy.stats import norm
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
 from halfseen.policies import NamedObservation, decider_of, read_policy
-from halfseen.policies.certainty import certainty
+from halfseen.policies.decision import certainty
 from halfseen.policies.folder.log_facts import stage_counts, stages_left
 from small_logs import flat_log
 

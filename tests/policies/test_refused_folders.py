@@ -26,7 +26,7 @@ from policy_folders import (
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.files import ARRAYS, RECORD
-from halfseen.policies.folder.kinds import kind_named
+from halfseen.policies.folder.stored import kind_named
 from halfseen.world import UniformPolicy
 
 

@@ -8,7 +8,7 @@ from starlette.testclient import TestClient
 
 from halfseen.serving.answering import Answering
 from halfseen.serving.app import app_of
-from halfseen.serving.openapi import described
+from halfseen.serving.pages import described
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.served import Served
 

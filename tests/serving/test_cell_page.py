@@ -18,8 +18,7 @@ from halfseen.monitoring.dealing import Terms
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.serving.comparing import Comparison
 from halfseen.serving.in_service import taken_into_service
-from halfseen.serving.recent import MOST_TRAJECTORIES, Recent
-from halfseen.serving.watching import Watch, found_of
+from halfseen.serving.watching import MOST_TRAJECTORIES, Recent, Watch, found_of
 from small_logs import flat_log
 
 VOID = {"meta", "br", "link", "path", "use", "rect", "image"}

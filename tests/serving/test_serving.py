@@ -14,8 +14,8 @@ from jsonschema import Draft202012Validator
 from halfseen.cli.act import act
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
-from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import write_policy
+from halfseen.policies.rule_files import read_exploration
 from halfseen.scene import table_paths
 from halfseen.serving.app import app_of
 from halfseen.serving.limits import Bounded

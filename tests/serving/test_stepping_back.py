@@ -11,9 +11,9 @@ from asking import client_of, refused
 
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
-from halfseen.policies.fall_back import fall_back_of, usual_actions
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.log_facts import actions_taken
+from halfseen.policies.rule_files import fall_back_of, usual_actions
 from halfseen.serving.served import Served
 from small_logs import HIDES, flat_log, table_log
 

@@ -31,7 +31,14 @@ VERBS = {
     "cell": "Let a simulated arm work in physics: calibrate its laws, or run a policy.",
     "study": "Regenerate the study: its figures, tables and report.",
 }
-MODULES = {"export": "act", "inspect": "report", "record": "serve"}
+MODULES = {
+    "export": "act",
+    "inspect": "report",
+    "monitor": "act",
+    "record": "serve",
+    "study": "simulate",
+    "watch": "look",
+}
 """Where a verb is that has no module of its own name."""
 SETTINGS = {"help_option_names": ["-h", "--help"], "show_default": True}
 

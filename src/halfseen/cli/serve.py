@@ -21,7 +21,7 @@ from halfseen.errors import ArgumentError
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
-    from halfseen.policies.exploration_table import ExplorationTable
+    from halfseen.policies.rule_files import ExplorationTable
     from halfseen.serving.opcua.wire import Wire
     from halfseen.serving.served import Served
 
@@ -158,9 +158,8 @@ def serve(
     from halfseen.serving.comparing import Comparison
     from halfseen.serving.limits import bound_socket
     from halfseen.serving.limits import serve as answer
-    from halfseen.serving.recent import Recent
     from halfseen.serving.recording import RecordedTrajectories
-    from halfseen.serving.watching import Watch
+    from halfseen.serving.watching import Recent, Watch
 
     if is_template:
         from halfseen.policies import read_policy
@@ -240,7 +239,7 @@ def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
 
 
 def _table(stored: Any, path: Path) -> "ExplorationTable":
-    from halfseen.policies.exploration_table import read_exploration
+    from halfseen.policies.rule_files import read_exploration
 
     if stored.is_table:
         raise ArgumentError(f"--explore {path}: the policy is of tables of objects; give a share, such as 0.1")

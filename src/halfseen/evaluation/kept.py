@@ -13,7 +13,7 @@ from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.targets import task_of
 from halfseen.logs import Logs
-from halfseen.policies.folder.log_facts import below
+from halfseen.policies.folder.promised_parts import below
 from halfseen.policies.shares import action_shares
 
 APART = 0.1
@@ -91,7 +91,7 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
     ----------
     promise
         As `halfseen.policies.folder` keeps it: ``value``, with ``low``, ``high`` and ``standard_error``, or None, and
-        ``stages``, as `halfseen.policies.folder.log_facts.promised_states` gives them.
+        ``stages``, as `halfseen.policies.folder.promised_parts.promised_states` gives them.
     logs
         The log.
     earned
@@ -121,7 +121,7 @@ def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[
     Parameters
     ----------
     promised
-        Of each stage, as `halfseen.policies.folder.log_facts.promised_states` gives it.
+        Of each stage, as `halfseen.policies.folder.promised_parts.promised_states` gives it.
     logs
         A later log.
     """

@@ -18,10 +18,9 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.monitoring.answer import Finding, Monitored
     from halfseen.monitoring.comparison import Courses
-    from halfseen.monitoring.confidence_sequences import BettingBounds
     from halfseen.monitoring.dealing import Standing, Terms, standing
     from halfseen.monitoring.monitor import monitored
-    from halfseen.monitoring.outcomes import CensoredOutcomes
+    from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes
     from halfseen.monitoring.training_log import Change, changes_in
 
 __all__ = [
@@ -41,7 +40,7 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "BettingBounds": "confidence_sequences",
+        "BettingBounds": "outcomes",
         "CensoredOutcomes": "outcomes",
         "Change": "training_log",
         "Courses": "comparison",

@@ -94,7 +94,7 @@ class Stream:
 
 
 def input_streams(promised: Any, logs: Logs) -> list[Stream]:
-    """Covariates by stage, as `halfseen.policies.folder.log_facts.promised_states` describes those of the log."""
+    """Covariates by stage, as `halfseen.policies.folder.promised_parts.promised_states` describes those of the log."""
     streams = []
     for entry in promised:
         rows: Any = logs.stages[logs.stages["stage"] == entry["stage"]]

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.covariates import Categories
 from halfseen.learning.discrete_policy import DiscretePolicy
-from halfseen.policies.certainty import QError
-from halfseen.policies.decision import Decider
+from halfseen.policies.decision import Decider, QError
 from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
 from halfseen.policies.named_decider import (
     STATE_FILES,

@@ -15,14 +15,13 @@ from msgspec import UNSET
 from halfseen.errors import HalfseenError, OutOfRangeError
 from halfseen.monitoring.dealing import POLICY, RULE
 from halfseen.policies.decision import Decision
-from halfseen.policies.exploration_table import ExplorationTable
 from halfseen.policies.named_decider import NamedDecider, checked_stage, completed, known_covariates
+from halfseen.policies.rule_files import ExplorationTable
 from halfseen.serving.comparing import Comparison
-from halfseen.serving.in_service import InService
+from halfseen.serving.in_service import InService, SteppedBack, Tally, decided_by_rule
 from halfseen.serving.models import BODY, Cloud, Decided, Refusal, Table, model_of
-from halfseen.serving.recent import Recent
 from halfseen.serving.recording import Begun, RecordedTrajectories, Taken, chance_of, taken, uniform_shares
-from halfseen.serving.stepping_back import SteppedBack, Tally, decided_by_rule
+from halfseen.serving.watching import Recent
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw

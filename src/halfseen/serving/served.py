@@ -12,10 +12,9 @@ from msgspec import UNSET
 
 from halfseen.policies.decision import Decision
 from halfseen.serving.answering import Answering, Seen
-from halfseen.serving.in_service import InService, taken_into_service
+from halfseen.serving.in_service import InService, SteppedBack, asked, late, taken_into_service
 from halfseen.serving.models import Decided, Ended, Health, Progress, Refusal
 from halfseen.serving.recording import RecordedTrajectories
-from halfseen.serving.stepping_back import SteppedBack, asked, late
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw

@@ -19,15 +19,13 @@ from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.data_quality import data_warnings
 from halfseen.logs.opening import parts_of
-from halfseen.policies.folder.arrays import laid_out
 from halfseen.policies.folder.files import check_target, write_files
-from halfseen.policies.folder.kinds import kind_name_of, kind_named
-from halfseen.policies.folder.log_facts import log_facts, promised_states
-from halfseen.policies.folder.promised_parts import promised_parts
-from halfseen.policies.folder.provenance import sources_of
+from halfseen.policies.folder.kinds import laid_out
+from halfseen.policies.folder.log_facts import log_facts, sources_of
+from halfseen.policies.folder.promised_parts import promised_parts, promised_states
 from halfseen.policies.folder.record import FORMAT, VERSION, as_json, from_json
 from halfseen.policies.folder.specification import described
-from halfseen.policies.folder.stored import policy_of
+from halfseen.policies.folder.stored import kind_name_of, kind_named, policy_of
 
 
 def write_policy(
