@@ -6,11 +6,10 @@ from contextlib import contextmanager, nullcontext
 from jsonschema import Draft202012Validator
 from starlette.testclient import TestClient
 
-from halfseen.serving.answering import Answering
 from halfseen.serving.app import app_of
 from halfseen.serving.pages import described
 from halfseen.serving.recording import RecordedTrajectories
-from halfseen.serving.served import Served
+from halfseen.serving.served import Answering, Served
 
 OF_ACT = {"policy", "input", "learned_from"}
 """What `act` says of the folder and the file that it was given, and a server does not with each decision."""

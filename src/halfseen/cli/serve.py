@@ -153,12 +153,12 @@ def serve(
     import numpy as np
 
     from halfseen.monitoring.dealing import Terms
-    from halfseen.serving.answering import Answering
     from halfseen.serving.app import app_of
     from halfseen.serving.comparing import Comparison
     from halfseen.serving.limits import bound_socket
     from halfseen.serving.limits import serve as answer
     from halfseen.serving.recording import RecordedTrajectories
+    from halfseen.serving.served import Answering
     from halfseen.serving.watching import Recent, Watch
 
     if is_template:
@@ -204,8 +204,7 @@ def serve(
 def _served(
     policy: Path, extrapolate: bool, out_of_range: str | None, rule: Path | None, time_limit: float
 ) -> "Served":
-    from halfseen.serving.answering import NOBODY
-    from halfseen.serving.served import Served
+    from halfseen.serving.served import NOBODY, Served
 
     stays_within = not extrapolate and out_of_range != "answer"
     served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)

@@ -18,9 +18,9 @@ import halfseen
 from halfseen.logs.missing import Filling
 from halfseen.policies.ranges import middle_of
 from halfseen.serving import models
-from halfseen.serving.answering import Answering
 from halfseen.serving.in_service import InService
 from halfseen.serving.models import Cell, Decided, Progress, Schema
+from halfseen.serving.served import Answering
 from halfseen.serving.watching import FIGURES
 from halfseen.view.templates import rendered, template, text_of
 from halfseen.wording import capitalised, counted, percent, significant

@@ -1,23 +1,150 @@
-"""A policy in service, whatever door it is asked by: it decides, steps back, compares and records."""
+"""A policy in service, whatever door it is asked by: it decides, steps back, compares and records.
+
+An answer is what `halfseen act --json` says, with the probability of what is done.
+"""
 
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import msgspec
+import numpy as np
 from anyio import move_on_after, to_thread
 from msgspec import UNSET
 
+from halfseen.monitoring.dealing import POLICY, RULE
 from halfseen.policies.decision import Decision
-from halfseen.serving.answering import Answering, Seen
-from halfseen.serving.in_service import InService, SteppedBack, asked, late, taken_into_service
+from halfseen.policies.rule_files import ExplorationTable
+from halfseen.serving.comparing import Comparison
+from halfseen.serving.in_service import InService, SteppedBack, Tally, asked, decided_by_rule, late, taken_into_service
 from halfseen.serving.models import Decided, Ended, Health, Progress, Refusal
-from halfseen.serving.recording import RecordedTrajectories
+from halfseen.serving.questions import Seen
+from halfseen.serving.recording import RecordedTrajectories, Taken, chance_of, taken, uniform_shares
+from halfseen.serving.watching import Recent
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw
+
+NOBODY = (
+    "the folder of the policy, of an earlier version, does not say what its log did most; learn it again, or serve it "
+    "with --fall-back RULE"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Answering:
+    """How decisions are taken and kept.
+
+    Parameters
+    ----------
+    epsilon
+        Share of decisions that are drawn at random, in [0, 1).
+    table
+        Which actions are drawn instead, and where; None where all are.
+    rng
+        What they are drawn with.
+    trajectories
+        Where they are recorded; None if they are not.
+    tally
+        How often the rule decided.
+    comparison
+        Deals trajectories to the policy or the rule of today; None where all are the policy's.
+    recent
+        What happened last.
+    """
+
+    epsilon: float = 0.0
+    table: ExplorationTable | None = None
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    trajectories: RecordedTrajectories | None = None
+    tally: Tally = field(default_factory=Tally)
+    comparison: Comparison | None = None
+    recent: Recent = field(default_factory=Recent)
+
+    def answer(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Decided:
+        """Put what the policy decides, or what the rule does in its place, into an answer.
+
+        Raises
+        ------
+        Refusal
+            The policy does not decide, and nobody knows what does in its place.
+        """
+        back = decided if isinstance(decided, SteppedBack) else None
+        made = self._taken(service, seen, decided)
+        arm: Any = UNSET
+        if self.comparison is not None:
+            made, arm = self._dealt(self.comparison, seen, decided, made)
+            back = back if arm == POLICY else None
+        self.tally.add(back)
+        verb, _, number = str(made.decision.action).partition(" ")
+        acted = {"verb": verb, "object": seen.names[int(number)] if number else None} if seen.names else {}
+        return Decided(
+            **{**vars(made.decision), "warnings": [*made.decision.warnings, *service.stored.doubts]},
+            probability=made.probability,
+            is_explored=made.is_explored,
+            stage=seen.stage,
+            horizon=service.stored.horizon,
+            policy=service.digest,
+            seen=seen.said or UNSET,
+            stepped_back=UNSET if back is None else back.why,
+            arm=arm,
+            **acted,
+        )
+
+    def _dealt(
+        self, comparison: Comparison, seen: Seen, decided: Decision | SteppedBack, made: Taken
+    ) -> tuple[Taken, str]:
+        """What the arm of the trajectory does, with the probability that either arm does it."""
+        deal, (action, name) = comparison.dealt(), comparison.rule.action(seen.begun.covariates, seen.stage)
+        if deal.is_policys:
+            by_rule = 1.0 if made.decision.action == action else 0.0
+            return made._replace(probability=deal.probability(made.probability, by_rule)), POLICY
+        by_policy = self._chance(seen, decided, made, action)
+        decision = Decision(action, {}, f"{action}: {name}, to which this trajectory was dealt.")
+        return Taken(decision, deal.probability(by_policy, 1.0), False), RULE
+
+    def _chance(self, seen: Seen, decided: Decision | SteppedBack, made: Taken, action: Any) -> float:
+        """Probability with which the policy's arm takes an action."""
+        if isinstance(decided, SteppedBack):
+            return 1.0 if made.decision.action == action else 0.0
+        return chance_of(decided, self._shares(seen, decided), str(action))
+
+    def _shares(self, seen: Seen, decided: Decision) -> dict[str, float]:
+        if self.table is not None:
+            return self.table.shares(seen.begun.covariates, seen.stage)
+        return uniform_shares(decided, self.epsilon)
+
+    def _taken(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Taken:
+        if isinstance(decided, Decision):
+            return taken(decided, self._shares(seen, decided), self.rng)
+        if service.fall_back is None:
+            raise Refusal(422, f"{decided.detail}, and {NOBODY}")
+        return Taken(decided_by_rule(decided, service.fall_back, seen.begun.covariates, seen.stage), 1.0, False)
+
+    def recorded(self, seen: Seen, reply: Decided) -> Decided:
+        """Record what was decided, where that is wanted, and say so.
+
+        Raises
+        ------
+        Refusal
+            It cannot be recorded; then nothing was decided.
+        """
+        begun, comparison = seen.begun, self.comparison
+        if self.trajectories is None:
+            self.recent.decided(begun.covariates, reply)
+            return reply
+        if comparison is not None:
+            begun = replace(begun, columns={**begun.columns, **comparison.columns()})
+        name = self.trajectories.decided(begun, reply)
+        if comparison is not None:
+            comparison.dealt().took()
+        reply = msgspec.structs.replace(reply, trajectory=name)
+        self.recent.decided(begun.covariates, reply)
+        return reply
+
 
 Check = Callable[[], Awaitable[None]]
 
