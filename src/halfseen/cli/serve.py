@@ -173,7 +173,7 @@ def serve(
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
     # A folder of logs is begun only where there is something to record.
     served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
-    if served.service.counts_views:
+    if served.service.stored.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
     say = partial(print, flush=True)

@@ -36,11 +36,6 @@ class Graph:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
-    @property
-    def number(self) -> int:
-        """Type of its numbers, as ONNX counts them."""
-        return _OF[self.precision]
-
     def constant(self, value: Any) -> str:
         """Name an array; numbers are of the precision of the graph, and counts of 64 bits."""
         array = np.asarray(value)
@@ -59,8 +54,15 @@ class Graph:
 
     def as_number(self, value: str) -> str:
         """Truths, or counts, as numbers."""
+        return self._cast(value, _OF[self.precision])
+
+    def as_count(self, value: str) -> str:
+        """Numbers as counts of 64 bits."""
+        return self._cast(value, TensorProto.INT64)
+
+    def _cast(self, value: str, kind: int) -> str:
         name = f"n{len(self.nodes)}"
-        self.nodes.append(helper.make_node("Cast", [value], [name], to=self.number))
+        self.nodes.append(helper.make_node("Cast", [value], [name], to=kind))
         return name
 
     def total(self, value: str, axis: int, *, keeps: bool = False) -> str:
@@ -123,17 +125,6 @@ def discrete_graph(policy: DiscretePolicy) -> tuple[Any, dict[str, Any]]:
     graph("Where", possible, scores, np.float64(-np.inf), to=SCORES)
     graph("ArgMax", SCORES, axis=1, keepdims=0, to=ACTION)
     properties = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
-    return _model(graph, policy), properties
-
-
-def _margins(graph: Graph, policy: DiscretePolicy, design: str, at: str) -> str:
-    """‖Mᵀ (1, features)‖ of each action."""
-    each = graph("MatMul", design, graph("Gather", policy.margin, at))
-    squares = graph("ReduceSum", graph("Mul", each, each), np.array([2]), keepdims=0)
-    return graph("Transpose", graph("Sqrt", squares), perm=[1, 0])
-
-
-def _model(graph: Graph, policy: DiscretePolicy) -> Any:
     inputs = [
         helper.make_tensor_value_info(COVARIATES, TensorProto.DOUBLE, ["n", policy.looks_at.num_features]),
         helper.make_tensor_value_info(STAGE, TensorProto.INT64, []),
@@ -142,4 +133,11 @@ def _model(graph: Graph, policy: DiscretePolicy) -> Any:
         helper.make_tensor_value_info(SCORES, TensorProto.DOUBLE, ["n", len(policy.actions)]),
         helper.make_tensor_value_info(ACTION, TensorProto.INT64, ["n"]),
     ]
-    return graph.model(inputs, outputs)
+    return graph.model(inputs, outputs), properties
+
+
+def _margins(graph: Graph, policy: DiscretePolicy, design: str, at: str) -> str:
+    """‖Mᵀ (1, features)‖ of each action."""
+    each = graph("MatMul", design, graph("Gather", policy.margin, at))
+    squares = graph("ReduceSum", graph("Mul", each, each), np.array([2]), keepdims=0)
+    return graph("Transpose", graph("Sqrt", squares), perm=[1, 0])

@@ -35,7 +35,7 @@ import io
 from collections.abc import Callable, Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -48,14 +48,6 @@ from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.policies.rule_table import RuleTable
-
-
-class Rows(NamedTuple):
-    """Rows of a CSV file."""
-
-    rows: tuple[RuleRow, ...]
-    also: tuple[str, ...]
-    """Cells of one more column, if one was asked for."""
 
 
 def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = ()) -> RuleTable:
@@ -79,21 +71,11 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
     if path.suffix.lower() not in _READERS:
         raise ArgumentError(f"{path}: a rule is a file that ends in {' or '.join(_READERS)}")
     try:
-        entries = enumerate(_READERS[path.suffix.lower()](path), start=1)
-        return RuleTable(tuple(_row(k, asked, action, known) for k, (asked, action) in entries), horizon)
+        return RuleTable(_rows(_READERS[path.suffix.lower()](path), known), horizon)
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     except (OSError, ValueError, csv.Error) as error:
         raise ArgumentError(f"{path}: it cannot be read as a rule ({reason_of(error)}); mend it there") from error
-
-
-def csv_rows(path: Path, also: str) -> Rows:
-    """Read conditions and actions, and one more column that every row fills in; the last row may have conditions."""
-    each = _csv_entries(path, also)
-    cells = [dict(asked) for asked, _ in each]
-    more = tuple(one.pop(also, "") for one in cells)
-    named = zip(cells, (action for _, action in each), strict=True)
-    return Rows(tuple(_row(k, asked, action, {}) for k, (asked, action) in enumerate(named, start=1)), more)
 
 
 def named_in(kind: str, name: Any, known: Sequence[Any]) -> str:
@@ -102,7 +84,11 @@ def named_in(kind: str, name: Any, known: Sequence[Any]) -> str:
     return f"there is no {kind} {name}; there are {', '.join(there)}{did_you_mean(str(name), there)}"
 
 
-def _csv_entries(path: Path, also: str | None = None) -> list[tuple[Mapping[str, Any], Any]]:
+Entries = list[tuple[dict[str, Any], Any]]
+"""What each row asks of which column, and its action."""
+
+
+def _csv_entries(path: Path, also: str | None = None) -> Entries:
     with opened_text(path) as file:
         reader = csv.reader(file, skipinitialspace=True)
         head, *rows = [[cell.strip() for cell in row] for row in reader if any(cell.strip() for cell in row)] or [[]]
@@ -117,7 +103,7 @@ def _csv_entries(path: Path, also: str | None = None) -> list[tuple[Mapping[str,
     return [({name: text for name, text in row.items() if text and name != ACTION}, row[ACTION]) for row in cells]
 
 
-def _toml_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
+def _toml_entries(path: Path) -> Entries:
     read = toml_of(read_text(path))
     rules: Any = read.get("rule")
     if set(read) != {"rule"} or not isinstance(rules, list) or not all(isinstance(rule, dict) for rule in rules):
@@ -130,19 +116,18 @@ def _toml_entries(path: Path) -> list[tuple[Mapping[str, Any], Any]]:
     return [(rule.get("when", {}), rule.get(ACTION, "")) for rule in rules]
 
 
-_READERS: dict[str, Callable[[Path], list[tuple[Mapping[str, Any], Any]]]] = {
-    ".csv": _csv_entries,
-    ".toml": _toml_entries,
-}
+_READERS: dict[str, Callable[[Path], Entries]] = {".csv": _csv_entries, ".toml": _toml_entries}
 
 
-def _row(number: int, asked: Mapping[str, Any], action: Any, known: Mapping[str, Hashable]) -> RuleRow:
-    if not isinstance(action, str | int) or action == "":
-        raise ArgumentError(f"row {number}: action is {action!r}; name one")
-    conditions = [
-        _condition(number, str(column), part) for column, text in asked.items() for part in str(text).split(" and ")
-    ]
-    return RuleRow(tuple(conditions), known.get(str(action), action))
+def _rows(entries: Entries, known: Mapping[str, Hashable]) -> tuple[RuleRow, ...]:
+    rows = []
+    for number, (asked, action) in enumerate(entries, start=1):
+        if not isinstance(action, str | int) or action == "":
+            raise ArgumentError(f"row {number}: action is {action!r}; name one")
+        parts = [(str(column), part) for column, text in asked.items() for part in str(text).split(" and ")]
+        conditions = tuple(_condition(number, *part) for part in parts)
+        rows.append(RuleRow(conditions, known.get(str(action), action)))
+    return tuple(rows)
 
 
 def _condition(number: int, column: str, text: str) -> Condition:
@@ -219,19 +204,20 @@ def read_exploration(
     """
     path = Path(path)
     try:
-        found = csv_rows(path, also=PROBABILITY)
-        _check(found, actions, columns, texts)
-        shares = tuple(_share(k, text) for k, text in enumerate(found.also, start=1))
-        return ExplorationTable(found.rows, shares)
+        entries = _csv_entries(path, PROBABILITY)
+        written = [asked.pop(PROBABILITY, "") for asked, _ in entries]
+        rows = _rows(entries, {})
+        _check(rows, actions, columns, texts)
+        return ExplorationTable(rows, tuple(_share(k, text) for k, text in enumerate(written, start=1)))
     except ArgumentError as error:
         raise ArgumentError(f"{path}: {error}") from error
     except (OSError, ValueError, csv.Error) as error:
         raise ArgumentError(f"{path}: it cannot be read as a table of what to try ({reason_of(error)})") from error
 
 
-def _check(found: Rows, actions: Sequence[Any], columns: Sequence[str], texts: Collection[str]) -> None:
-    known = [*columns, "stage"]
-    for number, row in enumerate(found.rows, start=1):
+def _check(rows: Sequence[RuleRow], actions: Sequence[Any], columns: Sequence[str], texts: Collection[str]) -> None:
+    known = [*columns, STAGE]
+    for number, row in enumerate(rows, start=1):
         if str(row.action) not in map(str, actions):
             raise ArgumentError(f"row {number}: {named_in('action', row.action, actions)}")
         unknown = next((one.column for one in row.conditions if one.column not in known), None)

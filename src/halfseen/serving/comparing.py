@@ -7,7 +7,7 @@ stages is that of a log of both arms, and learning and evaluation by it stay rig
 """
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
@@ -20,13 +20,12 @@ from halfseen.errors import NothingRecordedError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs, read_logs
 from halfseen.logs.columns import FINISHED
-from halfseen.logs.recorded import STILL_RUNNING, followed
+from halfseen.logs.recorded import STILL_RUNNING, followed, tables_of
 from halfseen.monitoring.comparison import Courses, Kept, counted
 from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
 from halfseen.policies.rule_files import FallBack, fall_back_of
 from halfseen.reading import read_bytes
 from halfseen.serving.models import Compared
-from halfseen.shapes import Float
 
 if TYPE_CHECKING:
     from halfseen.serving.in_service import InService
@@ -144,10 +143,10 @@ class Comparison:
     def ended(self, events: Sequence[dict[str, Any]]) -> None:
         """Count a trajectory that is over, as the log has it."""
         self.deal = None
-        rows = followed(events).rows
-        if rows["trajectories"][0].get(COMPARISON) != self.name:
+        one = courses_of(Logs(**tables_of([followed(events)])), self.policy, self.name)
+        if not one.num:
             return
-        before, self.courses = self.standing.verdict, joined(self.courses, course_of(rows, self.policy))
+        before, self.courses = self.standing.verdict, joined(self.courses, one)
         self.counted = counted(self.courses, self.counted, self.kept)
         self.standing = standing(self.courses, self.terms, self.counted, self.kept)
         if self.standing.verdict != before:
@@ -213,38 +212,6 @@ def courses_of(logs: Logs | None, policy: DiscretePolicy, name: str) -> Courses:
     )
     # Laid out as they are where trajectories come one by one: else products of matrices differ in the last bit.
     return Courses(*map(np.ascontiguousarray, courses))
-
-
-def course_of(rows: Mapping[str, Sequence[Mapping[str, Any]]], policy: DiscretePolicy) -> Courses:
-    """Take one trajectory from its rows, as `courses_of` does from the log.
-
-    Parameters
-    ----------
-    rows
-        As `halfseen.logs.recorded.RecordedTrajectory` has them.
-    policy
-        Whose covariates count.
-    """
-    (trajectory,), stages = rows["trajectories"], rows["stages"]
-    first = {text: known[0] for text, known in policy.categories.items()}
-    seen = [
-        {**row, **{text: first[text] for text in first if not policy.looks_at.is_known(text, row.get(text))}}
-        for row in stages
-    ]
-
-    def numbers(name: str) -> Float[np.ndarray, " m"]:
-        return np.array([row[name] for row in stages], dtype=np.float64)
-
-    return Courses(
-        is_policy=np.array([trajectory[ARM] == POLICY]),
-        chance=np.array([trajectory[CHANCE]], dtype=np.float64),
-        end_s=np.array([trajectory["end_s"]], dtype=np.float64),
-        is_finished=np.array([trajectory["ending"] == FINISHED]),
-        trajectory=np.zeros(len(stages), dtype=np.int64),
-        state=policy.looks_at.encode_known(seen),
-        reward=numbers("reward"),
-        clock_s=numbers("elapsed_s"),
-    )
 
 
 def joined(one: Courses, other: Courses) -> Courses:

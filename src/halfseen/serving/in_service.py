@@ -50,11 +50,6 @@ class InService:
     digest: str
     fall_back: FallBack | None = None
 
-    @property
-    def counts_views(self) -> bool:
-        """Whether it learned from logs that count what has been in view, so that a cell's law tells what labels do."""
-        return self.stored.is_table and self.stored.record["schema"].get("counts_views", False)
-
 
 def taken_into_service(
     folder: Path, *, extrapolates: bool = False, stays_within: bool = False, rule: Path | None = None

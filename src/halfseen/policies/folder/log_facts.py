@@ -3,7 +3,6 @@
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
@@ -21,38 +20,9 @@ from halfseen.policies.ranges import margin, most_with_margin
 from halfseen.shapes import Float, Int
 
 
-@dataclass(frozen=True)
-class LogFacts:
-    """What is kept of a log.
-
-    Parameters
-    ----------
-    summary
-        Its counts.
-    sha256
-        Its digest.
-    prior
-        Where the policy's kind tells it: the prior of DIRTY, whether looks were counted, the least each verb paid.
-    seen
-        What states looked like.
-    stages_left
-        Mean number of stages from each to the end of a trajectory.
-    reward_spread
-        Standard deviation of the rewards of completed stages.
-    actions_taken
-        By stage, how often each action was taken; empty for tables, whose actions are of objects.
-    """
-
-    summary: LogsSummary
-    sha256: str
-    prior: dict[str, Any]
-    seen: list[dict[str, Any]]
-    stages_left: list[float]
-    reward_spread: float
-    actions_taken: list[dict[str, int]]
-
-
-def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage: bool) -> LogFacts:
+def log_facts(
+    parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage: bool
+) -> tuple[LogsSummary, str, dict[str, Any], dict[str, Any]]:
     """Gather what is kept of a log.
 
     Parameters
@@ -65,6 +35,19 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         What was learned.
     is_by_stage
         Whether each stage has a Q of its own.
+
+    Returns
+    -------
+    summary : LogsSummary
+        Its counts.
+    sha256 : str
+        Its digest.
+    prior : dict
+        Where the policy's kind tells it: the prior of DIRTY, whether looks were counted, the least each verb paid.
+    facts : dict
+        ``seen``, what states looked like; ``stages_left``, the mean number of stages from each to the end of a
+        trajectory; ``reward_spread``, the standard deviation of the rewards of completed stages; ``actions_taken``, by
+        stage, how often each action was taken, empty for tables, whose actions are of objects.
     """
     digest, summary, priors = LogDigest(), SummaryTally(), []
     taken: list[Counter[str]] = []
@@ -83,9 +66,13 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         spread = spread.plus(_spread_of(part))
     if kind.is_flat:
         seen = [_with_margins(each, num_ranges) for each in seen]
-    prior = _priors_joined(priors) if priors else {}
-    left, known = stages_left(counts), [dict(sorted(each.items())) for each in taken] if kind.is_flat else []
-    return LogFacts(summary.summary(), digest.hexdigest(), prior, seen, left, spread.deviation, known)
+    facts = {
+        "seen": seen,
+        "stages_left": stages_left(counts),
+        "reward_spread": spread.deviation,
+        "actions_taken": [dict(sorted(each.items())) for each in taken] if kind.is_flat else [],
+    }
+    return summary.summary(), digest.hexdigest(), _priors_joined(priors) if priors else {}, facts
 
 
 def log_digest(logs: Logs) -> str:
