@@ -7,7 +7,7 @@ from collections import Counter
 import httpx2
 import numpy as np
 import pytest
-from asking import OF_ACT, client_of, refused, resolved
+from asking import OF_ACT, client_of, learned, refused, resolved
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
@@ -24,10 +24,6 @@ from small_logs import HIDES, flat_log, table_log
 
 SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}
 NOT_OF_ACT = {"probability", "is_explored"}
-
-
-def learned(reg, **options):
-    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg, **options)
 
 
 @pytest.fixture(scope="module")
