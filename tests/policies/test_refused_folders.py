@@ -199,8 +199,8 @@ def test_what_does_not_fit_is_refused(copied, kind, edit, message):
 
 
 def places(of, at=()):
-    """Every place in a record, as the keys that lead to it."""
-    keys = of if isinstance(of, dict) else range(len(of)) if isinstance(of, list) else ()
+    """Places in a record, as the keys that lead to them: of a list, in which all are alike, the first and the last."""
+    keys = of if isinstance(of, dict) else {0, len(of) - 1} if isinstance(of, list) and of else ()
     return [place for key in keys for place in [(*at, key), *places(of[key], (*at, key))]]
 
 
