@@ -37,24 +37,6 @@ class Course(NamedTuple):
     upper: Float[np.ndarray, " n"]
 
 
-class _Moments:
-    """Mean and variance so far, begun with one outcome that says nothing."""
-
-    def __init__(self, low: float, high: float) -> None:
-        self.num, self.total, self.squares = 0, 0.5 * (low + high), 0.25 * (high - low) ** 2
-
-    def variances(self, values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """As they were before each of these outcomes, which are then counted."""
-        count = self.num + np.arange(1, len(values) + 1)
-        means = (self.total + np.cumsum(values)) / (count + 1)
-        squares = self.squares + np.cumsum((values - means) ** 2)
-        before = np.append(self.squares, squares)[:-1] / count
-        if len(values):
-            self.num, self.squares = int(count[-1]), float(squares[-1])
-            self.total += float(values.sum())
-        return before
-
-
 class BettingBounds:
     """The hedged betting sequence, on a grid of candidates.
 
@@ -78,13 +60,11 @@ class BettingBounds:
         self.low, self.high = float(low), float(high)
         self.lower, self.upper = self.low, self.high
         self.grid = np.linspace(self.low, self.high, num_points)
-        self._moments, self._log_need = _Moments(self.low, self.high), float(np.log(2.0 / alpha))
+        self._log_need = float(np.log(2.0 / alpha))
         self._log_up, self._log_down = np.zeros(num_points), np.zeros(num_points)
-
-    @property
-    def num(self) -> int:
-        """Number of outcomes so far."""
-        return self._moments.num
+        self.num = 0
+        # Mean and variance so far, begun with one outcome that says nothing.
+        self._total, self._squares = 0.5 * (self.low + self.high), 0.25 * (self.high - self.low) ** 2
 
     def add(
         self, values: ArrayLike | float, lows: ArrayLike | float | None = None, highs: ArrayLike | float | None = None
@@ -122,9 +102,13 @@ class BettingBounds:
         return Course(lower, upper)
 
     def _bets(self, x: Float[np.ndarray, " n"]) -> Float[np.ndarray, " n"]:
-        """λ of these outcomes (eq. 26), which are then counted."""
+        """λ of these outcomes (eq. 26), by the variance before each; they are then counted."""
         t = self.num + np.arange(1, len(x) + 1)
-        return np.sqrt(2.0 * self._log_need / (np.maximum(self._moments.variances(x), 1e-12) * t * np.log1p(t)))
+        means = (self._total + np.cumsum(x)) / (t + 1)
+        squares = np.append(self._squares, self._squares + np.cumsum((x - means) ** 2))
+        self.num, self._squares = self.num + len(x), float(squares[-1])
+        self._total += float(x.sum())
+        return np.sqrt(2.0 * self._log_need / (np.maximum(squares[:-1] / t, 1e-12) * t * np.log1p(t)))
 
     def _last_out(
         self, log_capital: Float[np.ndarray, "n M"], candidates: Float[np.ndarray, " M"]

@@ -8,10 +8,9 @@ import hashlib
 import sys
 import traceback
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -163,14 +162,3 @@ def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision 
     if decision.q_values and decision.q_values.get(str(decision.action)) is None:
         return SteppedBack("failed", f"the policy fails (Q of {decision.action} is no number)")
     return decision
-
-
-def late(limit_s: float) -> SteppedBack:
-    """Say that the policy did not answer in time [s]."""
-    return SteppedBack("late", f"the policy gave no answer within {limit_s:g} s")
-
-
-def decided_by_rule(back: SteppedBack, rule: FallBack, covariates: Mapping[str, Any], stage: int) -> Decision:
-    """Let the rule decide, and say why."""
-    action, name = rule.action(covariates, stage)
-    return Decision(action, {}, f"{action}: {name}, in the policy's place: {back.detail}.")

@@ -14,7 +14,13 @@ from halfseen.logs.trajectory_recorder import log_so_far
 from halfseen.logs.values import Schema
 from halfseen.policies.decision import Decision
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.named_decider import NamedDecider, checked_stage, completed, known_covariates
+from halfseen.policies.named_decider import (
+    NamedDecider,
+    checked_stage,
+    completed,
+    covariates_in_words,
+    known_covariates,
+)
 from halfseen.serving.in_service import InService
 from halfseen.serving.models import BODY, Cloud, Refusal, Table, model_of
 from halfseen.serving.recording import Begun, RecordedTrajectories
@@ -87,7 +93,9 @@ def seen_in_state(
     stage = checked_stage(state.get("stage", next_stage or 1), LATEST_STAGE, BODY)
     _check_next(stage, next_stage)
     if service.stored.is_table:
-        return _table(service, state, _covariates(state), stage)
+        objects = model_of(state, Table).objects
+        present, names = present_of(service.stored, objects, stage)
+        return Seen(lambda: service.decider.decide(present), stage, Begun(_covariates(state), objects), names)
     decider = service.decider
     assert isinstance(decider, NamedDecider), "what is not of tables is of named actions"
     policy = decider.policy
@@ -114,12 +122,6 @@ def _check_next(stage: int | None, next_stage: int | None) -> None:
         raise Refusal(409, f"stage is {stage}, but the trajectory in progress has come to {next_stage}; leave it out")
 
 
-def _table(service: InService, state: Mapping[str, Any], covariates: Mapping[str, Any], stage: int) -> Seen:
-    objects = model_of(state, Table).objects
-    present, names = present_of(service.stored, objects, stage)
-    return Seen(lambda: service.decider.decide(present), stage, Begun(covariates, objects), names)
-
-
 def seen_in_cloud(
     service: InService, given: Cloud, law: "SeenLaw | None", trajectories: RecordedTrajectories | None = None
 ) -> Seen:
@@ -144,7 +146,7 @@ def seen_in_cloud(
         The policy is not of tables, the stage is another than the one that is recorded next, or that cannot begin.
     """
     if not service.stored.is_table:
-        looks_at = ", ".join(service.stored.policy.covariates) or "no covariates"
+        looks_at = covariates_in_words(service.stored.policy)
         raise Refusal(415, f"the policy looks at {looks_at}, not at clouds; give a JSON object of these")
     from halfseen.policies.table_observation import Past, see_table
 

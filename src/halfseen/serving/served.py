@@ -19,7 +19,7 @@ from halfseen.monitoring.dealing import POLICY, RULE
 from halfseen.policies.decision import Decision
 from halfseen.policies.rule_files import ExplorationTable
 from halfseen.serving.comparing import Comparison
-from halfseen.serving.in_service import InService, SteppedBack, Tally, asked, decided_by_rule, late, taken_into_service
+from halfseen.serving.in_service import InService, SteppedBack, Tally, asked, taken_into_service
 from halfseen.serving.models import Decided, Ended, Health, Progress, Refusal
 from halfseen.serving.questions import Seen
 from halfseen.serving.recording import RecordedTrajectories, Taken, chance_of, taken, uniform_shares
@@ -99,18 +99,14 @@ class Answering:
     ) -> tuple[Taken, str]:
         """What the arm of the trajectory does, with the probability that either arm does it."""
         deal, (action, name) = comparison.dealt(), comparison.rule.action(seen.begun.covariates, seen.stage)
+        is_same = 1.0 if made.decision.action == action else 0.0
         if deal.is_policys:
-            by_rule = 1.0 if made.decision.action == action else 0.0
-            return made._replace(probability=deal.probability(made.probability, by_rule)), POLICY
-        by_policy = self._chance(seen, decided, made, action)
+            return made._replace(probability=deal.probability(made.probability, is_same)), POLICY
+        by_policy = is_same
+        if isinstance(decided, Decision):
+            by_policy = chance_of(decided, self._shares(seen, decided), str(action))
         decision = Decision(action, {}, f"{action}: {name}, to which this trajectory was dealt.")
         return Taken(decision, deal.probability(by_policy, 1.0), False), RULE
-
-    def _chance(self, seen: Seen, decided: Decision | SteppedBack, made: Taken, action: Any) -> float:
-        """Probability with which the policy's arm takes an action."""
-        if isinstance(decided, SteppedBack):
-            return 1.0 if made.decision.action == action else 0.0
-        return chance_of(decided, self._shares(seen, decided), str(action))
 
     def _shares(self, seen: Seen, decided: Decision) -> dict[str, float]:
         if self.table is not None:
@@ -122,7 +118,9 @@ class Answering:
             return taken(decided, self._shares(seen, decided), self.rng)
         if service.fall_back is None:
             raise Refusal(422, f"{decided.detail}, and {NOBODY}")
-        return Taken(decided_by_rule(decided, service.fall_back, seen.begun.covariates, seen.stage), 1.0, False)
+        action, name = service.fall_back.action(seen.begun.covariates, seen.stage)
+        reason = f"{action}: {name}, in the policy's place: {decided.detail}."
+        return Taken(Decision(action, {}, reason), 1.0, False)
 
     def recorded(self, seen: Seen, reply: Decided) -> Decided:
         """Record what was decided, where that is wanted, and say so.
@@ -244,7 +242,7 @@ class Served:
             return await to_thread.run_sync(ask) if service.stored.is_table else ask()
         with move_on_after(self.limit_s):
             return await to_thread.run_sync(ask, abandon_on_cancel=True)
-        return late(self.limit_s)
+        return SteppedBack("late", f"the policy gave no answer within {self.limit_s:g} s")
 
     async def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> Progress:
         """Complete the stage in progress, as `RecordedTrajectories.rewarded` does, and raise what it raises."""
