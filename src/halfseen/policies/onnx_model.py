@@ -19,7 +19,7 @@ import halfseen
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, discrete_graph, excess_propensity, kernel_features
+from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, choose, discrete_graph, kernel_features
 from halfseen.tables.features import LEAST_IN_SIGHT, LIKELY_ODDS, NUM_FEATURES, NUM_TABLE_FEATURES, ROUNDING
 from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import LinearTablePolicy
@@ -109,15 +109,11 @@ def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tu
     at = graph("Sub", graph.as_count("steps_to_go"), np.int64(1))
     possible = _possible(graph, policy, at, verbs)
     scores = _dot(graph, design, graph("Gather", graph("Gather", policy.coefficients, at), verbs))
-    if policy.margin is not None:
-        margins = _margins(graph, policy, design, at, verbs)
-        if policy.behaviour is not None:
-            utility = _dot(graph, _with_one(graph, raw, actions), np.asarray(policy.behaviour)[verbs])
-            lean = excess_propensity(graph, utility, possible)
-            margins = graph("Mul", graph("Sub", np.float32(1.0), lean), margins)
-        scores = graph("Sub", scores, margins)
-    graph("Where", possible, scores, np.float32(-np.inf), to=SCORES)
-    graph("ArgMax", SCORES, axis=0, keepdims=0, to=ACTION)
+    margins = None if policy.margin is None else _margins(graph, policy, design, at, verbs)
+    utility = None
+    if policy.behaviour is not None:
+        utility = _dot(graph, _with_one(graph, raw, actions), np.asarray(policy.behaviour)[verbs])
+    choose(graph, possible, scores, margins, utility)
     properties = {"actions": list(actions.names), "objects": num_objects, "horizon": horizon}
     outputs = [
         helper.make_tensor_value_info(SCORES, TensorProto.FLOAT, [actions.num_actions]),

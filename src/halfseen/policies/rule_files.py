@@ -38,7 +38,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.policies.folder.stored import StoredPolicy
@@ -174,9 +173,9 @@ class ExplorationTable:
 
     def shares(self, covariates: Mapping[str, Any], stage: int) -> dict[str, float]:
         """Probability with which each action is drawn in a state; the policy decides in the rest."""
-        frame, drawn = pd.DataFrame([dict(covariates)]), dict[str, float]()
+        drawn = dict[str, float]()
         for row, share in zip(self.rows, self.probability, strict=True):
-            if str(row.action) not in drawn and bool(row.matches(frame, stage)[0]):
+            if str(row.action) not in drawn and row.matches_state(covariates, stage):
                 drawn[str(row.action)] = share
         total = sum(drawn.values())
         return {name: share * min(1.0, MOST_EXPLORED / total) for name, share in drawn.items()}
