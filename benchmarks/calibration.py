@@ -6,7 +6,7 @@ python benchmarks/calibration.py [--out runs/benchmarks/calibration.json] [--tab
 States are those that the logging policy reaches on random small tables; the truth is the exact optimum. An action is
 best where its exact Q is within 1e-9 of the largest: of actions that are worth the same, all are. Of a planner it is
 `halfseen.planners.explain` that is checked; of what was learned, by size of the log, what `halfseen act` says of a
-policy in its folder (`halfseen.policies.certainty`). `--fit` prints what the constants of ``planners.explanation`` were
+policy in its folder (`halfseen.policies.decision`). `--fit` prints what the constants of ``planners.explanation`` were
 chosen by, on tables that the check never sees.
 """
 

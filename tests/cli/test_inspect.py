@@ -1,14 +1,22 @@
+"""``halfseen inspect``: what logs hold; ``halfseen report``: a page of them and of a policy."""
+
+import html
 import json
 import re
+import shlex
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
 import shell
 
+from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder
+from halfseen.policies.folder import write_policy
 from small_logs import log_of
+from small_report import ACTIONS, COVARIATES, hostile_log
 
 
 @pytest.fixture
@@ -114,3 +122,66 @@ def test_from_the_shell(folder, refused):
     assert good.stderr == ""
     (folder / "stages.parquet").write_bytes(b"PAR1 and no more")
     assert "stages.parquet: it is no whole Parquet file" in refused("inspect", folder)
+
+
+reported = partial(shell.run, "report")
+
+
+@pytest.fixture(scope="module")
+def judged(tmp_path_factory):
+    judged = tmp_path_factory.mktemp("report-verb")
+    logs = hostile_log(num_trajectories=24)
+    logs.write(judged / "logs")
+    learner = CensoredQLearner.of_paper(2, ACTIONS, COVARIATES, reg=0.1).fit(logs)
+    write_policy(learner, logs, judged / "policy")
+    return judged
+
+
+def test_says_the_answer_and_where_the_page_is_and_the_same_again(judged, tmp_path):
+    arguments = [judged / "logs", judged / "policy", "--replicates", 4, "--seed", 2]
+    first = reported(*arguments, "--out", tmp_path / "a.html")
+    answer, place = first.stdout.splitlines()
+    assert answer.split(":")[0] in ("Better", "Not better", "Inconclusive")
+    assert place == f"The page: {tmp_path / 'a.html'}"
+    assert first.stderr == ""
+    second = reported(*arguments, "--out", tmp_path / "b.html", "--json")
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()
+    page = (tmp_path / "a.html").read_text()
+    assert f"halfseen report {judged / 'logs'} {judged / 'policy'} --replicates 4 --seed 2" in page
+
+    def refuse(name):
+        raise AssertionError(f"{name} is no number of JSON")
+
+    numbers = json.loads(second.stdout, parse_constant=refuse)
+    assert numbers["value"]["sentence"] == answer
+    assert set(numbers["value"]["difference"]) >= {"value", "low", "high", "effective_sample_size"}
+    assert numbers["log"]["num_trajectories"] == 24
+    assert numbers["policy"]["is_learned_from_these_logs"] is True
+    assert len(numbers["policy"]["curves"]) == 4
+    assert numbers["log"]["watched"]["num_watched"][0] == 24
+    assert numbers["seed"] == 2
+
+
+def test_the_page_is_against_whom_it_is_told(judged, tmp_path):
+    sequence = "sequence:" + ",".join([ACTIONS[0]] * 2)
+    arguments = [judged / "logs", judged / "policy", "--replicates", 4, "--against", sequence, "--against", "logging"]
+    numbers = json.loads(reported(*arguments, "--out", tmp_path / "a.html", "--json").stdout)
+    baselines = [each["baseline"] for each in numbers["value"]["comparisons"]]
+    assert len(baselines) == 2
+    assert baselines[1] == "the logging policy"
+    page = html.unescape((tmp_path / "a.html").read_text())
+    assert f"--against {shlex.quote(sequence)} --against logging --replicates 4" in page
+
+
+def test_without_a_policy_the_page_is_of_the_log(judged, tmp_path):
+    told = reported(judged / "logs", "--out", tmp_path / "a.html", "--unit", "parts")
+    answer, place = told.stdout.splitlines()
+    assert answer.startswith("24 trajectories: ")
+    assert place == f"The page: {tmp_path / 'a.html'}"
+    page = (tmp_path / "a.html").read_text()
+    assert f"halfseen report {judged / 'logs'} --unit parts --seed 0" in page
+    assert "Rewards are in parts." in page
+    numbers = json.loads(reported(judged / "logs", "--out", tmp_path / "b.html", "--unit", "parts", "--json").stdout)
+    assert "policy_folder" not in numbers
+    assert numbers["log"]["reward_unit"] == "parts"
+    assert (tmp_path / "a.html").read_bytes() == (tmp_path / "b.html").read_bytes()

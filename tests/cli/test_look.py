@@ -1,6 +1,9 @@
+"""``halfseen look`` and ``halfseen watch``: what a camera sees, what looks dirty, and what is shown of it."""
+
 import json
 import os
 import shutil
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -9,8 +12,14 @@ import pytest
 import shell
 
 from drawn_cards import TWO_CARDS, K, depth_of_cards
-from halfseen.perception import Cloud, write_pcd
+from few_cups import draw_small_tables
+from halfseen.logs import read_logs
+from halfseen.perception import Cloud, StainCounter, perceive, read_cloud, write_pcd
 from halfseen.scene import table_paths
+from halfseen.tables.first_look import PRIOR, first_look
+from halfseen.view.recording import read_recording
+from halfseen.view.stages import watched_cloud
+from halfseen.world import WorldConfig
 
 run = partial(shell.run, "look")
 
@@ -136,3 +145,113 @@ def test_a_bad_cloud_stops_no_other_and_each_is_named(typed, refused, folder, tm
     (tmp_path / "alone").mkdir()
     shutil.copy(folder / "bad.ply", tmp_path / "alone")
     refused("look", tmp_path / "alone", "--workers", 1)
+
+
+@pytest.fixture(scope="module")
+def coloured():
+    """A shipped table in white; one cup has a stain, another a pattern of all colours all over."""
+    cloud = read_cloud(table_paths()[7])
+    view, rng = perceive(cloud), np.random.default_rng(0)
+    colours = np.full(cloud.points_m.shape, (238, 236, 230), dtype=np.uint8)
+    colours[view.objects[0].pixels[:400]] = (98, 62, 30)
+    pattern = view.objects[1].pixels
+    colours[pattern] = rng.integers(0, 256, (len(pattern), 3), dtype=np.uint8)
+    return replace(cloud, colours=colours), view
+
+
+def by_hand(occlusion, says_dirty, prior=0.6):
+    """By Bayes: a label is right with probability ½ + .3·(1 − occ)^1.5."""
+    right = 0.5 + 0.3 * (1.0 - occlusion) ** 1.5
+    if_dirty, if_clean = (right, 1.0 - right) if says_dirty else (1.0 - right, right)
+    return prior * if_dirty / (prior * if_dirty + (1.0 - prior) * if_clean)
+
+
+def test_every_door_shows_one_probability_and_a_pattern_tells_nothing(coloured, tmp_path):
+    cloud, view = coloured
+    look = first_look(view, cloud)
+    assert [label.word for label in look.labels] == ["dirty", "unknown", "clean", "clean", "clean"]
+    assert look.labels[1].num_stained_px >= StainCounter.fewest_px
+    occluded = view.scene().occlusion
+    expected = [by_hand(occluded[k], k == 0) if k != 1 else 0.6 for k in range(5)]
+    assert look.chances == pytest.approx(expected, abs=1e-6)
+    assert WorldConfig().dirty_share == PRIOR
+    (stage,) = watched_cloud(cloud, view, None, None, 0).stages
+    assert [shown.is_dirty for shown in stage.objects] == look.chances
+    assert stage.events[-1] == look.words
+    assert look.words.startswith("Labels by colour (dirty: 0; clean: 2, 3, 4; unknown: 1); P(dirty) is 0: 0.8")
+    write_pcd(cloud, tmp_path / "a.pcd")
+    said = json.loads(shell.run("look", tmp_path / "a.pcd", "--json").output)
+    assert [seen["p_dirty"] for seen in said["objects"]] == look.chances
+    table = shell.run("look", tmp_path / "a.pcd").output.splitlines()
+    assert [line.split()[-1] for line in table[-5:]] == [f"{chance:.2f}" for chance in look.chances]
+
+
+def test_without_colour_or_file_all_stand_at_the_prior_and_a_file_counts_without_a_policy(coloured, tmp_path):
+    cloud, view = coloured
+    plain = first_look(view, replace(cloud, colours=None), dirty_share=0.3)
+    assert (plain.labels, plain.words) == (None, "")
+    assert plain.chances == pytest.approx([0.3] * 5)
+    (tmp_path / "l.csv").write_text(
+        "object,label\n" + "".join(f"{k},{'dirty' if k == 2 else 'unknown'}\n" for k in range(5))
+    )
+    told = first_look(view, cloud, tmp_path / "l.csv")
+    assert told.chances[2] == pytest.approx(by_hand(view.scene().occlusion[2], True), abs=1e-6)
+    assert told.chances[0] == pytest.approx(0.6)
+
+
+TABLE = table_paths()[7]
+
+
+def test_a_cloud_with_a_policy_is_written_as_a_page_and_a_picture(typed, house, tmp_path):
+    html, gif = tmp_path / "out.html", tmp_path / "out.gif"
+    done = typed("watch", TABLE, "--policy", house / "table-policy", "--export", html, "--export", gif)
+    assert (done.status, done.err) == (0, "")
+    num_objects = len(perceive(read_cloud(TABLE)).objects)
+    text = html.read_text(encoding="utf-8")
+    assert "stage 1 of 3" in text
+    assert all(f"LIFT {k}" in text for k in range(num_objects))
+    assert gif.read_bytes()[:4] == b"GIF8"
+
+
+@pytest.mark.slow
+def test_a_running_cell_is_recorded_and_its_logs_are_the_same(typed, refused, tmp_path, monkeypatch):
+    draw_small_tables(monkeypatch)
+    words = ["cell", "run", "--policy", "history-penalty", "--tables", 2, "--seed", 6]
+    assert typed(*words, "--out", tmp_path / "watched", "--record", tmp_path / "record").status == 0
+    assert typed(*words, "--out", tmp_path / "alone", "--workers", 1).status == 0
+    for name in ("stages", "trajectories", "objects"):
+        one, other = (tmp_path / which / f"{name}.parquet" for which in ("watched", "alone"))
+        assert one.read_bytes() == other.read_bytes()
+    watched = read_recording(tmp_path / "record")
+    titles = [stage.title for stage in watched.stages]
+    assert titles[0] == "table 0, stage 1 of 10"
+    assert any(title.startswith("table 1, ") for title in titles)
+    for stage in watched.stages:
+        assert (stage.hand is None) <= (len(stage.poses) >= 1)
+        assert stage.reason.startswith(stage.action)
+        assert stage.target is None or stage.target in [shown.number for shown in stage.objects]
+    assert any(stage.hand is not None for stage in watched.stages)
+    assert any(event.startswith("tried: a grasp of") for event in watched.stages[-1].events)
+    assert "--overwrite" in refused(*words, "--out", tmp_path / "third", "--record", tmp_path / "record")
+
+
+@pytest.mark.slow
+def test_two_arms_are_recorded_and_both_are_shown(typed, tmp_path):
+    words = ["cell", "run", "--policy", "history-penalty", "--arms", 2, "--tables", 2, "--seed", 7, "--no-stops"]
+    done = typed(*words, "--out", tmp_path / "logs", "--record", tmp_path / "record")
+    assert done.status == 0
+    assert "0 collisions" in done.out
+    watched = read_recording(tmp_path / "record")
+    assert watched.stages[0].title == "table 0, stage 1 of 20"
+    assert len({part.colour for part in watched.parts if part.is_robot}) == 2
+    names = {stage.action.split(":")[0] for stage in watched.stages}
+    assert names == {"left", "right"}
+    for stage in watched.stages:
+        assert stage.action in stage.reason
+        assert stage.target is None or stage.target in [shown.number for shown in stage.objects]
+    moved = np.concatenate([np.ptp(stage.poses[..., :3], axis=0).max(axis=1)[None] for stage in watched.stages])
+    for colour in {part.colour for part in watched.parts if part.is_robot}:
+        own = [index for index, part in enumerate(watched.parts) if part.is_robot and part.colour == colour]
+        assert moved[:, own].max() > 0.3
+    logs = read_logs(tmp_path / "logs")
+    assert set(logs.stages["robot"]) == {0, 1}

@@ -11,7 +11,7 @@ from halfseen.errors import PolicyError
 from halfseen.evaluation.estimate import around
 from halfseen.evaluation.kept import drifts_of, kept_promise
 from halfseen.logs import Logs
-from halfseen.policies.folder.log_facts import promised_states
+from halfseen.policies.folder.promised_parts import promised_states
 from halfseen.policies.folder.record import Promise, converted
 
 COLUMNS = ("weight", "shine", "colour", "jams")

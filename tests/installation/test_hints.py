@@ -1,6 +1,14 @@
-"""How the installation that runs is told, and the command that adds an extra to it where one is missing."""
+"""What installation runs, and the command that adds an extra to it; the wheel and the image's steps in bare ones.
+
+An image needs a builder, and its steps do not: they are commands of pip. Here they run in an environment of their own.
+"""
 
 import json
+import os
+import re
+import shlex
+import shutil
+import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
@@ -8,19 +16,17 @@ from types import SimpleNamespace
 
 import pytest
 
-import halfseen
 from halfseen import installation
 from halfseen.cli import VERBS
 from halfseen.installation import command_for
-from release.every_verb import LINES, Ended
-from release.walk import WITHOUT_EXTRAS, engineers_path, faults_without_extras, pythons
+from release.every_verb import CLONE, LINES, Ended
+from release.walk import WITHOUT_EXTRAS, Bare, engineers_path, faults_without_extras, pythons, walk_with
 
 
 def not_there(name):
     raise metadata.PackageNotFoundError(name)
 
 
-CLONE = Path(halfseen.__file__).parents[2]
 HERE = str(Path(sys.executable).parent / "pip")
 
 
@@ -80,3 +86,80 @@ def test_each_python_that_is_here_and_runs_is_walked_with(tmp_path, monkeypatch)
 def test_the_engineers_path_has_five_commands_and_what_needs_no_extra_is_run():
     assert [line.split()[1] for line in engineers_path()] == ["inspect", "learn", "evaluate", "act", "report"]
     assert {line.split()[0] for line in LINES} & set(VERBS) >= WITHOUT_EXTRAS
+
+
+PYTHONS = pythons()
+
+
+@pytest.fixture(scope="module")
+def index(tmp_path_factory):
+    """Skip where no index of packages answers."""
+    words = ["--quiet", "--no-deps", "--dest", tmp_path_factory.mktemp("index"), "click"]
+    done = subprocess.run([sys.executable, "-m", "pip", "download", *words], capture_output=True, check=False)
+    if done.returncode:
+        pytest.skip("no index of packages answers")
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    out = tmp_path_factory.mktemp("dist")
+    subprocess.run([sys.executable, "-m", "hatchling", "build", "-d", out, "-t", "wheel"], cwd=CLONE, check=True)
+    return next(out.glob("*.whl"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", PYTHONS)
+@pytest.mark.usefixtures("index")
+def test_the_way_of_the_readme_works_with_the_newest_of_everything(wheel, name, tmp_path):
+    if PYTHONS[name] is None:
+        pytest.skip(f"{name} is not here")
+    walk_with(Bare(tmp_path, PYTHONS[name], pins=None), wheel, "study")
+
+
+def stages_of(dockerfile):
+    """Instructions of each stage, as pairs of word and text."""
+    lines = re.sub(r"\\\n\s*", "", re.sub(r"^#.*\n", "", dockerfile, flags=re.MULTILINE)).splitlines()
+    stages = []
+    for word, _, text in (line.partition(" ") for line in lines if line):
+        stages += [[]] if word == "FROM" else []
+        stages[-1].append((word, text))
+    return stages
+
+
+def copied(stage, folder):
+    """Copy what a stage copies out of the clone."""
+    for text in (text for word, text in stage if word == "COPY"):
+        *sources, target = text.split()
+        for source in sources:
+            if (CLONE / source).is_dir():
+                shutil.copytree(CLONE / source, folder / target, ignore=shutil.ignore_patterns("__pycache__"))
+            else:
+                shutil.copy(CLONE / source, folder / target)
+
+
+def run(stage, folder, source, env):
+    """Run a stage's commands of pip with its variables; `/source` is a folder."""
+    given = [text for word, text in stage if word in ("ENV", "ARG")]
+    env = env | dict(pair.split("=", 1) for text in given for pair in shlex.split(text))
+    for text in (text for word, text in stage if word == "RUN"):
+        command = re.sub(r"^--mount=\S+\s+| && useradd .*", "", text).replace("/source", str(source))
+        subprocess.run(["sh", "-ec", command], cwd=folder, env=env, check=True)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("index")
+def test_the_steps_of_the_image_install_what_its_command_needs(tmp_path):
+    first, second = stages_of((CLONE / "Dockerfile").read_text(encoding="utf-8"))
+    python = next(path for path in (*list(PYTHONS.values())[::-1], sys.executable) if path is not None)
+    subprocess.run([python, "-m", "venv", tmp_path / "image"], check=True)
+    mine = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "HALFSEEN_"))}
+    env = mine | {"PATH": f"{tmp_path / 'image' / 'bin'}{os.pathsep}{os.environ['PATH']}"}
+    source = tmp_path / "source"
+    source.mkdir()
+    copied(first, source)
+    run(first, source, source, env)
+    run(second, tmp_path, source, env)
+    (entry,) = [text for word, text in second if word == "ENTRYPOINT"]
+    command = Path(tmp_path / "image" / "bin", *re.findall(r'"(.*?)"', entry))
+    for words in (["--help"], ["inspect", CLONE / "examples" / "bin_cell" / "logs"], ["study", "--help"]):
+        subprocess.run([command, *words], cwd=tmp_path, env=env, check=True)

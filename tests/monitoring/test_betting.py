@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from halfseen.monitoring import betting
-from halfseen.monitoring.change_point import change_point
-from halfseen.monitoring.joint import pair_payoffs
+from halfseen.monitoring.betting import pair_payoffs
+from halfseen.monitoring.diagnosis import change_point
 
 
 def naive_wealth(payoffs):

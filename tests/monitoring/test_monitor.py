@@ -1,4 +1,4 @@
-"""A small cell in service: healthy, with a part that broke, with swapped columns, and before it was all recorded."""
+"""A small cell in service: healthy, broken, with swapped columns; what never moved; and whether to learn again."""
 
 import numpy as np
 import pandas as pd
@@ -7,11 +7,23 @@ from scipy.stats import norm
 
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
+from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
+from halfseen.monitoring import betting
+from halfseen.monitoring.answer import FEWEST, num_needed, relearning
+from halfseen.monitoring.diagnosis import broken_parts, differs
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
-from halfseen.monitoring.streams import part_streams, swap_streams
+from halfseen.monitoring.streams import move_streams, part_streams, swap_streams
 from halfseen.policies.folder import read_policy, write_policy
-from halfseen.policies.folder.promised_parts import expanded_as, outcome_rows, promised_parts, residuals
+from halfseen.policies.folder.promised_parts import (
+    FEWEST_STEPS,
+    _unmoved,
+    expanded_as,
+    moves,
+    outcome_rows,
+    promised_parts,
+    residuals,
+)
 from small_logs import table_log
 
 VALUE = {"value": 0.85, "low": 0.7, "high": 1.0, "standard_error": 0.07}
@@ -207,3 +219,72 @@ def test_lifetimes_without_a_change_are_seldom_alarmed_about(stored):
         monitored(stored, cell(1500, 100 + k, policy=stored.policy), k).alarm_at is not None for k in range(num)
     )
     assert alarms <= sum(ALPHAS.values()) * num + 2.0 * np.sqrt(num * 0.05)
+
+
+LOOKS_AT = Covariates(("weight", "clutter"))
+
+
+def two_stages(num, seed=0, is_swapped=False):
+    """A part has one weight; the clutter around it grows."""
+    rng = np.random.default_rng(seed)
+    weight, clutter = np.repeat(rng.random(num), 2), np.repeat(rng.random(num), 2) + np.tile([0.0, 0.1], num)
+    seen = {"weight": clutter, "clutter": weight} if is_swapped else {"weight": weight, "clutter": clutter}
+    place = np.repeat(np.arange(num), 2)
+    done = {"elapsed_s": np.tile([1.0, 2.0], num), "action": "A", "reward": 0.0}
+    stages = pd.DataFrame({"trajectory": place, "stage": np.tile([1, 2], num), **done, **seen})
+    return Logs(stages, pd.DataFrame({"trajectory": range(num), "end_s": 2.0, "ending": "finished"}))
+
+
+def test_what_never_changed_is_kept_if_there_were_enough_steps():
+    assert _unmoved(two_stages(60), LOOKS_AT.columns) == {"names": ["weight"], "num": 60}
+    assert _unmoved(two_stages(FEWEST_STEPS - 1), LOOKS_AT.columns)["names"] == []
+
+
+@pytest.mark.parametrize("values", [[1.0, 1.0, 1.0, 2.0], list("aaab")])
+def test_steps_are_within_trajectories(values):
+    logs = two_stages(2)
+    place, has_moved = moves(Logs(logs.stages.assign(weight=values), logs.trajectories), "weight")
+    assert (place.tolist(), has_moved.tolist()) == ([0, 1], [False, True])
+
+
+def test_a_change_within_trajectories_is_noticed_and_the_swap_named():
+    unmoved, usual, swapped = {"names": ["weight"], "num": 60}, two_stages(40, 1), two_stages(40, 1, is_swapped=True)
+    for logs, is_noticed in ((usual, False), (swapped, True)):
+        [found] = move_streams(unmoved, logs)
+        payoffs = betting.residual_payoffs(found.residuals, found.trajectory, 40, found.tolerance, found.reach)
+        assert (betting.log_wealth(payoffs)[-1, 0] > np.log(1000)) == is_noticed
+    assert differs(found, 0) == "weight changes within a trajectory, as it never did in the log"
+    promise = {"stages": [], "unmoved": unmoved}
+    assert broken_parts(promise, LOOKS_AT, usual, 1) == ()
+    assert "covariates weight and clutter look swapped" in broken_parts(promise, LOOKS_AT, swapped, 1)[0]
+
+
+PROMISED = {"value": 0.6, "standard_error": 0.1}
+
+
+def test_so_many_are_needed_that_the_loss_is_two_standard_errors():
+    needed = num_needed(PROMISED, 400, 0.35)
+    assert PROMISED["standard_error"] * (400 / needed) ** 0.5 * 2.0 == pytest.approx(0.25, rel=1e-2)
+
+
+def test_where_nothing_is_lost_none_are_needed_and_where_nothing_is_known_the_fewest():
+    assert num_needed(PROMISED, 400, 0.7) is None
+    assert num_needed(None, 400, 0.1) == num_needed(PROMISED, 400, None) == num_needed(PROMISED, 400, -9.0) == FEWEST
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        (
+            (80, 301, 100, 0.8),
+            "Learning again will not pay yet: there are 80 trajectories since the change, and about",
+        ),
+        ((200, 301, 100, 0.8), "Learning again may pay: there are 200 trajectories since the change, and about 100"),
+        ((200, 301, None, 0.8), "Learning again need not pay: nothing is lost in 200 trajectories since the change."),
+        ((200, 301, 100, 1.0), "Learning again may pay"),
+    ],
+)
+def test_it_is_told_in_one_sentence(given, told):
+    sentence = relearning(*given)
+    assert sentence.startswith(told)
+    assert ("serve with --explore first" in sentence) == (given[-1] == 1.0)

@@ -10,7 +10,7 @@ from halfseen.errors import ArgumentError, LogError, OutOfRangeError, PolicyErro
 from halfseen.learning import DiscretePolicy
 from halfseen.planners import GreedyPolicy, POMDPPolicy
 from halfseen.policies import Decider, NamedObservation, decider_of
-from halfseen.policies.certainty import QError
+from halfseen.policies.decision import QError
 from halfseen.policies.named_decider import flat_reason
 from halfseen.policies.ranges import beyond, margin, refuse_far
 from halfseen.policies.table_decider import table_reason

@@ -16,7 +16,7 @@ from halfseen.learning import KernelQ
 from halfseen.logs import Logs, read_logs
 from halfseen.policies import decider_of
 from halfseen.policies.folder import log_digest, read_policy, write_policy
-from halfseen.policies.folder.kinds import kind_named
+from halfseen.policies.folder.stored import kind_named
 from halfseen.policies.folder.table_kinds import TEAM_VERSION
 from halfseen.policies.ranges import margin
 from halfseen.tables import BetaGrasp

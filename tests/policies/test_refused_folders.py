@@ -26,7 +26,7 @@ from policy_folders import (
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.files import ARRAYS, RECORD
-from halfseen.policies.folder.kinds import kind_named
+from halfseen.policies.folder.stored import kind_named
 from halfseen.world import UniformPolicy
 
 
@@ -199,8 +199,8 @@ def test_what_does_not_fit_is_refused(copied, kind, edit, message):
 
 
 def places(of, at=()):
-    """Every place in a record, as the keys that lead to it."""
-    keys = of if isinstance(of, dict) else range(len(of)) if isinstance(of, list) else ()
+    """Places in a record, as the keys that lead to them: of a list, in which all are alike, the first and the last."""
+    keys = of if isinstance(of, dict) else {0, len(of) - 1} if isinstance(of, list) and of else ()
     return [place for key in keys for place in [(*at, key), *places(of[key], (*at, key))]]
 
 

@@ -2,18 +2,24 @@
 
 import json
 from contextlib import contextmanager, nullcontext
+from functools import cache, partial
 
 from jsonschema import Draft202012Validator
 from starlette.testclient import TestClient
 
-from halfseen.serving.answering import Answering
+from halfseen.learning import CensoredQLearner
 from halfseen.serving.app import app_of
-from halfseen.serving.openapi import described
+from halfseen.serving.pages import described
 from halfseen.serving.recording import RecordedTrajectories
-from halfseen.serving.served import Served
+from halfseen.serving.served import Answering, Served
 
 OF_ACT = {"policy", "input", "learned_from"}
 """What `act` says of the folder and the file that it was given, and a server does not with each decision."""
+RULE = "stage,x1,action\n1,> 0,A\n1,,B\n,,A\n"
+
+
+def learned(reg=0.1, **options):
+    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg, **options)
 
 
 @contextmanager
@@ -28,11 +34,15 @@ def client_of(
         app = app_of(served, token, largest_bytes=largest_bytes)
         with TestClient(app, base_url="http://127.0.0.1") as client:
             api = described(served.service, is_recording=folder is not None, is_comparing="comparison" in answering)
-            client.event_hooks = {"response": [lambda response: check_described(api, response)]}
+            client.event_hooks = {"response": [partial(check_described, api, cache(partial(validator, api)))]}
             yield client
 
 
-def check_described(api, response):
+def validator(api, reference):
+    return Draft202012Validator({"$ref": reference, "components": api["components"]})
+
+
+def check_described(api, validator_of, response):
     """Check an answer, and the request if it was taken."""
     path, how = response.request.url.path, response.request.method.lower()
     if how not in api["paths"].get(path, {}):
@@ -40,17 +50,13 @@ def check_described(api, response):
     response.read()
     operation, is_taken = api["paths"][path][how], response.status_code == 200
     (answered,) = operation["responses"]["200" if is_taken else "4XX"]["content"].values()
-    check(api, answered, response.json())
+    validator_of(answered["schema"]["$ref"]).validate(response.json())
     assert response.json().keys() <= resolved(api, answered)["properties"].keys()
     if is_taken and "requestBody" in operation:
         kind = response.request.headers["content-type"].partition(";")[0]
-        asked = operation["requestBody"]["content"][kind]
         if kind == "application/json":
-            check(api, asked, json.loads(response.request.read()))
-
-
-def check(api, content, given):
-    Draft202012Validator({**content["schema"], "components": api["components"]}).validate(given)
+            asked = operation["requestBody"]["content"][kind]
+            validator_of(asked["schema"]["$ref"]).validate(json.loads(response.request.read()))
 
 
 def resolved(api, content):
@@ -64,3 +70,25 @@ def refused(response, status):
     assert line
     assert "\n" not in line
     return line
+
+
+def decided(client, **state):
+    answer = client.post("/decide", json=state)
+    assert answer.status_code == 200, answer.text
+    return answer.json()
+
+
+def run(client, rng, num, gain=0.0, cut=0.0, *, is_clocked=True):
+    """Trajectories of two stages; the policy's earn more by so much."""
+
+    def clock(elapsed_s):
+        return {"elapsed_s": elapsed_s} if is_clocked else {}
+
+    for _ in range(num):
+        for stage in (1, 2):
+            told = decided(client, x1=float(rng.normal()), x2=int(rng.integers(3)))
+            reward = float(rng.random()) + (gain if told.get("arm") != "rule" and stage == 2 else 0.0)
+            client.post("/reward", json={"reward": reward, **clock(float(stage))})
+        is_cut = rng.random() < cut
+        end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished"}
+        client.post("/end", json={**end, **clock(2.5)})

@@ -1,9 +1,10 @@
 import numpy as np
 import pytest
+from asking import learned
 
 from halfseen.learning import CensoredQLearner
 from halfseen.policies.folder import write_policy
-from small_logs import HIDES, table_log
+from small_logs import HIDES, flat_log, table_log
 
 
 @pytest.fixture(scope="session")
@@ -12,4 +13,12 @@ def tables(tmp_path_factory):
     logs = table_log(horizon=4, num_objects=3, hides=np.pad(HIDES, (0, 1)))
     folder = tmp_path_factory.mktemp("serving") / "tables"
     write_policy(CensoredQLearner.for_table(4, reg=0.1).fit(logs), logs, folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def flat(tmp_path_factory):
+    """A policy of named actions, of two stages."""
+    folder, logs = tmp_path_factory.mktemp("serving") / "flat", flat_log()
+    write_policy(learned().fit(logs), logs, folder)
     return folder

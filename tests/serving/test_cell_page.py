@@ -7,29 +7,18 @@ from html.parser import HTMLParser
 
 import numpy as np
 import pytest
-from asking import client_of
-from test_comparing import RULE, run
-from test_stepping_back import decided, learned
+from asking import RULE, client_of, decided, run
 
 from axe import PAGES, faults_of, in_browser
 from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms
-from halfseen.policies.folder import read_policy, write_policy
+from halfseen.policies.folder import read_policy
 from halfseen.serving.comparing import Comparison
 from halfseen.serving.in_service import taken_into_service
-from halfseen.serving.recent import MOST_TRAJECTORIES, Recent
-from halfseen.serving.watching import Watch, found_of
-from small_logs import flat_log
+from halfseen.serving.watching import MOST_TRAJECTORIES, Recent, Watch, found_of
 
 VOID = {"meta", "br", "link", "path", "use", "rect", "image"}
-
-
-@pytest.fixture(scope="module")
-def policy(tmp_path_factory):
-    folder, logs = tmp_path_factory.mktemp("cell") / "policy", flat_log()
-    write_policy(learned().fit(logs), logs, folder)
-    return folder
 
 
 class Outline(HTMLParser):
@@ -76,16 +65,16 @@ def check_page(answer):
     return text
 
 
-def test_before_the_first_decision_it_says_so(policy):
-    with client_of(policy) as asked:
+def test_before_the_first_decision_it_says_so(flat):
+    with client_of(flat) as asked:
         text = check_page(asked.get("/"))
         assert asked.get("/state").json()["decision"] is None
     assert "<h1>No decision yet.</h1>" in text
     assert "halfseen serve --record LOGS" in text
 
 
-def test_a_decision_is_told_with_its_reason_its_values_and_what_was_seen(policy, tmp_path):
-    with client_of(policy, tmp_path / "logs") as asked:
+def test_a_decision_is_told_with_its_reason_its_values_and_what_was_seen(flat, tmp_path):
+    with client_of(flat, tmp_path / "logs") as asked:
         told = decided(asked, x1=0.25, x2=1)
         state, text = asked.get("/state").json(), check_page(asked.get("/"))
         assert (state["decision"], state["seen"]) == (told, {"x1": 0.25, "x2": 1})
@@ -101,8 +90,8 @@ def test_a_decision_is_told_with_its_reason_its_values_and_what_was_seen(policy,
         assert asked.get("/state").json()["sentence"] == "No trajectory is in progress."
 
 
-def test_where_the_rule_decides_it_says_why(policy, tmp_path):
-    with client_of(policy, tmp_path / "logs") as asked:
+def test_where_the_rule_decides_it_says_why(flat, tmp_path):
+    with client_of(flat, tmp_path / "logs") as asked:
         decided(asked, x1=1e6, x2=1)
         text, why = check_page(asked.get("/")), asked.get("/state").json()["rule"]["last"]
     assert "by the rule in the policy&#39;s place (out-of-range).</h1>" in text
@@ -110,11 +99,11 @@ def test_where_the_rule_decides_it_says_why(policy, tmp_path):
     assert text.count(why) == 2
 
 
-def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_of_its_address(policy, tmp_path):
+def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_of_its_address(flat, tmp_path):
     (tmp_path / "rule.csv").write_text(RULE)
-    service = taken_into_service(policy, rule=tmp_path / "rule.csv")
+    service = taken_into_service(flat, rule=tmp_path / "rule.csv")
     compared = Comparison(service, tmp_path / "rule.csv", tmp_path / "logs", Terms(0.5), 3, print)
-    with client_of(policy, tmp_path / "logs", comparison=compared) as asked:
+    with client_of(flat, tmp_path / "logs", comparison=compared) as asked:
         run(asked, np.random.default_rng(0), MOST_TRAJECTORIES + 3, cut=0.4)
         state, text = asked.get("/state").json(), check_page(asked.get("/"))
         assert state["comparison"] == asked.get("/comparison").json()
@@ -128,23 +117,24 @@ def test_the_last_trajectories_are_those_of_the_log_and_the_comparison_is_that_o
         assert (told["stages"], told["arm"], told["ending"]) == (totals["size"][name], row["arm"], row["ending"])
 
 
-@pytest.fixture
-def alarm(policy, tmp_path):
-    """The page of a cell in which everything earns more than the log, once that was found."""
-    watch = Watch(policy, tmp_path / "logs", say=lambda sentence: None)
-    with watch, client_of(policy, tmp_path / "logs", recent=Recent(watch)) as asked:
+@pytest.fixture(scope="module")
+def alarm(flat, tmp_path_factory):
+    """The page of a cell in which everything earns more than the log, once that was found, and its log."""
+    logs = tmp_path_factory.mktemp("alarm") / "logs"
+    watch = Watch(flat, logs, say=lambda sentence: None)
+    with watch, client_of(flat, logs, recent=Recent(watch)) as asked:
         watch.found = {"error": "its folder promises nothing"}
         assert "Not watched: its folder promises nothing" in check_page(asked.get("/"))
         watch.every_s = watch._next_s = float("inf")
         run(asked, np.random.default_rng(0), 120, gain=9.0)
-        watch.found = found_of(policy, tmp_path / "logs")
-        return watch.found, asked.get("/"), asked.get("/state").json()
+        watch.found = found_of(flat, logs)
+        return watch.found, asked.get("/"), asked.get("/state").json(), logs
 
 
-def test_what_the_monitor_found_is_told_first(alarm, policy, tmp_path):
-    found, page, state = alarm
+def test_what_the_monitor_found_is_told_first(alarm, flat):
+    found, page, state, logs = alarm
     text = check_page(page).replace("&#39;", "'")
-    expected = monitored(read_policy(policy), read_logs(tmp_path / "logs"))
+    expected = monitored(read_policy(flat), read_logs(logs))
     assert {**state["monitor"], "age_s": 0} == {**expected.as_dict(), "age_s": 0}
     assert found["is_alarm"]
     assert f"<h1>{expected.sentence}</h1>" in text
@@ -152,7 +142,7 @@ def test_what_the_monitor_found_is_told_first(alarm, policy, tmp_path):
     assert "figures" not in state["monitor"]
 
 
-def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(policy, tmp_path, monkeypatch):
+def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(flat, tmp_path, monkeypatch):
     looks, said = [], []
 
     def asked(watch):
@@ -160,7 +150,7 @@ def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(policy, tmp_pa
         return {"is_alarm": len(looks) > 1, "sentence": f"Look {len(looks)}."}
 
     monkeypatch.setattr(Watch, "_asked", asked)
-    with Watch(policy, tmp_path, every_s=0.0, say=said.append) as watch:
+    with Watch(flat, tmp_path, every_s=0.0, say=said.append) as watch:
         watch.look()
         assert watch._thread is None
         for num in (1, 2, 3):
@@ -175,15 +165,15 @@ def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(policy, tmp_pa
     assert said == ["Look 2."]
 
 
-def test_the_log_is_watched_in_a_process_of_its_own(policy, tmp_path):
-    with client_of(policy, tmp_path / "logs") as asked:
+def test_the_log_is_watched_in_a_process_of_its_own(flat, tmp_path):
+    with client_of(flat, tmp_path / "logs") as asked:
         run(asked, np.random.default_rng(0), 3)
-    with Watch(policy, tmp_path / "logs") as watch:
+    with Watch(flat, tmp_path / "logs") as watch:
         watch.ended()
         watch._thread.join()
-        assert watch.found == found_of(policy, tmp_path / "logs")
+        assert watch.found == found_of(flat, tmp_path / "logs")
         assert watch._process.returncode == 0
-    assert "nowhere" in found_of(policy, tmp_path / "nowhere")["error"]
+    assert "nowhere" in found_of(flat, tmp_path / "nowhere")["error"]
 
 
 @in_browser

@@ -1,13 +1,14 @@
 """Trajectories are dealt to the policy or the rule of today, with honest probabilities, and the log is the state."""
 
+import sys
 from dataclasses import replace
 from functools import reduce
+from pathlib import Path
 
 import numpy as np
 import pytest
-from asking import client_of, refused
+from asking import RULE, client_of, decided, refused, run
 from click.testing import CliRunner
-from test_stepping_back import decided, learned
 
 from halfseen.cli.serve import serve
 from halfseen.errors import ArgumentError, LogError
@@ -16,20 +17,9 @@ from halfseen.logs.journal import JOURNAL, JournalEvents
 from halfseen.logs.recorder import torn_by
 from halfseen.monitoring.dealing import Terms, standing
 from halfseen.policies import read_policy
-from halfseen.policies.folder import write_policy
 from halfseen.serving import comparing
 from halfseen.serving.comparing import Comparison, courses_of
 from halfseen.serving.in_service import taken_into_service
-from small_logs import flat_log
-
-RULE = "stage,x1,action\n1,> 0,A\n1,,B\n,,A\n"
-
-
-@pytest.fixture(scope="module")
-def flat(tmp_path_factory):
-    folder, logs = tmp_path_factory.mktemp("comparing") / "flat", flat_log()
-    write_policy(learned().fit(logs), logs, folder)
-    return folder
 
 
 @pytest.fixture
@@ -44,22 +34,6 @@ def cell(flat, tmp_path):
         return compared, said, client_of(flat, tmp_path / "logs", comparison=compared, **answering)
 
     return begin
-
-
-def run(client, rng, num, gain=0.0, cut=0.0, *, is_clocked=True):
-    """Trajectories of two stages; the policy's earn more by so much."""
-
-    def clock(elapsed_s):
-        return {"elapsed_s": elapsed_s} if is_clocked else {}
-
-    for _ in range(num):
-        for stage in (1, 2):
-            told = decided(client, x1=float(rng.normal()), x2=int(rng.integers(3)))
-            reward = float(rng.random()) + (gain if told.get("arm") != "rule" and stage == 2 else 0.0)
-            client.post("/reward", json={"reward": reward, **clock(float(stage))})
-        is_cut = rng.random() < cut
-        end = {"ending": "cut", "cause": "operator"} if is_cut else {"ending": "finished"}
-        client.post("/end", json={**end, **clock(2.5)})
 
 
 def test_a_log_that_cannot_be_read_is_no_beginning(cell, tmp_path, monkeypatch):
@@ -186,3 +160,14 @@ def test_a_deal_goes_on_where_the_log_of_a_trajectory_in_progress_ends(cell, tmp
         deal, live = again.deal, compared.deal
         assert (deal.is_policys, deal.chance, deal.belief) == (live.is_policys, live.chance, pytest.approx(live.belief))
         assert not replace(again, seed=seed).resumed([{**events[0], "columns": {}}])
+
+
+@pytest.mark.slow
+def test_kills_lose_no_decision_but_the_one_in_progress_and_deal_as_one_server_would(tmp_path, monkeypatch):
+    """A server is killed with −9 again and again, and what it said stands."""
+    monkeypatch.setattr(sys, "path", [str(Path(__file__).parents[2] / "benchmarks"), *sys.path])
+    from running_cell import killed, learned
+
+    found = killed(tmp_path, learned(tmp_path / "policy"), num_kills=40)
+    assert found["torn"] > 10
+    assert found["trajectories"] > 40

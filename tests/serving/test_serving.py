@@ -7,15 +7,15 @@ from collections import Counter
 import httpx2
 import numpy as np
 import pytest
-from asking import OF_ACT, client_of, refused, resolved
+from asking import OF_ACT, client_of, learned, refused, resolved
 from click.testing import CliRunner
 from jsonschema import Draft202012Validator
 
 from halfseen.cli.act import act
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
-from halfseen.policies.exploration_table import read_exploration
 from halfseen.policies.folder import write_policy
+from halfseen.policies.rule_files import read_exploration
 from halfseen.scene import table_paths
 from halfseen.serving.app import app_of
 from halfseen.serving.limits import Bounded
@@ -24,10 +24,6 @@ from small_logs import HIDES, flat_log, table_log
 
 SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}
 NOT_OF_ACT = {"probability", "is_explored"}
-
-
-def learned(reg, **options):
-    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=reg, **options)
 
 
 @pytest.fixture(scope="module")

@@ -29,11 +29,10 @@ from halfseen.perception.formats import write_pcd
 from halfseen.policies import decider_of, read_policy, table_observation
 from halfseen.policies.folder import write_policy
 from halfseen.policies.table_observation import Past, see_table
-from halfseen.serving.answering import Answering
 from halfseen.serving.app import app_of
 from halfseen.serving.models import Progress
 from halfseen.serving.recording import RecordedTrajectories
-from halfseen.serving.served import Served
+from halfseen.serving.served import Answering, Served
 from halfseen.world.logs import states_of
 
 # The middle one hides the last in part.

@@ -7,33 +7,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from asking import client_of, refused
+from asking import client_of, decided, refused
 
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs, read_logs
-from halfseen.policies.fall_back import fall_back_of, usual_actions
 from halfseen.policies.folder import read_policy, write_policy
 from halfseen.policies.folder.log_facts import actions_taken
+from halfseen.policies.rule_files import fall_back_of, usual_actions
 from halfseen.serving.served import Served
 from small_logs import HIDES, flat_log, table_log
 
 WITHIN = {"x1": 0.0, "x2": 1}
 
 
-def learned():
-    return CensoredQLearner.of_paper(2, {1: ["A", "B"], 2: ["A", "C"]}, ["x1", "x2"], reg=0.1)
-
-
 @pytest.fixture(scope="module")
 def logs():
     return flat_log()
-
-
-@pytest.fixture(scope="module")
-def flat(tmp_path_factory, logs):
-    folder = tmp_path_factory.mktemp("stepping") / "flat"
-    write_policy(learned().fit(logs), logs, folder)
-    return folder
 
 
 def usual(logs, stage):
@@ -43,12 +32,6 @@ def usual(logs, stage):
         if of == stage and action is not None:
             counts[action] = counts.get(action, 0) + 1
     return max(counts, key=lambda name: (counts[name], name))
-
-
-def decided(client, **state):
-    answer = client.post("/decide", json=state)
-    assert answer.status_code == 200, answer.text
-    return answer.json()
 
 
 def test_far_outside_and_beyond_the_horizon_the_usual_action_of_the_log_is_taken(flat, logs):

@@ -10,18 +10,15 @@ import numpy as np
 import pytest
 from asking import refused
 from starlette.testclient import TestClient
-from test_stepping_back import learned
 
 from halfseen.errors import ArgumentError
 from halfseen.logs import read_logs
 from halfseen.monitoring.dealing import Terms
-from halfseen.policies.folder import write_policy
 from halfseen.serving import Answering, Comparison, RecordedTrajectories, Served, app_of
 from halfseen.serving.models import Wired
 from halfseen.serving.opcua.controller import Controller, Snapshot
 from halfseen.serving.opcua.mapping import read_mapping, template_of
 from halfseen.serving.opcua.wire import REQUESTS_LOST, Wire
-from small_logs import flat_log
 
 URL = "opc.tcp://127.0.0.1:1"
 TRAJECTORIES = [
@@ -57,13 +54,6 @@ class Played(Controller):
     def ask(self, stage, state, **outcome):
         covariates = {f"covariates.{name}": value for name, value in state.items()}
         self.values |= {"stage": stage, **covariates, **outcome, "request": self.values["request"] + 1}
-
-
-@pytest.fixture(scope="module")
-def flat(tmp_path_factory):
-    folder, logs = tmp_path_factory.mktemp("wire") / "flat", flat_log()
-    write_policy(learned().fit(logs), logs, folder)
-    return folder
 
 
 class Side:

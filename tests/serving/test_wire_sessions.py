@@ -18,18 +18,15 @@ from asyncua.crypto.permission_rules import User, UserRole
 from asyncua.crypto.uacrypto import der_from_x509, load_certificate
 from asyncua.server.user_managers import UserManager
 from cryptography.x509.oid import ExtendedKeyUsageOID
-from test_stepping_back import learned
 
 from halfseen.errors import ArgumentError
 from halfseen.logs import read_logs
-from halfseen.policies.folder import write_policy
 from halfseen.serving import Answering, RecordedTrajectories, Served
 from halfseen.serving.models import Refusal
 from halfseen.serving.opcua import controller
 from halfseen.serving.opcua.controller import LOST, connected
 from halfseen.serving.opcua.mapping import CellMapping, Reads, Security, Writes
 from halfseen.serving.opcua.wire import Wire
-from small_logs import flat_log
 
 pytestmark = pytest.mark.slow
 
@@ -87,13 +84,6 @@ async def put_all(nodes, **values):
     given["request"] = given.pop("request", 1)  # the last
     for name, value in given.items():
         await put(nodes[name], value, TYPES[name])
-
-
-@pytest.fixture(scope="module")
-def flat(tmp_path_factory):
-    folder, logs = tmp_path_factory.mktemp("wire_sessions") / "flat", flat_log()
-    write_policy(learned().fit(logs), logs, folder)
-    return folder
 
 
 async def until(condition):

@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from halfseen.cli import options
-from halfseen.cli.group import VerbGroup
+from halfseen.cli import VerbGroup, options
 from halfseen.cli.inputs import stations_for
 from halfseen.cli.messages import answer
 from halfseen.errors import ArgumentError

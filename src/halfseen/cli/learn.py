@@ -199,10 +199,10 @@ def learn(
     with Progress(total, "start") as bar, noted() as of_library:
         from halfseen.learning.discrete_policy import more_cautious_learner
         from halfseen.logs.stream import parts_of
-        from halfseen.policies.exploration_table import as_csv
         from halfseen.policies.folder import read_policy, write_policy
         from halfseen.policies.folder.record import plain
         from halfseen.policies.learner_choice import learner_for
+        from halfseen.policies.rule_files import as_csv
         from halfseen.policies.shares import action_shares
 
         targets, log, prior = _targets(cuts), _opened(logs, streaming, missing, since), _prior_law(prior_law)
@@ -312,7 +312,7 @@ def _targets(cuts: options.Cuts) -> "Targets | str":
 
 def _lines(report: Mapping[str, Any], judged: "HeldOutVerdict | None") -> list[str]:
     """Say what a policy looks at, what was chosen, what it would do, and the verdict."""
-    from halfseen.policies.folder.description import description
+    from halfseen.policies.folder.specification import description
 
     positivity, is_team = report["diagnostics"]["positivity"]["text"].splitlines()[0], "num_robots" in report["schema"]
     judge = "--world --team ROBOTS" if is_team else "--logs OTHER_LOGS; the ones learned from would flatter it"

@@ -21,7 +21,7 @@ from halfseen.errors import ArgumentError
 
 if TYPE_CHECKING:
     from halfseen.logs import LogRecorder
-    from halfseen.policies.exploration_table import ExplorationTable
+    from halfseen.policies.rule_files import ExplorationTable
     from halfseen.serving.opcua.wire import Wire
     from halfseen.serving.served import Served
 
@@ -153,14 +153,13 @@ def serve(
     import numpy as np
 
     from halfseen.monitoring.dealing import Terms
-    from halfseen.serving.answering import Answering
     from halfseen.serving.app import app_of
     from halfseen.serving.comparing import Comparison
     from halfseen.serving.limits import bound_socket
     from halfseen.serving.limits import serve as answer
-    from halfseen.serving.recent import Recent
     from halfseen.serving.recording import RecordedTrajectories
-    from halfseen.serving.watching import Watch
+    from halfseen.serving.served import Answering
+    from halfseen.serving.watching import Recent, Watch
 
     if is_template:
         from halfseen.policies import read_policy
@@ -174,7 +173,7 @@ def serve(
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
     # A folder of logs is begun only where there is something to record.
     served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
-    if served.service.counts_views:
+    if served.service.stored.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
     say = partial(print, flush=True)
@@ -205,8 +204,7 @@ def serve(
 def _served(
     policy: Path, extrapolate: bool, out_of_range: str | None, rule: Path | None, time_limit: float
 ) -> "Served":
-    from halfseen.serving.answering import NOBODY
-    from halfseen.serving.served import Served
+    from halfseen.serving.served import NOBODY, Served
 
     stays_within = not extrapolate and out_of_range != "answer"
     served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)
@@ -240,7 +238,7 @@ def _wire(served: "Served", controller: str, mapping: Path) -> "Wire":
 
 
 def _table(stored: Any, path: Path) -> "ExplorationTable":
-    from halfseen.policies.exploration_table import read_exploration
+    from halfseen.policies.rule_files import read_exploration
 
     if stored.is_table:
         raise ArgumentError(f"--explore {path}: the policy is of tables of objects; give a share, such as 0.1")

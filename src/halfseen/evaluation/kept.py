@@ -13,7 +13,7 @@ from halfseen.evaluation.evaluation import Evaluation
 from halfseen.evaluation.off_policy import QSpec
 from halfseen.evaluation.specification import task_of
 from halfseen.logs import Logs
-from halfseen.policies.folder.log_facts import below
+from halfseen.policies.folder.promised_parts import below
 from halfseen.policies.shares import action_shares
 
 APART = 0.1
@@ -86,7 +86,7 @@ def kept_promise(promise: Mapping[str, Any], logs: Logs, earned: Estimate, is_ow
 def drifts_of(promised: Sequence[Mapping[str, Any]], logs: Logs) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Tell which covariates have another unit, and which another distribution, than the log that was learned from.
 
-    What was promised of each stage `halfseen.policies.folder.log_facts.promised_states` gives.
+    What was promised of each stage `halfseen.policies.folder.promised_parts.promised_states` gives.
     """
     units: dict[str, str] = {}
     found: dict[str, str] = {}

@@ -3,12 +3,11 @@
 Everything here may be looked at at any time. The chance that anything alarms in a lifetime without change is meant to
 be 5 % at most.
 
-Read it down: `confidence_sequences` (bounds on a mean) → `outcomes` (what a trajectory adds under
-cuts) → `betting` (wealth against "nothing has changed") → `joint` (the same by a classifier) → `change_point` (since
-when) → `streams` (what is watched) → `diagnosis` (which part broke) → `answer` → `monitor`, with `relearning` (whether
-to learn again). And `comparison` (bounds on the gain over the rule of today) → `dealing` (how a comparison stands, and
-who gets the next trajectory). Beside them `training_log` asks of a log before it is learned from whether it is of one
-cell.
+Read it down: `outcomes` (what a trajectory adds under cuts, and bounds on its mean) → `betting` (wealth against
+"nothing has changed") → `streams` (what is watched) → `diagnosis` (since when, and which part broke) → `answer` (with
+whether to learn again) → `monitor`. And `comparison` (bounds on the gain over the rule of today) → `dealing` (how a
+comparison stands, and who gets the next trajectory). Beside them `training_log` asks of a log before it is learned from
+whether it is of one cell.
 """
 
 from typing import TYPE_CHECKING
@@ -18,10 +17,9 @@ from halfseen.lazy import lazy_names
 if TYPE_CHECKING:
     from halfseen.monitoring.answer import Finding, Monitored
     from halfseen.monitoring.comparison import Courses
-    from halfseen.monitoring.confidence_sequences import BettingBounds
     from halfseen.monitoring.dealing import Standing, Terms, standing
     from halfseen.monitoring.monitor import monitored
-    from halfseen.monitoring.outcomes import CensoredOutcomes
+    from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes
     from halfseen.monitoring.training_log import Change, changes_in
 
 __all__ = [
@@ -41,7 +39,7 @@ __all__ = [
 __getattr__ = lazy_names(
     __name__,
     {
-        "BettingBounds": "confidence_sequences",
+        "BettingBounds": "outcomes",
         "CensoredOutcomes": "outcomes",
         "Change": "training_log",
         "Courses": "comparison",

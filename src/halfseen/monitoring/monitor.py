@@ -18,14 +18,19 @@ from halfseen.learning.rows import trajectory_arrays
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
-from halfseen.monitoring.answer import Finding, Monitored
-from halfseen.monitoring.change_point import ChangePoint, change_point
-from halfseen.monitoring.confidence_sequences import BettingBounds, Course
+from halfseen.monitoring.answer import MEND_FIRST, Finding, Monitored, num_needed, relearning
+from halfseen.monitoring.betting import pair_payoffs
 from halfseen.monitoring.dealing import ARM, RULE
-from halfseen.monitoring.diagnosis import broken_parts, differs, input_words, is_misrecorded, moved
-from halfseen.monitoring.joint import pair_payoffs
-from halfseen.monitoring.outcomes import CensoredOutcomes, Outcomes
-from halfseen.monitoring.relearning import MEND_FIRST, num_needed, relearning
+from halfseen.monitoring.diagnosis import (
+    ChangePoint,
+    broken_parts,
+    change_point,
+    differs,
+    input_words,
+    is_misrecorded,
+    moved,
+)
+from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes, Course, Outcomes
 from halfseen.monitoring.streams import (
     Stream,
     input_streams,
@@ -36,8 +41,7 @@ from halfseen.monitoring.streams import (
     whole_stream,
 )
 from halfseen.policies.folder import StoredPolicy
-from halfseen.policies.folder.promised_parts import own_stages
-from halfseen.policies.shares import action_shares
+from halfseen.policies.shares import action_shares, own_stages
 from halfseen.shapes import Bool, Float
 from halfseen.wording import counted
 

@@ -94,7 +94,7 @@ class Stream:
 
 
 def input_streams(promised: Any, logs: Logs) -> list[Stream]:
-    """Covariates by stage, as `halfseen.policies.folder.log_facts.promised_states` describes those of the log."""
+    """Covariates by stage, as `halfseen.policies.folder.promised_parts.promised_states` describes those of the log."""
     streams = []
     for entry in promised:
         rows: Any = logs.stages[logs.stages["stage"] == entry["stage"]]
@@ -102,12 +102,10 @@ def input_streams(promised: Any, logs: Logs) -> list[Stream]:
         for name, described in entry["covariates"].items():
             if name not in rows.columns:
                 continue
-            codes, bins, num_bins = _binned(described, rows[name])
+            values, bins, num_bins = _binned(described, rows[name], at, logs.num_trajectories)
             counts = _counts(described, entry["num_states"], num_bins) if first else np.zeros(num_bins)
-            values = _spread(codes, at, logs.num_trajectories, np.nan)
-            spread = _spread(bins, at, logs.num_trajectories, -1).astype(int)
             is_number = described.get("values") is not None
-            streams.append(Stream("input", name, entry["stage"], values, spread, counts, is_number))
+            streams.append(Stream("input", name, entry["stage"], values, bins, counts, is_number))
     return streams
 
 
@@ -120,14 +118,12 @@ def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
         some = rows[rows["action"].astype(str) == part["action"]]
         left, trajectory = part_residuals(part, looks_at, some), _places(logs, some)
         total = pd.Series(left).groupby(trajectory).sum()
-        codes, bins, num_bins = _binned(part["residuals"], total)
-        values = _spread(codes, total.index, logs.num_trajectories, np.nan)
-        spread = _spread(bins, total.index, logs.num_trajectories, -1).astype(int)
+        values, bins, num_bins = _binned(part["residuals"], total, total.index, logs.num_trajectories)
         deviation = max(float(part["deviation"]), LEAST_DEVIATION * largest[part["what"]], 1e-9)
         reach = max(*np.abs(part["residuals"]["values"]), 3.0 * deviation)
         tolerance = errors * _error(part, looks_at, some, deviation)
         rest = (np.zeros(num_bins), True, left, trajectory, tolerance, reach, part["num_states"])
-        streams.append(Stream(part["what"], part["action"], None, values, spread, *rest))
+        streams.append(Stream(part["what"], part["action"], None, values, bins, *rest))
     is_cut = (~logs.is_finished).astype(int)
     return [*streams, Stream("cut", "", None, is_cut.astype(float), is_cut, np.zeros(2))]
 
@@ -165,7 +161,8 @@ def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: 
     first
         Covariates of the first stage of the log that was learned from, as `input_streams` takes them.
     """
-    rows, rewards = outcome_rows(logs), [pair for pair in zip(parts, streams, strict=False) if _pays(pair[0])]
+    pairs, rows = zip(parts, streams, strict=False), outcome_rows(logs)
+    rewards = [(part, of) for part, of in pairs if part["what"] == "reward" and part["deviation"] > 0.0]
     frames = [rows[rows["action"].astype(str) == part["action"]] for part, _ in rewards]
     reach, num_states = max((of.reach for _, of in rewards), default=1.0), sum(of.num_states for _, of in rewards)
     found = []
@@ -204,11 +201,6 @@ def swappable(first: Any, looks_at: Covariates) -> list[tuple[str, str]]:
         return float(np.abs(below[0] - below[1]).max())
 
     return sorted(combinations(numbers, 2), key=apart)[:MOST_PAIRS]
-
-
-def _pays(part: Any) -> bool:
-    """Whether a part is of rewards that differ."""
-    return part["what"] == "reward" and part["deviation"] > 0.0
 
 
 def _together(
@@ -263,21 +255,19 @@ def _spread(values: Any, at: Any, num: int, empty: float | int) -> Float[np.ndar
     return filled
 
 
-def _binned(described: Mapping[str, Any], values: Any) -> tuple[np.ndarray, np.ndarray, int]:
-    """Numbers that values are compared by, their bins, and how many bins there are."""
-    if described.get("values") is not None:
-        if not is_numeric_dtype(values.dtype):
-            # Text where numbers were: beyond all of them.
-            return np.full(len(values), np.nan), np.full(len(values), len(described["values"])), _num(described)
+def _binned(described: Mapping[str, Any], values: Any, at: Any, num: int) -> tuple[np.ndarray, np.ndarray, int]:
+    """Of each trajectory, the number that its value is compared by, and its bin; and how many bins there are."""
+    places = described.get("values") or described["names"]
+    if described.get("values") is None:
+        bins = pd.Index(places).get_indexer(values.astype(str))
+        bins = numbers = np.where(bins < 0, len(places), bins)
+    elif is_numeric_dtype(values.dtype):
         numbers = values.to_numpy(dtype=np.float64)
-        return numbers, np.searchsorted(described["values"], numbers, side="left"), _num(described)
-    codes = pd.Index(described["names"]).get_indexer(values.astype(str))
-    codes = np.where(codes < 0, len(described["names"]), codes)
-    return codes.astype(float), codes, _num(described)
-
-
-def _num(described: Mapping[str, Any]) -> int:
-    return len(described["values"] if described.get("values") is not None else described["names"]) + 1
+        bins = np.searchsorted(places, numbers, side="left")
+    else:
+        # Text where numbers were: beyond all of them.
+        numbers, bins = np.nan, len(places)
+    return _spread(numbers, at, num, np.nan), _spread(bins, at, num, -1).astype(int), len(places) + 1
 
 
 def _counts(described: Mapping[str, Any], num_states: int, num_bins: int) -> Float[np.ndarray, " K"]:

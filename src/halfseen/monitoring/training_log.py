@@ -20,8 +20,7 @@ from halfseen.censoring import KaplanMeier
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.monitoring.change_point import change_point
-from halfseen.monitoring.diagnosis import part_words
+from halfseen.monitoring.diagnosis import change_point, part_words
 from halfseen.monitoring.monitor import looks_at_of
 from halfseen.monitoring.streams import LEAST_DEVIATION
 from halfseen.policies.folder.promised_parts import FEWEST, MOST_FEATURES, WHATS, part_of, residuals

@@ -1,11 +1,11 @@
 """Policies at work: kept in folders, asked for decisions, and what they do.
 
-Read down: `folder` (policies on disk) → `decision` (the port: what is asked, and what is answered, and how a reason
-begins) → `ranges` (what lies outside the logs), `certainty` (how sure Q is) → `named_decider`, `table_decider`
-(policies behind the port, and why) → `history`, `table_observation` (a cloud → what is decided from; loaded for tables
-alone) → `observations` (policies and files → deciders and what they decide from) → `shares` (what a policy does in the
-states of a log) → `learner_choice` (which learner suits a log). `rule_table`, `rule_files`: rules of thumb as
-policies of named actions.
+Read down: `folder` (policies on disk) → `decision` (the port: what is asked, what is answered, and how sure Q is) →
+`ranges` (what lies outside the logs) → `named_decider`, `table_decider` (policies behind the port, and why) →
+`history`, `table_observation` (a cloud → what is decided from; loaded for tables alone) → `observations` (policies and
+files → deciders and what they decide from) → `shares` (what a policy does in the states of a log) → `learner_choice`
+(which learner suits a log). `rule_table`, `rule_files`: rules of thumb as policies of named actions, and in the place
+of one.
 """
 
 from typing import TYPE_CHECKING

@@ -83,7 +83,11 @@ def learner_for(
                 raise ArgumentError("--prior-law is given and --no-laws, too; leave one of them out")
             parameters |= {"prior_law": prior_law}
         learner = CensoredQLearner.for_table(length, grasp=_grasp_named(grasp), laws=laws, **parameters)
-        return LearnerChoice(learner, _horizon_notes(longest, horizon, length))
+        note = (
+            f"no trajectory has more than {longest} stages, and horizon is {length}; if trajectories end by themselves "
+            f"after fewer, pass --horizon"
+        )
+        return LearnerChoice(learner, () if horizon is not None or longest == length else (note,))
     if prior_law is not None:
         raise ArgumentError("--prior-law is for logs of tables; these have named actions: leave it out")
     if grasp is not None:
@@ -144,12 +148,3 @@ def _columns(logs: Logs | LogStream, wanted: Sequence[str] | None) -> tuple[list
         return there, filled
     notes = tuple(f"it does not look at {name}, which {trouble}" for name, trouble in unfit.items())
     return [name for name in there if name not in unfit], (*filled, *notes)
-
-
-def _horizon_notes(longest: int, given: int | None, horizon: int) -> tuple[str, ...]:
-    if given is not None or longest == horizon:
-        return ()
-    return (
-        f"no trajectory has more than {longest} stages, and horizon is {horizon}; if trajectories end by themselves "
-        f"after fewer, pass --horizon",
-    )

@@ -10,8 +10,7 @@ import numpy as np
 from halfseen.errors import LogError, PolicyError
 from halfseen.lazy import Frame
 from halfseen.learning.discrete_policy import DiscretePolicy, Valued
-from halfseen.policies.certainty import QError, certainty
-from halfseen.policies.decision import SAME_VALUE, Decision, lead, next_best, values_by_name
+from halfseen.policies.decision import SAME_VALUE, Decision, QError, certainty, lead, next_best, values_by_name
 from halfseen.policies.ranges import (
     Margins,
     Range,

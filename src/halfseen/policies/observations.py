@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.covariates import Categories
 from halfseen.learning.discrete_policy import DiscretePolicy
-from halfseen.policies.certainty import QError
-from halfseen.policies.decision import Decider
+from halfseen.policies.decision import Decider, QError
 from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
 from halfseen.policies.named_decider import (
     STATE_FILES,
@@ -67,15 +66,9 @@ def decider_of(
     """
     if isinstance(policy, StoredPolicy):
         refuse_team(policy, UNDECIDED)
-        return decider_of(
-            policy.policy,
-            policy.ranges,
-            extrapolates=extrapolates,
-            q_error=policy.q_error,
-            least_rewards=policy.least_rewards,
-            stays_within=stays_within,
-            margins=policy.margins,
-        )
+        how: Any = {"extrapolates": extrapolates, "stays_within": stays_within, "margins": policy.margins}
+        how |= {"q_error": policy.q_error, "least_rewards": policy.least_rewards}
+        return decider_of(policy.policy, policy.ranges, **how)
     if isinstance(policy, DiscretePolicy):
         return NamedDecider(policy, ranges, extrapolates, q_error, stays_within, margins)
     # Tables load the world, which takes longer than a decision on named actions.

@@ -36,11 +36,6 @@ class Graph:
         self.nodes: list[Any] = []
         self.constants: list[Any] = []
 
-    @property
-    def number(self) -> int:
-        """Type of its numbers, as ONNX counts them."""
-        return _OF[self.precision]
-
     def constant(self, value: Any) -> str:
         """Name an array; numbers are of the precision of the graph, and counts of 64 bits."""
         array = np.asarray(value)
@@ -59,8 +54,15 @@ class Graph:
 
     def as_number(self, value: str) -> str:
         """Truths, or counts, as numbers."""
+        return self._cast(value, _OF[self.precision])
+
+    def as_count(self, value: str) -> str:
+        """Numbers as counts of 64 bits."""
+        return self._cast(value, TensorProto.INT64)
+
+    def _cast(self, value: str, kind: int) -> str:
         name = f"n{len(self.nodes)}"
-        self.nodes.append(helper.make_node("Cast", [value], [name], to=self.number))
+        self.nodes.append(helper.make_node("Cast", [value], [name], to=kind))
         return name
 
     def total(self, value: str, axis: int, *, keeps: bool = False) -> str:
@@ -98,6 +100,22 @@ def excess_propensity(graph: Graph, utility: str, possible: str) -> str:
     return graph("Clip", far, np.float64(0.0), np.float64(1.0))
 
 
+def choose(
+    graph: Graph, possible: str, scores: str, margins: str | None, utility: str | None, behaviour_weight: float = 0.0
+) -> None:
+    """Lower the scores by margins, less where the log does the same, and take the best; actions are the last axis."""
+    nothing = np.float64(-np.inf)
+    if margins is not None:
+        if utility is not None:
+            margins = graph("Mul", graph("Sub", np.float64(1.0), excess_propensity(graph, utility, possible)), margins)
+        scores = graph("Sub", scores, margins)
+    if behaviour_weight > 0:
+        prefers = graph("LogSoftmax", graph("Where", possible, utility, nothing), axis=-1)
+        scores = graph("Add", scores, graph("Mul", np.float64(behaviour_weight), prefers))
+    graph("Where", possible, scores, nothing, to=SCORES)
+    graph("ArgMax", SCORES, axis=-1, keepdims=0, to=ACTION)
+
+
 COVARIATES, STAGE = "covariates", "stage"
 
 
@@ -111,29 +129,16 @@ def discrete_graph(policy: DiscretePolicy) -> tuple[Any, dict[str, Any]]:
     design = graph("Concat", ones, features, axis=1)
     each = graph("Gather", policy.coefficients, at)
     scores = graph("MatMul", design, graph("Transpose", each, perm=[1, 0]))
+    margins = utility = None
     if policy.margin is not None:
-        margins, prefers = _margins(graph, policy, design, at), None
-        if policy.behaviour is not None:
-            utility = graph("MatMul", graph("Concat", ones, COVARIATES, axis=1), policy.behaviour.T)
-            margins = graph("Mul", graph("Sub", np.float64(1.0), excess_propensity(graph, utility, possible)), margins)
-            prefers = graph("LogSoftmax", graph("Where", possible, utility, np.float64(-np.inf)), axis=-1)
-        scores = graph("Sub", scores, margins)
-        if policy.behaviour_weight > 0:
-            scores = graph("Add", scores, graph("Mul", np.float64(policy.behaviour_weight), prefers))
-    graph("Where", possible, scores, np.float64(-np.inf), to=SCORES)
-    graph("ArgMax", SCORES, axis=1, keepdims=0, to=ACTION)
+        # ‖Mᵀ (1, features)‖ of each action.
+        deviations = graph("MatMul", design, graph("Gather", policy.margin, at))
+        lengths = graph("Sqrt", graph.total(graph("Mul", deviations, deviations), 2))
+        margins = graph("Transpose", lengths, perm=[1, 0])
+    if policy.margin is not None and policy.behaviour is not None:
+        utility = graph("MatMul", graph("Concat", ones, COVARIATES, axis=1), policy.behaviour.T)
+    choose(graph, possible, scores, margins, utility, policy.behaviour_weight)
     properties = {"actions": list(policy.actions), "covariates": list(policy.looks_at.names), "horizon": policy.horizon}
-    return _model(graph, policy), properties
-
-
-def _margins(graph: Graph, policy: DiscretePolicy, design: str, at: str) -> str:
-    """‖Mᵀ (1, features)‖ of each action."""
-    each = graph("MatMul", design, graph("Gather", policy.margin, at))
-    squares = graph("ReduceSum", graph("Mul", each, each), np.array([2]), keepdims=0)
-    return graph("Transpose", graph("Sqrt", squares), perm=[1, 0])
-
-
-def _model(graph: Graph, policy: DiscretePolicy) -> Any:
     inputs = [
         helper.make_tensor_value_info(COVARIATES, TensorProto.DOUBLE, ["n", policy.looks_at.num_features]),
         helper.make_tensor_value_info(STAGE, TensorProto.INT64, []),
@@ -142,4 +147,4 @@ def _model(graph: Graph, policy: DiscretePolicy) -> Any:
         helper.make_tensor_value_info(SCORES, TensorProto.DOUBLE, ["n", len(policy.actions)]),
         helper.make_tensor_value_info(ACTION, TensorProto.INT64, ["n"]),
     ]
-    return graph.model(inputs, outputs)
+    return graph.model(inputs, outputs), properties

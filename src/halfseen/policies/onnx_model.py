@@ -8,6 +8,7 @@ for each action, −∞ where it is not possible, and the number of the best one
 
 import json
 from dataclasses import asdict
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ import halfseen
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, discrete_graph, excess_propensity, kernel_features
+from halfseen.policies.onnx_graph import ACTION, SCORES, Graph, choose, discrete_graph, kernel_features
 from halfseen.tables.features import LEAST_IN_SIGHT, LIKELY_ODDS, NUM_FEATURES, NUM_TABLE_FEATURES, ROUNDING
 from halfseen.tables.grasp_table import GraspTable
 from halfseen.tables.policy import LinearTablePolicy
@@ -105,20 +106,20 @@ def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tu
     raw = _features(graph, num_objects, policy.grasp)
     phi = raw if policy.kernel_map is None else kernel_features(graph, raw, policy.kernel_map)
     design, verbs = _with_one(graph, phi, actions), actions.verbs
-    at = graph("Sub", _as_count(graph, "steps_to_go"), np.int64(1))
+    at = graph("Sub", graph.as_count("steps_to_go"), np.int64(1))
     possible = _possible(graph, policy, at, verbs)
     scores = _dot(graph, design, graph("Gather", graph("Gather", policy.coefficients, at), verbs))
-    if policy.margin is not None:
-        margins = _margins(graph, policy, design, at, verbs)
-        if policy.behaviour is not None:
-            utility = _dot(graph, _with_one(graph, raw, actions), np.asarray(policy.behaviour)[verbs])
-            lean = excess_propensity(graph, utility, possible)
-            margins = graph("Mul", graph("Sub", np.float32(1.0), lean), margins)
-        scores = graph("Sub", scores, margins)
-    graph("Where", possible, scores, np.float32(-np.inf), to=SCORES)
-    graph("ArgMax", SCORES, axis=0, keepdims=0, to=ACTION)
+    margins = None if policy.margin is None else _margins(graph, policy, design, at, verbs)
+    utility = None
+    if policy.behaviour is not None:
+        utility = _dot(graph, _with_one(graph, raw, actions), np.asarray(policy.behaviour)[verbs])
+    choose(graph, possible, scores, margins, utility)
     properties = {"actions": list(actions.names), "objects": num_objects, "horizon": horizon}
-    return graph.model(_inputs(horizon, num_objects), _outputs(actions)), properties
+    outputs = [
+        helper.make_tensor_value_info(SCORES, TensorProto.FLOAT, [actions.num_actions]),
+        helper.make_tensor_value_info(ACTION, TensorProto.INT64, []),
+    ]
+    return graph.model(_inputs(horizon, num_objects), outputs), properties
 
 
 def table_inputs(state: TableState) -> dict[str, np.ndarray]:
@@ -134,16 +135,10 @@ def _inputs(horizon: int, num_objects: int) -> list[Any]:
     return [helper.make_tensor_value_info(name, kinds[name], field.shape) for name, field in fields.items()]
 
 
-def _outputs(actions: ActionSpace) -> list[Any]:
-    scores = helper.make_tensor_value_info(SCORES, TensorProto.FLOAT, [actions.num_actions])
-    return [scores, helper.make_tensor_value_info(ACTION, TensorProto.INT64, [])]
-
-
 def _features(graph: Graph, num_objects: int, grasp: Any) -> str:
     """φ of every action, a row each."""
-    state, columns = _state(graph, num_objects), _Columns(graph)
-    ease = _ease(graph, state) if grasp is None else _probability(graph, grasp, state)
-    columns.describe(state, ease)
+    state = _state(graph, num_objects)
+    columns = _columns(graph, state, _ease(graph, state) if grasp is None else _probability(graph, grasp, state))
     summed = [
         graph.total(graph("Where", "is_on_table", each, np.float32(0.0)), 0, keeps=True) for each in columns.table
     ]
@@ -167,7 +162,7 @@ def _state(graph: Graph, num_objects: int) -> _State:
     more = graph("Sub", graph("Reciprocal", left), np.float32(1.0))
     more = graph("Mul", graph("Unsqueeze", in_sight, np.array([1])), more)
     laid_bare = graph("Where", graph("Unsqueeze", "is_on_table", np.array([1])), more, np.float32(0.0))
-    tried = graph("Unsqueeze", _as_count(graph, "attempt_object"), np.array([0]))
+    tried = graph("Unsqueeze", graph.as_count("attempt_object"), np.array([0]))
     is_mine = graph("Equal", tried, np.arange(num_objects)[:, None])
     held = graph("Unsqueeze", "attempt_succeeded", np.array([0]))
     counts = [graph.total(graph.as_number(graph("And", is_mine, which)), 1) for which in (held, graph("Not", held))]
@@ -188,7 +183,8 @@ def _probability(graph: Graph, grasp: Any, state: _State) -> str:
     if not isinstance(grasp, GraspTable):
         raise ArgumentError(f"grasp is a {type(grasp).__name__}, no table of numbers, and ONNX can hold no other")
     num_cells, most = grasp.probabilities.shape[0] - 1, grasp.probabilities.shape[-1] - 1
-    shown = graph("Where", graph("Unsqueeze", "is_on_table", np.array([0])), _not_hidden(graph), np.float32(1.0))
+    not_hidden = graph("Sub", np.float32(1.0), "hides")
+    shown = graph("Where", graph("Unsqueeze", "is_on_table", np.array([0])), not_hidden, np.float32(1.0))
     occluded = graph("Sub", np.float32(1.0), graph("ReduceProd", shown, np.array([1]), keepdims=0))
     place = graph("Mul", graph("Clip", occluded, np.float32(0.0), np.float32(1.0)), np.float32(num_cells))
     below = graph("Clip", graph("Floor", place), np.float32(0.0), np.float32(num_cells - 1))
@@ -205,62 +201,51 @@ def _probability(graph: Graph, grasp: Any, state: _State) -> str:
     return graph("Div", chance, graph("Add", np.float32(1.0), misses))
 
 
-def _not_hidden(graph: Graph) -> str:
-    return graph("Sub", np.float32(1.0), "hides")
-
-
 def _index(graph: Graph, value: str) -> str:
-    return graph("Unsqueeze", _as_count(graph, value), np.array([1]))
+    return graph("Unsqueeze", graph.as_count(value), np.array([1]))
 
 
-def _as_count(graph: Graph, value: str) -> str:
-    name = f"n{len(graph.nodes)}"
-    graph.nodes.append(helper.make_node("Cast", [value], [name], to=TensorProto.INT64))
-    return name
-
-
-class _Columns:
+class _Columns(NamedTuple):
     """What the features are made of, as `halfseen.tables.features.table_columns` finds it."""
 
-    def __init__(self, graph: Graph) -> None:
-        self.graph = graph
+    table: list[str]
+    idle: str
+    washed: list[str]
+    lifted: list[str]
 
-    def describe(self, state: _State, ease: str) -> None:
-        """Find all columns."""
-        graph, p, unseen = self.graph, state.is_dirty, self._less(np.float32(1.0), "seen")
-        win, sure = (graph("Relu", self._less(p, np.float32(least))) for least in (0.5, 0.75))
-        doubt = self._by(np.float32(4.0), self._by(p, self._less(np.float32(1.0), p)))
-        is_seen = graph("Greater", "seen", np.float32(0.0))
-        shown = graph("Where", is_seen, np.float32(0.0), state.in_sight)
-        soon = self._by(ease, self._win_after_look(p, shown))
-        clearer = self._by(ease, self._less(self._by(ease, self._win_after_look(p, unseen)), soon))
-        unseen_doubt = self._by(doubt, unseen)
-        bare_win, bare_doubt = (self._by(ease, self._behind(state, value)) for value in (win, unseen_doubt))
-        at_stake = [win, self._by(win, ease), sure, self._by(sure, ease)]
-        best = graph("Where", "is_on_table", soon, np.float32(0.0))
-        largest = graph("ReduceMax", best, np.array([0]), keepdims=1)
-        self.idle = graph("Exp", self._by(largest, np.float32(-8.0)))
-        ones = graph("Add", self._by(p, np.float32(0.0)), np.float32(1.0))
-        self.table = [p, ones, *at_stake, doubt, ease, self._by(doubt, ease), soon]
-        self.washed = [bare_win, bare_doubt, p, self._by(p, ease), ease, *at_stake, soon, self._by(soon, ease)]
-        is_gained = graph("Greater", clearer, np.float32(ROUNDING))
-        gained = graph("Where", is_gained, clearer, np.float32(0.0))
-        self.lifted = [bare_doubt, unseen_doubt, ease, self._by(unseen_doubt, ease), gained]
 
-    def _behind(self, state: _State, value: str) -> str:
-        row = self.graph("MatMul", self.graph("Unsqueeze", value, np.array([0])), state.laid_bare)
-        return self.graph("Squeeze", row, np.array([0]))
+def _columns(graph: Graph, state: _State, ease: str) -> _Columns:
+    by, less, p = partial(graph, "Mul"), partial(graph, "Sub"), state.is_dirty
 
-    def _win_after_look(self, p: str, shown: str) -> str:
-        step, over = self.graph("Div", shown, np.float32(4.0)), self._less(p, np.float32(0.5))
-        either = [self.graph("Relu", self.graph(operator, over, step)) for operator in ("Add", "Sub")]
-        return self._by(np.float32(0.5), self.graph("Add", *either))
+    def behind(value: str) -> str:
+        row = graph("MatMul", graph("Unsqueeze", value, np.array([0])), state.laid_bare)
+        return graph("Squeeze", row, np.array([0]))
 
-    def _by(self, one: Any, other: Any) -> str:
-        return self.graph("Mul", one, other)
+    def win_after_look(shown: str) -> str:
+        step, over = graph("Div", shown, np.float32(4.0)), less(p, np.float32(0.5))
+        either = [graph("Relu", graph(operator, over, step)) for operator in ("Add", "Sub")]
+        return by(np.float32(0.5), graph("Add", *either))
 
-    def _less(self, one: Any, other: Any) -> str:
-        return self.graph("Sub", one, other)
+    unseen = less(np.float32(1.0), "seen")
+    win, sure = (graph("Relu", less(p, np.float32(least))) for least in (0.5, 0.75))
+    doubt = by(np.float32(4.0), by(p, less(np.float32(1.0), p)))
+    is_seen = graph("Greater", "seen", np.float32(0.0))
+    soon = by(ease, win_after_look(graph("Where", is_seen, np.float32(0.0), state.in_sight)))
+    clearer = by(ease, less(by(ease, win_after_look(unseen)), soon))
+    unseen_doubt = by(doubt, unseen)
+    bare_win, bare_doubt = (by(ease, behind(value)) for value in (win, unseen_doubt))
+    at_stake = [win, by(win, ease), sure, by(sure, ease)]
+    best = graph("Where", "is_on_table", soon, np.float32(0.0))
+    largest = graph("ReduceMax", best, np.array([0]), keepdims=1)
+    ones = graph("Add", by(p, np.float32(0.0)), np.float32(1.0))
+    is_gained = graph("Greater", clearer, np.float32(ROUNDING))
+    gained = graph("Where", is_gained, clearer, np.float32(0.0))
+    return _Columns(
+        table=[p, ones, *at_stake, doubt, ease, by(doubt, ease), soon],
+        idle=graph("Exp", by(largest, np.float32(-8.0))),
+        washed=[bare_win, bare_doubt, p, by(p, ease), ease, *at_stake, soon, by(soon, ease)],
+        lifted=[bare_doubt, unseen_doubt, ease, by(unseen_doubt, ease), gained],
+    )
 
 
 def _with_one(graph: Graph, features: str, actions: ActionSpace) -> str:

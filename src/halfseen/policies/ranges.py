@@ -102,7 +102,10 @@ def beyond(ranges: Ranges | None, values: Values, rounding: float = 0.0) -> tupl
     rounding
         Relative error of the values; what is given is compared as it is.
     """
-    found = [NO_TRAJECTORY] if ranges is None else _outside(ranges, values, rounding)
+    found = [NO_TRAJECTORY] if ranges is None else []
+    for name, seen in (ranges or {}).items():
+        outside = [one for one in values[name].items() if not _is_within(seen, one[1], rounding)]
+        found += [f"{whose} is {_beyond(seen, value)}" for whose, value in outside[:1]]
     return tuple(f"{one}; Q is extrapolated" for one in found)
 
 
@@ -133,14 +136,6 @@ def refuse_outside(ranges: Ranges | None, values: Values, margins: Margins = NO_
             whose, value = outside[0]
             where = "farther outside the logs than chance explains" if below or above else "outside the logs"
             raise OutOfRangeError(f"{whose} is {_beyond(wider, value, where)}")
-
-
-def _outside(ranges: Ranges, values: Values, rounding: float) -> list[str]:
-    found = []
-    for name, seen in ranges.items():
-        outside = [(whose, value) for whose, value in values[name].items() if not _is_within(seen, value, rounding)]
-        found += [f"{whose} is {_beyond(seen, value)}" for whose, value in outside[:1]]
-    return found
 
 
 def refuse_far(ranges: Ranges | None, values: Values) -> None:

@@ -108,6 +108,10 @@ class RuleRow:
     conditions: tuple[Condition, ...]
     action: Hashable
 
+    def matches_state(self, values: Mapping[str, Any], stage: int) -> bool:
+        """Whether all conditions hold in one state."""
+        return all(condition.holds_in(values, stage) for condition in self.conditions)
+
     def matches(self, frame: pd.DataFrame, stage: int) -> Bool[np.ndarray, " m"]:
         """Whether all conditions hold, for each row of covariates."""
         held = [condition.holds(frame, stage) for condition in self.conditions]
@@ -166,7 +170,7 @@ class RuleTable:
         ArgumentError
             As `Condition.holds_in`.
         """
-        return next(row.action for row in self.rows if all(one.holds_in(values, stage) for one in row.conditions))
+        return next(row.action for row in self.rows if row.matches_state(values, stage))
 
     def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
         """1 for the action of the first row that matches."""

@@ -9,6 +9,7 @@ import pandas as pd
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
+from halfseen.shapes import Bool
 
 
 def action_shares(policy: Any, task: Task, parts: Iterable[Logs]) -> pd.DataFrame:
@@ -63,3 +64,13 @@ def _counted(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
 def horizon_of(policy: Any) -> int:
     """Stages that a learned policy is for."""
     return int(getattr(policy, "horizon", None) or policy.coefficients.shape[-3])
+
+
+def own_stages(policy: Any, rows: Any) -> Bool[np.ndarray, " m"]:
+    """In which stages, rows of a log, the policy would have done the same; in none beyond its horizon."""
+    is_own, stages = np.zeros(len(rows), dtype=bool), rows["stage"].to_numpy()
+    for stage in np.unique(stages[stages <= policy.horizon]).tolist():
+        at = np.flatnonzero(stages == stage)
+        some = rows.iloc[at]
+        is_own[at] = np.asarray(policy.decide(some, stage)) == some["action"].to_numpy()
+    return is_own

@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.policies.certainty import QError, certainty
-from halfseen.policies.decision import Decision, lead, next_best, values_by_name
+from halfseen.policies.decision import Decision, QError, certainty, lead, next_best, values_by_name
 from halfseen.policies.ranges import ROUNDING, RangesOfStage, beyond, everything, refuse_far
 from halfseen.shapes import Float
 from halfseen.tables.assisted import LawPolicy

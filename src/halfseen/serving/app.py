@@ -22,12 +22,11 @@ from starlette.routing import Route
 from halfseen.errors import HalfseenError
 from halfseen.reading import json_of
 from halfseen.serving import models
-from halfseen.serving.answering import Seen, seen_in_cloud, seen_in_state
-from halfseen.serving.cell_page import SECURITY, cell_of, page_of
 from halfseen.serving.in_service import InService
 from halfseen.serving.limits import LARGEST_CLOUD_BYTES, LARGEST_STATE_BYTES, App, Bounded, cloud_in
 from halfseen.serving.models import Decided, Refusal, model_of
-from halfseen.serving.openapi import FORM, JSON, described, description_of
+from halfseen.serving.pages import FORM, JSON, SECURITY, cell_of, described, description_of, page_of
+from halfseen.serving.questions import Seen, seen_in_cloud, seen_in_state
 from halfseen.serving.served import Served
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from halfseen.logs.columns import FINISHED
 from halfseen.logs.recorded import STILL_RUNNING, followed
 from halfseen.monitoring.comparison import Courses, Kept, counted
 from halfseen.monitoring.dealing import ARM, POLICY, RULE, Standing, Terms, standing
-from halfseen.policies.fall_back import FallBack, fall_back_of
+from halfseen.policies.rule_files import FallBack, fall_back_of
 from halfseen.reading import read_bytes
 from halfseen.serving.models import Compared
 from halfseen.shapes import Float

@@ -1,19 +1,28 @@
-"""A policy that was taken into service: read, checked, warm, and with a rule beside it."""
+"""A policy that was taken into service: read, checked, warm, and with a rule that decides where it does not.
+
+That is out of its logs' range, beyond its horizon, where it fails, or too late. Then the rule decides, with probability
+1: which of them decides depends on the state alone, so that the log stays one that can be learned from.
+"""
 
 import hashlib
-from dataclasses import dataclass
+import sys
+import traceback
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
+from halfseen.errors import OutOfRangeError
 from halfseen.policies import decider_of, read_policy
-from halfseen.policies.decision import Decider
-from halfseen.policies.fall_back import FallBack, fall_back_of
-from halfseen.policies.folder.kinds import kind_named
+from halfseen.policies.decision import Decider, Decision
 from halfseen.policies.folder.record import as_json
-from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, refuse_team
+from halfseen.policies.folder.stored import UNDECIDED, StoredPolicy, kind_named, refuse_team
 from halfseen.policies.named_decider import NamedDecider
 from halfseen.policies.ranges import middle_of
+from halfseen.policies.rule_files import FallBack, fall_back_of
+from halfseen.serving.models import StepBacks, Why
 
 MOST_WARMED = 12
 """Objects of the largest table that is decided on before the first request."""
@@ -39,11 +48,6 @@ class InService:
     decider: Decider
     digest: str
     fall_back: FallBack | None = None
-
-    @property
-    def counts_views(self) -> bool:
-        """Whether it learned from logs that count what has been in view, so that a cell's law tells what labels do."""
-        return self.stored.is_table and self.stored.record["schema"].get("counts_views", False)
 
 
 def taken_into_service(
@@ -97,3 +101,64 @@ def _digest(stored: StoredPolicy) -> str:
     for name, array in sorted(kind_named(stored.record["kind"]).arrays_of(stored.policy).items()):
         digest.update(name.encode() + array.tobytes())
     return digest.hexdigest()[:12]
+
+
+@dataclass(frozen=True)
+class SteppedBack:
+    """Why the rule decides.
+
+    Parameters
+    ----------
+    why
+        In a word, as the log has it.
+    detail
+        In one line.
+    """
+
+    why: Why
+    detail: str
+
+
+@dataclass
+class Tally:
+    """Counts since a server began."""
+
+    decisions: int = 0
+    by: Counter[str] = field(default_factory=Counter)
+    last: str | None = None
+
+    def add(self, back: SteppedBack | None) -> None:
+        """Count a decision."""
+        self.decisions += 1
+        if back is not None:
+            self.by[back.why] += 1
+            self.last = back.detail
+
+    @property
+    def facts(self) -> StepBacks:
+        """What `/health` says of it."""
+        return StepBacks(self.decisions, self.by.total(), dict(self.by), self.last)
+
+
+def asked(decide: Callable[[], Decision], stage: int, horizon: int) -> Decision | SteppedBack:
+    """Ask a policy; whatever it lets fall is taken up.
+
+    Parameters
+    ----------
+    decide
+        Asks it.
+    stage, horizon
+        The stage to decide, from 1, and how many the policy decides.
+    """
+    if stage > horizon:
+        return SteppedBack("beyond-horizon", f"stage {stage} is beyond the policy's horizon, {horizon}")
+    try:
+        decision = decide()
+    except OutOfRangeError as error:
+        return SteppedBack("out-of-range", str(error))
+    except Exception as error:
+        traceback.print_exc(file=sys.stderr)
+        return SteppedBack("failed", f"the policy fails ({type(error).__name__}: {error})")
+    if decision.q_values and decision.q_values.get(str(decision.action)) is None:
+        return SteppedBack("failed", f"the policy fails (Q of {decision.action} is no number)")
+    return decision

@@ -10,8 +10,9 @@ import contextlib
 import hmac
 import signal
 import socket
-from collections.abc import AsyncIterator, Awaitable, Callable, Iterator, MutableMapping
+from collections.abc import AsyncIterator, Awaitable, Callable, MutableMapping
 from contextlib import asynccontextmanager
+from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -38,6 +39,7 @@ OF_THIS_MACHINE = ("127.0.0.1", "localhost", "[::1]")
 """Names by which a server of this machine is asked; a page of another site that finds it has another."""
 
 
+@dataclass(eq=False)
 class Bounded:
     """Asks an ASGI app what is bounded: its body is whole before the app sees it.
 
@@ -55,49 +57,44 @@ class Bounded:
         Until a body is whole [s].
     """
 
-    def __init__(
-        self,
-        app: App,
-        refuse: Refuse,
-        token: str | None,
-        largest_bytes: int,
-        slowest_s: float = SLOWEST_BODY_S,
-    ) -> None:
-        self._app, self._refuse, self._token = app, refuse, token
-        self._largest_bytes, self._slowest_s = largest_bytes, slowest_s
+    app: App
+    refuse: Refuse
+    token: str | None
+    largest_bytes: int
+    slowest_s: float = SLOWEST_BODY_S
 
     async def __call__(self, scope: MutableMapping[str, Any], receive: Receive, send: Send) -> None:
         """Answer one request, or run the app's own beginning and end."""
         if scope["type"] != "http":
-            await self._app(scope, receive, send)
+            await self.app(scope, receive, send)
             return
         try:
             headers = dict(scope["headers"])
             self._check_asker(scope["method"], headers)
             self._check_stated_size(headers)
             try:
-                async with asyncio.timeout(self._slowest_s):
+                async with asyncio.timeout(self.slowest_s):
                     body = await self._whole(receive)
             except TimeoutError as error:
-                late = f"the request did not come whole within {self._slowest_s:g} s; send it at once"
+                late = f"the request did not come whole within {self.slowest_s:g} s; send it at once"
                 raise Refusal(408, late) from error
         except Refusal as refusal:
-            await self._refuse(refusal, scope, receive, send)
+            await self.refuse(refusal, scope, receive, send)
             return
         if body is not None:
-            await self._app(scope, _given_once(body, receive), send)
+            await self.app(scope, _given_once(body, receive), send)
 
     def _check_asker(self, method: str, headers: dict[bytes, bytes]) -> None:
-        if self._token is None:
+        if self.token is None:
             name = headers.get(b"host", b"").decode("latin-1")
             if (name if name.endswith("]") else name.rpartition(":")[0] or name) not in OF_THIS_MACHINE:
                 raise Refusal(403, f"host is {name!r}; this server is asked as {' or '.join(OF_THIS_MACHINE)}")
-        elif not hmac.compare_digest(_token_in(method, headers.get(b"authorization", b"")), self._token.encode()):
+        elif not hmac.compare_digest(_token_in(method, headers.get(b"authorization", b"")), self.token.encode()):
             raise Refusal(401, "the token is missing or another; send the header Authorization: Bearer TOKEN")
 
     def _check_stated_size(self, headers: dict[bytes, bytes]) -> None:
         stated = headers.get(b"content-length", b"0")
-        if stated.isdigit() and int(stated) > self._largest_bytes:
+        if stated.isdigit() and int(stated) > self.largest_bytes:
             raise self._too_large()
 
     async def _whole(self, receive: Receive) -> bytes | None:
@@ -109,13 +106,13 @@ class Bounded:
                 return None
             parts.append(message.get("body", b""))
             num_bytes += len(parts[-1])
-            if num_bytes > self._largest_bytes:
+            if num_bytes > self.largest_bytes:
                 raise self._too_large()
             if not message.get("more_body"):
                 return b"".join(parts)
 
     def _too_large(self) -> Refusal:
-        return Refusal(413, f"the request has more than {self._largest_bytes:,} bytes; send less")
+        return Refusal(413, f"the request has more than {self.largest_bytes:,} bytes; send less")
 
 
 def _token_in(method: str, given: bytes) -> bytes:
@@ -244,17 +241,6 @@ def bound_socket(host: str, port: int) -> socket.socket:
         ) from error
 
 
-@contextlib.contextmanager
-def _until_stopped() -> Iterator[None]:
-    """Let a request to end, which uvicorn raises again once all is answered, end no more than what is inside."""
-    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        with contextlib.suppress(KeyboardInterrupt):
-            yield
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
 def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None) -> None:
     """Answer until somebody interrupts; requests that have come are answered first.
 
@@ -282,5 +268,10 @@ def serve(app: App, at: socket.socket, on_start: Callable[[], Any] | None = None
     )
     if on_start is not None:
         on_start()
-    with _until_stopped():
-        uvicorn.Server(config).run(sockets=[at])
+    # A request to end, which uvicorn raises again once all is answered, ends no more than this.
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[at])
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,24 +1,148 @@
-"""A policy in service, whatever door it is asked by: it decides, steps back, compares and records."""
+"""A policy in service, whatever door it is asked by: it decides, steps back, compares and records.
+
+An answer is what `halfseen act --json` says, with the probability of what is done.
+"""
 
 import asyncio
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import msgspec
+import numpy as np
 from anyio import move_on_after, to_thread
 from msgspec import UNSET
 
+from halfseen.monitoring.dealing import POLICY, RULE
 from halfseen.policies.decision import Decision
-from halfseen.serving.answering import Answering, Seen
-from halfseen.serving.in_service import InService, taken_into_service
+from halfseen.policies.rule_files import ExplorationTable
+from halfseen.serving.comparing import Comparison
+from halfseen.serving.in_service import InService, SteppedBack, Tally, asked, taken_into_service
 from halfseen.serving.models import Decided, Ended, Health, Progress, Refusal
-from halfseen.serving.recording import RecordedTrajectories
-from halfseen.serving.stepping_back import SteppedBack, asked, late
+from halfseen.serving.questions import Seen
+from halfseen.serving.recording import RecordedTrajectories, Taken, chance_of, taken, uniform_shares
+from halfseen.serving.watching import Recent
 
 if TYPE_CHECKING:
     from halfseen.policies.table_observation import SeenLaw
+
+NOBODY = (
+    "the folder of the policy, of an earlier version, does not say what its log did most; learn it again, or serve it "
+    "with --fall-back RULE"
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Answering:
+    """How decisions are taken and kept.
+
+    Parameters
+    ----------
+    epsilon
+        Share of decisions that are drawn at random, in [0, 1).
+    table
+        Which actions are drawn instead, and where; None where all are.
+    rng
+        What they are drawn with.
+    trajectories
+        Where they are recorded; None if they are not.
+    tally
+        How often the rule decided.
+    comparison
+        Deals trajectories to the policy or the rule of today; None where all are the policy's.
+    recent
+        What happened last.
+    """
+
+    epsilon: float = 0.0
+    table: ExplorationTable | None = None
+    rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
+    trajectories: RecordedTrajectories | None = None
+    tally: Tally = field(default_factory=Tally)
+    comparison: Comparison | None = None
+    recent: Recent = field(default_factory=Recent)
+
+    def answer(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Decided:
+        """Put what the policy decides, or what the rule does in its place, into an answer.
+
+        Raises
+        ------
+        Refusal
+            The policy does not decide, and nobody knows what does in its place.
+        """
+        back = decided if isinstance(decided, SteppedBack) else None
+        made = self._taken(service, seen, decided)
+        arm: Any = UNSET
+        if self.comparison is not None:
+            made, arm = self._dealt(self.comparison, seen, decided, made)
+            back = back if arm == POLICY else None
+        self.tally.add(back)
+        verb, _, number = str(made.decision.action).partition(" ")
+        acted = {"verb": verb, "object": seen.names[int(number)] if number else None} if seen.names else {}
+        return Decided(
+            **{**vars(made.decision), "warnings": [*made.decision.warnings, *service.stored.doubts]},
+            probability=made.probability,
+            is_explored=made.is_explored,
+            stage=seen.stage,
+            horizon=service.stored.horizon,
+            policy=service.digest,
+            seen=seen.said or UNSET,
+            stepped_back=UNSET if back is None else back.why,
+            arm=arm,
+            **acted,
+        )
+
+    def _dealt(
+        self, comparison: Comparison, seen: Seen, decided: Decision | SteppedBack, made: Taken
+    ) -> tuple[Taken, str]:
+        """What the arm of the trajectory does, with the probability that either arm does it."""
+        deal, (action, name) = comparison.dealt(), comparison.rule.action(seen.begun.covariates, seen.stage)
+        is_same = 1.0 if made.decision.action == action else 0.0
+        if deal.is_policys:
+            return made._replace(probability=deal.probability(made.probability, is_same)), POLICY
+        by_policy = is_same
+        if isinstance(decided, Decision):
+            by_policy = chance_of(decided, self._shares(seen, decided), str(action))
+        decision = Decision(action, {}, f"{action}: {name}, to which this trajectory was dealt.")
+        return Taken(decision, deal.probability(by_policy, 1.0), False), RULE
+
+    def _shares(self, seen: Seen, decided: Decision) -> dict[str, float]:
+        if self.table is not None:
+            return self.table.shares(seen.begun.covariates, seen.stage)
+        return uniform_shares(decided, self.epsilon)
+
+    def _taken(self, service: InService, seen: Seen, decided: Decision | SteppedBack) -> Taken:
+        if isinstance(decided, Decision):
+            return taken(decided, self._shares(seen, decided), self.rng)
+        if service.fall_back is None:
+            raise Refusal(422, f"{decided.detail}, and {NOBODY}")
+        action, name = service.fall_back.action(seen.begun.covariates, seen.stage)
+        reason = f"{action}: {name}, in the policy's place: {decided.detail}."
+        return Taken(Decision(action, {}, reason), 1.0, False)
+
+    def recorded(self, seen: Seen, reply: Decided) -> Decided:
+        """Record what was decided, where that is wanted, and say so.
+
+        Raises
+        ------
+        Refusal
+            It cannot be recorded; then nothing was decided.
+        """
+        begun, comparison = seen.begun, self.comparison
+        if self.trajectories is None:
+            self.recent.decided(begun.covariates, reply)
+            return reply
+        if comparison is not None:
+            begun = replace(begun, columns={**begun.columns, **comparison.columns()})
+        name = self.trajectories.decided(begun, reply)
+        if comparison is not None:
+            comparison.dealt().took()
+        reply = msgspec.structs.replace(reply, trajectory=name)
+        self.recent.decided(begun.covariates, reply)
+        return reply
+
 
 Check = Callable[[], Awaitable[None]]
 
@@ -118,7 +242,7 @@ class Served:
             return await to_thread.run_sync(ask) if service.stored.is_table else ask()
         with move_on_after(self.limit_s):
             return await to_thread.run_sync(ask, abandon_on_cancel=True)
-        return late(self.limit_s)
+        return SteppedBack("late", f"the policy gave no answer within {self.limit_s:g} s")
 
     async def rewarded(self, reward: float, elapsed_s: float | None = None, held: bool | None = None) -> Progress:
         """Complete the stage in progress, as `RecordedTrajectories.rewarded` does, and raise what it raises."""

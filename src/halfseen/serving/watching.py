@@ -1,7 +1,7 @@
-"""The log that is being recorded, held against what was promised: `halfseen monitor` in a process of its own.
+"""What happened last, and the log that is being recorded, held against what was promised.
 
-It is asked for once a trajectory has ended, at most so often, and at a low priority, so that no decision waits for it.
-What it found last stands until it finds more.
+`halfseen monitor` runs in a process of its own. It is asked for once a trajectory has ended, at most so often, and at a
+low priority, so that no decision waits for it. What it found last stands until it finds more.
 """
 
 import json
@@ -10,14 +10,22 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
 from types import TracebackType
 from typing import Any
 
+from msgspec import UNSET
+
 from halfseen.errors import HalfseenError
+from halfseen.logs.columns import STEPPED_BACK
+from halfseen.logs.recorded import followed
+from halfseen.monitoring.dealing import ARM
+from halfseen.serving.models import Decided, Recorded
 
 EVERY_S = 30.0
 MOST_WORK = 0.1
@@ -127,3 +135,49 @@ if __name__ == "__main__":
         os.nice(NICE)
     what = found_of(Path(sys.argv[1]), Path(sys.argv[2]))
     print(json.dumps({**what, WORK: time.process_time()}, allow_nan=False))
+
+
+MOST_TRAJECTORIES = 12
+
+
+@dataclass(eq=False)
+class Recent:
+    """What happened last.
+
+    Parameters
+    ----------
+    watch
+        Holds the log against what was promised; None where nobody does.
+    decision
+        The last one; None before the first.
+    seen
+        Covariates that it was about.
+    trajectories
+        The newest first.
+    """
+
+    watch: Watch | None = None
+    decision: Decided | None = None
+    seen: Mapping[str, Any] = field(default_factory=dict)
+    trajectories: deque[Recorded] = field(default_factory=partial(deque, maxlen=MOST_TRAJECTORIES))
+
+    def decided(self, seen: Mapping[str, Any], decision: Decided) -> None:
+        """Keep a decision, and what it was about."""
+        self.seen, self.decision = seen, decision
+
+    def ended(self, events: Sequence[dict[str, Any]]) -> None:
+        """Keep a trajectory that is over, and have the log watched again."""
+        rows = followed(events).rows
+        (trajectory,), stages = rows["trajectories"], rows["stages"]
+        recorded = Recorded(
+            trajectory=trajectory["trajectory"],
+            arm=trajectory.get(ARM, UNSET),
+            stages=len(stages),
+            stepped_back=sum(stage.get(STEPPED_BACK) is not None for stage in stages),
+            reward=sum(stage["reward"] or 0.0 for stage in stages),
+            ending=trajectory["ending"],
+            cause=trajectory["cause"],
+        )
+        self.trajectories.appendleft(recorded)
+        if self.watch is not None:
+            self.watch.ended()

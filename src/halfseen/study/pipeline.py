@@ -228,7 +228,8 @@ class LoggedTrajectories:
                 first_evidence = None if evidence is None else evidence.first(size)
                 for number, trajectories in laid_out.items():
                     first = trajectories.take(slice(size))._replace(encoded=encoded)
-                    model = self.model(logs[number][1], grasp).with_cuts(first)
+                    model = self.model(logs[number][1], grasp)
+                    model = model.with_clocks(first.clocks, model.support_in(first))
                     learned[size, number] = self._learn_from(first, model, first_evidence, first_tried)
         return [learned[size, number] for size in sizes for number in range(len(logs))]
 

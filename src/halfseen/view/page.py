@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from halfseen.errors import ArgumentError
 from halfseen.evaluation import Estimate
 from halfseen.figures import inline_svg
-from halfseen.policies.folder.description import description
+from halfseen.policies.folder.specification import description
 from halfseen.policies.folder.stored import sources_in_words
 from halfseen.view import words
 from halfseen.view.findings import Findings, PolicyFindings

@@ -13,7 +13,7 @@ from halfseen.learning.resampling import bootstrap
 from halfseen.learning.targets import CENSORING_CHOICES
 from halfseen.learning.task import Task
 from halfseen.logs import Logs
-from halfseen.policies.certainty import reach
+from halfseen.policies.decision import reach
 from halfseen.policies.folder import StoredPolicy, q_space_of_record
 from halfseen.policies.folder.specification import reg_of_record, targets_of_record
 from halfseen.policies.shares import action_shares
@@ -69,7 +69,7 @@ class QCurve:
 
     `q` is Q of each possible action at the values of a covariate; `low` and `high` are 95 % bands around it, where
     there are any: the central 95 % of what it is when trajectories are resampled (bootstrap), or those of the errors of
-    the regression, as `halfseen.policies.certainty` has them.
+    the regression, as `halfseen.policies.decision` has them.
     """
 
     stage: int

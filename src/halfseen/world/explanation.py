@@ -1,7 +1,7 @@
 """Why an action: what each one is worth, how sure that is, and which is likely the best.
 
 Anyone who can draw from what Q may be, as a planner whose error is known, explains a state by it. How sure a learned Q
-is, `halfseen.policies.certainty` says.
+is, `halfseen.policies.decision` says.
 """
 
 from collections.abc import Sequence

@@ -14,7 +14,7 @@ from halfseen.censoring import censoring_weights
 from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import Logs
-from halfseen.policies.folder.arrays import check_shapes
+from halfseen.policies.folder.kinds import check_shapes
 from halfseen.policies.folder.table_kinds import grasp_arrays, grasp_of, grasp_shapes
 from halfseen.tables import BetaGrasp, TeamTask
 from halfseen.tables.features import NUM_LIFT, NUM_WASH, table_columns, team_features

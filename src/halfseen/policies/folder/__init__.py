@@ -7,9 +7,9 @@
       policy.safetensors   its numbers
       policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
 
-Read down: `files` (there whole or not at all, no byte changed) → `record` (the schema of policy.json) → `arrays`,
-`table_kinds`, `law_kinds`, `kinds` (what differs between kinds of policies, and their arrays) → `stored` (read) →
-`specification` (how it was learned), `log_facts` (what the log was), `writing` (write).
+Read down: `files` (there whole or not at all, no byte changed) → `record` (the schema of policy.json) → `kinds`,
+`table_kinds`, `law_kinds` (what differs between kinds of policies, and their arrays) → `stored` (read) →
+`specification` (how it was learned), `log_facts`, `promised_parts` (what the log was), `writing` (write).
 """
 
 from typing import TYPE_CHECKING

@@ -1,60 +1,164 @@
-"""Kinds of policies that a folder can hold, by name.
+"""What differs between kinds of policies in a folder: arrays, whose every shape and number is checked, and a schema.
 
 The kind of named actions is here, those of tables in `table_kinds` and `law_kinds`, which bring the world.
 """
 
-from collections.abc import Mapping
-from dataclasses import asdict
+from collections.abc import Callable, Container, Mapping
+from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
 import numpy as np
 from msgspec import Meta, Struct
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, PolicyError
 from halfseen.learning.covariates import Covariates
 from halfseen.learning.discrete_policy import DiscretePolicy
+from halfseen.learning.q_space import KernelMap
 from halfseen.logs.missing import Filling
-from halfseen.policies.folder.arrays import (
-    BEHAVIOUR,
-    COEFFICIENTS,
-    LARGEST,
-    MARGIN,
-    Arrays,
-    PolicyKind,
-    check_shapes,
-    kernel_map_of,
-    linear_arrays,
-    linear_shapes,
-)
 from halfseen.policies.folder.record import Horizon, converted
 
+Arrays = Mapping[str, np.ndarray]
 
-def kind_named(name: str) -> PolicyKind:
-    """Kind of this name; those of tables bring the world, which takes longer than what the other is asked for."""
-    return FLAT if name == "flat" else _table_kinds()[name]
+COEFFICIENTS, MARGIN, BEHAVIOUR = "coefficients", "margin", "behaviour"
+GRASP = "grasp.chances"
+KERNEL_NAMES = ("centre", "scale", "landmarks", "projection", "gamma")
+TREND = "kernel.trend"
+LARGEST = 1e30
+"""Beyond it products of features and coefficients are no numbers in single precision."""
 
 
-def kind_name_of(policy: Any) -> str:
-    """Name of the kind that a policy is of.
+@dataclass(frozen=True)
+class PolicyKind:
+    """What differs between the folders of one kind of policy and those of another.
+
+    Parameters
+    ----------
+    policy_type
+        Class of the policies.
+    schema
+        What a policy looks at and chooses from, for policy.json; ``actions`` names the blocks of coefficients, unless
+        ``blocks`` does.
+    arrays_of
+        Names the arrays of a policy.
+    policy_of
+        Puts a policy together again of a record and arrays; all of it is checked.
+    is_flat
+        Whether actions are named ones; else the policy is of tables.
+    has_prior
+        Whether the schema tells what the log did of the prior, of views and of rewards, too.
+    """
+
+    policy_type: type
+    schema: Callable[[Any], dict[str, Any]]
+    arrays_of: Callable[[Any], dict[str, np.ndarray]]
+    policy_of: Callable[[Mapping[str, Any], Arrays], Any]
+    is_flat: bool = False
+    has_prior: bool = False
+
+
+def linear_arrays(policy: Any) -> dict[str, np.ndarray]:
+    """Name the arrays of a policy and of its kernel, each in the order of its memory.
 
     Raises
     ------
     ArgumentError
-        It is of none.
+        It is a batch of policies.
     """
-    kinds = {"flat": FLAT, **_table_kinds()}
-    for name, kind in kinds.items():
-        if isinstance(policy, kind.policy_type):
-            return name
-    types = ", ".join(kind.policy_type.__name__ for kind in kinds.values())
-    raise ArgumentError(f"a {type(policy).__name__} cannot be written to a folder; these can: {types}")
+    shape = np.shape(policy.coefficients)
+    if len(shape) != 3:
+        raise ArgumentError(f"coefficients have shape {shape}, a batch of policies; write them one by one")
+    kernel = policy.kernel_map
+    named = {COEFFICIENTS: policy.coefficients, MARGIN: policy.margin, BEHAVIOUR: policy.behaviour}
+    if kernel is not None:
+        named |= {f"kernel.{name}": getattr(kernel, name) for name in (*KERNEL_NAMES, "trend")}
+    return {name: np.asarray(array) for name, array in named.items() if array is not None}
 
 
-def _table_kinds() -> dict[str, PolicyKind]:
-    from halfseen.policies.folder.law_kinds import LAW_KINDS
-    from halfseen.policies.folder.table_kinds import TABLE_KINDS
+def kernel_map_of(arrays: Any) -> KernelMap | None:
+    """Put the kernel of a policy together again, if it has one."""
+    if "kernel.centre" not in arrays:
+        return None
+    return KernelMap(**{name: arrays[f"kernel.{name}"] for name in KERNEL_NAMES}, trend=arrays.get(TREND))
 
-    return TABLE_KINDS | LAW_KINDS
+
+def laid_out(arrays: Arrays, by_column: Container[str]) -> dict[str, np.ndarray]:
+    """Copy arrays row by row, but those that are named column by column."""
+    return {name: np.array(array, order="F" if name in by_column else "C") for name, array in arrays.items()}
+
+
+def linear_shapes(arrays: Arrays, horizon: int, num_blocks: int, num_features: int) -> dict[str, tuple[int, ...]]:
+    """Shapes of the arrays of a policy whose Q, or its kernel, looks at so many features.
+
+    Raises
+    ------
+    PolicyError
+        A kernel has no projection.
+    """
+    wanted: dict[str, tuple[int, ...]] = {}
+    num_inputs = num_features
+    if any(name.startswith("kernel.") for name in arrays):
+        rows, num_inputs = sizes_of(arrays, "kernel.projection", 2)
+        sizes = ((num_features,), (num_features,), (rows, num_features), (rows, num_inputs), ())
+        wanted |= {f"kernel.{name}": size for name, size in zip(KERNEL_NAMES, sizes, strict=True)}
+    if TREND in arrays:
+        num_trend = num_features * (num_features + 3) // 2
+        wanted[TREND] = (num_trend,)
+        num_inputs += num_trend
+    wanted[COEFFICIENTS] = (horizon, num_blocks, 1 + num_inputs)
+    if MARGIN in arrays:
+        wanted[MARGIN] = (*wanted[COEFFICIENTS], 1 + num_inputs)
+    if BEHAVIOUR in arrays:
+        wanted[BEHAVIOUR] = (num_blocks, 1 + num_features)
+    return wanted
+
+
+def sizes_of(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
+    """Shape of an array with so many axes.
+
+    Raises
+    ------
+    PolicyError
+        There is none.
+    """
+    array = arrays.get(name)
+    if array is None or array.ndim != ndim:
+        what = "missing" if array is None else f"of shape {list(array.shape)}"
+        raise PolicyError(f"array {name!r} is {what}; it has {ndim} axes: learn the policy again")
+    return array.shape
+
+
+def check_shapes(arrays: Arrays, wanted: Mapping[str, tuple[int, ...]], dtype: type) -> None:
+    """Refuse arrays that have not these shapes, or hold what is no number.
+
+    Raises
+    ------
+    PolicyError
+        The array, what it is and what it should be are named.
+    """
+    for name in sorted({*wanted, *arrays}):
+        if name not in arrays or name not in wanted:
+            trouble = "none that a policy has" if name in arrays else "missing"
+            raise PolicyError(f"array {name!r} is {trouble}; learn the policy again")
+        array = arrays[name]
+        if array.shape != wanted[name] or array.dtype != dtype:
+            raise PolicyError(
+                f"array {name!r} is {array.dtype} of shape {list(array.shape)}, where the schema asks for "
+                f"{np.dtype(dtype)} of shape {list(wanted[name])}; learn the policy again"
+            )
+        _check_numbers(name, array)
+
+
+def _check_numbers(name: str, array: np.ndarray) -> None:
+    if name.endswith(GRASP):
+        wrong, rule = ~((array >= 0) & (array <= 1)), "a probability lies in [0, 1]"
+    elif name in ("kernel.scale", "kernel.gamma"):
+        # A feature that never varied has an infinite scale.
+        wrong, rule = ~(array > 0) | (np.isinf(array) & (name == "kernel.gamma")), "it is positive"
+    else:
+        wrong, rule = ~(np.abs(array) <= LARGEST), f"it is finite, and {LARGEST:g} at most"
+    if wrong.any():
+        at = tuple(np.argwhere(wrong)[0].tolist())
+        raise PolicyError(f"array {name!r} holds {array[at]} at {list(at)}; {rule}: learn the policy again")
 
 
 class DiscreteSchema(Struct):

@@ -11,7 +11,7 @@ from msgspec import Meta, Struct
 from msgspec.structs import asdict, astuple
 
 from halfseen.errors import ArgumentError, HalfseenError, PolicyError
-from halfseen.policies.folder.arrays import Arrays, PolicyKind, check_shapes, sizes_of
+from halfseen.policies.folder.kinds import Arrays, PolicyKind, check_shapes, sizes_of
 from halfseen.policies.folder.record import Horizon, converted
 from halfseen.policies.folder.table_kinds import (
     TEAM_VERBS,

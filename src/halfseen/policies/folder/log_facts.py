@@ -3,7 +3,6 @@
 import hashlib
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any, NamedTuple
 
@@ -11,49 +10,19 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
+from halfseen.lazy import Frame
 from halfseen.logs import Logs, LogsSummary
+from halfseen.logs.joining import RUN, RUN_TRAJECTORY
 from halfseen.logs.logs import SummaryTally
-from halfseen.policies.folder.arrays import PolicyKind
+from halfseen.policies.folder.kinds import PolicyKind
 from halfseen.policies.folder.stored import TABLE_RANGES
 from halfseen.policies.ranges import margin, most_with_margin
 from halfseen.shapes import Float, Int
 
-NUM_KNOTS = 21
-"""Of a distribution function, at most."""
 
-
-@dataclass(frozen=True)
-class LogFacts:
-    """What is kept of a log.
-
-    Parameters
-    ----------
-    summary
-        Its counts.
-    sha256
-        Its digest.
-    prior
-        Where the policy's kind tells it: the prior of DIRTY, whether looks were counted, the least each verb paid.
-    seen
-        What states looked like.
-    stages_left
-        Mean number of stages from each to the end of a trajectory.
-    reward_spread
-        Standard deviation of the rewards of completed stages.
-    actions_taken
-        By stage, how often each action was taken; empty for tables, whose actions are of objects.
-    """
-
-    summary: LogsSummary
-    sha256: str
-    prior: dict[str, Any]
-    seen: list[dict[str, Any]]
-    stages_left: list[float]
-    reward_spread: float
-    actions_taken: list[dict[str, int]]
-
-
-def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage: bool) -> LogFacts:
+def log_facts(
+    parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage: bool
+) -> tuple[LogsSummary, str, dict[str, Any], dict[str, Any]]:
     """Gather what is kept of a log.
 
     Parameters
@@ -66,6 +35,19 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         What was learned.
     is_by_stage
         Whether each stage has a Q of its own.
+
+    Returns
+    -------
+    summary : LogsSummary
+        Its counts.
+    sha256 : str
+        Its digest.
+    prior : dict
+        Where the policy's kind tells it: the prior of DIRTY, whether looks were counted, the least each verb paid.
+    facts : dict
+        ``seen``, what states looked like; ``stages_left``, the mean number of stages from each to the end of a
+        trajectory; ``reward_spread``, the standard deviation of the rewards of completed stages; ``actions_taken``, by
+        stage, how often each action was taken, empty for tables, whose actions are of objects.
     """
     digest, summary, priors = LogDigest(), SummaryTally(), []
     taken: list[Counter[str]] = []
@@ -84,9 +66,13 @@ def log_facts(parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage:
         spread = spread.plus(_spread_of(part))
     if kind.is_flat:
         seen = [_with_margins(each, num_ranges) for each in seen]
-    prior = _priors_joined(priors) if priors else {}
-    left, known = stages_left(counts), [dict(sorted(each.items())) for each in taken] if kind.is_flat else []
-    return LogFacts(summary.summary(), digest.hexdigest(), prior, seen, left, spread.deviation, known)
+    facts = {
+        "seen": seen,
+        "stages_left": stages_left(counts),
+        "reward_spread": spread.deviation,
+        "actions_taken": [dict(sorted(each.items())) for each in taken] if kind.is_flat else [],
+    }
+    return summary.summary(), digest.hexdigest(), _priors_joined(priors) if priors else {}, facts
 
 
 def log_digest(logs: Logs) -> str:
@@ -308,45 +294,24 @@ def _spread_of(part: Logs) -> _Spread:
     return _Spread(len(rewards), float(rewards.mean()), float(((rewards - rewards.mean()) ** 2).sum()))
 
 
-def promised_states(logs: Logs, covariates: Sequence[str]) -> list[dict[str, Any]]:
-    """Describe the covariates of each stage of a log: of numbers a distribution function, of names their shares.
-
-    Anyone who serves a policy can be told by them when its cell differs from the log.
+def sources_of(trajectories: Frame, name: str | None = None) -> list[dict[str, Any]]:
+    """Name the logs that a log is made of, in their order.
 
     Parameters
     ----------
-    logs
-        The log.
-    covariates
-        Columns that the policy looks at.
+    trajectories
+        Its table; one that was joined of several folders says which (`halfseen.logs.compact`).
+    name
+        Of a log that does not say where it comes from.
 
     Returns
     -------
     list of dict
-        For each stage its number, the number of states, and by covariate ``values`` with the share of states ``below``
-        or at each, or ``names`` with their ``shares``.
+        ``name``, ``num_trajectories``, and what its ``first`` and ``last`` one are called there.
     """
-    groups: Any = logs.stages.groupby("stage")
+    is_joined = RUN in trajectories.columns and RUN_TRAJECTORY in trajectories.columns
+    names: Any = trajectories[RUN_TRAJECTORY if is_joined else "trajectory"]
+    each = names.groupby(trajectories[RUN], sort=False) if is_joined else [(name, names)]
     return [
-        {
-            "stage": int(number),
-            "num_states": len(rows),
-            "covariates": {name: distribution_of(rows[name]) for name in covariates},
-        }
-        for number, rows in groups
+        {"name": run, "num_trajectories": len(some), "first": some.iloc[0], "last": some.iloc[-1]} for run, some in each
     ]
-
-
-def distribution_of(values: Any) -> dict[str, list[Any]]:
-    """Describe a column: of numbers a distribution function, of names their shares."""
-    if pd.api.types.is_numeric_dtype(values.dtype):
-        numbers = np.sort(values.to_numpy(dtype=np.float64))
-        knots = np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, NUM_KNOTS), method="lower"))
-        return {"values": knots.tolist(), "below": below(numbers, knots).tolist()}
-    shares = values.astype(str).value_counts(normalize=True).sort_index()
-    return {"names": shares.index.tolist(), "shares": shares.tolist()}
-
-
-def below(sorted_numbers: Float[np.ndarray, " n"], knots: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Share of numbers, in order, that lie below each knot or at it."""
-    return np.searchsorted(sorted_numbers, knots, side="right") / len(sorted_numbers)

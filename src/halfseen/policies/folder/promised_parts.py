@@ -17,9 +17,10 @@ from halfseen.learning.covariates import Covariates
 from halfseen.learning.discrete_policy import NamedActionPolicy
 from halfseen.learning.rows import stage_places
 from halfseen.logs import Logs
-from halfseen.policies.folder.log_facts import distribution_of
 from halfseen.shapes import Bool, Float, Int
 
+NUM_KNOTS = 21
+"""Of a distribution function, at most."""
 RIDGE = 1.0
 """On standardised covariates, beside as many ones as there are states."""
 MOST_STATES = 200
@@ -33,6 +34,50 @@ WHATS = ("reward", "duration")
 DECIMALS = 9
 FEWEST_STEPS = 50
 """From a stage to the next, in which something never changed."""
+
+
+def promised_states(logs: Logs, covariates: Sequence[str]) -> list[dict[str, Any]]:
+    """Describe the covariates of each stage of a log: of numbers a distribution function, of names their shares.
+
+    Anyone who serves a policy can be told by them when its cell differs from the log.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    covariates
+        Columns that the policy looks at.
+
+    Returns
+    -------
+    list of dict
+        For each stage its number, the number of states, and by covariate ``values`` with the share of states ``below``
+        or at each, or ``names`` with their ``shares``.
+    """
+    groups: Any = logs.stages.groupby("stage")
+    return [
+        {
+            "stage": int(number),
+            "num_states": len(rows),
+            "covariates": {name: distribution_of(rows[name]) for name in covariates},
+        }
+        for number, rows in groups
+    ]
+
+
+def distribution_of(values: Any) -> dict[str, list[Any]]:
+    """Describe a column: of numbers a distribution function, of names their shares."""
+    if pd.api.types.is_numeric_dtype(values.dtype):
+        numbers = np.sort(values.to_numpy(dtype=np.float64))
+        knots = np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, NUM_KNOTS), method="lower"))
+        return {"values": knots.tolist(), "below": below(numbers, knots).tolist()}
+    shares = values.astype(str).value_counts(normalize=True).sort_index()
+    return {"names": shares.index.tolist(), "shares": shares.tolist()}
+
+
+def below(sorted_numbers: Float[np.ndarray, " n"], knots: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
+    """Share of numbers, in order, that lie below each knot or at it."""
+    return np.searchsorted(sorted_numbers, knots, side="right") / len(sorted_numbers)
 
 
 def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
@@ -98,16 +143,6 @@ def expanded(features: Float[np.ndarray, "m F"], most: int) -> Float[np.ndarray,
 def expanded_as(part: Any, features: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m P"]:
     """Features as the model of a part takes them."""
     return expanded(features, len(part["coefficients"]) - 1)
-
-
-def own_stages(policy: Any, rows: Any) -> Bool[np.ndarray, " m"]:
-    """In which stages, rows of a log, the policy would have done the same; in none beyond its horizon."""
-    is_own, stages = np.zeros(len(rows), dtype=bool), rows["stage"].to_numpy()
-    for stage in np.unique(stages[stages <= policy.horizon]).tolist():
-        at = np.flatnonzero(stages == stage)
-        some = rows.iloc[at]
-        is_own[at] = np.asarray(policy.decide(some, stage)) == some["action"].to_numpy()
-    return is_own
 
 
 def residuals(

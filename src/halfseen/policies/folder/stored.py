@@ -8,11 +8,10 @@ from typing import TYPE_CHECKING, Any
 import safetensors
 import safetensors.numpy
 
-from halfseen.errors import PolicyError, within
-from halfseen.policies.certainty import LASTING_ERROR, QError
-from halfseen.policies.folder.arrays import laid_out
+from halfseen.errors import ArgumentError, PolicyError, within
+from halfseen.policies.decision import LASTING_ERROR, QError
 from halfseen.policies.folder.files import ARRAYS, RECORD, read_files
-from halfseen.policies.folder.kinds import kind_named
+from halfseen.policies.folder.kinds import FLAT, PolicyKind, laid_out
 from halfseen.policies.folder.record import from_json
 from halfseen.policies.ranges import Range
 
@@ -223,3 +222,31 @@ def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
             f"the log is of a team of {robots_in(logs)}, and the policy decides for one robot; take the part of one, "
             "halfseen.tables.agent_view(logs, robot)"
         )
+
+
+def kind_named(name: str) -> PolicyKind:
+    """Kind of this name; those of tables bring the world, which takes longer than what the other is asked for."""
+    return FLAT if name == "flat" else _table_kinds()[name]
+
+
+def kind_name_of(policy: Any) -> str:
+    """Name of the kind that a policy is of.
+
+    Raises
+    ------
+    ArgumentError
+        It is of none.
+    """
+    kinds = {"flat": FLAT, **_table_kinds()}
+    for name, kind in kinds.items():
+        if isinstance(policy, kind.policy_type):
+            return name
+    types = ", ".join(kind.policy_type.__name__ for kind in kinds.values())
+    raise ArgumentError(f"a {type(policy).__name__} cannot be written to a folder; these can: {types}")
+
+
+def _table_kinds() -> dict[str, PolicyKind]:
+    from halfseen.policies.folder.law_kinds import LAW_KINDS
+    from halfseen.policies.folder.table_kinds import TABLE_KINDS
+
+    return TABLE_KINDS | LAW_KINDS

@@ -11,7 +11,7 @@ import numpy as np
 from msgspec import UNSET, Meta, Struct, UnsetType
 
 from halfseen.errors import ArgumentError, PolicyError
-from halfseen.policies.folder.arrays import (
+from halfseen.policies.folder.kinds import (
     BEHAVIOUR,
     COEFFICIENTS,
     GRASP,

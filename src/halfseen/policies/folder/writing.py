@@ -19,15 +19,13 @@ from halfseen.learning.streaming import sample_of
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.data_quality import data_warnings
 from halfseen.logs.stream import parts_of
-from halfseen.policies.folder.arrays import laid_out
 from halfseen.policies.folder.files import check_target, write_files
-from halfseen.policies.folder.kinds import kind_name_of, kind_named
-from halfseen.policies.folder.log_facts import log_facts, promised_states
-from halfseen.policies.folder.promised_parts import promised_parts
-from halfseen.policies.folder.provenance import sources_of
+from halfseen.policies.folder.kinds import laid_out
+from halfseen.policies.folder.log_facts import log_facts, sources_of
+from halfseen.policies.folder.promised_parts import promised_parts, promised_states
 from halfseen.policies.folder.record import FORMAT, VERSION, as_json, from_json
 from halfseen.policies.folder.specification import described
-from halfseen.policies.folder.stored import policy_of
+from halfseen.policies.folder.stored import kind_name_of, kind_named, policy_of
 
 
 def write_policy(
@@ -101,8 +99,8 @@ def record_of(
     """
     policy, name = learner.policy_, kind_name_of(learner.policy_)
     kind, is_by_stage = kind_named(name), learner.model_.stages == "separate"
-    facts = log_facts(parts_of(logs), kind, policy, is_by_stage)
-    schema = kind.schema(policy) | facts.prior
+    summary, sha256, prior, facts = log_facts(parts_of(logs), kind, policy, is_by_stage)
+    schema = kind.schema(policy) | prior
     sample = logs if isinstance(logs, Logs) else sample_of(logs, learner.random_state)
     known = {"name": None, "since": None, "changes": [], **(origin or {})}
     # Changes that weights by recency take into account are no reason to doubt a decision.
@@ -120,10 +118,7 @@ def record_of(
         },
         "kind": name,
         "schema": schema,
-        "seen": facts.seen,
-        "stages_left": facts.stages_left,
-        "reward_spread": facts.reward_spread,
-        "actions_taken": facts.actions_taken,
+        **facts,
         "learner": described(learner.model_),
         "chosen": list(learner.chosen_),
         "seed": int(learner.random_state),
@@ -133,14 +128,14 @@ def record_of(
             "values": np.asarray(learner.q_functions_.reg).tolist(),
         },
         "log": {
-            "sha256": facts.sha256,
-            "sentence": str(facts.summary),
-            **asdict(facts.summary),
+            "sha256": sha256,
+            "sentence": str(summary),
+            **asdict(summary),
             "sources": sources_of(logs.trajectories, known["name"]),
             "since": known["since"],
             "changes": known["changes"],
         },
-        "diagnostics": _diagnostics(learner, facts.summary.horizon, positivity),
+        "diagnostics": _diagnostics(learner, summary.horizon, positivity),
         "warnings": [*_warnings(sample, positivity), *changes],
         "verdict": None if verdict is None else dict(verdict),
         "promise": {

@@ -21,11 +21,11 @@ from typing import Any
 
 from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.logs.columns import FINISHED
-from halfseen.serving.answering import Seen, seen_in_state
 from halfseen.serving.in_service import InService
 from halfseen.serving.models import Refusal, Wired
 from halfseen.serving.opcua.controller import LOST, Controller, Snapshot, connected
 from halfseen.serving.opcua.mapping import CellMapping
+from halfseen.serving.questions import Seen, seen_in_state
 from halfseen.serving.recording import RecordedTrajectories
 from halfseen.serving.served import Served
 
