@@ -9,7 +9,7 @@ from naive_team_optimum import BruteForceTeam
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, MyopicPolicy, POMDPPolicy, ReservingPolicy, solve_table, solve_team
-from halfseen.planners.grid_grasping import GridGrasping
+from halfseen.planners.exact_table import GridGrasping
 from halfseen.world import AssumedGrasping, GraspingByRobot, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import evaluate
 from picked import picked

@@ -16,8 +16,8 @@ from halfseen.planners import (
     named_policy,
     solve_team,
 )
+from halfseen.planners.exact_table import GridGrasping
 from halfseen.planners.futures import future_rewards, imagined
-from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.rollout import sampled_values
 from halfseen.world import Verb, Workspace, WorldConfig, random
 from halfseen.world.actions import possible_actions

@@ -4,9 +4,8 @@ import pytest
 from naive_planner import CONFIG, Cup
 
 from halfseen.errors import ArgumentError
-from halfseen.planners import GreedyPolicy, POMDPPolicy
+from halfseen.planners import HEURISTICS, GreedyPolicy, POMDPPolicy
 from halfseen.planners.belief import Belief, Grip, belief_of
-from halfseen.planners.named import HEURISTICS
 from halfseen.planners.one_step import one_step_q
 from halfseen.world import Scene, WorldConfig, random
 from halfseen.world.actions import FINISH

@@ -8,6 +8,7 @@ import pytest
 
 from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.planners import (
+    HEURISTICS,
     GreedyPolicy,
     MyopicPolicy,
     OneAtATime,
@@ -21,10 +22,9 @@ from halfseen.planners import (
     solve_team,
 )
 from halfseen.planners.belief import belief_of
+from halfseen.planners.exact_table import GridGrasping
 from halfseen.planners.futures import future_rewards
-from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import TrueGrasp
-from halfseen.planners.named import HEURISTICS
 from halfseen.planners.rollout import sampled_values
 from halfseen.world import ExploringPolicy, Scene, UniformPolicy, Workspace, WorldConfig, random
 from halfseen.world.rollout import play

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 from halfseen.scene import Camera, Pose
-from halfseen.scene.camera import look_at
 from halfseen.scene.poses import about_axis, compose
+from halfseen.scene.table import look_at
 from halfseen.scene.view import IdealView, ideal_view
 from halfseen.scene.xtion import (
     XTION,

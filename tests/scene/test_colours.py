@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from halfseen.scene import Camera, Cup, Pose, Stain, Surface, Table, capture, draw_surface
-from halfseen.scene.camera import look_at
-from halfseen.scene.colours import COLOUR_CAMERA, colours, middle_m, painted
-from halfseen.scene.stains import SURFACES
-from halfseen.scene.table import TABLE_TOP_M
+from halfseen.scene.cups import SURFACES
+from halfseen.scene.record import COLOUR_CAMERA, colours, middle_m, painted
+from halfseen.scene.table import TABLE_TOP_M, look_at
 from halfseen.scene.view import table_view
 
 WHITE, BROWN = (238, 236, 230), (98, 62, 30)

@@ -8,7 +8,7 @@ from jaxtyping import TypeCheckError
 
 from halfseen.errors import ArgumentError, HalfseenWarning, SceneError
 from halfseen.world import AssumedGrasping, GraspingByRobot, Robot, Scene, TableWorld, Team, WorldConfig, read_team
-from halfseen.world.number import check_number
+from halfseen.world.config import check_number
 from halfseen.world.state import initial_state, pad_scenes
 
 TABLE = Scene(np.zeros((4, 4)), places_m=np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]]))

@@ -10,7 +10,7 @@ from halfseen.cli import options
 from halfseen.cli.inputs import law_of, num_scenes, read_robots, scenes_of
 from halfseen.cli.messages import answer, tally
 from halfseen.errors import ArgumentError
-from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
+from halfseen.planners import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
 
 CUT_KINDS = ("independent", "occlusion", "attempt")

@@ -22,8 +22,7 @@ from halfseen.arrays import STATIC, Array, library_of, mapped, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
-from halfseen.planners.rollout import Search, drawn, halved, num_steps, opened, searched, searched_values
-from halfseen.planners.trajectories import draws_of
+from halfseen.planners.rollout import Search, drawn, draws_of, halved, num_steps, opened, searched, searched_values
 from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig

@@ -12,12 +12,10 @@ import mujoco
 import numpy as np
 
 from halfseen.errors import SceneError
-from halfseen.scene.camera import look_at
 from halfseen.scene.cups import Cup, outline
 from halfseen.scene.poses import Pose, about_axis, compose
-from halfseen.scene.room import TIMESTEP_S, cup_name, room_model
-from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, truth_of
-from halfseen.scene.view import is_whole_in_picture, lone_depths_m, table_view
+from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, look_at, truth_of
+from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_model, table_view
 from halfseen.scene.xtion import XTION, loss_probability, xtion_at
 from halfseen.shapes import Float
 

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from halfseen.arrays import Image
-from halfseen.scene.camera import Camera
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import RowRays, first_met
+from halfseen.scene.table import Camera
 from halfseen.scene.view import LIT_TOLERANCE_M, IdealView, is_reached, pixel_hits
 from halfseen.shapes import Bool, Float, Int
 

@@ -18,10 +18,9 @@ import numpy as np
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.formats import write_pcd
-from halfseen.scene.camera import Camera
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
-from halfseen.scene.table import Table, Truth
+from halfseen.scene.table import Camera, Table, Truth
 from halfseen.shapes import Int
 from halfseen.writing import write_file
 

@@ -12,8 +12,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from halfseen.arrays import Image
-from halfseen.scene.camera import Camera
 from halfseen.scene.poses import Pose
+from halfseen.scene.table import Camera
 from halfseen.scene.view import IdealView
 from halfseen.shapes import Float
 

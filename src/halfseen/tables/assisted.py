@@ -11,7 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from halfseen.arrays import Array, at, library_of, record
+from halfseen.arrays import Array, Number, at, library_of, record
 from halfseen.planners.belief import belief_of
 from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
 from halfseen.planners.myopic import MyopicPolicy
@@ -21,7 +21,6 @@ from halfseen.tables import look_ahead
 from halfseen.tables.look_ahead import NUM_TABLE, Ahead
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.number import Number
 from halfseen.world.policy import ByValue, GraspModel
 from halfseen.world.random import Key
 from halfseen.world.seeing import PersistentSeeing

@@ -33,7 +33,7 @@ from halfseen.planners.belief import belief_of
 from halfseen.planners.futures import future_rewards
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import Table, table_of
-from halfseen.planners.trajectories import picked, successor
+from halfseen.planners.rollout import picked, successor
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.assisted import Excess, TeamExcess
 from halfseen.tables.look_ahead import Ahead, ahead_of, team_described

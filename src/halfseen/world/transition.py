@@ -16,14 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Array, at, chosen, library_of
+from halfseen.arrays import Amounts, Array, Flags, Which, at, chosen, library_of
 from halfseen.shapes import Bool, Float
 from halfseen.world import random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions
 from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import Attempt
-from halfseen.world.number import Amounts, Flags, Which
 from halfseen.world.random import Key
 from halfseen.world.state import (
     HiddenState,
