@@ -291,7 +291,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
             lines = [f"robot {self.decider} decides, {self.elapsed_s:.1f} s"]
             for r, robot in enumerate(self.team.robots):
                 lines.append(f"{robot.name}: {_doing_of(seen, r)}, {seen['decisions_to_go'][r]} decisions to go")
-        return "\n".join([*lines, *(_object_line(seen, cup) for cup in np.flatnonzero(seen["is_object"]))])
+        return "\n".join([*lines, *(_object_line(seen, cup) for cup in np.flatnonzero(seen["is_object"]).tolist())])
 
     def _info(self) -> dict[str, Any]:
         return self.info() if self.team is None else {**self.info(), "robot": self.decider}
