@@ -9,7 +9,7 @@ import pytest
 from table_as_arrays import TableArrays
 
 from halfseen.planners import POMDPPolicy, information_relaxation_bound, plan, solve_discrete, solve_table
-from halfseen.planners.exact_graph import Reached, drawn
+from halfseen.planners.exact_policies import Reached, drawn
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
 from halfseen.world.state import initial_state, pad_scenes
