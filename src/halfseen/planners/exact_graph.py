@@ -163,13 +163,10 @@ class Graph:
         # A WASH and a LIFT that fail lead to the same.
         arrivals = dict.fromkeys(arrival for choice in choices.values() for arrival in choice.ways)
         worth = {arrival: self.worth(arrival) for arrival in arrivals}
-        return {action: self._q(choice, worth) for action, choice in choices.items()}
-
-    def _q(self, choice: Choice, worth: dict[Arrival, Grid]) -> Grid:
-        total = np.asarray(choice.reward)
-        for arrival, probability in choice.ways.items():
-            total = total + probability * worth[arrival]
-        return total
+        return {
+            action: sum((share * worth[arrival] for arrival, share in choice.ways.items()), np.asarray(choice.reward))
+            for action, choice in choices.items()
+        }
 
     def value(self, node: Node) -> Grid:
         """V(n) = max_a Q(n, a)."""

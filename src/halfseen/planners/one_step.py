@@ -107,8 +107,10 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
     xp, occluded = library_of(table.hides), occlusions_in(table)
     helds, seconds = [], []
     for world in worlds:
-        law, offset = known_grasping(world), _offsets(world, table.grip)
-        helds.append(_ONE - _failure(law, occluded[:-1, None], offset))
+        law, offset = known_grasping(world), xp.moveaxis(grip_offsets(world, table.grip), -1, 0)
+        # Some laws tell it in less time than its logarithm.
+        failure: Any = getattr(law, "failure", lambda *at, law=law: xp.exp(law.log_failure(*at)))
+        helds.append(_ONE - failure(occluded[:-1, None], offset))
         seconds.append(law.expected_s(occluded[0], offset))
     own = helds[0][0]
     if robot is not None:
@@ -119,19 +121,6 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
         first = (missed, own, missed * held[0], own * held[0], attempt_s)
         attempts.append(xp.concatenate([*(each[None] for each in first), held]))
     return Setting(occluded, labels_in(worlds[0], table, occluded), tuple(attempts))
-
-
-def _failure(law: Any, occluded: Any, offset: Any) -> Any:
-    """P(an attempt misses)."""
-    failure = getattr(law, "failure", None)
-    if failure is not None:
-        return failure(occluded, offset)
-    log_failure = law.log_failure(occluded, offset)
-    return library_of(log_failure).exp(log_failure)
-
-
-def _offsets(config: WorldConfig, grip: Float[Array, " N *B"]) -> Float[Array, "G N *B"]:
-    return library_of(grip).moveaxis(grip_offsets(config, grip), -1, 0)
 
 
 def occlusions_in(table: Table) -> Float[Array, "M N *B"]:

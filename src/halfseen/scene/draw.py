@@ -73,7 +73,8 @@ def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ..
         for _ in range(_NUM_TRIES):
             pose = _just_above_table(cup, _draw_place(poses, rng), quaternion)
             discs = _footprint(cup, pose)
-            if _is_inside(discs) and not _overlap(discs, taken):
+            is_apart = all(np.hypot(x - a, y - b) >= r + s + GAP_M for x, y, r in discs for a, b, s in taken)
+            if _is_inside(discs) and is_apart:
                 poses.append(pose)
                 taken.extend(discs)
                 break
@@ -127,10 +128,6 @@ def _is_inside(discs: Sequence[Disc]) -> bool:
     return all(left_m <= x <= right_m and near_m <= y <= far_m for x, y, _ in discs)
 
 
-def _overlap(discs: Sequence[Disc], taken: Sequence[Disc]) -> bool:
-    return any(np.hypot(x - a, y - b) < r + s + GAP_M for x, y, r in discs for a, b, s in taken)
-
-
 REST_SPEED = 2e-3  # largest speed of a cup at rest [m/s, rad/s]
 _QUIET_S = 0.2  # how long a cup must have been that slow: a cup that turns back while rocking is slow for an instant
 _PATIENCE_S = 4.0
@@ -158,7 +155,8 @@ def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, .
         mujoco.mj_step(model, data)
         num_quiet = num_quiet + 1 if np.max(np.abs(data.qvel)) < REST_SPEED else 0
         if num_quiet * TIMESTEP_S >= _QUIET_S:
-            return tuple(_pose_of(data, index) for index in range(len(cups)))
+            bodies = [data.body(cup_name(index)) for index in range(len(cups))]
+            return tuple(Pose(tuple(body.xpos.tolist()), tuple(body.xquat.tolist())).rounded() for body in bodies)
     return None
 
 
@@ -190,13 +188,6 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
                 for other in geoms[j]:
                     gap_m = min(gap_m, mujoco.mj_geomDistance(model, data, int(one), int(other), beyond_m, None))
     return float(gap_m)
-
-
-def _pose_of(data: mujoco.MjData, index: int) -> Pose:
-    body = data.body(cup_name(index))
-    x_m, y_m, z_m = (float(value) for value in body.xpos)
-    w, x, y, z = (float(value) for value in body.xquat)
-    return Pose((x_m, y_m, z_m), (w, x, y, z)).rounded()
 
 
 NUM_CUPS = (5, 10)

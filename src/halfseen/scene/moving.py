@@ -83,26 +83,6 @@ _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _ROUNDING_PX = 2
 
 
-def boxes_m(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, groups: Sequence[int]) -> Boxes:
-    """Corners of a box around each geom of some groups, in the camera's frame [m].
-
-    Parameters
-    ----------
-    model, data
-        The world, and where the bodies are.
-    camera
-        Whose frame.
-    groups
-        Of the geoms.
-    """
-    is_asked = np.isin(model.geom_group, groups)
-    middle_m, half_m = np.split(model.geom_aabb[is_asked], 2, axis=1)
-    corners_m = middle_m[:, None] + half_m[:, None] * _CORNERS
-    turned_m = np.einsum("pij,pcj->pci", data.geom_xmat[is_asked].reshape(-1, 3, 3), corners_m)
-    world_m = data.geom_xpos[is_asked][:, None] + turned_m
-    return camera.world_from_camera.apply_inverse(world_m.reshape(-1, 3)).reshape(world_m.shape)
-
-
 def shown_within(boxes_m: Boxes, camera: Camera) -> Mask:
     """Pixels in which what is in some box may show; all, if one is not wholly in front of the camera.
 
@@ -183,8 +163,13 @@ class Sight:
     baseline_m: float
 
     def boxes_m(self, groups: tuple[int, ...]) -> Boxes:
-        """Corners of boxes around what is in some groups of geoms, in the camera's frame [m]."""
-        return boxes_m(self.model, self.data, self.camera, groups)
+        """Corners of a box around each geom of some groups, in the camera's frame [m]."""
+        is_asked = np.isin(self.model.geom_group, groups)
+        middle_m, half_m = np.split(self.model.geom_aabb[is_asked], 2, axis=1)
+        corners_m = middle_m[:, None] + half_m[:, None] * _CORNERS
+        turned_m = np.einsum("pij,pcj->pci", self.data.geom_xmat[is_asked].reshape(-1, 3, 3), corners_m)
+        world_m = self.data.geom_xpos[is_asked][:, None] + turned_m
+        return self.camera.world_from_camera.apply_inverse(world_m.reshape(-1, 3)).reshape(world_m.shape)
 
 
 def with_rays(view: IdealView, sight: Sight, standing: tuple[int, ...], moving: tuple[int, ...]) -> IdealView:
@@ -235,7 +220,9 @@ def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: 
     here, facet = (row[is_first], column[is_first]), met.facet[is_first]
     is_new[here] = True
     seen.depth_m[here], seen.body[here] = met.depth_m[is_first], facets.body[facet]
-    seen.incidence_cosine[here] = _cosines(normals(corners_m)[facet], camera.pixel_rays()[here])
+    rays = camera.pixel_rays()[here]
+    cosine = np.abs(np.sum(normals(corners_m)[facet] * rays, axis=1)) / np.linalg.norm(rays, axis=1)
+    seen.incidence_cosine[here] = cosine
     seen.is_lit[is_new] = _is_reached(sight, seen.depth_m, is_new, others)
     seen.is_lit[_is_shaded(corners_m, boxes, sight, seen.depth_m)] = False
     return seen
@@ -243,10 +230,6 @@ def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: 
 
 def _copied(view: IdealView) -> IdealView:
     return IdealView(view.depth_m.copy(), view.body.copy(), view.incidence_cosine.copy(), view.is_lit.copy())
-
-
-def _cosines(normals: Float[np.ndarray, "px 3"], rays: Float[np.ndarray, "px 3"]) -> Float[np.ndarray, " px"]:
-    return np.abs(np.sum(normals * rays, axis=1)) / np.linalg.norm(rays, axis=1)
 
 
 def _is_reached(sight: Sight, depth_m: Image, is_asked: Mask, groups: tuple[int, ...]) -> Bool[np.ndarray, " asked"]:

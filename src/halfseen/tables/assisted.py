@@ -51,14 +51,11 @@ class Mending:
         xp = library_of(state.log_odds)
         log_odds = xp.interp(state.log_odds, self.recorded, self.mended)
         if self.law is not None:
-            log_odds = xp.where(state.log_odds < self.prior, self.prior + _of_nothing(self.law, state.seen), log_odds)
+            # What it adds to have found nothing in the share that was seen.
+            missed = (1.0 - found for found in self.law.found_by(state.seen))
+            if_dirty, if_clean = (xp.log(xp.maximum(each, 1e-6)) for each in missed)
+            log_odds = xp.where(state.log_odds < self.prior, self.prior + (if_dirty - if_clean), log_odds)
         return replace(state, log_odds=log_odds.astype(np.float32))
-
-
-def _of_nothing(law: PersistentSeeing, seen: Array) -> Array:
-    """Log-odds that it adds to have found nothing in this share of the surface."""
-    xp, (if_dirty, if_clean) = library_of(seen), law.found_by(seen)
-    return xp.log(xp.maximum(1.0 - if_dirty, 1e-6)) - xp.log(xp.maximum(1.0 - if_clean, 1e-6))
 
 
 @record

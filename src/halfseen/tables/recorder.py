@@ -87,13 +87,6 @@ def moved_by(law: KnownSeeing, labels: Labels) -> Rows:
     return np.asarray(label_evidence(if_dirty, if_clean, labels.says_dirty), dtype=np.float64)
 
 
-def _speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
-    """Whether labels reject a law, given its log-likelihood and the best of its family."""
-    from scipy.special import chdtri
-
-    return bool(2.0 * (best - log_likelihood) > chdtri(num_numbers, LEVEL))
-
-
 class SeenBy(NamedTuple):
     """A law of seeing, and what became of the recorder's."""
 
@@ -109,6 +102,8 @@ def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = No
     Without any labels, the law's numbers are the prior's. Where the recorder's law is not to be had, that is about
     the law that is `known`; None for a weak prior.
     """
+    from scipy.special import chdtri
+
     families: list[Any] = [Independent(labels, dirty_share)]
     if labels.is_persistent:
         families = [Persistent(labels, dirty_share, num_parts) for num_parts in PARTS]
@@ -121,7 +116,8 @@ def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = No
         return SeenBy(plain.law(plain.fitted(unaided)), None)
     family, recorder = found
     best = family.fitted(Prior(recorder.theta, family.prior.spread))
-    if _speaks_against(family.likelihood(recorder.theta)[0], family.likelihood(best)[0], len(best)):
+    gained = family.likelihood(best)[0] - family.likelihood(recorder.theta)[0]
+    if 2.0 * gained > chdtri(len(best), LEVEL):
         return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
     return SeenBy(family.law(family.fitted(Prior(recorder.theta, RECORDER_SPREAD))), family.law(recorder.theta))
 
