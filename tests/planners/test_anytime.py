@@ -8,7 +8,6 @@ from naive_planner import CONFIG, Cup
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import POMDPPolicy, plan, pomdp
-from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.pomdp import BATCH, LOOKS_PER_STEP
 from halfseen.world import random
@@ -73,7 +72,7 @@ def test_where_no_batch_fits_the_myopic_look_ahead_decides_and_the_plan_says_so(
     assert not found.was_searched
     assert clock.chunks == []
     assert found.elapsed_s == pytest.approx(LOOK_S)
-    np.testing.assert_allclose(found.values, one_step_q(CONFIG, belief_of(CONFIG, STATE)), rtol=1e-5)
+    np.testing.assert_allclose(found.values, one_step_q(CONFIG, STATE), rtol=1e-5)
 
 
 def test_rounds_halve_what_is_drawn_from_and_have_equal_times(monkeypatch):
@@ -124,7 +123,7 @@ def test_what_needs_no_rollout_has_none(state, options, budget):
     found = plan(CONFIG, state, KEY, **budget, **options)
 
     assert not found.was_searched
-    np.testing.assert_allclose(found.values, one_step_q(CONFIG, belief_of(CONFIG, state)), rtol=1e-5)
+    np.testing.assert_allclose(found.values, one_step_q(CONFIG, state), rtol=1e-5)
 
 
 @pytest.mark.parametrize("budget", [{"num_simulations": NUM}, {"seconds": 1.0}], ids=str)

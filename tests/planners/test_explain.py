@@ -6,7 +6,6 @@ from naive_planner import CONFIG, Cup
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, POMDPPolicy, explain, solve_table
-from halfseen.planners.belief import belief_of
 from halfseen.planners.explanation import FITTED_ERROR, PlannerError, Rollouts, drawn_q, expected_q
 from halfseen.planners.one_step import one_step_q
 from halfseen.planners.rollout import sampled_values
@@ -83,7 +82,7 @@ def test_stopping_and_the_last_step_have_one_worth_and_others_differ(steps_to_go
     assert scatter[0] == 0.0
     if steps_to_go == 1:
         assert (scatter == 0.0).all()
-        np.testing.assert_allclose(sampled[0], one_step_q(CONFIG, belief_of(CONFIG, state)), rtol=1e-5)
+        np.testing.assert_allclose(sampled[0], one_step_q(CONFIG, state), rtol=1e-5)
     else:
         assert (scatter[1:] > 0.1).all()
 
@@ -99,7 +98,7 @@ def test_the_mean_of_the_rollouts_is_what_the_rule_earns_in_the_world(steps_to_g
     earned = np.asarray(evaluate(config, layouts, policy, KEY, 100_000).reward, dtype=np.float64)
 
     first = picked(starts, np.s_[:, 0])
-    best = np.argmax(one_step_q(config, belief_of(config, first)), axis=-1)
+    best = np.argmax(one_step_q(config, first), axis=-1)
     keys = random.keys_of(KEY, 256)
     worths = [sampled_values(config, picked(first, k), keys[k], 64)[:, best[k]] for k in range(256)]
     sampled = np.mean(worths, axis=1, dtype=np.float64)

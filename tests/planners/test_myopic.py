@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from halfseen.planners import GreedyPolicy, MyopicPolicy, TeamOfRules
-from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
 from halfseen.world import ExploringPolicy, WorldConfig, random
 from halfseen.world.actions import FINISH, possible_actions, wait_of
@@ -68,7 +67,7 @@ def test_what_is_chosen_is_possible(num_robots, price):
 def test_one_robot_looks_ahead_as_it_does_without_a_team():
     team = team_of(1)
     states = states_of(team)
-    known = one_step_q(WORLD, belief_of(WORLD, states))
+    known = one_step_q(WORLD, states)
     np.testing.assert_allclose(q_of(team, states)[:, :-1], known - known[:, [FINISH]], atol=1e-4)
 
 

@@ -5,7 +5,6 @@ from naive_planner import CONFIG, Cup
 
 from halfseen.errors import ArgumentError
 from halfseen.planners import HEURISTICS, GreedyPolicy, POMDPPolicy
-from halfseen.planners.belief import Belief, Grip, belief_of
 from halfseen.planners.one_step import one_step_q
 from halfseen.world import Scene, WorldConfig, random
 from halfseen.world.actions import FINISH
@@ -27,20 +26,21 @@ def decide(policy, state, key):
     return int(policy.decide(state, key).action)
 
 
-def random_belief(num_objects, seed, steps_to_go=9):
+def random_cups(num, seed):
+    """Cups, the second of which was taken away, with how far each hides the others."""
     rng = np.random.default_rng(seed)
-    hides = rng.uniform(0.0, 0.6, (num_objects, num_objects)) * ~np.eye(num_objects, dtype=bool)
-    is_on_table = np.arange(num_objects) != 1
-    log_odds, weights = rng.normal(1.0, 1.0, num_objects), rng.normal(size=(num_objects, 7))
-    leaves = log_odds, rng.uniform(size=num_objects), rng.normal(size=num_objects), weights
-    log_odds, seen, *grip = (leaf.astype(np.float32) for leaf in leaves)
-    return Belief(hides.astype(np.float32), is_on_table, log_odds, seen, Grip(*grip), np.int32(steps_to_go))
+    hides = rng.uniform(0.0, 0.6, (num, num)) * ~np.eye(num, dtype=bool)
+    cups = [
+        Cup(p, ((0.3, False),) * int(rng.integers(3)), is_on_table=i != 1, grip=rng.normal(), seen=rng.uniform())
+        for i, p in enumerate(rng.uniform(0.2, 0.95, num))
+    ]
+    return cups, hides
 
 
 @by_table
 @pytest.mark.parametrize("steps_to_go", [1, 3, 10])
 def test_one_step_ahead_every_outcome_counts_as_often_as_it_happens(cups, steps_to_go):
-    q = one_step_q(CONFIG, belief_of(CONFIG, state_of(cups, HIDES, steps_to_go)))
+    q = one_step_q(CONFIG, state_of(cups, HIDES, steps_to_go))
 
     np.testing.assert_allclose(q, naive_planner.q_values(cups, HIDES, steps_to_go, depth=1), atol=2e-4)
 
@@ -54,41 +54,23 @@ def test_two_steps_ahead_rollouts_agree_with_all_that_may_follow(cups):
 
     expected = np.array(naive_planner.q_values(cups, HIDES, 4, depth=2))
     np.testing.assert_allclose(q, expected, atol=0.06)
-    assert np.max(np.abs(expected - one_step_q(CONFIG, belief_of(CONFIG, state)))) > 0.25
+    assert np.max(np.abs(expected - one_step_q(CONFIG, state))) > 0.25
 
 
 def test_q_does_not_depend_on_the_order_of_the_cups():
-    belief, order = random_belief(4, 0), np.array([2, 0, 3, 1])
-    shuffled = Belief(
-        belief.hides[order][:, order],
-        belief.is_on_table[order],
-        belief.log_odds[order],
-        belief.seen[order],
-        Grip(*(leaf[order] for leaf in belief.grip)),
-        belief.steps_to_go,
-    )
+    (cups, hides), order = random_cups(4, 0), np.array([2, 0, 3, 1])
+    shuffled = one_step_q(CONFIG, state_of([cups[i] for i in order], hides[order][:, order]))
     of_action = np.concatenate([[0], 1 + order, 5 + order])
 
-    np.testing.assert_allclose(one_step_q(CONFIG, shuffled), one_step_q(CONFIG, belief)[of_action], rtol=1e-5)
+    np.testing.assert_allclose(shuffled, one_step_q(CONFIG, state_of(cups, hides))[of_action], rtol=1e-5)
 
 
 def test_padding_changes_nothing():
-    belief = random_belief(3, 1, steps_to_go=2)
-    pad = ((0, 2),)
-    nan = {"constant_values": np.nan}
-    padded = Belief(
-        np.pad(belief.hides, pad * 2, **nan),
-        np.pad(belief.is_on_table, pad),
-        np.pad(belief.log_odds, pad, **nan),
-        np.pad(belief.seen, pad, **nan),
-        Grip(np.pad(belief.grip.mean, pad, **nan), np.pad(belief.grip.log_weights, (*pad, (0, 0)), **nan)),
-        belief.steps_to_go,
-    )
+    plain, padded = (one_step_q(CONFIG, state_of(*random_cups(3, 1), steps_to_go=2, num_padding=k)) for k in (0, 2))
     is_real = np.array([True] + 2 * ([True] * 3 + [False] * 2))
-    q = one_step_q(CONFIG, padded)
 
-    np.testing.assert_allclose(q[is_real], one_step_q(CONFIG, belief), rtol=1e-5)
-    assert np.all(q[~is_real] == -np.inf)
+    np.testing.assert_allclose(padded[is_real], plain, rtol=1e-5)
+    assert np.all(padded[~is_real] == -np.inf)
 
 
 @pytest.mark.parametrize("planning_horizon", [1, pytest.param(2, marks=pytest.mark.slow)])

@@ -21,7 +21,7 @@ from halfseen.planners import (
     solve_table,
     solve_team,
 )
-from halfseen.planners.belief import belief_of
+from halfseen.planners.belief import grip_posterior
 from halfseen.planners.exact_table import GridGrasping
 from halfseen.planners.futures import future_rewards
 from halfseen.planners.heuristics import TrueGrasp
@@ -52,7 +52,7 @@ def of_one(config, states, keys):
     found["one_step_q"] = POMDPPolicy(config, 1).q_values(states, keys)
     found["sampled_values"] = np.stack([sampled_values(config, picked(states, k), KEY, 8) for k in range(8)])
     found["true_grasp"] = TrueGrasp(config).probability(states)
-    return found | {"grip_log_weights": belief_of(config, states).grip.log_weights}
+    return found | {"grip_log_weights": grip_posterior(config, states).log_weights}
 
 
 def of_team(config, states, keys):

@@ -12,7 +12,7 @@ from scipy.special import expit, logit
 from fitted_laws import FITTED, GRASPING, SEEING
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, information_relaxation_bound, solve_table
-from halfseen.planners.belief import belief_of
+from halfseen.planners.one_step import table_of
 from halfseen.world import (
     ActionSpace,
     AssumedGrasping,
@@ -107,7 +107,7 @@ def test_planners_say_which_law_they_do_not_know(config, message):
 def test_a_policy_that_needs_no_law_decides_under_any(episodes):
     state = picked(episodes.states, (0, 0))
     with pytest.raises(ArgumentError, match="planners need them"):
-        belief_of(OTHER, state)
+        table_of(OTHER, state)
     with pytest.raises(ArgumentError, match="Nudging"):
         GreedyPolicy(OTHER).decide(state, random.key_of(0))
     learned = GreedyPolicy(OTHER, uses_history=True, grasp=EvenChance())

@@ -23,7 +23,7 @@ import numpy as np
 
 from halfseen.arrays import Array, library_of, mapped, record
 from halfseen.planners import one_step
-from halfseen.planners.belief import belief_of, known_seeing
+from halfseen.planners.belief import known_seeing
 from halfseen.planners.one_step import HELD, Outlook, Setting, Table, laid_out, left_price, rule_and_control, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
@@ -232,7 +232,7 @@ class Search:
 
 def opened(config: WorldConfig, state: TableState) -> Search:
     """A search of tables (one axis of them) before its first rollout."""
-    table = table_of(belief_of(config, state))
+    table = table_of(config, state)
     settings = settings_of(config, table)
     look, left = looked(config, table, settings), left_price(config, table)
     rule, control = (laid_out(left, left + values) for values in rule_and_control(config, table, look))

@@ -12,7 +12,6 @@ from typing import ClassVar
 import numpy as np
 
 from halfseen.arrays import Array, Number, at, library_of, record
-from halfseen.planners.belief import belief_of
 from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import laid_out, left_price, table_of
@@ -140,7 +139,7 @@ class AssistedPolicy(LawPolicy):
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Q of every action; −∞ where an action is impossible."""
-        ahead = look_ahead.ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
+        ahead = look_ahead.ahead_of(self.config, table_of(self.config, self.mended(state)))
         left = left_price(self.config, ahead.table)
         above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
         q = laid_out(left, left + above)

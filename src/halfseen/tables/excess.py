@@ -29,7 +29,6 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import mapped
-from halfseen.planners.belief import belief_of
 from halfseen.planners.futures import future_rewards
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import Table, table_of
@@ -133,7 +132,7 @@ def _simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray,
     rng, found = np.random.default_rng([seed, int(trajectory[0])]), {}
     layout = mapped(lambda leaf: leaf[trajectory % len(leaf)], layouts)
     state, _ = start(config, layout, random.fold_in(random.key_of(seed), trajectory))
-    ahead = ahead_of(config, table_of(belief_of(config, state)))
+    ahead = ahead_of(config, table_of(config, state))
     for to_go in range(config.horizon, 1, -1):
         tried, is_possible = _to_try(ahead, rng)
         after = ahead_of(config, after_each(config, ahead, tried, rng))

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import Hides, mapped
-from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import ATTEMPT_S, NOW, left_price, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.assisted import AssistedPolicy, LawPolicy
@@ -211,7 +210,7 @@ def implied(policy: LawPolicy, state: TableState, action: int) -> str:
     'by the laws of its log 1.2 dirty objects would be left, for 6.0'
     """
     config, mended = policy.config, mapped(np.asarray, policy.mended(state))
-    ahead = ahead_of(config, table_of(belief_of(config, mended)))
+    ahead = ahead_of(config, table_of(config, mended))
     by_laws = "by the laws of its log"
     if action == FINISH:
         price = float(left_price(config, ahead.table))

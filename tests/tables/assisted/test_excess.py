@@ -8,7 +8,6 @@ from small_tables import SCENES
 
 from fitted_laws import FITTED
 from halfseen.arrays import mapped
-from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import left_price, one_step_q, table_of
 from halfseen.planners.rollout import sampled_values
 from halfseen.tables import AssistedPolicy
@@ -31,7 +30,7 @@ def states_in_play(config, episodes=40):
 
 
 def ahead_in(config, states):
-    return ahead_of(config, table_of(belief_of(config, states)))
+    return ahead_of(config, table_of(config, states))
 
 
 @pytest.mark.parametrize("config", CONFIGS)
@@ -53,7 +52,7 @@ def test_features_are_finite_and_the_same_alone_in_a_batch_and_with_padding(conf
 @pytest.mark.parametrize("config", CONFIGS)
 def test_nothing_missed_is_the_look_one_step_ahead(config):
     states = states_in_play(config)
-    expected = one_step_q(config, belief_of(config, states))
+    expected = one_step_q(config, states)
     policies = AssistedPolicy(config), AssistedPolicy(config, excess=Excess.none(config.horizon))
     for policy in policies:
         np.testing.assert_allclose(policy.q_values(states), expected, rtol=1e-6)

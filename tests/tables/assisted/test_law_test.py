@@ -9,7 +9,7 @@ from small_tables import logs_of
 from fitted_laws import FITTED
 from halfseen.arrays import mapped
 from halfseen.learning import CensoredQLearner
-from halfseen.planners.belief import belief_of, expected_attempt_s
+from halfseen.planners.belief import expected_attempt_s, grip_posterior
 from halfseen.planners.one_step import control_value, left_price, outlook_of, rule_and_control, setting_of, table_of
 from halfseen.tables.encoding import states_alone
 from halfseen.tables.law_test import hotelling_test, residuals_of, weighted_log, with_lift_price
@@ -34,7 +34,7 @@ def test_residuals_are_those_of_a_loop_over_stages(config):
         i, t = found.trajectory[k], found.stage[k]
 
         def valued(stage, i=i):
-            table = table_of(belief_of(config, mapped(lambda leaf: leaf[i, stage], log.states)))
+            table = table_of(config, mapped(lambda leaf: leaf[i, stage], log.states))
             look = outlook_of(config, table, setting_of((config,), table))
             return table, look, left_price(config, table)
 
@@ -99,7 +99,7 @@ def test_lifts_are_priced_as_they_paid(log, factor):
     assert replace(found, reward_lift_per_s=FITTED.reward_lift_per_s) == FITTED
     # By a loop over the log's LIFTs.
     space, paid, expected = ActionSpace(log.states.num_objects), 0.0, 0.0
-    seconds = expected_attempt_s(FITTED, occlusion(log.states), belief_of(FITTED, log.states).grip)
+    seconds = expected_attempt_s(FITTED, occlusion(log.states), grip_posterior(FITTED, log.states))
     for i, t in np.argwhere(is_lift & (log.weight > 0.0) & ~log.is_last):
         paid += log.weight[i, t] * factor * log.reward[i, t]
         expected += log.weight[i, t] * seconds[i, t, space.target(log.action[i, t])]
