@@ -66,7 +66,7 @@ def test_with_two_steps_its_mean_is_what_is_expected_by_hand():
 @pytest.mark.parametrize("who", ["history-penalty", "one-step", "uniform"])
 def test_its_mean_is_that_of_the_rewards_and_its_noise_is_less(config, who):
     policy = {"one-step": POMDPPolicy(config, 1), "uniform": UniformPolicy()}.get(who) or named_policy(who, config)
-    episodes, key = np.arange(6000), random.key_of(5)
+    episodes, key = np.arange(2000), random.key_of(5)
     ours = controlled(config, TABLES, policy, key, episodes)
     raw = evaluate_some(config, TABLES, policy, key, episodes)
     gap = ours.reward - np.asarray(raw.reward, dtype=np.float64)

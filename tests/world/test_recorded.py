@@ -88,18 +88,6 @@ def _equal(one, other):
 
 
 @pytest.mark.parametrize("team", TEAMS)
-def test_the_size_of_a_batch_changes_nothing(team, monkeypatch):
-    args = *_world(f"{team}/calibrated/uniform"), UniformPolicy(), KEY, 9
-    whole = rollout.play(*args)
-    monkeypatch.setattr(rollout, "BATCH", 2)
-    parts = rollout.play(*args)
-    assert np.array_equal(whole.is_taken, parts.is_taken)
-    for name in ("action", "reward", "duration_s"):
-        assert np.array_equal(getattr(whole, name)[whole.is_taken], getattr(parts, name)[whole.is_taken])
-    _equal(whole.hidden, parts.hidden)
-
-
-@pytest.mark.parametrize("team", TEAMS)
 def test_one_table_goes_as_it_does_in_a_batch(team):
     config, tables = _world(f"{team}/assumed/uniform")
     keys = np.stack(random.split(KEY, 3))

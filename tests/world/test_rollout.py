@@ -8,7 +8,7 @@ from halfseen.world.rollout import evaluate, evaluate_each, evaluate_some, play
 from halfseen.world.state import pad_scenes
 from halfseen.world.transition import start, step
 from picked import leaves_of, picked, repeated
-from world.world_cases import InTurn, Suspicious, random_scene
+from world.world_cases import InTurn, Suspicious
 
 CONFIG, KEY = WorldConfig(), random.key_of(1)
 
@@ -57,14 +57,6 @@ def test_a_batch_is_a_loop(scenes):
             assert batch.action[k, t] == action
             assert batch.reward[k, t] == pytest.approx(float(outcome.reward), rel=1e-6)
         assert outcome.is_over
-
-
-def test_other_members_of_a_batch_do_not_leak_in(scenes):
-    others = [random_scene(4, 5), scenes[1], random_scene(2, 6)]
-    here = play(CONFIG, pad_scenes(scenes), InTurn(), KEY, 6)
-    there = play(CONFIG, pad_scenes(others, num_objects=5), InTurn(), KEY, 6)
-    assert same(picked(here, np.s_[1::3]), picked(there, np.s_[1::3]))
-    assert not same(here, there)
 
 
 def test_one_seed_same_bytes_and_the_global_seed_changes_nothing(scenes, in_turn):

@@ -2,14 +2,13 @@ from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from naive_world import accuracy, hidden_share, mean_grasp_s, naive_step
+from naive_world import hidden_share, naive_step
 
 from halfseen.world import ActionSpace, AssumedGrasping, Scene, TableState, Verb, WorldConfig, random
 from halfseen.world.actions import possible_actions
-from halfseen.world.attempts import look
 from halfseen.world.state import HiddenState, attempt_counts, occlusion, pad_scenes
 from halfseen.world.transition import start, step
-from picked import assert_same, picked, repeated
+from picked import assert_same, picked
 
 CONFIG = WorldConfig()
 NUM_OBJECTS = 5
@@ -106,33 +105,6 @@ def test_what_is_told_of_a_state_is_what_the_text_says_of_it(steps):
     assert min(successes.max(), failures.max()) > 1
     assert possible[:, 0].all()
     assert (possible[:, 1:] == np.tile(states.is_on_table, 2)).all()
-
-
-@pytest.mark.parametrize(("occluded", "offset"), [(0.0, 0.0), (0.5, -1.0), (0.9, 0.5)])
-def test_grasps_succeed_as_often_as_one_minus_exp(occluded, offset):
-    chance = -np.expm1(CONFIG.grasping.log_failure(occluded, offset))
-    assert chance == pytest.approx(1.0 - np.exp(-6.0 / mean_grasp_s(occluded, offset)), rel=1e-5)
-    layout = picked(pad_scenes([Scene(np.array([[0.0, occluded], [0.0, 0.0]]))]), 0)
-    state, _ = start(CONFIG, layout, random.key_of(0))
-    hidden = HiddenState(np.array([True, True]), np.array([offset, 0.0]))
-    keys = random.keys_of(random.key_of(3), 20_000)
-    action = np.full(len(keys), ActionSpace(2).encode(Verb.WASH, 0))
-    after, *_ = step(CONFIG, *repeated((state, hidden), len(keys)), action, keys)
-    frequency = 1.0 - after.is_on_table[:, 0].mean()
-    assert abs(frequency - chance) < 4.0 * np.sqrt(chance * (1.0 - chance) / len(keys))
-
-
-def test_labels_are_right_as_often_as_the_accuracy_says():
-    scene = Scene(np.array([[0.0, 0.0, 0.3], [0.0, 0.0, 0.7], [0.0, 0.0, 0.0]]))
-    state, _ = start(CONFIG, picked(pad_scenes([scene]), 0), random.key_of(0))
-    hidden = HiddenState(np.array([True, False, True]), np.zeros(3))
-    keys = random.keys_of(random.key_of(5), 20_000)
-    held = np.zeros((len(keys), 3), dtype=bool)
-    looked, _ = look(CONFIG, *repeated((state, hidden), len(keys)), held, keys)
-    frequency = ((looked.log_odds > state.log_odds) == hidden.is_dirty).mean(axis=0)
-    expected = np.array([accuracy(0.3), accuracy(0.7), accuracy(0.0)])
-    assert CONFIG.seeing.accuracy(np.array([0.3, 0.7, 0.0])) == pytest.approx(expected, rel=1e-6)
-    assert np.all(np.abs(frequency - expected) < 4.0 * np.sqrt(expected * (1.0 - expected) / len(keys)))
 
 
 def test_a_policy_sees_nothing_hidden(scenes):

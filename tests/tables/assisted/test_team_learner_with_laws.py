@@ -104,7 +104,7 @@ def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
 
 def test_a_learned_policy_follows_the_myopic_look_and_what_it_misses(logs, monkeypatch):
     monkeypatch.setattr(learning, "fitted_team_excess", lambda config, layouts, seed: TeamExcess.none())
-    learner = CensoredQLearner.for_team(2, HORIZON).fit(logs)
+    learner = CensoredQLearner.for_team(2, HORIZON, censoring="kaplan-meier").fit(logs)
     assert learner.assisted_.basis == learning.MODEL
     assert learner.policy_.num_robots == 2
     assert not learner.assisted_.test.is_rejected
@@ -120,7 +120,7 @@ def test_log_odds_that_are_too_sure_of_themselves_are_not_relied_upon(logs):
     prior = float(np.log(0.6 / 0.4))
     objects["log_odds"] = prior + 4.0 * (objects["log_odds"] - prior)
     wrong = type(logs)(logs.stages, logs.trajectories, objects)
-    learner = CensoredQLearner.for_team(2, HORIZON).fit(wrong)
+    learner = CensoredQLearner.for_team(2, HORIZON, censoring="kaplan-meier").fit(wrong)
     assert learner.assisted_.basis == learning.LINEAR
     assert learner.policy_ is learner.linear_policy_
     assert any("the log contradicts the laws" in said for said in learner.chosen_)

@@ -155,8 +155,8 @@ def test_a_look_that_finds_nothing_counts_though_the_recorder_learns_nothing_fro
     ],
 )
 def test_a_log_speaks_for_the_laws_that_made_it(config, families, cut_share):
-    _, logs = recorded(200, cut_share, config=config)
-    for begin in range(0, 200, 50):
+    _, logs = recorded(100, cut_share, config=config)
+    for begin in (0, 50):
         told = evidence_of(logs.select(logs.trajectory_ids[begin : begin + 50]), config)
         assert isinstance(choose_grasping(told.tried, config.grasping.limit_s), families[0])
         assert isinstance(seeing_of(told.labels, told.dirty_share).law, families[1])
