@@ -116,6 +116,7 @@ def test_a_learned_policy_follows_the_myopic_look_and_what_it_misses(logs, monke
 
 
 def test_log_odds_that_are_too_sure_of_themselves_are_not_relied_upon(logs):
+    logs = logs.select(logs.trajectory_ids[:80])
     objects = logs.objects.copy()
     prior = float(np.log(0.6 / 0.4))
     objects["log_odds"] = prior + 4.0 * (objects["log_odds"] - prior)
