@@ -71,15 +71,7 @@ class Cup:
 def body_mesh(cup: Cup) -> tuple[Vertices, Faces]:
     """Build the closed surface of the vessel: outside, rim, inside and bottom.
 
-    Parameters
-    ----------
-    cup
-        The dimensions.
-
-    Returns
-    -------
-    vertices, faces
-        Vertices in the cup's frame [m], and triangles that look outward.
+    Vertices are in the cup's frame [m], and triangles look outward.
     """
     profile_m = [
         (cup.base_radius_m, 0.0),
@@ -106,17 +98,9 @@ def handle_bow(cup: Cup, num_points: int) -> tuple[Vertices, float]:
 
 
 def handle_mesh(cup: Cup) -> tuple[Vertices, Faces]:
-    """Build the closed surface of the handle: a bent round bar whose ends sit in the wall.
+    """Build the closed surface of the handle, a bent round bar whose ends sit in the wall.
 
-    Parameters
-    ----------
-    cup
-        The dimensions, with ``handle_m > 0``.
-
-    Returns
-    -------
-    vertices, faces
-        Vertices in the cup's frame [m], and triangles that look outward.
+    Vertices are in the cup's frame [m], and triangles look outward; ``handle_m > 0``.
     """
     if cup.handle_m <= 0:
         raise SceneError(f"cup: handle_m is {cup.handle_m}, so there is no handle to build; ask for a cup that has one")

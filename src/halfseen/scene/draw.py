@@ -30,18 +30,7 @@ Disc = tuple[float, float, float]  # centre x, y and radius [m]
 
 
 def draw_cup(rng: np.random.Generator) -> Cup:
-    """Draw a tumbler or a mug of ordinary size.
-
-    Parameters
-    ----------
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    Cup
-        7 to 15 cm high, 6 to 10 cm wide at the mouth; a mug has a handle.
-    """
+    """Draw a tumbler or a mug of ordinary size: 7 to 15 cm high, 6 to 10 cm wide at the mouth; a mug has a handle."""
     rim_radius_m = rng.uniform(0.030, 0.050)
     is_mug = rng.random() < 0.35
     height_m = rng.uniform(0.075, 0.115) if is_mug else rng.uniform(0.07, min(0.15, 3.6 * rim_radius_m))
@@ -52,19 +41,9 @@ def draw_cup(rng: np.random.Generator) -> Cup:
 
 
 def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ...] | None:
-    """Draw where the cups are let go, some standing and some lying.
+    """Draw where the cups are let go, a few millimetres above the table, some standing and some lying.
 
-    Parameters
-    ----------
-    cups
-        The cups.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    tuple of Pose, or None
-        One pose a cup, a few millimetres above the table; None if the cups did not fit.
+    None if the cups did not fit.
     """
     poses: list[Pose] = []
     taken: list[Disc] = []
@@ -134,20 +113,7 @@ _PATIENCE_S = 4.0
 
 
 def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, ...] | None:
-    """Let the cups fall and find where they come to rest.
-
-    Parameters
-    ----------
-    cups
-        The cups.
-    world_from_cup
-        Where they are let go, at rest.
-
-    Returns
-    -------
-    tuple of Pose, or None
-        Poses at rest; None if some cup still moves after 4 s.
-    """
+    """Let the cups fall and find where they come to rest; None if some cup still moves after 4 s."""
     model = room_model(cups, world_from_cup, is_free=True)
     data = mujoco.MjData(model)
     num_quiet = 0
@@ -161,19 +127,9 @@ def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, .
 
 
 def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m: float = 0.1) -> float:
-    """Smallest distance between the convex hulls of any two cups [m].
+    """Smallest distance between the convex hulls of any two cups, or `beyond_m` if it is larger [m].
 
-    Parameters
-    ----------
-    cups, world_from_cup
-        The cups and their poses.
-    beyond_m
-        Gaps larger than this are not measured [m].
-
-    Returns
-    -------
-    float
-        The smallest gap, or `beyond_m` if it is larger; negative where cups are inside one another.
+    It is negative where cups are inside one another.
     """
     if beyond_m <= 0:
         raise SceneError(f"smallest gap: beyond_m is {beyond_m}; give a positive length")
@@ -282,20 +238,7 @@ def _is_on_table(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> bool:
 
 
 def sure_returns_px(table: Table, truth: Truth) -> np.ndarray:
-    """Pixels of each cup that return whatever the noise: seen, lit by the projector, and not grazing [px].
-
-    Parameters
-    ----------
-    table
-        The table.
-    truth
-        Its truth.
-
-    Returns
-    -------
-    numpy.ndarray
-        (N,) counts.
-    """
+    """Pixels of each cup that return whatever the noise: seen, lit by the projector, and not grazing [px]."""
     view = table_view(table, XTION.baseline_m)
     is_sure = view.is_lit & (loss_probability(view.incidence_cosine) == 0)
     near_m, far_m = XTION.range_m

@@ -42,15 +42,7 @@ class Facets:
 
 
 def mesh_facets(model: mujoco.MjModel, groups: Sequence[int]) -> Facets:
-    """List the facets of all meshes of some groups.
-
-    Parameters
-    ----------
-    model
-        A compiled model.
-    groups
-        Of the geoms; those that are no meshes are passed over.
-    """
+    """List the facets of all meshes of some groups of geoms; those that are no meshes are passed over."""
     geoms = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & np.isin(model.geom_group, groups))
     corners_m = [_corners_m(model, int(model.geom_dataid[geom])) for geom in geoms]
     geom = np.repeat(geoms, [len(each) for each in corners_m])
@@ -64,13 +56,7 @@ def _corners_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "facets 3 
 
 
 def normals(corners_m: Float[np.ndarray, "facets 3 3"]) -> Float[np.ndarray, "facets 3"]:
-    """Unit normals of facets, outward.
-
-    Parameters
-    ----------
-    corners_m
-        Counterclockwise as seen from outside [m].
-    """
+    """Unit normals of facets, outward; corners are counterclockwise as seen from outside [m]."""
     first, second, third = np.moveaxis(corners_m, 1, 0)
     across = np.cross(second - first, third - first)
     return across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -86,12 +72,7 @@ _ROUNDING_PX = 2
 def shown_within(boxes_m: Boxes, camera: Camera) -> Mask:
     """Pixels in which what is in some box may show; all, if one is not wholly in front of the camera.
 
-    Parameters
-    ----------
-    boxes_m
-        In the camera's frame [m].
-    camera
-        The camera.
+    Boxes are in the camera's frame [m].
     """
     shape = (camera.num_rows, camera.num_columns)
     if (boxes_m[..., 2] <= 0).any():
@@ -108,16 +89,7 @@ def shown_within(boxes_m: Boxes, camera: Camera) -> Mask:
 def shaded_within(boxes_m: Boxes, camera: Camera, baseline_m: float, depth_m: Image) -> Mask:
     """Pixels whose points what is in some box may keep the projector from.
 
-    Parameters
-    ----------
-    boxes_m
-        In the camera's frame [m].
-    camera
-        The camera.
-    baseline_m
-        The projector stands this far to its right [m].
-    depth_m
-        Of each pixel [m].
+    Boxes are in the camera's frame; the projector stands `baseline_m` to the camera's right [m].
     """
     mask = shown_within(boxes_m - [baseline_m, 0.0, 0.0], camera)
     column = projector_columns_px(camera, baseline_m, depth_m)
@@ -131,14 +103,7 @@ def shaded_within(boxes_m: Boxes, camera: Camera, baseline_m: float, depth_m: Im
 def projector_columns_px(camera: Camera, baseline_m: float, depth_m: Image) -> Image:
     """Column at which a projector like the camera has the point of each pixel; its row is the pixel's own [px].
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    baseline_m
-        The projector stands this far to its right [m].
-    depth_m
-        Of each pixel [m].
+    The projector stands `baseline_m` to the camera's right [m].
     """
     return np.arange(camera.num_columns) - camera.focal_px[0] * baseline_m / depth_m
 
@@ -175,14 +140,7 @@ class Sight:
 def with_rays(view: IdealView, sight: Sight, standing: tuple[int, ...], moving: tuple[int, ...]) -> IdealView:
     """Lay over a view what moves in it, by rays.
 
-    Parameters
-    ----------
-    view
-        Of what stands.
-    sight
-        Who looks at what.
-    standing, moving
-        Groups of the geoms that are in the view, and of those to add.
+    Standing and moving are groups of the geoms that are in the view, and of those to add.
     """
     boxes, groups = sight.boxes_m(moving), standing + moving
     is_new = shown_within(boxes, sight.camera)
@@ -199,17 +157,7 @@ def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: 
     """Lay over a view the meshes of a group, facet by facet.
 
     The same as by rays, for a small part of the time: rays look for the facet that they meet, facets know their pixels.
-
-    Parameters
-    ----------
-    view
-        Of everything else.
-    sight
-        Who looks at what.
-    others
-        Groups of the geoms that are in the view.
-    facets, group
-        Of the meshes.
+    Others are groups of the geoms that are in the view.
     """
     camera, seen, boxes = sight.camera, _copied(view), sight.boxes_m((group,))
     corners_m = facets.seen_from(sight.data, camera.world_from_camera)

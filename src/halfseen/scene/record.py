@@ -93,15 +93,7 @@ def colours(
 
 
 def painted(surface: Surface, points_m: Points) -> Float[np.ndarray, "n 3"]:
-    """Colour of points of a cup in full light; stains cover spots.
-
-    Parameters
-    ----------
-    surface
-        The cup and what is on it.
-    points_m
-        Points of it in its own frame [m].
-    """
+    """Colour of points of a cup, in its own frame [m], in full light; stains cover spots."""
     colour = np.full((len(points_m), 3), surface.glaze, dtype=np.float64)
     for disc in (*surface.spots, *surface.stains):
         colour[is_within(disc, surface.cup, points_m)] = disc.colour
@@ -111,14 +103,7 @@ def painted(surface: Surface, points_m: Points) -> Float[np.ndarray, "n 3"]:
 def is_within(disc: Stain, cup: Cup, points_m: Points) -> Bool[np.ndarray, " n"]:
     """Which points of a cup lie in a disc, on its side of the wall; those of the handle lie in none.
 
-    Parameters
-    ----------
-    disc
-        The disc.
-    cup
-        The cup that it is on.
-    points_m
-        Points of the cup in its own frame [m].
+    Points are in the cup's own frame [m].
     """
     radius_m, height_m = np.hypot(points_m[:, 0], points_m[:, 1]), points_m[:, 2]
     wall_m = cup.base_radius_m + (cup.rim_radius_m - cup.base_radius_m) * height_m / cup.height_m

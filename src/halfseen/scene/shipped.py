@@ -97,12 +97,7 @@ def read_table(k: int) -> Table:
 def write_shipped(folder: Path, which: Iterable[int]) -> None:
     """Make tables again, cloud and truth; each file appears whole or not at all.
 
-    Parameters
-    ----------
-    folder
-        Where to; ``tables`` and ``truth`` are made in it.
-    which
-        Numbers of the tables, from 0 to 9.
+    ``tables`` and ``truth`` are made in the folder.
 
     Raises
     ------
@@ -130,36 +125,12 @@ def versions() -> dict[str, str]:
 
 
 def made_with(k: int) -> dict[str, str]:
-    """Read with which versions a shipped table was made.
-
-    Parameters
-    ----------
-    k
-        Which table, from 0 to 9.
-
-    Returns
-    -------
-    dict
-        Version of each package on which the bytes depend.
-    """
+    """Read with which versions of the packages on which its bytes depend a shipped table was made, from 0 to 9."""
     return _read_json(k)["made_with"]
 
 
 def within(cloud: Cloud, reach_m: float) -> Cloud:
-    """Leave out the returns beyond a reach; their rays stay, as NaN.
-
-    Parameters
-    ----------
-    cloud
-        The cloud.
-    reach_m
-        Largest depth that is kept [m].
-
-    Returns
-    -------
-    Cloud
-        Organised as before.
-    """
+    """Leave out the returns beyond a depth [m]; their rays stay, as NaN."""
     points_m = np.where(cloud.points_m[:, 2:] <= reach_m, cloud.points_m, np.nan)
     return replace(cloud, points_m=points_m)
 

@@ -91,18 +91,7 @@ class Camera:
 
 
 def look_at(position_m: Float[np.ndarray, " 3"], target_m: Float[np.ndarray, " 3"]) -> Pose:
-    """Pose of a level camera at one point that looks at another.
-
-    Parameters
-    ----------
-    position_m, target_m
-        Points of the world, z up [m].
-
-    Returns
-    -------
-    Pose
-        ``world_from_camera``.
-    """
+    """Pose (``world_from_camera``) of a level camera at one point of the world that looks at another, z up [m]."""
     forward = (target_m - position_m) / np.linalg.norm(target_m - position_m)
     right = np.cross(forward, np.array([0.0, 0.0, 1.0]))
     right /= np.linalg.norm(right)
@@ -227,19 +216,9 @@ class Truth:
 
 
 def truth_of(table: Table, lone_depths_m: Depths) -> Truth:
-    """Work out the truth from the picture of each cup alone.
+    """Work out the truth from the depth image of each cup alone [m]; infinite where the cup is not.
 
-    Parameters
-    ----------
-    table
-        The table.
-    lone_depths_m
-        Depth image of each cup alone [m]; infinite where the cup is not.
-
-    Returns
-    -------
-    Truth
-        Exact to the pixel: the nearest cup of a pixel hides the others.
+    It is exact to the pixel: the nearest cup of a pixel hides the others.
     """
     silhouettes = np.isfinite(lone_depths_m)
     labels = np.where(silhouettes.any(axis=0), lone_depths_m.argmin(axis=0), -1)

@@ -36,19 +36,9 @@ def cup_name(index: int) -> str:
 
 
 def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjModel:
-    """Compile the whole room.
+    """Compile the whole room; physics may move the cups where they are free, and else they are fixed.
 
-    Parameters
-    ----------
-    cups, world_from_cup
-        The cups and their poses.
-    is_free
-        True if physics may move the cups; False if they are fixed where they are.
-
-    Returns
-    -------
-    mujoco.MjModel
-        Body ``cup_i`` is cup i; everything else belongs to the world body.
+    Body ``cup_i`` is cup i; everything else belongs to the world body.
     """
     return room_spec(cups, world_from_cup, is_free=is_free).compile()
 
@@ -63,18 +53,7 @@ def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: b
 
 
 def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:
-    """Compile a world that holds nothing but one cup, fixed.
-
-    Parameters
-    ----------
-    cup, world_from_cup
-        The cup and its pose.
-
-    Returns
-    -------
-    mujoco.MjModel
-        Body 1 is the cup.
-    """
+    """Compile a world that holds nothing but one cup, fixed; body 1 is the cup."""
     spec = _empty_spec()
     _add_cup(spec, 0, cup, world_from_cup, is_free=False)
     return spec.compile()
@@ -173,25 +152,9 @@ def ideal_view(
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> IdealView:
-    """See a model with an ideal camera, and from a projector beside it.
+    """See a model with an ideal camera, and from a projector that stands `baseline_m` to its right [m].
 
-    Parameters
-    ----------
-    model
-        A compiled MuJoCo model.
-    camera
-        The camera.
-    baseline_m
-        The projector stands this far to the camera's right [m].
-    data
-        Where the bodies are; None for where they begin.
-    groups
-        Of the geoms that are seen.
-
-    Returns
-    -------
-    IdealView
-        The view.
+    `data` tells where the bodies are, None for where they begin, and `groups` which geoms are seen.
     """
     depth_m, hits, directions = pixel_hits(model, camera, data=data, groups=groups)
     origin_m = np.asarray(camera.world_from_camera.position_m)
@@ -209,17 +172,7 @@ def ideal_view(
 def table_view(table: Table, baseline_m: float) -> IdealView:
     """See a table, with everything on it, with its own camera; the last view is kept, as who draws a table looks at it.
 
-    Parameters
-    ----------
-    table
-        The table.
-    baseline_m
-        The projector stands this far to the camera's right [m].
-
-    Returns
-    -------
-    IdealView
-        The view; its arrays are read-only.
+    The projector stands `baseline_m` to the camera's right [m]. Arrays are read-only.
     """
     view = ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
     for image in (view.depth_m, view.body, view.incidence_cosine, view.is_lit):
@@ -232,16 +185,7 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
     """See every cup as if it stood alone in the world; what was seen of the last table is kept.
 
     Only pixels inside the box around the cup's outline are cast, so that ten cups cost less than one full picture.
-
-    Parameters
-    ----------
-    table
-        The table.
-
-    Returns
-    -------
-    numpy.ndarray
-        Depth [m] of each cup; infinite where the cup is not; read-only.
+    Depths [m] are infinite where the cup is not, and read-only.
     """
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
@@ -253,20 +197,7 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
 
 
 def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
-    """Whether every cup lies inside the picture.
-
-    Parameters
-    ----------
-    table
-        The table.
-    margin_px
-        Least distance from the picture's border [px].
-
-    Returns
-    -------
-    bool
-        False if any cup is cut off.
-    """
+    """Whether every cup lies inside the picture, at least `margin_px` from its border [px]."""
     size_px = np.array([table.camera.num_columns, table.camera.num_rows]) - 1.0
     for cup, pose in zip(table.cups, table.world_from_cup, strict=True):
         pixels = table.camera.project(pose.apply(outline(cup)))
@@ -282,21 +213,10 @@ def pixel_hits(
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> tuple[Float[np.ndarray, "*px"], Hits, Directions]:
-    """Cast the rays of the pixels of a window.
+    """Cast the rays of the pixels of a window; all else is as for `ideal_view`.
 
-    Parameters
-    ----------
-    model, camera, data, groups
-        As for `ideal_view`.
-    window
-        Pixels to ask.
-
-    Returns
-    -------
-    depth_m
-        Of each pixel [m]; NaN where nothing is met.
-    hits, directions
-        What each ray met, and where it points in the world.
+    What comes back is the depth of each pixel, NaN where nothing is met [m], what each ray met, and where it points in
+    the world.
     """
     rays = camera.pixel_rays()[window]
     lengths = np.linalg.norm(rays, axis=-1)
@@ -314,14 +234,7 @@ def is_reached(
 ) -> Bool[np.ndarray, " n"]:
     """Which points the projector reaches: the first thing on the way to a point is the point itself.
 
-    Parameters
-    ----------
-    model, data, groups
-        As for `ideal_view`.
-    projector_m
-        Where it stands in the world [m].
-    points_m
-        Points in the world [m]; NaN where there is none, which nothing reaches.
+    Both stand in the world [m]; nothing reaches a NaN. All else is as for `ideal_view`.
     """
     is_point = np.isfinite(points_m[:, 0])
     ways_m = points_m[is_point] - projector_m

@@ -220,17 +220,12 @@ def implied(policy: LawPolicy, state: TableState, action: int) -> str:
     verb, target = int(space.verb(action)), int(space.target(action))
     expected = ahead.look.expected[0]
     chance = float(expected[NOW][target])
-    further = _further(policy, ahead, action)
+    further = ""
+    if isinstance(policy, AssistedPolicy) and policy.excess is not None:
+        further = f"; further steps add {float(policy.excess(ahead)[action - 1]):.2f}"
     if verb == Verb.WASH:
         pays = float(ahead.look.worth[target])
         return f"{by_laws} a grasp holds with {chance:.2f}, and the WASH pays {pays:.2f} on average{further}"
     cost = -float(config.reward_lift_per_s) * (float(config.transport_s) + float(expected[ATTEMPT_S][target]))
     worth = float(ahead.values[1][action - 1] - ahead.control) + cost
     return f"{by_laws} a grasp holds with {chance:.2f}, and the look is worth {worth:.2f}, for {cost:.2f}{further}"
-
-
-def _further(policy: LawPolicy, ahead: Any, action: int) -> str:
-    """What further steps add, where that was simulated."""
-    if not isinstance(policy, AssistedPolicy) or policy.excess is None:
-        return ""
-    return f"; further steps add {float(policy.excess(ahead)[action - 1]):.2f}"

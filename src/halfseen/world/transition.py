@@ -59,22 +59,17 @@ def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, Hi
     """Set tables: what is hidden is drawn, and the camera takes its first view; all robots are free."""
     hidden_key, see_key = random.split(key)
     state = initial_state(config, layout)
-    hidden = draw_hidden(config, state.num_objects, hidden_key)
+    dirty_key, grasp_key = random.split(hidden_key)
+    hidden = HiddenState(
+        is_dirty=random.uniform(dirty_key, state.num_objects) < config.dirty_share,
+        grasp_latent=config.grasping.draw_latent(state.num_objects, grasp_key),
+        seeing_latent=config.seeing.draw_latent(state.num_objects, random.fold_in(hidden_key, 2)),
+    )
     if state.robots is not None:
         until_s = until_out_s(config, random.fold_in(key, _DROP_OUT_KEY))
         pending = nothing_pending(config.num_robots, state.is_object)
         hidden = replace(hidden, pending=pending, until_out_s=until_s)
     return look(config, state, hidden, library_of(state.is_object).zeros_like(state.is_object), see_key)
-
-
-def draw_hidden(config: WorldConfig, num_objects: int, key: Key) -> HiddenState:
-    """Draw attributes from the prior, and the latents of the laws."""
-    dirty_key, grasp_key = random.split(key)
-    return HiddenState(
-        is_dirty=random.uniform(dirty_key, num_objects) < config.dirty_share,
-        grasp_latent=config.grasping.draw_latent(num_objects, grasp_key),
-        seeing_latent=config.seeing.draw_latent(num_objects, random.fold_in(key, 2)),
-    )
 
 
 def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:

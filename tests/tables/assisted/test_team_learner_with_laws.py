@@ -170,7 +170,7 @@ def test_futures_of_what_is_tried_are_those_of_all(states, world):
 
 def test_a_row_is_what_an_action_did_better_than_the_myopic_one(states, world):
     config, key = world.played_config, random.fold_in(random.key_of(5), np.arange(40))
-    tried = synthetic.team_simulated(config, states, key, 3)
+    described, beyond = synthetic.team_simulated(config, states, key, 3)
     future_key, try_key = random.split(key)
     base = MyopicPolicy(config)
     q = base.q_values(states)
@@ -183,10 +183,10 @@ def test_a_row_is_what_an_action_did_better_than_the_myopic_one(states, world):
             if action == best:
                 continue
             gained = reward[k, :, action].mean() - reward[k, :, best].mean() - (q[k, action] - q[k, best])
-            assert tried.beyond[row] == pytest.approx(gained, abs=1e-3)
-            np.testing.assert_allclose(tried.features[row], features[k, action] - features[k, best], atol=1e-5)
+            assert beyond[row] == pytest.approx(gained, abs=1e-3)
+            np.testing.assert_allclose(described[row], features[k, action] - features[k, best], atol=1e-5)
             row += 1
-    assert row == len(tried.beyond)
+    assert row == len(beyond)
 
 
 def test_layouts_are_the_tables_with_which_trajectories_begin(logs):
