@@ -31,7 +31,7 @@ from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
 from halfseen.cell.summary import Summary, summarised
 from halfseen.cell.table_state import Belief
 from halfseen.logs import Logs, read_logs
-from halfseen.planners.named import HEURISTICS, named_policy
+from halfseen.planners import HEURISTICS, named_policy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.policies.learner_choice import learner_for
 from halfseen.study.compare import holm, signed_rank_test

@@ -37,9 +37,9 @@ from halfseen.logs import Logs, read_logs
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.labels import Label, StainCounter
 from halfseen.perception.view import View
-from halfseen.scene.colours import colours
+from halfseen.scene.cups import Surface, draw_surface
 from halfseen.scene.draw import random_table
-from halfseen.scene.stains import Surface, draw_surface
+from halfseen.scene.record import colours
 from halfseen.scene.table import Table
 from halfseen.world.actions import Verb
 from halfseen.writing import write_file

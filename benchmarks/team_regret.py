@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from halfseen.planners.exact import TeamOptimum, solve_team
+from halfseen.planners.exact_table import GridGrasping
 from halfseen.planners.futures import RolloutPolicy
-from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import GreedyPolicy, OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.tables.policy import IndependentPolicies

@@ -31,8 +31,8 @@ from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.cell.campaign import Campaign, Conditions, working_folder
 from halfseen.cell.model import PAIR
 from halfseen.cell.table_state import Belief
+from halfseen.planners import HEURISTICS
 from halfseen.planners.heuristics import GreedyPolicy, TeamOfRules
-from halfseen.planners.named import HEURISTICS
 from halfseen.workers import Workers
 from halfseen.world.policy import Policy
 from halfseen.writing import write_file

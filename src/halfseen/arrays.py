@@ -40,6 +40,12 @@ PerObject: TypeAlias = Float[np.ndarray, " N"]
 ObjectMask: TypeAlias = Bool[np.ndarray, " N"]
 Array: TypeAlias = Any
 """An array of NumPy's, or of JAX's; a scalar of NumPy's where there is no axis."""
+Number: TypeAlias = float | int | Any
+"""A plain number, or what JAX makes of it inside a compiled call."""
+Which: TypeAlias = Int[Array, "*B"]
+"""Number of a verb, an object or a robot, for each table of a batch."""
+Flags: TypeAlias = Bool[Array, "*B"]
+Amounts: TypeAlias = Float[Array, "*B"]
 
 Tree = TypeVar("Tree")
 

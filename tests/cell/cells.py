@@ -6,10 +6,9 @@ from halfseen.cell import LiveCell, Robot, cell_model
 from halfseen.cell.grasps import hand_axes
 from halfseen.cell.model import PAIR
 from halfseen.cell.workcell import Workcell
-from halfseen.scene.camera import Camera, look_at
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
-from halfseen.scene.table import TABLE_TOP_M, Table
+from halfseen.scene.table import TABLE_TOP_M, Camera, Table, look_at
 from halfseen.scene.xtion import xtion_at
 
 ROBOT = Robot()

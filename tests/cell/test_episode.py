@@ -21,8 +21,8 @@ from halfseen.logs import LogRecorder, read_logs
 from halfseen.planners.heuristics import GreedyPolicy
 from halfseen.policies.history import present_state
 from halfseen.scene import random_table
+from halfseen.scene.cups import Stain, Surface
 from halfseen.scene.poses import Pose
-from halfseen.scene.stains import Stain, Surface
 from halfseen.scene.table import TABLE_TOP_M, Table
 from halfseen.workers import Workers
 from halfseen.world import ActionSpace, Scene, Verb, WorldConfig, random

@@ -8,7 +8,7 @@ from cells import CAMERA, FULL_CAMERA, LEFT, SLIM, two_arm_cell
 
 from halfseen.cell.live_cell import Reserve
 from halfseen.cell.space import Outline
-from halfseen.scene.stains import draw_surface
+from halfseen.scene.cups import draw_surface
 from halfseen.scene.table import TABLE_TOP_M
 
 STOOD_M = (-0.26, 0.0, TABLE_TOP_M)

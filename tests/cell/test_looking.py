@@ -19,10 +19,8 @@ from halfseen.cell.planning import Plan
 from halfseen.cell.table_state import Belief, no_grip, rows_of, state_of
 from halfseen.perception import perceive
 from halfseen.scene import Camera, Cup, Pose, Surface, random_table, read_table
-from halfseen.scene.camera import look_at
-from halfseen.scene.room import cup_name
-from halfseen.scene.table import TABLE_TOP_M, Table
-from halfseen.scene.view import ideal_view, table_view
+from halfseen.scene.table import TABLE_TOP_M, Table, look_at
+from halfseen.scene.view import cup_name, ideal_view, table_view
 from halfseen.scene.xtion import XTION, xtion_at
 from halfseen.world import WorldConfig
 

@@ -15,8 +15,8 @@ from halfseen.cell.planning import plans
 from halfseen.errors import PlanError, SceneError
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import UNSEEN_GROUP
-from halfseen.scene.room import room_model
 from halfseen.scene.table import TABLE_TOP_M
+from halfseen.scene.view import room_model
 
 SPEEDS = ROBOT.arm.speeds_rad_s
 RAISED = np.array([0.0, 3.0, 1.2, 0.0, 0.0, 0.0])

@@ -17,9 +17,9 @@ from halfseen.cell.table_state import Belief, CellState, no_grip
 from halfseen.cell.workcell import Workcell
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, read_logs
+from halfseen.planners import PLANNER, named_policy
 from halfseen.planners.heuristics import GreedyPolicy, TeamOfRules
 from halfseen.planners.myopic import MyopicPolicy
-from halfseen.planners.named import PLANNER, named_policy
 from halfseen.tables.agent_logs import agent_view
 from halfseen.tables.features import NUM_TEAM_FEATURES
 from halfseen.tables.policy import LinearTeamPolicy

@@ -16,8 +16,8 @@ from halfseen.perception.kind import HIGHEST_M, LOWEST_M, other_things, other_th
 from halfseen.perception.labels import share_in_view
 from halfseen.perception.solids import Hull
 from halfseen.scene import Stain, Surface, capture, draw_surface, random_table, read_table, table_paths
-from halfseen.scene.colours import colours, is_within
-from halfseen.scene.stains import SURFACES
+from halfseen.scene.cups import SURFACES
+from halfseen.scene.record import colours, is_within
 from halfseen.scene.view import table_view
 from halfseen.world.seeing import AssumedSeeing
 from refusals import refused

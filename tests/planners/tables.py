@@ -5,8 +5,7 @@ from naive_planner import CONFIG, Cup
 
 from halfseen.arrays import mapped
 from halfseen.planners import GreedyPolicy
-from halfseen.planners.rollout import opened
-from halfseen.planners.trajectories import draws_of, picked, successor
+from halfseen.planners.rollout import draws_of, opened, picked, successor
 from halfseen.world import TableState, random
 from halfseen.world.state import NO_ATTEMPT
 

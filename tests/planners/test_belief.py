@@ -13,7 +13,6 @@ from halfseen.errors import ArgumentError
 from halfseen.planners import explain, information_relaxation_bound, plan, solve_table
 from halfseen.planners.belief import (
     Grip,
-    belief_of,
     expected_attempt_s,
     grasp_probability,
     grip_posterior,
@@ -147,13 +146,13 @@ def test_an_object_that_seems_easier_to_grip_is_expected_to_hold():
 @pytest.mark.slow
 def test_sampled_futures_keep_what_is_believed_of_dirt_on_average(played):
     state = next(state for state in played if state.is_on_table.all() and (state.seen < 1.0).all())
-    belief = belief_of(FITTED, state)
     futures = drawn_successors(FITTED, state, 3 + 1, 20_000)
 
-    np.testing.assert_allclose(futures.is_dirty.mean(axis=-1), expit(belief.log_odds), atol=0.01)
-    chance = float(grasp_probability(FITTED, np.asarray(SCENE.occlusion[1]), Grip(*(leaf[1] for leaf in belief.grip))))
+    np.testing.assert_allclose(futures.is_dirty.mean(axis=-1), expit(state.log_odds), atol=0.01)
+    grip = Grip(*(leaf[1] for leaf in grip_posterior(FITTED, state)))
+    chance = float(grasp_probability(FITTED, np.asarray(SCENE.occlusion[1]), grip))
     assert float((futures.seen[1] == 1.0).mean()) == pytest.approx(chance, abs=0.015)
-    assert bool((futures.seen >= belief.seen[:, None]).all())
+    assert bool((futures.seen >= state.seen[:, None]).all())
 
 
 def test_at_the_last_step_the_look_ahead_is_exact(played):
@@ -162,7 +161,7 @@ def test_at_the_last_step_the_look_ahead_is_exact(played):
 
     assert len(states) > 5
     for state in states:
-        np.testing.assert_allclose(one_step_q(FITTED, belief_of(FITTED, state)), optimum.q_values(state), atol=2e-4)
+        np.testing.assert_allclose(one_step_q(FITTED, state), optimum.q_values(state), atol=2e-4)
 
 
 @pytest.mark.slow

@@ -47,7 +47,7 @@ def test_tiger_listens_until_it_is_sure():
     assert solution.action_of([0.03, 0.97], steps_to_go=1) == OPEN_LEFT
 
 
-@pytest.mark.parametrize("seed", range(12))
+@pytest.mark.parametrize("seed", range(6))
 def test_agrees_with_enumeration(seed):
     T, O, R, belief = random_problem(seed, num_actions=2 + seed % 2, num_observations=2 + seed % 3)  # noqa: E741
     for horizon in (1, 2, 3):

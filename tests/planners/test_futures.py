@@ -16,8 +16,8 @@ from halfseen.planners import (
     named_policy,
     solve_team,
 )
+from halfseen.planners.exact_table import GridGrasping
 from halfseen.planners.futures import future_rewards, imagined
-from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.rollout import sampled_values
 from halfseen.world import Verb, Workspace, WorldConfig, random
 from halfseen.world.actions import possible_actions
@@ -69,7 +69,7 @@ def test_what_another_is_at_ends_as_its_law_says_given_that_it_has_not_ended():
     state, _, _ = step(PAIR, state, hidden, np.asarray(1), KEY)
     since_s = 3.0
     state = replace(state, robots=replace(state.robots, since_s=np.array([since_s, 0.0], dtype=np.float32)))
-    draws = imagined(PAIR, repeated(state, 20_000), random.keys_of(KEY, 20_000))
+    draws = imagined(PAIR, repeated(state, 8_000), random.keys_of(KEY, 8_000))
     # Of u on the nodes of its prior: exponential times, some of them cut at the limit.
     nodes, weights = np.polynomial.hermite_e.hermegauss(7)
     scale_s = np.exp(0.6 + 2.2 * (1.0 - 0.5 * 0.8) - nodes)

@@ -9,10 +9,9 @@ from naive_planner import CONFIG, Cup
 
 from halfseen.arrays import at, record
 from halfseen.errors import ArgumentError
-from halfseen.planners import GreedyPolicy, OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
+from halfseen.planners import HEURISTICS, GreedyPolicy, OneAtATime, ReservingPolicy, RoundRobin, TeamOfRules
 from halfseen.planners.belief import expected_attempt_s, grip_posterior
 from halfseen.planners.heuristics import TrueGrasp
-from halfseen.planners.named import HEURISTICS
 from halfseen.world import UniformPolicy, Verb, WorldConfig, actions, random
 from halfseen.world.actions import FINISH, possible_actions, wait_of
 from halfseen.world.rollout import play

@@ -189,7 +189,7 @@ def test_what_another_is_at_ends_as_its_own_law_says():
     )
     is_on_table = np.ones(NUM_OBJECTS, dtype=bool)
     state = replace(state, robots=robots, decider=np.asarray(0, dtype=np.int32), is_on_table=is_on_table)
-    draws = imagined(config, repeated(state, 20_000), random.keys_of(KEY, 20_000))
+    draws = imagined(config, repeated(state, 8_000), random.keys_of(KEY, 8_000))
     # 2 s without transport have passed: an attempt that holds lasts longer with 1/2, one that misses all but surely.
     weights = WEIGHTS.copy()
     naive = naive_of(state, config)

@@ -1,4 +1,4 @@
-"""Three solvers that share no code agree, nobody beats the optimum, and the names of the cups do not matter."""
+"""A plan finds the optimum, nobody beats it, and the names of the cups do not matter."""
 
 from dataclasses import replace
 from functools import partial
@@ -6,9 +6,8 @@ from itertools import product
 
 import numpy as np
 import pytest
-from table_as_arrays import TableArrays
 
-from halfseen.planners import POMDPPolicy, information_relaxation_bound, plan, solve_discrete, solve_table
+from halfseen.planners import POMDPPolicy, information_relaxation_bound, plan, solve_table
 from halfseen.planners.exact_policies import Reached, drawn
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
@@ -18,14 +17,8 @@ from tables import THREE, TWO, rules_of
 from world.world_cases import permuted
 
 CONFIG = WorldConfig(horizon=2)
-ONE, GREEDY = np.zeros((1, 1)), rules_of(CONFIG)
-# One cup wholly hidden: until the other is moved, its labels say nothing, which keeps the alpha vectors few.
-HIDDEN = np.array([[0.0, 1.0], [0.0, 0.0]])
+GREEDY = rules_of(CONFIG)
 KEY = random.key_of(0)
-
-
-def labels_of(num_cups):
-    return list(product([False, True], repeat=num_cups))
 
 
 def state_after_first_look(config, hides, labels):
@@ -37,59 +30,7 @@ def state_after_first_look(config, hides, labels):
     return replace(fresh, log_odds=fresh.log_odds + np.asarray(update, dtype=np.float32))
 
 
-@pytest.mark.parametrize(
-    ("hides", "num_nodes", "num_steps"),
-    [
-        (ONE, 3, 2),
-        pytest.param(TWO, 3, 1, marks=pytest.mark.slow),
-        pytest.param(HIDDEN, 1, 2, marks=pytest.mark.slow),
-        pytest.param(TWO, 1, 2, marks=pytest.mark.slow),
-    ],
-    ids=["one cup", "two cups, one step", "two cups", "two cups in sight"],
-)
-def test_alpha_vectors_over_arrays_find_the_optimum_of_the_table(hides, num_nodes, num_steps):
-    """They and counting of looks find the same values and the same best actions."""
-    arrays = TableArrays(CONFIG, hides, num_nodes)
-    config = replace(CONFIG, horizon=num_steps)
-    optimum = solve_table(hides, config, num_grip_nodes=num_nodes)
-    looks = [arrays.after_first_look(labels) for labels in labels_of(len(hides))]
-    solution = solve_discrete(arrays.T, arrays.O, arrays.R, 1.0, num_steps, looks[0][0])
-
-    values = [solution.value_of(belief) + arrays.owed(belief) for belief, _ in looks]
-    assert sum(chance for _, chance in looks) == pytest.approx(1.0, abs=1e-12)
-    assert np.dot(values, [chance for _, chance in looks]) == pytest.approx(optimum.value, abs=1e-9)
-    for labels, value, (belief, _) in zip(labels_of(len(hides)), values, looks, strict=True):
-        q = optimum.q_values(state_after_first_look(config, hides, labels))
-        assert q.max() == pytest.approx(value, abs=1e-9)
-        assert solution.action_of(belief) == np.argmax(q)
-
-
-def q_of_tree(arrays, belief, num_steps):
-    """Q of a belief over arrays, by all that may be seen in the next steps."""
-    if num_steps == 0:
-        return np.zeros(len(arrays.R))
-    q = arrays.R @ belief
-    for action, (moves, shows) in enumerate(zip(arrays.T, arrays.O, strict=True)):
-        for mass in ((belief @ moves)[:, None] * shows).T:
-            if mass.sum() > 0.0:
-                q[action] += mass.sum() * q_of_tree(arrays, mass / mass.sum(), num_steps - 1).max()
-    return q
-
-
-@pytest.mark.parametrize(
-    ("hides", "num_nodes", "num_steps"), [(HIDDEN, 2, 2), (TWO, 2, 2), (ONE, 2, 3)], ids=["hidden", "in sight", "three"]
-)
-def test_a_tree_of_beliefs_over_arrays_finds_the_optimum_of_the_table(hides, num_nodes, num_steps):
-    arrays, config = TableArrays(CONFIG, hides, num_nodes), replace(CONFIG, horizon=num_steps)
-    optimum = solve_table(hides, config, num_grip_nodes=num_nodes)
-    for labels in labels_of(len(hides)):
-        belief, _ = arrays.after_first_look(labels)
-        q = optimum.q_values(state_after_first_look(config, hides, labels))
-        found = q_of_tree(arrays, belief, num_steps) + arrays.owed(belief)
-        np.testing.assert_allclose(found, q, atol=1e-9)
-
-
-@pytest.mark.parametrize("labels", labels_of(2), ids=str)
+@pytest.mark.parametrize("labels", list(product([False, True], repeat=2)), ids=str)
 @pytest.mark.slow
 def test_the_anytime_planner_finds_the_optimum_of_two_cups(labels):
     """With two steps, one improvement of the myopic rule is the optimum: the rule is exact at the last step.
@@ -112,28 +53,6 @@ def states():
     return picked(played.states, np.asarray(played.is_taken))
 
 
-@pytest.mark.parametrize("order", [[2, 0, 1], [1, 0, 2]])
-@pytest.mark.slow
-def test_names_of_cups_do_not_matter_to_optimum_and_bound(states, order):
-    config = replace(CONFIG, horizon=4)
-    plain, renamed = (solve_table(hides, config, num_grip_nodes=3) for hides in (THREE, THREE[np.ix_(order, order)]))
-    of_action = [0, *(1 + np.array(order)), *(4 + np.array(order))]
-
-    assert renamed.value == pytest.approx(plain.value, abs=1e-10)
-    assert renamed.num_states == plain.num_states
-    other = permuted(states, order)
-    for k in range(len(states.steps_to_go)):
-        q, q_renamed = (optimum.q_values(picked(of, k)) for optimum, of in ((plain, states), (renamed, other)))
-        np.testing.assert_allclose(q_renamed, q[of_action], atol=1e-9)
-    for reveals in ("looks", "hidden"):
-        bounds = [
-            information_relaxation_bound(hides, config, num_grip_nodes=3, reveals=reveals)
-            for hides in (THREE, THREE[np.ix_(order, order)])
-        ]
-        assert bounds[0].standard_error == bounds[1].standard_error == 0.0
-        assert bounds[0].value == pytest.approx(bounds[1].value, abs=1e-10)
-
-
 @pytest.mark.parametrize(
     "policy", [GREEDY[0], GREEDY[3], POMDPPolicy(CONFIG, 1)], ids=["greedy", "history", "one step ahead"]
 )
@@ -145,20 +64,6 @@ def test_names_of_cups_do_not_matter_to_who_plans_without_chance(states, policy)
     of_action = np.array([0, *(1 + np.argsort(order)), *(4 + np.argsort(order))])
     np.testing.assert_array_equal(renamed, of_action[plain])
     assert len(set(plain.tolist())) > 2
-
-
-@pytest.mark.slow
-def test_names_of_cups_do_not_matter_to_what_a_plan_with_chance_is_worth():
-    """Draws differ with the names, so values agree within their noise."""
-    config = replace(CONFIG, horizon=3)
-    optima = [solve_table(hides, config) for hides in (THREE, THREE[::-1, ::-1])]
-    values = np.array(
-        [[one.policy_value(POMDPPolicy(config, 2, 32), random.key_of(k)) for k in range(6)] for one in optima]
-    )
-
-    error = np.hypot(*(values.std(axis=1, ddof=1) / np.sqrt(6)))
-    assert values[0].mean() == pytest.approx(values[1].mean(), abs=float(4 * error))
-    assert error < 0.05
 
 
 def ordered(seed, policies_of, horizon=3):
@@ -225,8 +130,8 @@ def test_what_a_policy_keeps_does_not_depend_on_whom_it_is_drawn_with():
 def test_a_policy_asked_in_some_states_is_valued_right_on_average(asked, most):
     optimum = solve_table(THREE, CONFIG, 4)
     policy = partial(optimum.policy_value, asked)
-    exact, lots = policy(), [policy(random.key_of(seed), 24) for seed in range(60)]
+    exact, lots = policy(), [policy(random.key_of(seed), 24) for seed in range(30)]
 
     assert policy(max_states=10**6) == pytest.approx(exact, abs=1e-12)
-    assert np.mean(lots) == pytest.approx(exact, abs=float(4 * np.std(lots) / np.sqrt(60)))
+    assert np.mean(lots) == pytest.approx(exact, abs=float(4 * np.std(lots) / np.sqrt(30)))
     assert 0.0 < np.std(lots) < most

@@ -7,8 +7,17 @@ import pytest
 
 from halfseen.arrays import known_to_jax, mapped
 from halfseen.cli import inputs
-from halfseen.planners import GreedyPolicy, MyopicPolicy, POMDPPolicy, ReservingPolicy, RolloutPolicy, named_policy
-from halfseen.planners.named import HEURISTICS, PLANNER, UNIFORM
+from halfseen.planners import (
+    HEURISTICS,
+    PLANNER,
+    UNIFORM,
+    GreedyPolicy,
+    MyopicPolicy,
+    POMDPPolicy,
+    ReservingPolicy,
+    RolloutPolicy,
+    named_policy,
+)
 from halfseen.study.policies import HEURISTICS as CONTENDERS
 from halfseen.tables import LinearTablePolicy
 from halfseen.tables.features import NUM_FEATURES

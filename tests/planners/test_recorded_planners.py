@@ -8,6 +8,7 @@ import pytest
 
 from halfseen.cell.calibration.law_folder import read_law, shipped_law
 from halfseen.planners import (
+    HEURISTICS,
     GreedyPolicy,
     MyopicPolicy,
     OneAtATime,
@@ -20,11 +21,10 @@ from halfseen.planners import (
     solve_table,
     solve_team,
 )
-from halfseen.planners.belief import belief_of
+from halfseen.planners.belief import grip_posterior
+from halfseen.planners.exact_table import GridGrasping
 from halfseen.planners.futures import future_rewards
-from halfseen.planners.grid_grasping import GridGrasping
 from halfseen.planners.heuristics import TrueGrasp
-from halfseen.planners.named import HEURISTICS
 from halfseen.planners.rollout import sampled_values
 from halfseen.world import ExploringPolicy, Scene, UniformPolicy, Workspace, WorldConfig, random
 from halfseen.world.rollout import play
@@ -52,7 +52,7 @@ def of_one(config, states, keys):
     found["one_step_q"] = POMDPPolicy(config, 1).q_values(states, keys)
     found["sampled_values"] = np.stack([sampled_values(config, picked(states, k), KEY, 8) for k in range(8)])
     found["true_grasp"] = TrueGrasp(config).probability(states)
-    return found | {"grip_log_weights": belief_of(config, states).grip.log_weights}
+    return found | {"grip_log_weights": grip_posterior(config, states).log_weights}
 
 
 def of_team(config, states, keys):

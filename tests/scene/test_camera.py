@@ -1,21 +1,23 @@
-"""The camera: its geometry, what it would see without noise, and what its sensor makes of that."""
+"""The camera, what rays meet, and stains as it sees them, beside geometry by hand."""
+
+from dataclasses import replace
+from itertools import product
 
 import mujoco
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from halfseen.scene import Camera, Pose
-from halfseen.scene.camera import look_at
+from halfseen.scene import Camera, Cup, Pose, Stain, Surface, Table, capture, draw_surface
+from halfseen.scene.cups import SURFACES
+from halfseen.scene.moving import projector_columns_px, shaded_within, shown_within
 from halfseen.scene.poses import about_axis, compose
-from halfseen.scene.view import IdealView, ideal_view
-from halfseen.scene.xtion import (
-    XTION,
-    depth_from_disparity_m,
-    disparity_noise_px,
-    noisy_disparity_px,
-    sense,
-    xtion_at,
-)
+from halfseen.scene.rays import RowRays, first_met
+from halfseen.scene.record import COLOUR_CAMERA, colours, middle_m, painted
+from halfseen.scene.table import TABLE_TOP_M, look_at
+from halfseen.scene.view import IdealView, ideal_view, table_view
+from halfseen.scene.xtion import XTION, depth_from_disparity_m, disparity_noise_px, noisy_disparity_px, sense, xtion_at
 
 FOCAL_PX, SHAPE = 577.0, (480, 640)
 ORIGIN = Pose((0.0, 0.0, 0.0))
@@ -125,3 +127,204 @@ def test_disparity_comes_in_eighths_of_a_pixel_the_nearest_without_noise(picture
     depth_m = depth_from_disparity_m(np.array([[0.0, -0.125, 43.275, np.nan]]), FOCAL_PX)
     assert np.isnan(depth_m[0, [0, 1, 3]]).all()
     assert depth_m[0, 2] == pytest.approx(1.0)
+
+
+INTRINSICS = np.array([[50.0, 0.0, 30.0], [0.0, 52.0, 20.0], [0.0, 0.0, 1.0]])
+TETRAHEDRON = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [2, 0, 3]])
+
+
+def solids(rng, num_solids, middle_m):
+    """Outward facets of tetrahedra, none of which holds the origin."""
+    facets = []
+    while len(facets) < num_solids:
+        corners = rng.normal(size=(4, 3)) * 0.4 + rng.uniform(*middle_m)
+        if np.linalg.det(corners[1:] - corners[0]) < 0:
+            corners[[0, 1]] = corners[[1, 0]]
+        sides = corners[TETRAHEDRON]
+        is_outside = np.linalg.det(sides) < 0  # the origin is before this side
+        if is_outside.any():
+            facets.append(sides)
+    return np.concatenate(facets)
+
+
+def met_by_brute_force(corners, rays):
+    """Depth at which each ray meets any side of any facet first."""
+    directions = np.column_stack([rays.column, rays.row, np.ones(len(rays.row))]) @ np.linalg.inv(INTRINSICS).T
+    # Each direction as a sum of the three corners of each facet.
+    shares = np.einsum("fij,rj->fri", np.linalg.inv(np.moveaxis(corners, 1, 2)), directions)
+    is_met = (shares >= 0).all(axis=2)
+    depth = np.where(is_met, 1.0 / np.where(is_met, shares.sum(axis=2), 1.0), np.inf)
+    return depth.min(axis=0), depth.argmin(axis=0)
+
+
+@pytest.mark.parametrize(
+    "middle_m",
+    [([-1, -1, 1.5], [1, 1, 4]), ([-2, -2, -1], [2, 2, 1])],
+    ids=["before the camera", "on both sides of its plane"],
+)
+@given(seed=st.integers(0, 2**32 - 1))
+def test_as_asking_every_ray_about_every_facet(middle_m, seed):
+    rng = np.random.default_rng(seed)
+    corners = solids(rng, 12, middle_m)
+    rays = RowRays(rng.integers(0, 40, 500), rng.uniform(-40, 100, 500))
+    met = first_met(corners, INTRINSICS, rays)
+    depth_m, facet = met_by_brute_force(corners, rays)
+    np.testing.assert_allclose(met.depth_m, depth_m, rtol=1e-7)
+    np.testing.assert_array_equal(met.facet, np.where(np.isfinite(depth_m), facet, -1))
+
+
+def test_a_level_side_bounds_no_column():
+    corners = np.array([[[-0.2, -0.1, 1.0], [-0.2, 0.1, 1.0], [0.2, 0.1, 1.0]]])
+    row, column = (each.ravel() for each in np.mgrid[:40, :60])
+    met = first_met(corners, INTRINSICS, RowRays(row, column.astype(float)))
+    x, y = (column - 30) / 50, (row - 20) / 52
+    is_within = (x >= -0.2) & (y <= 0.1) & (y >= x / 2)
+    is_edge = (np.abs(y - x / 2) < 1e-9) | (np.abs(x + 0.2) < 1e-9)
+    np.testing.assert_array_equal((met.facet == 0)[~is_edge], is_within[~is_edge])
+    np.testing.assert_allclose(met.depth_m[met.facet == 0], 1.0)
+
+
+CAMERA = Camera(Pose((0.0, 0.0, 0.0)), (100.0, 100.0), (49.5, 39.5), 80, 100)
+BOX_M = np.array(list(product((-0.05, 0.05), (-0.1, 0.1), (1.0, 1.2))))[None]
+BASELINE_M = 0.1
+
+
+def test_a_box_shows_within_its_outline_and_little_more_and_beside_the_picture_nowhere():
+    row, column = np.nonzero(shown_within(BOX_M, CAMERA))
+    assert (column.min(), column.max()) == (42, 57)
+    assert (row.min(), row.max()) == (27, 52)
+    for aside_m in (-5.0, 5.0):
+        assert not shown_within(BOX_M + np.array([aside_m, 0.0, 0.0]), CAMERA).any()
+    assert not shown_within(np.zeros((0, 8, 3)), CAMERA).any()
+
+
+def test_shadows_fall_to_the_left_of_what_makes_them():
+    depth_m = np.full((80, 100), 2.0)
+    depth_m[:, :3] = np.nan
+    shaded = shaded_within(BOX_M, CAMERA, BASELINE_M, depth_m)
+    # The projector's picture of the box is 10 columns to the left (at 1 m), that of a wall at 2 m is 5.
+    row, column = np.nonzero(shaded[:, 8:])
+    assert (column.min() + 8, column.max() + 8) == (37, 53)
+    assert (row.min(), row.max()) == (27, 52)
+    # What is beyond the left border of the projector's picture may be dark; what is nowhere is not.
+    assert shaded[0, 3:5].all()
+    assert not shaded[:, :3].any()
+    np.testing.assert_allclose(projector_columns_px(CAMERA, BASELINE_M, depth_m)[0, 5], 0.0)
+
+
+WHITE, BROWN = (238, 236, 230), (98, 62, 30)
+CUP = Cup(0.10, 0.04, 0.04, wall_m=0.003)
+SILENT = replace(COLOUR_CAMERA, noise=0.0, ambient_share=1.0)
+TOWARDS_CAMERA_RAD = -np.pi / 2
+
+
+@pytest.fixture(scope="module")
+def lone() -> Table:
+    eye_m, target_m = np.array([0.0, -0.6, TABLE_TOP_M + 0.35]), np.array([0.0, 0.0, TABLE_TOP_M + 0.05])
+    camera = Camera(look_at(eye_m, target_m), (400.0, 400.0), (119.5, 99.5), 200, 240)
+    return Table((CUP,), (Pose((0.0, 0.0, TABLE_TOP_M)),), camera)
+
+
+@pytest.fixture(scope="module")
+def lone_view(lone):
+    return table_view(lone, 0.075)
+
+
+def on_a_cylinder(lone: Table, stain: Stain) -> int:
+    """Pixels that show a stain on a cylinder: each ray is met with its walls, its rim and its bottom by the formula."""
+    start = lone.world_from_cup[0].apply_inverse(np.array([lone.camera.world_from_camera.position_m]))[0]
+    way = lone.camera.pixel_rays().reshape(-1, 3) @ lone.camera.world_from_camera.rotation.T
+    outer, inner = CUP.rim_radius_m, CUP.rim_radius_m - CUP.wall_m
+    met = []
+    for radius in (outer, inner):
+        a, b = (way[:, :2] ** 2).sum(axis=1), way[:, :2] @ start[:2]
+        root = b * b - a * (start[:2] @ start[:2] - radius**2)
+        for sign in (-1, 1):
+            t = (-b + sign * np.sqrt(np.maximum(root, 0.0))) / a
+            height = start[2] + t * way[:, 2]
+            met.append(np.where((root > 0) & (height >= 0) & (height <= CUP.height_m), t, np.inf))
+    for surface_m, width_m in ((CUP.height_m, outer), (CUP.bottom_m, inner)):
+        t = (surface_m - start[2]) / way[:, 2]
+        across = np.linalg.norm(start[:2] + t[:, None] * way[:, :2], axis=1)
+        is_there = (across < width_m) & ((surface_m < CUP.height_m) | (across > inner)) & (t > 0)
+        met.append(np.where(is_there, t, np.inf))
+    first, nearest = np.argmin(met, axis=0), np.min(met, axis=0)
+    is_side = np.isin(first, (2, 3) if stain.is_inside else (0, 1)) & np.isfinite(nearest)
+    point = start + np.where(is_side, nearest, 0.0)[:, None] * way
+    middle = (inner if stain.is_inside else outer) * np.array([np.cos(stain.angle_rad), np.sin(stain.angle_rad)])
+    apart_m = np.linalg.norm(point - np.append(middle, stain.height_m), axis=1)
+    return int((is_side & (apart_m < stain.radius_m)).sum())
+
+
+@pytest.mark.parametrize(
+    ("angle_rad", "height_m", "is_inside", "is_seen"),
+    [
+        (TOWARDS_CAMERA_RAD, 0.05, False, True),
+        (TOWARDS_CAMERA_RAD + 0.9, 0.06, False, True),
+        (-TOWARDS_CAMERA_RAD, 0.05, False, False),
+        (-TOWARDS_CAMERA_RAD, 0.085, True, True),
+        (TOWARDS_CAMERA_RAD, 0.085, True, False),
+    ],
+)
+def test_stained_pixels_are_those_that_geometry_says(lone, lone_view, angle_rad, height_m, is_inside, is_seen):
+    stain = Stain(angle_rad, height_m, 0.012, is_inside, BROWN)
+    surface = Surface(CUP, WHITE, (stain,))
+    picture = colours(lone_view, lone.camera, [surface], lone.world_from_cup, np.random.default_rng(0), SILENT)
+    num_stained = int((picture == BROWN).all(axis=2).sum())
+    expected = on_a_cylinder(lone, stain)
+    assert (expected > 20) == is_seen
+    assert num_stained == pytest.approx(expected, abs=0.03 * expected)
+
+
+def test_what_is_seen_slantwise_is_darker_pixels_are_noisy_and_the_rest_has_its_own_colours(lone, lone_view):
+    def drawn(*camera):
+        return colours(lone_view, lone.camera, surface, lone.world_from_cup, np.random.default_rng(0), *camera)
+
+    surface = [Surface(CUP, WHITE)]
+    shaded, noisy, picture = drawn(replace(COLOUR_CAMERA, noise=0.0)), drawn(), drawn(SILENT)
+    is_slant, is_straight = lone_view.incidence_cosine < 0.3, lone_view.incidence_cosine > 0.9
+    assert shaded[(lone_view.body == 1) & is_slant].max() < shaded[(lone_view.body == 1) & is_straight].min()
+    assert np.std(noisy.astype(float) - shaded) == pytest.approx(COLOUR_CAMERA.noise, rel=0.05)
+    np.testing.assert_array_equal(noisy, drawn())
+    for body, colour in ((0, COLOUR_CAMERA.furniture), (1, WHITE), (-1, COLOUR_CAMERA.dark)):
+        assert (picture[lone_view.body == body] == colour).all()
+
+
+def test_a_handle_is_plain_and_stains_cover_spots():
+    cup = Cup(0.10, 0.04, 0.04, handle_m=0.03)
+    stain = Stain(0.0, 0.05, 0.03, False, BROWN)
+    spot = replace(stain, radius_m=0.035, colour=(1, 2, 3))
+    handle = np.array([[0.065, 0.0, 0.05]])
+    wall = np.array([[0.04, 0.0, 0.05], [0.04, 0.0, 0.0825], [-0.04, 0.0, 0.05], [0.037, 0.0, 0.05]])
+    surface = Surface(cup, WHITE, (stain,), (spot,))
+    assert painted(surface, handle).tolist() == [list(WHITE)]
+    assert painted(surface, wall).tolist() == [list(BROWN), [1, 2, 3], list(WHITE), list(WHITE)]
+
+
+def test_what_is_drawn_is_within_the_law_and_the_same_again(rng):
+    assert len({draw_surface(CUP, True, np.random.default_rng(7)) for _ in range(2)}) == 1
+    cup = Cup(0.10, 0.045, 0.035)
+    dirty = [draw_surface(cup, True, rng) for _ in range(600)]
+    clean = [draw_surface(cup, False, rng) for _ in range(600)]
+    assert all(surface.is_dirty for surface in dirty)
+    assert not any(surface.is_dirty for surface in clean)
+    assert {len(surface.stains) for surface in dirty} == {1, 2, 3}
+    assert {len(surface.spots) for surface in dirty} == {len(surface.spots) for surface in clean} == {0, 1, 2}
+    stains = [stain for surface in dirty for stain in surface.stains]
+    spots = [spot for surface in clean for spot in surface.spots]
+    for discs, (smallest, largest) in ((stains, SURFACES.stain_radius_m), (spots, SURFACES.spot_radius_m)):
+        assert smallest <= min(disc.radius_m for disc in discs) <= max(disc.radius_m for disc in discs) <= largest
+        # Three standard errors of a share of one half.
+        assert np.mean([disc.is_inside for disc in discs]) == pytest.approx(0.5, abs=1.5 / np.sqrt(len(discs)))
+    for disc in stains:
+        assert 0.01 - 1e-9 <= disc.height_m <= 0.095 + 1e-9
+        radius = cup.radius_at(disc.height_m) - cup.wall_m * disc.is_inside
+        assert np.hypot(*middle_m(disc, cup)[:2]) == pytest.approx(radius)
+
+
+def test_a_capture_has_the_same_depths_with_colour_and_without(lone):
+    surfaces = [Surface(CUP, WHITE)]
+    plain, coloured = capture(lone, 3), capture(lone, 3, surfaces=surfaces)
+    np.testing.assert_array_equal(plain.cloud.points_m, coloured.cloud.points_m)
+    assert plain.cloud.colours is None
+    np.testing.assert_array_equal(coloured.cloud.colours, capture(lone, 3, surfaces=surfaces).cloud.colours)

@@ -16,15 +16,13 @@ from halfseen.errors import ArgumentError, SceneError
 from halfseen.perception import read_cloud
 from halfseen.scene import Camera, Cup, Pose, Table, capture, random_table, read_table, read_truth, table_paths
 from halfseen.scene.__main__ import main
-from halfseen.scene.camera import look_at
 from halfseen.scene.cups import NUM_AROUND, body_mesh, handle_mesh
 from halfseen.scene.draw import GAP_M, MAX_OCCLUSION, MIN_RETURNS_PX, num_cups_of, settle, smallest_gap_m
 from halfseen.scene.poses import about_axis, compose
 from halfseen.scene.rays import cast
-from halfseen.scene.room import TIMESTEP_S, cup_name, lone_cup_model, room_model
 from halfseen.scene.shipped import KEPT_WITHIN_M, NUM_TABLES, SEEDS, cloud_path, made_with, truth_path, versions
-from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, truth_of
-from halfseen.scene.view import ideal_view, lone_depths_m, table_view
+from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, look_at, truth_of
+from halfseen.scene.view import TIMESTEP_S, cup_name, ideal_view, lone_cup_model, lone_depths_m, room_model, table_view
 from halfseen.scene.xtion import XTION, xtion_at
 
 PACKAGE = Path(halfseen.scene.__file__).parent

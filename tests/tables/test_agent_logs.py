@@ -76,7 +76,7 @@ def test_it_ends_where_the_robot_does_and_the_ordinary_learner_learns_from_it(te
 
 
 def test_a_last_attempt_that_waiting_made_the_last_is_cut_whoever_goes_home_meanwhile():
-    logs = logged(played(team_of(2, horizon=3), 600), 0.0)
+    logs = logged(played(team_of(2, horizon=3), 200), 0.0)
     for robot in (0, 1):
         own = agent_view(logs, robot)
         assert own.trajectories["cause"].eq(SPENT).sum() > 10

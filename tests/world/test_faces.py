@@ -158,7 +158,7 @@ def test_truncated_is_a_cut_and_loses_the_stage():
 
 def test_cuts_come_at_their_rate():
     env, watched_s, num_cut = CupsEnv(cut_rate=0.1), 0.0, 0
-    for seed in range(300):
+    for seed in range(150):
         env.reset(seed=seed)
         *_, truncated, info = env.step(1)
         watched_s, num_cut = watched_s + info["elapsed_s"], num_cut + truncated

@@ -12,7 +12,7 @@ from scipy.special import expit, logit
 from fitted_laws import FITTED, GRASPING, SEEING
 from halfseen.errors import ArgumentError
 from halfseen.planners import GreedyPolicy, information_relaxation_bound, solve_table
-from halfseen.planners.belief import belief_of
+from halfseen.planners.one_step import table_of
 from halfseen.world import (
     ActionSpace,
     AssumedGrasping,
@@ -107,7 +107,7 @@ def test_planners_say_which_law_they_do_not_know(config, message):
 def test_a_policy_that_needs_no_law_decides_under_any(episodes):
     state = picked(episodes.states, (0, 0))
     with pytest.raises(ArgumentError, match="planners need them"):
-        belief_of(OTHER, state)
+        table_of(OTHER, state)
     with pytest.raises(ArgumentError, match="Nudging"):
         GreedyPolicy(OTHER).decide(state, random.key_of(0))
     learned = GreedyPolicy(OTHER, uses_history=True, grasp=EvenChance())
@@ -306,15 +306,3 @@ def test_one_look_is_not_counted_ten_times(played):
         if among.sum() > 200:
             error = 4.0 * 0.5 / np.sqrt(among.sum())
             assert is_dirty[among].mean() == pytest.approx(believed[among].mean(), abs=error)
-
-
-@pytest.mark.slow
-def test_drawn_labels_say_dirty_as_often_as_the_law_says():
-    layout = picked(pad_scenes([THREE]), 0)
-    keys = random.keys_of(random.key_of(0), 100_000)
-    state, hidden = start(FITTED, repeated(layout, len(keys)), keys)
-    says_dirty, is_dirty = state.seen == 1.0, hidden.is_dirty
-    for cup, positive in enumerate(np.transpose(SEEING.positive(THREE.occlusion, 0.0))):
-        for is_true, expected in zip((True, False), positive, strict=True):
-            drawn = says_dirty[is_dirty[:, cup] == is_true, cup]
-            assert drawn.mean() == pytest.approx(expected, abs=4.0 * 0.5 / np.sqrt(len(drawn)))

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from jaxtyping import TypeCheckError
 
-from halfseen.errors import ArgumentError, HalfseenWarning, SceneError
+from halfseen.errors import ArgumentError, SceneError
 from halfseen.world import AssumedGrasping, GraspingByRobot, Robot, Scene, TableWorld, Team, WorldConfig, read_team
-from halfseen.world.number import check_number
+from halfseen.world.config import check_number
 from halfseen.world.state import initial_state, pad_scenes
 
 TABLE = Scene(np.zeros((4, 4)), places_m=np.array([[-0.3, 0.0], [0.0, 0.0], [0.05, 0.0], [0.3, 0.0]]))
@@ -22,11 +22,6 @@ def test_each_reaches_its_side_and_what_is_nearer_than_the_clearance_is_near():
     assert np.argwhere(np.triu(space.is_near, 1)).tolist() == [[1, 2]]
     assert space.is_near.diagonal().all()
     np.testing.assert_array_equal(space.is_near, space.is_near.T)
-
-
-def test_what_nobody_reaches_is_told():
-    with pytest.warns(HalfseenWarning, match=r"object 1 at \(0, 2\) m is in no robot's reach, so it counts as left"):
-        Team(TEAM).workspace(Scene(HIDES, places_m=np.array([[0.0, 0.0], [0.0, 2.0]])))
 
 
 def test_what_shows_of_grips_reaches_the_state_and_padding_holds_none():

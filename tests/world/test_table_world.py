@@ -5,7 +5,7 @@ import pytest
 
 from halfseen.cell.facts import tables_seen
 from halfseen.errors import ArgumentError, HalfseenWarning, PolicyError, SceneError
-from halfseen.planners import GreedyPolicy, ReservingPolicy, TeamOfRules
+from halfseen.planners import GreedyPolicy, ReservingPolicy
 from halfseen.tables import IndependentPolicies, LinearTeamPolicy
 from halfseen.world import ExploringPolicy, Robot, Scene, TableWorld, Team, UniformPolicy, WorldConfig, random
 from halfseen.world.rollout import play
@@ -20,17 +20,6 @@ TEAM = (Robot((-0.6, 0.0), 0.7, name="left"), Robot((0.6, 0.0), 0.7, speed=1.5, 
 WORLD = TableWorld(WorldConfig(horizon=4), TEAM)
 ALONE = TableWorld()
 RULE = GreedyPolicy(WORLD.config, uses_history=True, counts_penalty=True)
-
-
-@pytest.mark.slow
-def test_a_team_of_one_that_reaches_all_simulates_what_one_robot_does():
-    rule = GreedyPolicy(WorldConfig(), uses_history=True, counts_penalty=True)
-    mine = TableWorld(robots=[Robot((0.0, -0.5), 5.0)]).simulate(SCENES, TeamOfRules(rule), 30, seed=3, cut_share=0.4)
-    theirs = TableWorld().simulate(SCENES, rule, 30, seed=3, cut_share=0.4)
-    assert mine.trajectories.equals(theirs.trajectories)
-    for name in ("stages", "objects"):
-        truth = theirs.tables[name]
-        assert mine.tables[name][truth.columns].equals(truth)
 
 
 @pytest.mark.parametrize("kind", ["independent", "occlusion", "attempt"])

@@ -119,21 +119,6 @@ def test_a_log_of_a_team_tells_who_decided_by_one_clock_that_never_falls(team, t
     assert ((logs.stages["probability"] > 0) & (logs.stages["probability"] <= 1)).all()
 
 
-def test_who_decides_is_free_and_nobody_is_at_what_another_is_at(team):
-    _, logs = team
-    stages = logs.stages
-    for r in range(stages["robot"].max() + 1):
-        is_mine = stages["robot"] == r
-        assert stages.loc[is_mine, f"{r}_does"].eq("FREE").all()
-        spent = stages[f"{r}_decisions_to_go"].groupby(stages["trajectory"]).diff().dropna()
-        np.testing.assert_array_equal(
-            -spent, is_mine.groupby(stages["trajectory"]).shift(fill_value=False)[spent.index]
-        )
-        others = stages[~is_mine].dropna(subset=["object"])
-        at = others[f"{r}_does"].str.extract(r"(\d+)$")[0].astype("Int64")
-        assert not (at == others["object"]).fillna(False).any()
-
-
 def test_the_log_tells_who_made_each_attempt(team):
     """By plain loops: who is at an object as its number of attempts grows has tried it."""
     trajectories, logs = team
@@ -198,27 +183,6 @@ def test_trajectories_tell_when_and_why_each_robot_dropped_out(frail, tmp_path):
     assert share[0] > share[1] > share[2] == 0.0
     logs.write(tmp_path / "log")
     pd.testing.assert_frame_equal(read_logs(tmp_path / "log").trajectories, logs.trajectories)
-
-
-def test_who_drew_a_drop_out_before_the_end_and_did_not_drop_out_had_come_to_its_end(frail):
-    trajectories, logs = frail
-    until_s, states = trajectories.hidden.until_out_s, trajectories.states.robots
-    last = logs.stages.groupby("trajectory")["stage"].max().to_numpy() - 1
-    out_s = logs.trajectories[[f"{r}_out_s" for r in range(3)]].to_numpy()
-    for k, r in np.argwhere((until_s < logs.end_s[:, None]) & np.isnan(out_s)):
-        is_going_home = states.is_busy[k, last[k], r] and states.verb[k, last[k], r] == 0
-        is_spent = states.decisions_to_go[k, last[k], r] <= 1
-        assert states.is_parked[k, last[k], r] or is_going_home or is_spent
-
-
-def test_from_then_on_stages_say_out_and_the_robot_decides_no_more(frail):
-    _, logs = frail
-    stages = logs.stages.merge(logs.trajectories, on="trajectory")
-    begin_s = stages["elapsed_s"].groupby(stages["trajectory"]).shift(fill_value=0.0)
-    for r in range(3):
-        is_out = begin_s >= stages[f"{r}_out_s"]
-        np.testing.assert_array_equal(stages[f"{r}_does"] == "OUT", is_out)
-        assert not (is_out & (stages["robot"] == r)).any()
 
 
 def test_states_come_back_and_who_is_out_does_not_go_on(frail):

@@ -13,13 +13,12 @@ from picked import leaves_of
 from played_teams import logged, played, team_of
 
 HALF = np.array([[True, True, True, False], [False, True, True, True]])
-OF_STAGES = ["trajectory", "stage", "elapsed_s", "action", "object", "reward", "probability", "robot"]
 
 
 @pytest.fixture(scope="module")
 def logs():
-    team = team_of(2, horizon=4, drop_out_rate=(0.03, 0.02), reward_per_s=-0.05)
-    return logged(played(team, 30, reach=HALF), 0.4)
+    team = team_of(2, horizon=4, drop_out_rate=(0.08, 0.06), reward_per_s=-0.05)
+    return logged(played(team, 12, reach=HALF), 0.4)
 
 
 def seen_in(logs, row):

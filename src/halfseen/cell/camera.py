@@ -17,12 +17,11 @@ from halfseen.arrays import Image
 from halfseen.cell.live_cell import LiveCell
 from halfseen.perception.clouds import Cloud, Picture
 from halfseen.perception.view import View, perceive
-from halfseen.scene.camera import Camera
-from halfseen.scene.colours import colours
+from halfseen.scene.cups import Surface
 from halfseen.scene.moving import Facets, Sight, mesh_facets, with_facets, with_rays
 from halfseen.scene.rays import CUP_GROUP, FURNITURE_GROUP, ROBOT_GROUP
-from halfseen.scene.stains import Surface
-from halfseen.scene.table import TABLE_TOP_M
+from halfseen.scene.record import colours
+from halfseen.scene.table import TABLE_TOP_M, Camera
 from halfseen.scene.view import IdealView, ideal_view
 from halfseen.scene.xtion import XTION, sense
 from halfseen.shapes import Bool, Float, Int

@@ -33,8 +33,8 @@ from halfseen.errors import ArgumentError, LogError
 from halfseen.logs import LogRecorder, Logs, read_logs
 from halfseen.logs.joining import joined
 from halfseen.reading import json_of, read_text
+from halfseen.scene.cups import draw_surface
 from halfseen.scene.draw import random_table
-from halfseen.scene.stains import draw_surface
 from halfseen.shapes import Bool
 from halfseen.workers import Pool
 from halfseen.world import random

@@ -16,9 +16,9 @@ from halfseen.cell.live_cell import LiveCell
 from halfseen.cell.model import cell_spec
 from halfseen.cell.workcell import Workcell
 from halfseen.perception.clouds import Picture
+from halfseen.scene.cups import Stain, Surface
 from halfseen.scene.rays import UNSEEN_GROUP
-from halfseen.scene.room import cup_name
-from halfseen.scene.stains import Stain, Surface
+from halfseen.scene.view import cup_name
 from halfseen.shapes import Float
 from halfseen.writing import write_file
 

@@ -18,7 +18,7 @@ import numpy as np
 from halfseen.cell.kinematics import Angles, Kinematics, Way, schedule
 from halfseen.cell.model import Robot
 from halfseen.scene.poses import Pose
-from halfseen.scene.room import cup_name
+from halfseen.scene.view import cup_name
 from halfseen.shapes import Float
 
 Result = TypeVar("Result")

@@ -17,7 +17,7 @@ from halfseen.errors import SceneError
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import FURNITURE_GROUP
-from halfseen.scene.room import cup_name, room_spec
+from halfseen.scene.view import cup_name, room_spec
 from halfseen.shapes import Float
 
 SLOT_M = 0.13  # a cup in the rack takes so much along either side

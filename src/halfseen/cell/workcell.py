@@ -28,8 +28,8 @@ from halfseen.perception.clouds import Cloud, Vector
 from halfseen.perception.labels import Labeller, StainCounter
 from halfseen.perception.range_image import range_image
 from halfseen.perception.view import SeenObject, View
+from halfseen.scene.cups import Surface
 from halfseen.scene.poses import Pose, from_matrix
-from halfseen.scene.stains import Surface
 from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table
 from halfseen.shapes import Bool, Float
 

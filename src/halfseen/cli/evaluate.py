@@ -156,7 +156,7 @@ def _by_world(
     level: float,
 ) -> tuple[dict[str, Any], list[str]]:
     from halfseen.evaluation.simulation import compare_in_world
-    from halfseen.planners.named import named_policy
+    from halfseen.planners import named_policy
     from halfseen.study.policies import HEURISTICS
     from halfseen.world import WorldConfig
 

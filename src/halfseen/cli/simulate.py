@@ -11,7 +11,7 @@ from halfseen.cli.inputs import law_folder, law_of, num_scenes, read_robots, sce
 from halfseen.cli.messages import answer, say, tally
 from halfseen.cli.options import SHIPPED
 from halfseen.errors import ArgumentError
-from halfseen.planners.named import HEURISTICS, UNIFORM, named_policy
+from halfseen.planners import HEURISTICS, UNIFORM, named_policy
 from halfseen.progress import Progress
 from halfseen.writing import refuse_unwritable
 

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Array, first_last, library_of, record, softmax
+from halfseen.arrays import Array, first_last, library_of, softmax
 from halfseen.errors import ArgumentError
-from halfseen.shapes import Bool, Float, Int
+from halfseen.shapes import Float, Int
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import GraspingByRobot, KnownGrasping
 from halfseen.world.seeing import KnownSeeing
@@ -29,18 +29,6 @@ class Grip(NamedTuple):
     mean: Float[Array, "*S"]
     log_weights: Float[Array, "*S G"]
     """Log posterior weights of u on `offset_nodes`, not normalised."""
-
-
-@record
-class Belief:
-    """Belief over tables."""
-
-    hides: Float[Array, "*B N N"]
-    is_on_table: Bool[Array, "*B N"]
-    log_odds: Float[Array, "*B N"]
-    seen: Float[Array, "*B N"]
-    grip: Grip
-    steps_to_go: Int[Array, "*B"]
 
 
 _KNOWN: set[type] = set()
@@ -141,20 +129,6 @@ def grip_posterior(config: WorldConfig, state: TableState) -> Grip:
     evidence = xp.where(state.attempt_succeeded[..., None], held, failed)
     is_mine = state.attempt_object[..., None, :] == xp.arange(state.num_objects)[:, None]
     return prior._replace(log_weights=prior.log_weights + is_mine.astype(evidence.dtype) @ evidence)
-
-
-def belief_of(config: WorldConfig, state: TableState) -> Belief:
-    """What states say.
-
-    Raises
-    ------
-    ArgumentError
-        The world's law of grasping can only be drawn from.
-    """
-    # Also where nothing was tried yet, so that nothing is asked of the law.
-    known_grasping(config)
-    grip = grip_posterior(config, state)
-    return Belief(state.hides, state.is_on_table, state.log_odds, state.seen, grip, state.steps_to_go)
 
 
 def grasp_probability(config: WorldConfig, occluded: Float[Array, "*S"], grip: Grip) -> Float[Array, "*S"]:

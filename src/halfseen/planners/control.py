@@ -16,7 +16,6 @@ import numpy as np
 
 from halfseen.arrays import at, library_of, mapped
 from halfseen.planners import one_step
-from halfseen.planners.belief import belief_of
 from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
@@ -102,5 +101,5 @@ def _controlled(
 
 def _looked(config: WorldConfig, state: TableState) -> tuple[one_step.Table, one_step.Outlook]:
     """What is believed of tables, and what may follow one attempt."""
-    table = one_step.table_of(belief_of(config, state))
+    table = one_step.table_of(config, state)
     return table, one_step.outlook_of(config, table)

@@ -106,13 +106,11 @@ class Graph:
             return node.choices
         if node.place is None:
             return {GO_ON: self._outcome(node.tally, node.work)}
-        return {action: self._choice(node.tally, work) for action, work in self.team.decisions(node.tally, node.work)}
-
-    def _choice(self, tally: Tally, work: Work) -> Choice:
-        """What may come of it; of one robot alone that is the next decision, and nobody needs a node between."""
+        decisions = self.team.decisions(node.tally, node.work)
         if self.team.is_alone:
-            return self._outcome(tally, work)
-        return Choice(0.0, {self._arrival(tally, work, None): 1.0})
+            # What follows is the next decision, and nobody needs a node between.
+            return {action: self._outcome(node.tally, work) for action, work in decisions}
+        return {action: Choice(0.0, {self._arrival(node.tally, work, None): 1.0}) for action, work in decisions}
 
     def _outcome(self, tally: Tally, work: Work) -> Choice:
         reward: Grid | float = 0.0
@@ -165,13 +163,10 @@ class Graph:
         # A WASH and a LIFT that fail lead to the same.
         arrivals = dict.fromkeys(arrival for choice in choices.values() for arrival in choice.ways)
         worth = {arrival: self.worth(arrival) for arrival in arrivals}
-        return {action: self._q(choice, worth) for action, choice in choices.items()}
-
-    def _q(self, choice: Choice, worth: dict[Arrival, Grid]) -> Grid:
-        total = np.asarray(choice.reward)
-        for arrival, probability in choice.ways.items():
-            total = total + probability * worth[arrival]
-        return total
+        return {
+            action: sum((share * worth[arrival] for arrival, share in choice.ways.items()), np.asarray(choice.reward))
+            for action, choice in choices.items()
+        }
 
     def value(self, node: Node) -> Grid:
         """V(n) = max_a Q(n, a)."""

@@ -53,8 +53,7 @@ def reached_in(masses: dict[int, Grid]) -> Reached:
 
 def drawn(reached: Reached, max_states: int, key: Key) -> Reached:
     """Let each policy keep at most so many states, which then stand for all that it reaches."""
-    draw = float(random.uniform(key))
-    mass = np.stack([_thinned(of_policy, max_states, draw) for of_policy in reached.mass])
+    mass = np.stack([_thinned(of_policy, max_states, float(random.uniform(key))) for of_policy in reached.mass])
     kept = np.flatnonzero((mass > 0.0).any(axis=0))
     return Reached(reached.place[kept], reached.cell[kept], mass[:, kept])
 

@@ -6,7 +6,7 @@ was in the air, or it was not. (That look tells labels of what is held up and of
 knows the labels knows that.)
 
 While one robot alone is in motion, nothing else happens, and of how long an attempt takes only the mean counts. Several
-need a law of grasping whose times lie on a grid (`grid_grasping`), so that they may be held against one another.
+need a law of grasping whose times lie on a grid (`GridGrasping`), so that they may be held against one another.
 """
 
 from collections.abc import Iterator
@@ -19,8 +19,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError
 from halfseen.planners.exact_labels import Grid
-from halfseen.planners.exact_table import NOTHING, Counts, GridWorld, Held, Tally
-from halfseen.planners.grid_grasping import GridGrasping
+from halfseen.planners.exact_table import NOTHING, Counts, GridGrasping, GridWorld, Held, Tally
 from halfseen.world.actions import FINISH, WAIT, ActionSpace, Verb, wait_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.state import Workspace

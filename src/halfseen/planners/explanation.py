@@ -166,16 +166,12 @@ def drawn_q(
     own = rng.standard_normal((num_draws, num_actions))[:, rollouts.first_alike] * own_error(num_actions, error)
     missed = rollouts.difficulty * (error.common * rng.standard_normal((num_draws, 1)) + own)
     wrong = np.where(rollouts.is_uncertain, sampling + missed, 0.0)
-    return expected_q(rollouts, error) + wrong * _of_each_state(rng, num_draws)
+    # g: Student's t is a normal variable times it; its mean square is 1.
+    of_each_state = np.sqrt((DEGREES_OF_FREEDOM - 2.0) / rng.chisquare(DEGREES_OF_FREEDOM, (num_draws, 1)))
+    return expected_q(rollouts, error) + wrong * of_each_state
 
 
 def own_error(num_actions: int, error: PlannerError) -> Float[np.ndarray, " A"]:
     """ω / x of each action; 0 for FINISH, which is exact, and for what the look-ahead does not know."""
     of_verb = {Verb.WASH: error.wash, Verb.LIFT: error.lift}
     return np.array([of_verb.get(Verb(verb), 0.0) for verb in ActionSpace.of_size(num_actions).verbs])
-
-
-def _of_each_state(rng: np.random.Generator, num_draws: int) -> Float[np.ndarray, "B 1"]:
-    """g: Student's t is a normal variable times it; its mean square is 1."""
-    degrees = DEGREES_OF_FREEDOM
-    return np.sqrt((degrees - 2.0) / rng.chisquare(degrees, (num_draws, 1)))

@@ -17,27 +17,12 @@ import numpy as np
 from halfseen.arrays import STATIC, Array, expit, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.planners.belief import expected_attempt_s, grasp_probability, grip_posterior, prior_grip
-from halfseen.shapes import Bool, Float
+from halfseen.shapes import Float
 from halfseen.world.actions import FINISH, ActionSpace, Verb, is_decider, of_robot, others_of, possible_actions, wait_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.policy import Decision, GraspModel, surely
 from halfseen.world.random import Key
 from halfseen.world.state import TableState, occlusion
-
-
-def wash_worth(
-    config: WorldConfig,
-    is_dirty: Float[Array, "*#S"],
-    probability: Float[Array, "*#S"],
-    counts_penalty: bool | Bool[Array, ""],
-) -> Float[Array, "*S"]:
-    """Expected reward of one attempt to WASH an object that is dirty with probability `is_dirty`.
-
-    With `counts_penalty` the price of a dirty object left behind, which a success avoids, counts too.
-    """
-    reward_dirty = config.reward_wash_dirty - counts_penalty * config.reward_dirty_left
-    washed = is_dirty * reward_dirty + (1.0 - is_dirty) * config.reward_wash_clean
-    return probability * washed + (1.0 - probability) * config.reward_wash_failed
 
 
 @record
@@ -96,7 +81,10 @@ class GreedyPolicy:
     def worth(self, state: TableState) -> Float[Array, "*B N"]:
         """Expected reward of an attempt to WASH each object; −∞ where it does not stand on the table."""
         grasp = TrueGrasp(self.config, self.uses_history) if self.grasp is None else self.grasp
-        worth = wash_worth(self.config, expit(state.log_odds), grasp.probability(state), self.counts_penalty)
+        config, is_dirty, probability = self.config, expit(state.log_odds), grasp.probability(state)
+        reward_dirty = config.reward_wash_dirty - self.counts_penalty * config.reward_dirty_left
+        washed = is_dirty * reward_dirty + (1.0 - is_dirty) * config.reward_wash_clean
+        worth = probability * washed + (1.0 - probability) * config.reward_wash_failed
         return library_of(worth).where(state.is_on_table, worth, np.float32(-np.inf))
 
     def decide(self, state: TableState, key: Key) -> Decision:
@@ -157,18 +145,16 @@ class ReservingPolicy:
 
     def decide(self, state: TableState, key: Key) -> Decision:
         """Choose for each table; nothing is drawn."""
-        others, worth, price = others_of(state), _worth(self.rule, state), -self._price_of_attempts(state)
-        xp = library_of(worth)
+        others, worth, world = others_of(state), _worth(self.rule, state), self.config.as_robot(state.decider)
+        xp, grip = library_of(worth), prior_grip(state.grip)
+        if self.rule.uses_history:
+            grip = grip_posterior(world, state)
+        speed = xp.asarray(self.config.speed, dtype=np.float32)[state.decider]
+        # Of the time that it is expected to take for each object, if nobody shares it.
+        price = -(self.config.reward_per_s * expected_attempt_s(world, occlusion(state), grip) / speed[..., None])
         gain = worth - price / (1 + xp.sum(others.goes_on, axis=-1)).astype(np.float32)[..., None]
         preferred = xp.where(others.reached, gain - price, gain)
         return _chosen(state, gain, preferred)
-
-    def _price_of_attempts(self, state: TableState) -> Float[Array, "*B N"]:
-        """Price of the time that the robot that decides is expected to take for each object, if nobody shares it."""
-        world, xp = self.config.as_robot(state.decider), library_of(state.grip)
-        grip = grip_posterior(world, state) if self.rule.uses_history else prior_grip(state.grip)
-        speed = xp.asarray(self.config.speed, dtype=np.float32)[state.decider]
-        return self.config.reward_per_s * expected_attempt_s(world, occlusion(state), grip) / speed[..., None]
 
 
 @record

@@ -13,7 +13,6 @@ import numpy as np
 
 from halfseen.arrays import Array, library_of, record
 from halfseen.planners import one_step
-from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import NOW, Outlook
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import Others, Verb, is_decider, others_of, possible_actions
@@ -48,7 +47,7 @@ class MyopicPolicy(ByValue):
     def q_values(self, state: TableState) -> Float[Array, "*B A"]:
         """Worth of each action, WAIT last, above leaving all as it is; −∞ where it is impossible."""
         if state.robots is None:
-            q = one_step.one_step_q(self.config, belief_of(self.config, state))
+            q = one_step.one_step_q(self.config, state)
             return q - q[..., :1]
         return _q_of_team(self.config, state, state.robots, others_of(state))
 
@@ -70,7 +69,7 @@ def _q_of_team(config: WorldConfig, state: TableState, robots: Robots, others: O
     speed = xp.asarray(config.speed, dtype=np.float32)
     laws = tuple(config.as_robot(robot) for robot in range(config.num_robots if config.has_own_laws else 1))
     robot = state.decider if config.has_own_laws else xp.zeros_like(state.decider)
-    table = one_step.table_of(belief_of(config, state))
+    table = one_step.table_of(config, state)
     setting = one_step.setting_of(laws, table, robot)
     # What another washes hides and is seen, but nobody tries it.
     look = one_step.outlook_of(config, table, setting._replace(label=setting.label * ~_washed(state, robots, others)))

@@ -20,10 +20,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from halfseen.arrays import Array, expit, library_of, softmax
-from halfseen.planners.belief import Belief, grip_offsets, known_grasping, known_seeing
+from halfseen.planners.belief import grip_offsets, grip_posterior, known_grasping, known_seeing
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
+from halfseen.world.state import TableState
 
 _ZERO, _ONE, _NEVER, _TINY = np.float32(0.0), np.float32(1.0), np.float32(-np.inf), np.finfo(np.float32).tiny
 MISSED, HELD, MISSED_THEN_HELD, HELD_TWICE, ATTEMPT_S, NOW = range(6)
@@ -87,16 +88,24 @@ def _behind(constants: np.ndarray, num_axes: int) -> np.ndarray:
     return constants.reshape(constants.shape + (1,) * num_axes)
 
 
-def table_of(belief: Belief) -> Table:
-    """The same belief, the axes of the batch last, and padding no longer NaN."""
-    xp, num_axes = library_of(belief.hides), belief.is_on_table.ndim - 1
-    is_there = xp.moveaxis(belief.is_on_table, -1, 0)
-    objects = (expit(belief.log_odds), belief.seen, belief.grip.mean)
+def table_of(config: WorldConfig, state: TableState) -> Table:
+    """What states say, the axes of the batch last, and padding no longer NaN.
+
+    Raises
+    ------
+    ArgumentError
+        The world's law of grasping can only be drawn from.
+    """
+    # Also where nothing was tried yet, so that nothing is asked of the law.
+    known_grasping(config)
+    xp, num_axes = library_of(state.hides), state.is_on_table.ndim - 1
+    is_there = xp.moveaxis(state.is_on_table, -1, 0)
+    objects = (expit(state.log_odds), state.seen, state.grip)
     is_dirty, seen, grip = (xp.where(is_there, xp.moveaxis(each, -1, 0), _ZERO) for each in objects)
-    weights = xp.moveaxis(softmax(belief.grip.log_weights), (-1, -2), (0, 1))
+    weights = xp.moveaxis(softmax(grip_posterior(config, state).log_weights), (-1, -2), (0, 1))
     weights = xp.where(is_there, weights, _ONE)
-    hides = xp.moveaxis(belief.hides, range(num_axes), range(-num_axes, 0))
-    return Table(is_there, is_dirty, weights, seen, belief.steps_to_go, hides, grip)
+    hides = xp.moveaxis(state.hides, range(num_axes), range(-num_axes, 0))
+    return Table(is_there, is_dirty, weights, seen, state.steps_to_go, hides, grip)
 
 
 def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, "*B"] | None = None) -> Setting:
@@ -107,8 +116,10 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
     xp, occluded = library_of(table.hides), occlusions_in(table)
     helds, seconds = [], []
     for world in worlds:
-        law, offset = known_grasping(world), _offsets(world, table.grip)
-        helds.append(_ONE - _failure(law, occluded[:-1, None], offset))
+        law, offset = known_grasping(world), xp.moveaxis(grip_offsets(world, table.grip), -1, 0)
+        # Some laws tell it in less time than its logarithm.
+        failure: Any = getattr(law, "failure", lambda *at, law=law: xp.exp(law.log_failure(*at)))
+        helds.append(_ONE - failure(occluded[:-1, None], offset))
         seconds.append(law.expected_s(occluded[0], offset))
     own = helds[0][0]
     if robot is not None:
@@ -119,19 +130,6 @@ def setting_of(worlds: tuple[WorldConfig, ...], table: Table, robot: Int[Array, 
         first = (missed, own, missed * held[0], own * held[0], attempt_s)
         attempts.append(xp.concatenate([*(each[None] for each in first), held]))
     return Setting(occluded, labels_in(worlds[0], table, occluded), tuple(attempts))
-
-
-def _failure(law: Any, occluded: Any, offset: Any) -> Any:
-    """P(an attempt misses)."""
-    failure = getattr(law, "failure", None)
-    if failure is not None:
-        return failure(occluded, offset)
-    log_failure = law.log_failure(occluded, offset)
-    return library_of(log_failure).exp(log_failure)
-
-
-def _offsets(config: WorldConfig, grip: Float[Array, " N *B"]) -> Float[Array, "G N *B"]:
-    return library_of(grip).moveaxis(grip_offsets(config, grip), -1, 0)
 
 
 def occlusions_in(table: Table) -> Float[Array, "M N *B"]:
@@ -276,9 +274,9 @@ def laid_out(finish: Float[Array, "*B"], values: Float[Array, "..."]) -> Float[A
     return ActionSpace(wash.shape[-1]).join(finish, {Verb.WASH: wash, Verb.LIFT: lift})
 
 
-def one_step_q(config: WorldConfig, belief: Belief) -> Float[Array, "*B A"]:
+def one_step_q(config: WorldConfig, state: TableState) -> Float[Array, "*B A"]:
     """Q_1 of every action of one robot, in closed form; −∞ where an action is impossible."""
-    table = table_of(belief)
+    table = table_of(config, state)
     look = outlook_of(config, table)
     left = left_price(config, table)
     return laid_out(left, left + rule_and_control(config, table, look)[0])

@@ -20,10 +20,8 @@ import numpy as np
 
 from halfseen.arrays import STATIC, Array, library_of, mapped, record
 from halfseen.errors import ArgumentError
-from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import one_step_q
-from halfseen.planners.rollout import Search, drawn, halved, num_steps, opened, searched, searched_values
-from halfseen.planners.trajectories import draws_of
+from halfseen.planners.rollout import Search, drawn, draws_of, halved, num_steps, opened, searched, searched_values
 from halfseen.shapes import Float, Int
 from halfseen.world import random
 from halfseen.world.config import WorldConfig
@@ -78,7 +76,7 @@ class POMDPPolicy:
     def q_values(self, state: TableState, key: Key) -> Float[Array, "*B A"]:
         """Q_h of every action; −∞ where an action is impossible."""
         if self.num_simulations == 0:
-            return one_step_q(self.config, belief_of(self.config, state))
+            return one_step_q(self.config, state)
         return searched_values(self.config, state, key, self.num_simulations, int(self.planning_horizon))
 
 

@@ -10,23 +10,174 @@ A rollout is a trajectory of beliefs b_0, b_1, … that begins with action a_0 a
 a control variate in place of the rewards themselves: V° lets every object be left or tried once, however few steps
 remain, and Q° is Q_1 for unlimited steps, then exact in closed form. So the mean is Q^π(b_0, a_0) whatever V° is; and
 as V° is near V^π, the advantages A° are small and little noise is left. With one step to go Q_1 is exact and nothing is
-drawn. All actions meet the same draws. All rollouts of all tables advance together (`trajectories`).
+drawn. All actions meet the same draws.
+
+Each lane, along the last axis R of arrays, is one trajectory. All rollouts of all tables advance together, a step at a
+time; with NumPy those that are over are left out.
 """
 
 from dataclasses import replace
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from halfseen.arrays import Array, library_of, mapped, record
-from halfseen.planners.belief import belief_of
-from halfseen.planners.one_step import Outlook, Table, laid_out, left_price, rule_and_control, table_of
-from halfseen.planners.trajectories import Settings, advantages, draws_of, looked, picked, settings_of
-from halfseen.shapes import Float, Int
+from halfseen.planners import one_step
+from halfseen.planners.belief import known_seeing
+from halfseen.planners.one_step import HELD, Outlook, Setting, Table, laid_out, left_price, rule_and_control, table_of
+from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import FINISH
 from halfseen.world.config import WorldConfig
 from halfseen.world.random import Key
+from halfseen.world.seeing import AssumedSeeing
 from halfseen.world.state import TableState
+
+MOST_SETS = 64
+"""Sets of objects of one table for which it pays to find at once what each makes of attempts."""
+SPARED = 24
+"""Trajectories that are over for which it does not pay to leave them out."""
+_ZERO, _ONE, _TINY = np.float32(0.0), np.float32(1.0), np.finfo(np.float32).tiny
+Tree = TypeVar("Tree")
+
+
+def draws_of(key: Key, num_steps: int, num_objects: int) -> Float[Array, "steps draws *K"]:
+    """Draw uniformly for so many steps from each key: first for the grasp, then for the label of each object."""
+    before = [key]
+    for _ in range(num_steps - 1):
+        before.append(random.fold_in(before[-1], 0))
+    xp = library_of(key)
+    both = random.keys_of(random.fold_in(xp.stack(before), 1), 2)
+    grasp, label = random.uniform(both[..., 0, :], 1), random.uniform(both[..., 1, :], num_objects)
+    return xp.moveaxis(xp.concatenate([grasp, label], axis=-1), -1, 1)
+
+
+def picked(tree: Tree, lanes: Int[Array, " R"]) -> Tree:
+    """Some lanes of records."""
+    return mapped(lambda leaf: leaf.take(lanes, axis=-1), tree)
+
+
+class Settings(NamedTuple):
+    """What each set of the objects that stand on one table now would make of attempts and labels."""
+
+    bit: Int[np.ndarray, " N"]
+    """What each object adds to the number of a set; 0 for what is not there."""
+    each: Setting
+    """Of each set, by its number; labels as if nothing more had been seen."""
+
+    def of(self, config: WorldConfig, table: Table) -> Setting:
+        """Those of some beliefs of that table, from now on."""
+        setting = picked(self.each, self.bit @ table.is_there)
+        if type(config.seeing) is AssumedSeeing:
+            return setting
+        return setting._replace(label=one_step.labels_in(config, table, setting.occluded))
+
+
+def settings_of(config: WorldConfig, table: Table) -> Settings | None:
+    """Settings of all sets of the objects of one table; None of several tables, of too many objects, and under JAX."""
+    if library_of(table.hides) is not np or table.is_there.shape[1] != 1:
+        return None
+    is_there = table.is_there[:, 0]
+    bit = np.where(is_there, 1 << np.maximum(np.cumsum(is_there) - 1, 0), 0)
+    num_sets = int(bit.sum()) + 1
+    if num_sets > MOST_SETS:
+        return None
+    every = picked(table, np.zeros(num_sets, dtype=np.int64))
+    every = every._replace(is_there=(bit[:, None] & np.arange(num_sets)) > 0)
+    return Settings(bit, one_step.setting_of((config,), every))
+
+
+def looked(config: WorldConfig, table: Table, settings: Settings | None) -> Outlook:
+    """Look one attempt ahead; by how the objects stand, where that is known."""
+    return one_step.outlook_of(config, table, None if settings is None else settings.of(config, table))
+
+
+def successor(
+    config: WorldConfig, table: Table, look: Outlook, choice: Int[Array, " R"], draws: Float[Array, "draws R"]
+) -> Table:
+    """What is believed after an attempt, by draws: one particle's future each.
+
+    `choice` is WASH of each object in turn, then LIFT of each. `draws` are uniform in [0, 1): whether it is
+    grasped, and what the look at each object says.
+    """
+    xp, num_objects = library_of(table.is_dirty), len(table.is_there)
+    lanes, objects, nodes = (np.arange(num) for num in (len(choice), num_objects, len(table.weights)))
+    target, objects = choice % num_objects, objects[:, None]
+    is_grasped = draws[0] < look.expected[0][HELD, target, lanes]
+    is_target, result = target == objects, is_grasped.astype(np.int32)
+    is_moved = is_target & is_grasped
+    is_held = is_moved & (choice >= num_objects)
+    # By Bayes, of the grip and of every label; what was drawn was possible, so that the least of floats only guards
+    # what is not there.
+    chance = xp.maximum(look.expected[0][result, target, lanes], _TINY)
+    update = look.likelihood[result, nodes[:, None], target, lanes] / chance
+    way, law = xp.where(is_grasped, 1 + target, 0), known_seeing(config)
+    hit, says = (xp.where(is_held, each[0, -1], each[0][way, objects, lanes]) for each in (look.hit, look.says))
+    is_said = draws[1:] < says
+    of_said = xp.maximum(xp.where(is_said, says, _ONE - says), _TINY)
+    seen = table.seen
+    if type(law) is not AssumedSeeing:
+        occluded = xp.where(is_held, _ZERO, look.occluded[way, objects, lanes])
+        seen = law.after(occluded, seen, is_said, is_held).astype(np.float32)
+    return table._replace(
+        is_there=table.is_there & ~(is_moved ^ is_held),
+        is_dirty=xp.where(is_said, hit, table.is_dirty - hit) / of_said,
+        weights=table.weights * xp.where(is_target, update[:, None], _ONE),
+        seen=seen,
+        steps_to_go=table.steps_to_go - 1,
+    )
+
+
+def advantages(
+    search: "Search",
+    which: Int[Array, " R"],
+    action: Int[Array, " R"],
+    draws: Float[Array, "steps draws R"],
+    planning_horizon: int,
+) -> Float[Array, " R"]:
+    """Sum of the advantages of each trajectory, its worth less Q° of its first action; 0 where it has one step to go.
+
+    It begins with `action`, WASH or LIFT, at one of the tables, and the last of `planning_horizon` ≥ 2 actions is worth
+    Q_1.
+    """
+    config, (table, look) = search.config, picked((search.table, search.look), which)
+    # These verbs follow on FINISH.
+    choice = action - 1
+    xp, total, done, totals = library_of(table.is_dirty), _ZERO * draws[0, 0], [], []
+    lanes, last_step = np.arange(len(choice)), table.steps_to_go - planning_horizon + 1
+    goes_on = (table.steps_to_go > 1) & table.is_there.any(axis=0)
+    for t in range(len(draws)):
+        num = np.count_nonzero(goes_on) if xp is np else len(lanes)
+        if num == 0:
+            break
+        if num < (len(lanes) if t == 0 else min(len(lanes) / 2, len(lanes) - SPARED)):
+            keep, over = np.flatnonzero(goes_on), np.flatnonzero(~goes_on)
+            done, totals = [*done, lanes[over]], [*totals, total[over]]
+            rest = (table, look, choice, draws, lanes, last_step, total, goes_on)
+            table, look, choice, draws, lanes, last_step, total, goes_on = picked(rest, keep)
+        table = successor(config, table, look, choice, draws[t])
+        look = looked(config, table, search.settings)
+        choice, gained, is_end = _followed(config, table, look, last_step)
+        total = total + xp.where(goes_on, gained, _ZERO)
+        goes_on = goes_on & ~is_end
+    if not done:
+        return total
+    return np.concatenate([*totals, total])[np.argsort(np.concatenate([*done, lanes]))]
+
+
+def _followed(
+    config: WorldConfig, table: Table, look: Outlook, last_step: Int[Array, " R"]
+) -> tuple[Int[Array, " R"], Float[Array, " R"], Bool[Array, " R"]]:
+    """What the rule does next, its advantage, and whether the trajectory ends with it."""
+    values = one_step.rule_and_control(config, table, look)
+    xp, best = library_of(values), values[0].argmax(axis=0)
+    rule, control = values[:, best, np.arange(len(best))]
+    # Nothing is better than to finish, which is worth 0 here.
+    is_finish = rule <= _ZERO
+    is_last = (table.steps_to_go == 1) | (table.steps_to_go == last_step)
+    worth = xp.where(is_finish, _ZERO, xp.where(is_last, rule, control))
+    return best, worth - one_step.control_value(table, look), is_finish | is_last
+
 
 SHRINKAGE = 8.0
 """Rollouts that the mean advantage of all actions counts for in that of one."""
@@ -81,25 +232,12 @@ class Search:
 
 def opened(config: WorldConfig, state: TableState) -> Search:
     """A search of tables (one axis of them) before its first rollout."""
-    table = table_of(belief_of(config, state))
+    table = table_of(config, state)
     settings = settings_of(config, table)
     look, left = looked(config, table, settings), left_price(config, table)
     rule, control = (laid_out(left, left + values) for values in rule_and_control(config, table, look))
     none = library_of(rule).zeros_like(rule)
     return Search(config, table, look, settings, rule, control, none, none)
-
-
-def rolled_out(
-    search: Search,
-    table: Int[Array, " R"],
-    action: Int[Array, " R"],
-    draws: Float[Array, "steps draws R"],
-    planning_horizon: int,
-) -> Float[Array, " R"]:
-    """Advantages of a rollout of each of some actions, WASH or LIFT, each at one of the tables."""
-    begin = picked((search.table, search.look), table)
-    # These verbs follow on FINISH.
-    return advantages(search.config, *begin, action - 1, draws, planning_horizon, search.settings)
 
 
 def sampled_values(config: WorldConfig, state: TableState, key: Key, num_rollouts: int) -> Float[Array, "S A"]:
@@ -116,7 +254,7 @@ def sampled_values(config: WorldConfig, state: TableState, key: Key, num_rollout
     for some in (keys[k : k + size] for k in range(0, num_rollouts, size)):
         which, of_each = np.repeat(np.arange(len(some)), len(actions)), xp.asarray(np.tile(actions, len(some)))
         draws = draws_of(some, state.horizon - 1, num_objects)[..., which]
-        found = rolled_out(search, np.zeros_like(which), of_each, draws, state.horizon + 1)
+        found = advantages(search, np.zeros_like(which), of_each, draws, state.horizon + 1)
         parts.append(found.reshape(len(some), len(actions)))
     drawn_of = dict(zip(actions.tolist(), xp.moveaxis(xp.concatenate(parts), -1, 0), strict=True))
     none = xp.zeros(num_rollouts, dtype=np.float32)
@@ -144,7 +282,7 @@ def drawn(
     left, table = num_left[:, None], np.repeat(np.arange(num_tables), len(lane))
     action = xp.take_along_axis(promising, lane % left, axis=-1).reshape(-1)
     number = (lane // left - lane[0] // left).reshape(-1)
-    found = rolled_out(search, table, action, draws[:, :, table, number], planning_horizon)
+    found = advantages(search, table, action, draws[:, :, table, number], planning_horizon)
     is_own = action[:, None] == xp.arange(num_actions)
     added = (xp.where(is_own, found[:, None], np.float32(0.0)), is_own.astype(np.float32))
     total, count = (each.reshape(num_tables, len(lane), num_actions).sum(axis=1) for each in added)

@@ -12,12 +12,10 @@ import mujoco
 import numpy as np
 
 from halfseen.errors import SceneError
-from halfseen.scene.camera import look_at
 from halfseen.scene.cups import Cup, outline
 from halfseen.scene.poses import Pose, about_axis, compose
-from halfseen.scene.room import TIMESTEP_S, cup_name, room_model
-from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, truth_of
-from halfseen.scene.view import is_whole_in_picture, lone_depths_m, table_view
+from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Table, Truth, look_at, truth_of
+from halfseen.scene.view import TIMESTEP_S, cup_name, is_whole_in_picture, lone_depths_m, room_model, table_view
 from halfseen.scene.xtion import XTION, loss_probability, xtion_at
 from halfseen.shapes import Float
 
@@ -32,18 +30,7 @@ Disc = tuple[float, float, float]  # centre x, y and radius [m]
 
 
 def draw_cup(rng: np.random.Generator) -> Cup:
-    """Draw a tumbler or a mug of ordinary size.
-
-    Parameters
-    ----------
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    Cup
-        7 to 15 cm high, 6 to 10 cm wide at the mouth; a mug has a handle.
-    """
+    """Draw a tumbler or a mug of ordinary size: 7 to 15 cm high, 6 to 10 cm wide at the mouth; a mug has a handle."""
     rim_radius_m = rng.uniform(0.030, 0.050)
     is_mug = rng.random() < 0.35
     height_m = rng.uniform(0.075, 0.115) if is_mug else rng.uniform(0.07, min(0.15, 3.6 * rim_radius_m))
@@ -54,19 +41,9 @@ def draw_cup(rng: np.random.Generator) -> Cup:
 
 
 def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ...] | None:
-    """Draw where the cups are let go, some standing and some lying.
+    """Draw where the cups are let go, a few millimetres above the table, some standing and some lying.
 
-    Parameters
-    ----------
-    cups
-        The cups.
-    rng
-        Source of randomness.
-
-    Returns
-    -------
-    tuple of Pose, or None
-        One pose a cup, a few millimetres above the table; None if the cups did not fit.
+    None if the cups did not fit.
     """
     poses: list[Pose] = []
     taken: list[Disc] = []
@@ -75,7 +52,8 @@ def draw_layout(cups: Sequence[Cup], rng: np.random.Generator) -> tuple[Pose, ..
         for _ in range(_NUM_TRIES):
             pose = _just_above_table(cup, _draw_place(poses, rng), quaternion)
             discs = _footprint(cup, pose)
-            if _is_inside(discs) and not _overlap(discs, taken):
+            is_apart = all(np.hypot(x - a, y - b) >= r + s + GAP_M for x, y, r in discs for a, b, s in taken)
+            if _is_inside(discs) and is_apart:
                 poses.append(pose)
                 taken.extend(discs)
                 break
@@ -129,30 +107,13 @@ def _is_inside(discs: Sequence[Disc]) -> bool:
     return all(left_m <= x <= right_m and near_m <= y <= far_m for x, y, _ in discs)
 
 
-def _overlap(discs: Sequence[Disc], taken: Sequence[Disc]) -> bool:
-    return any(np.hypot(x - a, y - b) < r + s + GAP_M for x, y, r in discs for a, b, s in taken)
-
-
 REST_SPEED = 2e-3  # largest speed of a cup at rest [m/s, rad/s]
 _QUIET_S = 0.2  # how long a cup must have been that slow: a cup that turns back while rocking is slow for an instant
 _PATIENCE_S = 4.0
 
 
 def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, ...] | None:
-    """Let the cups fall and find where they come to rest.
-
-    Parameters
-    ----------
-    cups
-        The cups.
-    world_from_cup
-        Where they are let go, at rest.
-
-    Returns
-    -------
-    tuple of Pose, or None
-        Poses at rest; None if some cup still moves after 4 s.
-    """
+    """Let the cups fall and find where they come to rest; None if some cup still moves after 4 s."""
     model = room_model(cups, world_from_cup, is_free=True)
     data = mujoco.MjData(model)
     num_quiet = 0
@@ -160,24 +121,15 @@ def settle(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> tuple[Pose, .
         mujoco.mj_step(model, data)
         num_quiet = num_quiet + 1 if np.max(np.abs(data.qvel)) < REST_SPEED else 0
         if num_quiet * TIMESTEP_S >= _QUIET_S:
-            return tuple(_pose_of(data, index) for index in range(len(cups)))
+            bodies = [data.body(cup_name(index)) for index in range(len(cups))]
+            return tuple(Pose(tuple(body.xpos.tolist()), tuple(body.xquat.tolist())).rounded() for body in bodies)
     return None
 
 
 def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m: float = 0.1) -> float:
-    """Smallest distance between the convex hulls of any two cups [m].
+    """Smallest distance between the convex hulls of any two cups, or `beyond_m` if it is larger [m].
 
-    Parameters
-    ----------
-    cups, world_from_cup
-        The cups and their poses.
-    beyond_m
-        Gaps larger than this are not measured [m].
-
-    Returns
-    -------
-    float
-        The smallest gap, or `beyond_m` if it is larger; negative where cups are inside one another.
+    It is negative where cups are inside one another.
     """
     if beyond_m <= 0:
         raise SceneError(f"smallest gap: beyond_m is {beyond_m}; give a positive length")
@@ -192,13 +144,6 @@ def smallest_gap_m(cups: Sequence[Cup], world_from_cup: Sequence[Pose], beyond_m
                 for other in geoms[j]:
                     gap_m = min(gap_m, mujoco.mj_geomDistance(model, data, int(one), int(other), beyond_m, None))
     return float(gap_m)
-
-
-def _pose_of(data: mujoco.MjData, index: int) -> Pose:
-    body = data.body(cup_name(index))
-    x_m, y_m, z_m = (float(value) for value in body.xpos)
-    w, x, y, z = (float(value) for value in body.xquat)
-    return Pose((x_m, y_m, z_m), (w, x, y, z)).rounded()
 
 
 NUM_CUPS = (5, 10)
@@ -293,20 +238,7 @@ def _is_on_table(cups: Sequence[Cup], world_from_cup: Sequence[Pose]) -> bool:
 
 
 def sure_returns_px(table: Table, truth: Truth) -> np.ndarray:
-    """Pixels of each cup that return whatever the noise: seen, lit by the projector, and not grazing [px].
-
-    Parameters
-    ----------
-    table
-        The table.
-    truth
-        Its truth.
-
-    Returns
-    -------
-    numpy.ndarray
-        (N,) counts.
-    """
+    """Pixels of each cup that return whatever the noise: seen, lit by the projector, and not grazing [px]."""
     view = table_view(table, XTION.baseline_m)
     is_sure = view.is_lit & (loss_probability(view.incidence_cosine) == 0)
     near_m, far_m = XTION.range_m

@@ -11,9 +11,9 @@ import mujoco
 import numpy as np
 
 from halfseen.arrays import Image
-from halfseen.scene.camera import Camera
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import RowRays, first_met
+from halfseen.scene.table import Camera
 from halfseen.scene.view import LIT_TOLERANCE_M, IdealView, is_reached, pixel_hits
 from halfseen.shapes import Bool, Float, Int
 
@@ -42,15 +42,7 @@ class Facets:
 
 
 def mesh_facets(model: mujoco.MjModel, groups: Sequence[int]) -> Facets:
-    """List the facets of all meshes of some groups.
-
-    Parameters
-    ----------
-    model
-        A compiled model.
-    groups
-        Of the geoms; those that are no meshes are passed over.
-    """
+    """List the facets of all meshes of some groups of geoms; those that are no meshes are passed over."""
     geoms = np.flatnonzero((model.geom_type == mujoco.mjtGeom.mjGEOM_MESH) & np.isin(model.geom_group, groups))
     corners_m = [_corners_m(model, int(model.geom_dataid[geom])) for geom in geoms]
     geom = np.repeat(geoms, [len(each) for each in corners_m])
@@ -64,13 +56,7 @@ def _corners_m(model: mujoco.MjModel, mesh: int) -> Float[np.ndarray, "facets 3 
 
 
 def normals(corners_m: Float[np.ndarray, "facets 3 3"]) -> Float[np.ndarray, "facets 3"]:
-    """Unit normals of facets, outward.
-
-    Parameters
-    ----------
-    corners_m
-        Counterclockwise as seen from outside [m].
-    """
+    """Unit normals of facets, outward; corners are counterclockwise as seen from outside [m]."""
     first, second, third = np.moveaxis(corners_m, 1, 0)
     across = np.cross(second - first, third - first)
     return across / np.linalg.norm(across, axis=1, keepdims=True)
@@ -83,35 +69,10 @@ _CORNERS = np.array(list(product((-1.0, 1.0), repeat=3)))
 _ROUNDING_PX = 2
 
 
-def boxes_m(model: mujoco.MjModel, data: mujoco.MjData, camera: Camera, groups: Sequence[int]) -> Boxes:
-    """Corners of a box around each geom of some groups, in the camera's frame [m].
-
-    Parameters
-    ----------
-    model, data
-        The world, and where the bodies are.
-    camera
-        Whose frame.
-    groups
-        Of the geoms.
-    """
-    is_asked = np.isin(model.geom_group, groups)
-    middle_m, half_m = np.split(model.geom_aabb[is_asked], 2, axis=1)
-    corners_m = middle_m[:, None] + half_m[:, None] * _CORNERS
-    turned_m = np.einsum("pij,pcj->pci", data.geom_xmat[is_asked].reshape(-1, 3, 3), corners_m)
-    world_m = data.geom_xpos[is_asked][:, None] + turned_m
-    return camera.world_from_camera.apply_inverse(world_m.reshape(-1, 3)).reshape(world_m.shape)
-
-
 def shown_within(boxes_m: Boxes, camera: Camera) -> Mask:
     """Pixels in which what is in some box may show; all, if one is not wholly in front of the camera.
 
-    Parameters
-    ----------
-    boxes_m
-        In the camera's frame [m].
-    camera
-        The camera.
+    Boxes are in the camera's frame [m].
     """
     shape = (camera.num_rows, camera.num_columns)
     if (boxes_m[..., 2] <= 0).any():
@@ -128,16 +89,7 @@ def shown_within(boxes_m: Boxes, camera: Camera) -> Mask:
 def shaded_within(boxes_m: Boxes, camera: Camera, baseline_m: float, depth_m: Image) -> Mask:
     """Pixels whose points what is in some box may keep the projector from.
 
-    Parameters
-    ----------
-    boxes_m
-        In the camera's frame [m].
-    camera
-        The camera.
-    baseline_m
-        The projector stands this far to its right [m].
-    depth_m
-        Of each pixel [m].
+    Boxes are in the camera's frame; the projector stands `baseline_m` to the camera's right [m].
     """
     mask = shown_within(boxes_m - [baseline_m, 0.0, 0.0], camera)
     column = projector_columns_px(camera, baseline_m, depth_m)
@@ -151,14 +103,7 @@ def shaded_within(boxes_m: Boxes, camera: Camera, baseline_m: float, depth_m: Im
 def projector_columns_px(camera: Camera, baseline_m: float, depth_m: Image) -> Image:
     """Column at which a projector like the camera has the point of each pixel; its row is the pixel's own [px].
 
-    Parameters
-    ----------
-    camera
-        The camera.
-    baseline_m
-        The projector stands this far to its right [m].
-    depth_m
-        Of each pixel [m].
+    The projector stands `baseline_m` to the camera's right [m].
     """
     return np.arange(camera.num_columns) - camera.focal_px[0] * baseline_m / depth_m
 
@@ -183,21 +128,19 @@ class Sight:
     baseline_m: float
 
     def boxes_m(self, groups: tuple[int, ...]) -> Boxes:
-        """Corners of boxes around what is in some groups of geoms, in the camera's frame [m]."""
-        return boxes_m(self.model, self.data, self.camera, groups)
+        """Corners of a box around each geom of some groups, in the camera's frame [m]."""
+        is_asked = np.isin(self.model.geom_group, groups)
+        middle_m, half_m = np.split(self.model.geom_aabb[is_asked], 2, axis=1)
+        corners_m = middle_m[:, None] + half_m[:, None] * _CORNERS
+        turned_m = np.einsum("pij,pcj->pci", self.data.geom_xmat[is_asked].reshape(-1, 3, 3), corners_m)
+        world_m = self.data.geom_xpos[is_asked][:, None] + turned_m
+        return self.camera.world_from_camera.apply_inverse(world_m.reshape(-1, 3)).reshape(world_m.shape)
 
 
 def with_rays(view: IdealView, sight: Sight, standing: tuple[int, ...], moving: tuple[int, ...]) -> IdealView:
     """Lay over a view what moves in it, by rays.
 
-    Parameters
-    ----------
-    view
-        Of what stands.
-    sight
-        Who looks at what.
-    standing, moving
-        Groups of the geoms that are in the view, and of those to add.
+    Standing and moving are groups of the geoms that are in the view, and of those to add.
     """
     boxes, groups = sight.boxes_m(moving), standing + moving
     is_new = shown_within(boxes, sight.camera)
@@ -214,17 +157,7 @@ def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: 
     """Lay over a view the meshes of a group, facet by facet.
 
     The same as by rays, for a small part of the time: rays look for the facet that they meet, facets know their pixels.
-
-    Parameters
-    ----------
-    view
-        Of everything else.
-    sight
-        Who looks at what.
-    others
-        Groups of the geoms that are in the view.
-    facets, group
-        Of the meshes.
+    Others are groups of the geoms that are in the view.
     """
     camera, seen, boxes = sight.camera, _copied(view), sight.boxes_m((group,))
     corners_m = facets.seen_from(sight.data, camera.world_from_camera)
@@ -235,7 +168,9 @@ def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: 
     here, facet = (row[is_first], column[is_first]), met.facet[is_first]
     is_new[here] = True
     seen.depth_m[here], seen.body[here] = met.depth_m[is_first], facets.body[facet]
-    seen.incidence_cosine[here] = _cosines(normals(corners_m)[facet], camera.pixel_rays()[here])
+    rays = camera.pixel_rays()[here]
+    cosine = np.abs(np.sum(normals(corners_m)[facet] * rays, axis=1)) / np.linalg.norm(rays, axis=1)
+    seen.incidence_cosine[here] = cosine
     seen.is_lit[is_new] = _is_reached(sight, seen.depth_m, is_new, others)
     seen.is_lit[_is_shaded(corners_m, boxes, sight, seen.depth_m)] = False
     return seen
@@ -243,10 +178,6 @@ def with_facets(view: IdealView, sight: Sight, others: tuple[int, ...], facets: 
 
 def _copied(view: IdealView) -> IdealView:
     return IdealView(view.depth_m.copy(), view.body.copy(), view.incidence_cosine.copy(), view.is_lit.copy())
-
-
-def _cosines(normals: Float[np.ndarray, "px 3"], rays: Float[np.ndarray, "px 3"]) -> Float[np.ndarray, " px"]:
-    return np.abs(np.sum(normals * rays, axis=1)) / np.linalg.norm(rays, axis=1)
 
 
 def _is_reached(sight: Sight, depth_m: Image, is_asked: Mask, groups: tuple[int, ...]) -> Bool[np.ndarray, " asked"]:

@@ -73,33 +73,14 @@ class Pose:
 
 
 def from_matrix(matrix: Float[np.ndarray, "4 4"]) -> Pose:
-    """Make the pose of a rigid transform of homogeneous points.
-
-    Parameters
-    ----------
-    matrix
-        The transform; lengths in [m].
-    """
+    """Make the pose of a rigid transform of homogeneous points [m]."""
     w, x, y, z = Rotation.from_matrix(matrix[:3, :3]).as_quat(canonical=True, scalar_first=True).tolist()
     x_m, y_m, z_m = matrix[:3, 3].tolist()
     return Pose((x_m, y_m, z_m), (w, x, y, z))
 
 
 def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[float, float, float, float]:
-    """Make the quaternion that turns by an angle about a unit axis.
-
-    Parameters
-    ----------
-    axis
-        Unit axis.
-    angle_rad
-        Angle [rad], right-handed.
-
-    Returns
-    -------
-    tuple
-        (w, x, y, z).
-    """
+    """Make the quaternion (w, x, y, z) that turns by an angle about a unit axis, right-handed [rad]."""
     half_sine = float(np.sin(angle_rad / 2))
     return (float(np.cos(angle_rad / 2)), axis[0] * half_sine, axis[1] * half_sine, axis[2] * half_sine)
 
@@ -107,18 +88,7 @@ def about_axis(axis: tuple[float, float, float], angle_rad: float) -> tuple[floa
 def compose(
     first: tuple[float, float, float, float], then: tuple[float, float, float, float]
 ) -> tuple[float, float, float, float]:
-    """Make the quaternion that turns first one way, then another, both about the axes of the outer frame.
-
-    Parameters
-    ----------
-    first, then
-        Unit quaternions (w, x, y, z).
-
-    Returns
-    -------
-    tuple
-        (w, x, y, z).
-    """
+    """Make the quaternion (w, x, y, z) that turns first one way, then another, both about axes of the outer frame."""
     w1, x1, y1, z1 = then
     w2, x2, y2, z2 = first
     return (

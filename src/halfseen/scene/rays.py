@@ -50,27 +50,10 @@ def cast(
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> Hits:
-    """Cast rays from one point into a model.
+    """Cast rays from one point into a model, which is not changed.
 
-    Parameters
-    ----------
-    model
-        The world; it is not changed.
-    origin_m
-        Where all rays start [m].
-    unit_directions
-        Directions of length 1.
-    reach_m
-        Bodies beyond this distance are left out [m].
-    data
-        Where the bodies are; None for where they begin.
-    groups
-        Of the geoms that rays meet.
-
-    Returns
-    -------
-    Hits
-        One entry for each ray.
+    Bodies beyond `reach_m` are left out [m]. `data` tells where the bodies are, None for where they begin, and `groups`
+    which geoms rays meet.
     """
     if data is None:
         data = mujoco.MjData(model)
@@ -151,15 +134,9 @@ class _Spans:
 def first_met(corners_m: Corners, intrinsics: Intrinsics, rays: RowRays) -> Met:
     """Find the first facet that each ray meets.
 
-    Parameters
-    ----------
-    corners_m
-        Corners of facets in the camera's frame, counterclockwise as seen from outside [m]. They may lie behind the
-        camera. The facets bound solids, none of which holds the camera: inner sides are not met.
-    intrinsics
-        Of the picture whose rows and columns the rays name [px].
-    rays
-        The rays.
+    Corners are in the camera's frame, counterclockwise as seen from outside [m]. They may lie behind the camera. The
+    facets bound solids, none of which holds the camera: inner sides are not met. The intrinsics are those of the
+    picture whose rows and columns the rays name [px].
     """
     num_rays = len(rays.row)
     inverse_depth, facet = np.zeros(num_rays), np.full(num_rays, -1)

@@ -18,10 +18,9 @@ import numpy as np
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.perception.clouds import Cloud
 from halfseen.perception.formats import write_pcd
-from halfseen.scene.camera import Camera
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
-from halfseen.scene.table import Table, Truth
+from halfseen.scene.table import Camera, Table, Truth
 from halfseen.shapes import Int
 from halfseen.writing import write_file
 
@@ -60,7 +59,10 @@ def read_truth(k: int) -> Truth:
     ArgumentError
         There is no such table.
     """
-    return _truth_from(_read_json(k)["truth"])
+    content = _read_json(k)["truth"]
+    num_rows, num_columns = content.pop("shape")
+    labels = labels_of(content.pop("label_runs"), (num_rows, num_columns))
+    return Truth(labels, **{name: np.array(values) for name, values in content.items()})
 
 
 def read_table(k: int) -> Table:
@@ -81,18 +83,21 @@ def read_table(k: int) -> Table:
     ArgumentError
         There is no such table.
     """
-    return _table_from(_read_json(k)["table"])
+    content = _read_json(k)["table"]
+    camera = content["camera"]
+    lens = tuple(camera["focal_px"]), tuple(camera["centre_px"]), camera["num_rows"], camera["num_columns"]
+    return Table(
+        cups=tuple(Cup(**cup) for cup in content["cups"]),
+        world_from_cup=tuple(map(_pose_from, content["world_from_cup"])),
+        camera=Camera(_pose_from(camera["world_from_camera"]), *lens),
+        name=content["name"],
+    )
 
 
 def write_shipped(folder: Path, which: Iterable[int]) -> None:
     """Make tables again, cloud and truth; each file appears whole or not at all.
 
-    Parameters
-    ----------
-    folder
-        Where to; ``tables`` and ``truth`` are made in it.
-    which
-        Numbers of the tables, from 0 to 9.
+    ``tables`` and ``truth`` are made in the folder.
 
     Raises
     ------
@@ -107,7 +112,10 @@ def write_shipped(folder: Path, which: Iterable[int]) -> None:
         table = random_table(SEEDS[_checked(k)])
         picture = capture(table, SEEDS[k])
         write_pcd(within(picture.cloud, KEPT_WITHIN_M), cloud_path(folder, k))
-        content = {"made_with": versions(), "table": asdict(table), "truth": _truth_as_json(picture.truth)}
+        labels = picture.truth.labels
+        truth = {"shape": list(labels.shape), "label_runs": run_lengths(labels)}
+        truth |= {name: values.tolist() for name, values in vars(picture.truth).items() if name != "labels"}
+        content = {"made_with": versions(), "table": asdict(table), "truth": truth}
         write_file(truth_path(folder, k), json.dumps(content, separators=(",", ":")) + "\n")
 
 
@@ -117,36 +125,12 @@ def versions() -> dict[str, str]:
 
 
 def made_with(k: int) -> dict[str, str]:
-    """Read with which versions a shipped table was made.
-
-    Parameters
-    ----------
-    k
-        Which table, from 0 to 9.
-
-    Returns
-    -------
-    dict
-        Version of each package on which the bytes depend.
-    """
+    """Read with which versions of the packages on which its bytes depend a shipped table was made, from 0 to 9."""
     return _read_json(k)["made_with"]
 
 
 def within(cloud: Cloud, reach_m: float) -> Cloud:
-    """Leave out the returns beyond a reach; their rays stay, as NaN.
-
-    Parameters
-    ----------
-    cloud
-        The cloud.
-    reach_m
-        Largest depth that is kept [m].
-
-    Returns
-    -------
-    Cloud
-        Organised as before.
-    """
+    """Leave out the returns beyond a depth [m]; their rays stay, as NaN."""
     points_m = np.where(cloud.points_m[:, 2:] <= reach_m, cloud.points_m, np.nan)
     return replace(cloud, points_m=points_m)
 
@@ -190,33 +174,6 @@ def _read_json(k: int) -> dict[str, Any]:
     if not path.is_file():
         raise SceneError(f"{path}: no such file; make it with `python -m halfseen.scene`")
     return json.loads(path.read_text(encoding="utf-8"))
-
-
-def _truth_as_json(truth: Truth) -> dict[str, Any]:
-    others = {name: values.tolist() for name, values in vars(truth).items() if name != "labels"}
-    return {"shape": list(truth.labels.shape), "label_runs": run_lengths(truth.labels), **others}
-
-
-def _truth_from(content: dict[str, Any]) -> Truth:
-    num_rows, num_columns = content.pop("shape")
-    labels = labels_of(content.pop("label_runs"), (num_rows, num_columns))
-    return Truth(labels, **{name: np.array(values) for name, values in content.items()})
-
-
-def _table_from(content: dict[str, Any]) -> Table:
-    camera = content["camera"]
-    return Table(
-        cups=tuple(Cup(**cup) for cup in content["cups"]),
-        world_from_cup=tuple(_pose_from(pose) for pose in content["world_from_cup"]),
-        camera=Camera(
-            _pose_from(camera["world_from_camera"]),
-            tuple(camera["focal_px"]),
-            tuple(camera["centre_px"]),
-            camera["num_rows"],
-            camera["num_columns"],
-        ),
-        name=content["name"],
-    )
 
 
 def _pose_from(content: dict[str, Any]) -> Pose:

@@ -1,8 +1,12 @@
-"""What an ideal camera sees: depth, labels, and the silhouette of each cup as if it stood alone."""
+"""The room as MuJoCo sees it, and what an ideal camera sees of it: depth, labels, the silhouette of each cup alone.
+
+In the room are a floor, a wall, a table, and the cups on it, free to move or fixed.
+"""
 
 # MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
 # pyright: reportAttributeAccessIssue=false
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -10,13 +14,104 @@ import mujoco
 import numpy as np
 
 from halfseen.arrays import Image
-from halfseen.scene.camera import Camera
-from halfseen.scene.cups import Cup, outline
+from halfseen.scene.cups import Cup, Faces, Vertices, body_mesh, handle_mesh, outline
 from halfseen.scene.poses import Pose
-from halfseen.scene.rays import SEEN_GROUPS, Directions, Hits, cast
-from halfseen.scene.room import lone_cup_model, room_model
-from halfseen.scene.table import Table
+from halfseen.scene.rays import CUP_GROUP, SEEN_GROUPS, Directions, Hits, cast
+from halfseen.scene.table import TABLE_SIZE_M, TABLE_TOP_M, Camera, Table
 from halfseen.shapes import Bool, Float, Int
+
+TIMESTEP_S = 0.002
+_TOP_THICKNESS_M = 0.03
+_LEG_RADIUS_M = 0.025
+_WALL_BEHIND_M = 1.4  # from the table's middle
+_DENSITY = 2300.0  # stoneware [kg/m³]
+# Sliding [-], spinning [m] and rolling [m] friction; a cup that lies must stop rolling as it does on wood.
+_FRICTION = (0.6, 0.004, 0.0015)
+_STIFF_CONTACT = (0.006, 1.0)  # time constant [s] and damping ratio: a cup sinks in by less than 0.1 mm
+
+
+def cup_name(index: int) -> str:
+    """Name of a cup's body in the model."""
+    return f"cup_{index}"
+
+
+def room_model(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjModel:
+    """Compile the whole room; physics may move the cups where they are free, and else they are fixed.
+
+    Body ``cup_i`` is cup i; everything else belongs to the world body.
+    """
+    return room_spec(cups, world_from_cup, is_free=is_free).compile()
+
+
+def room_spec(cups: Sequence[Cup], world_from_cup: Sequence[Pose], *, is_free: bool) -> mujoco.MjSpec:
+    """Build the whole room without compiling it, so that more can be added; parameters are those of `room_model`."""
+    spec = _empty_spec()
+    _add_furniture(spec)
+    for index, (cup, pose) in enumerate(zip(cups, world_from_cup, strict=True)):
+        _add_cup(spec, index, cup, pose, is_free=is_free)
+    return spec
+
+
+def lone_cup_model(cup: Cup, world_from_cup: Pose) -> mujoco.MjModel:
+    """Compile a world that holds nothing but one cup, fixed; body 1 is the cup."""
+    spec = _empty_spec()
+    _add_cup(spec, 0, cup, world_from_cup, is_free=False)
+    return spec.compile()
+
+
+def _empty_spec() -> mujoco.MjSpec:
+    spec = mujoco.MjSpec()
+    spec.option.timestep = TIMESTEP_S
+    spec.option.cone = mujoco.mjtCone.mjCONE_ELLIPTIC
+    return spec
+
+
+def _add_furniture(spec: mujoco.MjSpec) -> None:
+    half_x_m, half_y_m = TABLE_SIZE_M[0] / 2, TABLE_SIZE_M[1] / 2
+    box, cylinder = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
+    world = spec.worldbody
+    world.add_geom(type=box, pos=[0, 0, -0.05], size=[4, 4, 0.05])
+    world.add_geom(type=box, pos=[0, _WALL_BEHIND_M + 0.05, 1.5], size=[4, 0.05, 1.5])
+    world.add_geom(
+        type=box,
+        pos=[0, 0, TABLE_TOP_M - _TOP_THICKNESS_M / 2],
+        size=[half_x_m, half_y_m, _TOP_THICKNESS_M / 2],
+        friction=list(_FRICTION),
+        solref=list(_STIFF_CONTACT),
+        condim=6,
+    )
+    leg_m = (TABLE_TOP_M - _TOP_THICKNESS_M) / 2
+    for x_m in (-half_x_m + 0.05, half_x_m - 0.05):
+        for y_m in (-half_y_m + 0.05, half_y_m - 0.05):
+            world.add_geom(type=cylinder, pos=[x_m, y_m, leg_m], size=[_LEG_RADIUS_M, leg_m, 0])
+
+
+def _add_cup(spec: mujoco.MjSpec, index: int, cup: Cup, pose: Pose, *, is_free: bool) -> None:
+    """Add a cup: rays meet the hollow mesh, contacts its convex hull, which is exact while nothing is inside."""
+    body = spec.worldbody.add_body(name=cup_name(index), pos=list(pose.position_m), quat=list(pose.quaternion))
+    if is_free:
+        body.add_freejoint()
+    meshes = {"vessel": body_mesh(cup)}
+    if cup.handle_m > 0:
+        meshes["handle"] = handle_mesh(cup)
+    for part, (vertices, faces) in meshes.items():
+        name = f"{cup_name(index)}_{part}"
+        _add_mesh(spec, name, vertices, faces)
+        body.add_geom(
+            type=mujoco.mjtGeom.mjGEOM_MESH,
+            meshname=name,
+            density=_DENSITY,
+            friction=list(_FRICTION),
+            solref=list(_STIFF_CONTACT),
+            condim=6,
+            group=CUP_GROUP,
+        )
+
+
+def _add_mesh(spec: mujoco.MjSpec, name: str, vertices: Vertices, faces: Faces) -> None:
+    mesh = spec.add_mesh(name=name, uservert=vertices.ravel().tolist(), userface=faces.ravel().tolist())
+    mesh.inertia = mujoco.mjtMeshInertia.mjMESH_INERTIA_EXACT
+
 
 LIT_TOLERANCE_M = 0.002
 """A ray from the projector may stop this much before a point and still light it [m]."""
@@ -57,25 +152,9 @@ def ideal_view(
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> IdealView:
-    """See a model with an ideal camera, and from a projector beside it.
+    """See a model with an ideal camera, and from a projector that stands `baseline_m` to its right [m].
 
-    Parameters
-    ----------
-    model
-        A compiled MuJoCo model.
-    camera
-        The camera.
-    baseline_m
-        The projector stands this far to the camera's right [m].
-    data
-        Where the bodies are; None for where they begin.
-    groups
-        Of the geoms that are seen.
-
-    Returns
-    -------
-    IdealView
-        The view.
+    `data` tells where the bodies are, None for where they begin, and `groups` which geoms are seen.
     """
     depth_m, hits, directions = pixel_hits(model, camera, data=data, groups=groups)
     origin_m = np.asarray(camera.world_from_camera.position_m)
@@ -93,17 +172,7 @@ def ideal_view(
 def table_view(table: Table, baseline_m: float) -> IdealView:
     """See a table, with everything on it, with its own camera; the last view is kept, as who draws a table looks at it.
 
-    Parameters
-    ----------
-    table
-        The table.
-    baseline_m
-        The projector stands this far to the camera's right [m].
-
-    Returns
-    -------
-    IdealView
-        The view; its arrays are read-only.
+    The projector stands `baseline_m` to the camera's right [m]. Arrays are read-only.
     """
     view = ideal_view(room_model(table.cups, table.world_from_cup, is_free=False), table.camera, baseline_m)
     for image in (view.depth_m, view.body, view.incidence_cosine, view.is_lit):
@@ -116,16 +185,7 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
     """See every cup as if it stood alone in the world; what was seen of the last table is kept.
 
     Only pixels inside the box around the cup's outline are cast, so that ten cups cost less than one full picture.
-
-    Parameters
-    ----------
-    table
-        The table.
-
-    Returns
-    -------
-    numpy.ndarray
-        Depth [m] of each cup; infinite where the cup is not; read-only.
+    Depths [m] are infinite where the cup is not, and read-only.
     """
     depths_m = np.full((table.num_cups, table.camera.num_rows, table.camera.num_columns), np.inf)
     for index, (cup, pose) in enumerate(zip(table.cups, table.world_from_cup, strict=True)):
@@ -137,20 +197,7 @@ def lone_depths_m(table: Table) -> Float[np.ndarray, "N H W"]:
 
 
 def is_whole_in_picture(table: Table, margin_px: float = 8.0) -> bool:
-    """Whether every cup lies inside the picture.
-
-    Parameters
-    ----------
-    table
-        The table.
-    margin_px
-        Least distance from the picture's border [px].
-
-    Returns
-    -------
-    bool
-        False if any cup is cut off.
-    """
+    """Whether every cup lies inside the picture, at least `margin_px` from its border [px]."""
     size_px = np.array([table.camera.num_columns, table.camera.num_rows]) - 1.0
     for cup, pose in zip(table.cups, table.world_from_cup, strict=True):
         pixels = table.camera.project(pose.apply(outline(cup)))
@@ -166,21 +213,10 @@ def pixel_hits(
     data: mujoco.MjData | None = None,
     groups: tuple[int, ...] = SEEN_GROUPS,
 ) -> tuple[Float[np.ndarray, "*px"], Hits, Directions]:
-    """Cast the rays of the pixels of a window.
+    """Cast the rays of the pixels of a window; all else is as for `ideal_view`.
 
-    Parameters
-    ----------
-    model, camera, data, groups
-        As for `ideal_view`.
-    window
-        Pixels to ask.
-
-    Returns
-    -------
-    depth_m
-        Of each pixel [m]; NaN where nothing is met.
-    hits, directions
-        What each ray met, and where it points in the world.
+    What comes back is the depth of each pixel, NaN where nothing is met [m], what each ray met, and where it points in
+    the world.
     """
     rays = camera.pixel_rays()[window]
     lengths = np.linalg.norm(rays, axis=-1)
@@ -198,14 +234,7 @@ def is_reached(
 ) -> Bool[np.ndarray, " n"]:
     """Which points the projector reaches: the first thing on the way to a point is the point itself.
 
-    Parameters
-    ----------
-    model, data, groups
-        As for `ideal_view`.
-    projector_m
-        Where it stands in the world [m].
-    points_m
-        Points in the world [m]; NaN where there is none, which nothing reaches.
+    Both stand in the world [m]; nothing reaches a NaN. All else is as for `ideal_view`.
     """
     is_point = np.isfinite(points_m[:, 0])
     ways_m = points_m[is_point] - projector_m

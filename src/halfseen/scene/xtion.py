@@ -12,8 +12,8 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 
 from halfseen.arrays import Image
-from halfseen.scene.camera import Camera
 from halfseen.scene.poses import Pose
+from halfseen.scene.table import Camera
 from halfseen.scene.view import IdealView
 from halfseen.shapes import Float
 
@@ -63,17 +63,9 @@ XTION = StructuredLight(
 
 
 def xtion_at(world_from_camera: Pose) -> Camera:
-    """Put the sensor's camera somewhere; fx = 577.3 px and fy = 579.4 px follow from the field of view.
+    """Put the sensor's camera somewhere: 640 × 480 pixels, principal point in the middle.
 
-    Parameters
-    ----------
-    world_from_camera
-        Where it stands [m].
-
-    Returns
-    -------
-    Camera
-        640 × 480 pixels, principal point in the middle.
+    fx = 577.3 px and fy = 579.4 px follow from the field of view.
     """
     fx = NUM_COLUMNS / 2 / np.tan(FIELD_OF_VIEW_RAD[0] / 2)
     fy = NUM_ROWS / 2 / np.tan(FIELD_OF_VIEW_RAD[1] / 2)
@@ -82,23 +74,10 @@ def xtion_at(world_from_camera: Pose) -> Camera:
 
 
 def sense(view: IdealView, focal_px: float, rng: np.random.Generator, sensor: StructuredLight = XTION) -> Image:
-    """Turn an ideal view into what the sensor returns.
+    """Turn an ideal view into what the sensor returns, depth [m].
 
-    Parameters
-    ----------
-    view
-        What an ideal camera sees, and what the projector reaches.
-    focal_px
-        Horizontal focal length [px].
-    rng
-        Source of the noise.
-    sensor
-        What senses.
-
-    Returns
-    -------
-    Image
-        Depth [m]; NaN where nothing returns: out of range, in the projector's shadow, or at a grazing angle.
+    It is NaN where nothing returns: out of range, in the projector's shadow, or at a grazing angle. `focal_px` is the
+    horizontal focal length [px].
     """
     noise_px = disparity_noise_px(view.depth_m.shape, rng, sensor)
     dice = rng.random(view.depth_m.shape)
@@ -110,22 +89,7 @@ def sense(view: IdealView, focal_px: float, rng: np.random.Generator, sensor: St
 
 
 def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator, sensor: StructuredLight = XTION) -> Image:
-    """Draw the noise of the disparity, partly shared between neighbours.
-
-    Parameters
-    ----------
-    shape
-        Rows and columns [px].
-    rng
-        Source of the noise.
-    sensor
-        Whose noise.
-
-    Returns
-    -------
-    Image
-        Noise [px].
-    """
+    """Draw the noise of the disparity of rows and columns of pixels, partly shared between neighbours [px]."""
     smooth = gaussian_filter(rng.standard_normal(shape), sensor.window_px, mode="wrap")
     # A Gaussian filter of spread s leaves 1/(4·π·s²) of the variance of white noise.
     shared = smooth * np.sqrt(4 * np.pi) * sensor.window_px
@@ -133,45 +97,13 @@ def disparity_noise_px(shape: tuple[int, ...], rng: np.random.Generator, sensor:
 
 
 def noisy_disparity_px(depth_m: Image, noise_px: Image, focal_px: float, sensor: StructuredLight = XTION) -> Image:
-    """Measure the disparity f·b/z + noise, rounded to the sensor's steps.
-
-    Parameters
-    ----------
-    depth_m
-        True depth [m]; NaN where there is nothing.
-    noise_px
-        Noise [px].
-    focal_px
-        Focal length f [px].
-    sensor
-        What measures.
-
-    Returns
-    -------
-    Image
-        Disparity [px]; NaN where there is nothing.
-    """
+    """Measure the disparity f·b/z + noise, rounded to the sensor's steps [px]; NaN where there is nothing."""
     exact_px = focal_px * sensor.baseline_m / depth_m
     return np.round((exact_px + noise_px) / sensor.disparity_step_px) * sensor.disparity_step_px
 
 
 def depth_from_disparity_m(disparity_px: Image, focal_px: float, sensor: StructuredLight = XTION) -> Image:
-    """Turn a disparity into depth, z = f·b/d [m]; NaN where the disparity is not positive.
-
-    Parameters
-    ----------
-    disparity_px
-        Disparity d [px].
-    focal_px
-        Focal length f [px].
-    sensor
-        What measured.
-
-    Returns
-    -------
-    Image
-        Depth [m].
-    """
+    """Turn a disparity into depth, z = f·b/d [m]; NaN where the disparity is not positive."""
     is_finite_depth = disparity_px > 0
     return np.where(
         is_finite_depth, focal_px * sensor.baseline_m / np.where(is_finite_depth, disparity_px, 1.0), np.nan
@@ -183,17 +115,7 @@ def loss_probability(
 ) -> Float[np.ndarray, "..."]:
     """Give the probability that a ray is lost at a grazing angle: from 0 to 1 between two angles, a ramp.
 
-    Parameters
-    ----------
-    incidence_cosine
-        Cosine of the angle between ray and normal; NaN where nothing is met.
-    sensor
-        What looks.
-
-    Returns
-    -------
-    numpy.ndarray
-        Probability; 1 where nothing is met.
+    It is 1 where nothing is met, and the cosine NaN.
     """
     angle_rad = np.arccos(np.clip(incidence_cosine, 0.0, 1.0))
     low_rad, high_rad = sensor.grazing_rad

@@ -9,7 +9,7 @@ from timeit import timeit
 import numpy as np
 
 from halfseen.figures import INK, ORANGE, OURS, PEER, PLANNER, SOFT
-from halfseen.planners.named import named_policy
+from halfseen.planners import named_policy
 from halfseen.planners.pomdp import POMDPPolicy
 from halfseen.shapes import Float
 from halfseen.tables.assisted import AssistedPolicy, Excess

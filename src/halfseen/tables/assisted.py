@@ -11,8 +11,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from halfseen.arrays import Array, at, library_of, record
-from halfseen.planners.belief import belief_of
+from halfseen.arrays import Array, Number, at, library_of, record
 from halfseen.planners.heuristics import GreedyPolicy, TrueGrasp
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import laid_out, left_price, table_of
@@ -21,7 +20,6 @@ from halfseen.tables import look_ahead
 from halfseen.tables.look_ahead import NUM_TABLE, Ahead
 from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
-from halfseen.world.number import Number
 from halfseen.world.policy import ByValue, GraspModel
 from halfseen.world.random import Key
 from halfseen.world.seeing import PersistentSeeing
@@ -52,14 +50,11 @@ class Mending:
         xp = library_of(state.log_odds)
         log_odds = xp.interp(state.log_odds, self.recorded, self.mended)
         if self.law is not None:
-            log_odds = xp.where(state.log_odds < self.prior, self.prior + _of_nothing(self.law, state.seen), log_odds)
+            # What it adds to have found nothing in the share that was seen.
+            missed = (1.0 - found for found in self.law.found_by(state.seen))
+            if_dirty, if_clean = (xp.log(xp.maximum(each, 1e-6)) for each in missed)
+            log_odds = xp.where(state.log_odds < self.prior, self.prior + (if_dirty - if_clean), log_odds)
         return replace(state, log_odds=log_odds.astype(np.float32))
-
-
-def _of_nothing(law: PersistentSeeing, seen: Array) -> Array:
-    """Log-odds that it adds to have found nothing in this share of the surface."""
-    xp, (if_dirty, if_clean) = library_of(seen), law.found_by(seen)
-    return xp.log(xp.maximum(1.0 - if_dirty, 1e-6)) - xp.log(xp.maximum(1.0 - if_clean, 1e-6))
 
 
 @record
@@ -144,7 +139,7 @@ class AssistedPolicy(LawPolicy):
 
     def q_values(self, state: TableState, key: Key | None = None) -> Float[Array, "*B A"]:
         """Q of every action; −∞ where an action is impossible."""
-        ahead = look_ahead.ahead_of(self.config, table_of(belief_of(self.config, self.mended(state))))
+        ahead = look_ahead.ahead_of(self.config, table_of(self.config, self.mended(state)))
         left = left_price(self.config, ahead.table)
         above = ahead.one_step if self.excess is None else ahead.one_step + self.excess(ahead)
         q = laid_out(left, left + above)

@@ -29,11 +29,10 @@ from typing import NamedTuple
 import numpy as np
 
 from halfseen.arrays import mapped
-from halfseen.planners.belief import belief_of
 from halfseen.planners.futures import future_rewards
 from halfseen.planners.myopic import MyopicPolicy
 from halfseen.planners.one_step import Table, table_of
-from halfseen.planners.trajectories import picked, successor
+from halfseen.planners.rollout import picked, successor
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.assisted import Excess, TeamExcess
 from halfseen.tables.look_ahead import Ahead, ahead_of, team_described
@@ -133,7 +132,7 @@ def _simulated(config: WorldConfig, layouts: Layout, trajectory: Int[np.ndarray,
     rng, found = np.random.default_rng([seed, int(trajectory[0])]), {}
     layout = mapped(lambda leaf: leaf[trajectory % len(leaf)], layouts)
     state, _ = start(config, layout, random.fold_in(random.key_of(seed), trajectory))
-    ahead = ahead_of(config, table_of(belief_of(config, state)))
+    ahead = ahead_of(config, table_of(config, state))
     for to_go in range(config.horizon, 1, -1):
         tried, is_possible = _to_try(ahead, rng)
         after = ahead_of(config, after_each(config, ahead, tried, rng))
@@ -191,15 +190,6 @@ def features_of(ahead: Ahead, choice: Int[np.ndarray, " R"], lanes: Int[np.ndarr
     return np.concatenate([ahead.of_table[:, lanes], own]).T
 
 
-class TeamTried(NamedTuple):
-    """Actions tried beside the myopic one; R rows."""
-
-    features: Float[np.ndarray, "R F"]
-    """Of the action less those of the myopic one."""
-    beyond: Float[np.ndarray, " R"]
-    """By how much it did better than the myopic look says, in the mean of the futures."""
-
-
 def fitted_team_excess(config: WorldConfig, layouts: Layout, seed: int) -> TeamExcess:
     """Simulate a team in a known world, and fit E."""
     states = visited(config, layouts, seed, NUM_STATES)
@@ -208,11 +198,11 @@ def fitted_team_excess(config: WorldConfig, layouts: Layout, seed: int) -> TeamE
         team_simulated(config, *mapped(lambda leaf, k=k: leaf[k : k + TEAM_LANES], (states, key)), NUM_FUTURES)
         for k in range(0, len(key), TEAM_LANES)
     ]
-    tried = TeamTried(*map(np.concatenate, zip(*parts, strict=True)))
-    if not len(tried.beyond):
+    features, beyond = map(np.concatenate, zip(*parts, strict=True))
+    if not len(beyond):
         return TeamExcess.none()
-    coefficients = _ridge(*tried, np.sqrt((tried.features**2).mean(axis=0)), TEAM_REG)
-    low, high = np.quantile(tried.features @ coefficients, RANGE)
+    coefficients = _ridge(features, beyond, np.sqrt((features**2).mean(axis=0)), TEAM_REG)
+    low, high = np.quantile(features @ coefficients, RANGE)
     return TeamExcess(coefficients.astype(np.float32), float(min(low, 0.0)), float(max(high, 0.0)))
 
 
@@ -257,8 +247,14 @@ def visited(config: WorldConfig, layouts: Layout, seed: int, num_states: int) ->
     return mapped(lambda leaf: leaf[tuple(index[chosen] for index in at)], played.states)
 
 
-def team_simulated(config: WorldConfig, state: TableState, key: Key, num_futures: int) -> TeamTried:
-    """Try actions in some states."""
+def team_simulated(
+    config: WorldConfig, state: TableState, key: Key, num_futures: int
+) -> tuple[Float[np.ndarray, "R F"], Float[np.ndarray, " R"]]:
+    """Try actions beside the myopic one in some states; R rows.
+
+    Told are the features of each less those of the myopic one, and by how much it did better than the myopic look says,
+    in the mean of the futures.
+    """
     future_key, try_key = random.split(key)
     base = MyopicPolicy(config)
     q = base.q_values(state)
@@ -270,10 +266,8 @@ def team_simulated(config: WorldConfig, state: TableState, key: Key, num_futures
     features = team_described(state, q)
     of_best = np.take_along_axis(features, best[..., None], axis=1)
     np.put_along_axis(is_tried, best, False, axis=-1)
-    return TeamTried(
-        (features - of_best)[is_tried].astype(np.float64),
-        (beyond - np.take_along_axis(beyond, best, axis=-1))[is_tried].astype(np.float64),
-    )
+    gained = beyond - np.take_along_axis(beyond, best, axis=-1)
+    return (features - of_best)[is_tried].astype(np.float64), gained[is_tried].astype(np.float64)
 
 
 def counting_time(config: WorldConfig, unpriced_per_s: float) -> WorldConfig:

@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import Hides, mapped
-from halfseen.planners.belief import belief_of
 from halfseen.planners.one_step import ATTEMPT_S, NOW, left_price, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.assisted import AssistedPolicy, LawPolicy
@@ -211,7 +210,7 @@ def implied(policy: LawPolicy, state: TableState, action: int) -> str:
     'by the laws of its log 1.2 dirty objects would be left, for 6.0'
     """
     config, mended = policy.config, mapped(np.asarray, policy.mended(state))
-    ahead = ahead_of(config, table_of(belief_of(config, mended)))
+    ahead = ahead_of(config, table_of(config, mended))
     by_laws = "by the laws of its log"
     if action == FINISH:
         price = float(left_price(config, ahead.table))
@@ -221,17 +220,12 @@ def implied(policy: LawPolicy, state: TableState, action: int) -> str:
     verb, target = int(space.verb(action)), int(space.target(action))
     expected = ahead.look.expected[0]
     chance = float(expected[NOW][target])
-    further = _further(policy, ahead, action)
+    further = ""
+    if isinstance(policy, AssistedPolicy) and policy.excess is not None:
+        further = f"; further steps add {float(policy.excess(ahead)[action - 1]):.2f}"
     if verb == Verb.WASH:
         pays = float(ahead.look.worth[target])
         return f"{by_laws} a grasp holds with {chance:.2f}, and the WASH pays {pays:.2f} on average{further}"
     cost = -float(config.reward_lift_per_s) * (float(config.transport_s) + float(expected[ATTEMPT_S][target]))
     worth = float(ahead.values[1][action - 1] - ahead.control) + cost
     return f"{by_laws} a grasp holds with {chance:.2f}, and the look is worth {worth:.2f}, for {cost:.2f}{further}"
-
-
-def _further(policy: LawPolicy, ahead: Any, action: int) -> str:
-    """What further steps add, where that was simulated."""
-    if not isinstance(policy, AssistedPolicy) or policy.excess is None:
-        return ""
-    return f"; further steps add {float(policy.excess(ahead)[action - 1]):.2f}"

@@ -97,7 +97,10 @@ def choose_by(tried: pd.DataFrame, horizon: int, num_robots: int = 1) -> GraspCh
             is_of = np.vstack([is_of, robot == np.arange(num_robots)[:, None]])
         thetas = held.fitted(is_of)
         said = np.stack([held.said(folds) for folds in thetas[:, :-1]])
-        rule, beta = held.errors(_by_succession(held)), held.errors(said[0])
+        history = held.decided.history
+        # What the features say: they take what shows of a grip in full.
+        by_rule = (1.0 - history.occlusion) * succession(history.successes, history.failures, held.grip)
+        rule, beta = held.errors(by_rule), held.errors(said[0])
     if len(said) > 1 and _is_clear(beta - held.errors(said[1 + robot, np.arange(len(robot))])):
         shared, *own = [held.table(theta[-1], mine, horizon) for theta, mine in zip(thetas, is_of, strict=True)]
         return GraspChoice(GraspByRobot(shared, stacked(own)), BY_ROBOT)
@@ -150,12 +153,6 @@ class _HeldOut(NamedTuple):
         own = self.decided.among(mine)
         effect = _fitted_effect(predictive(theta, own.history), own, self.grip[mine])
         return grasp_table.table_of(predictive(theta, grasp_table.every_history(horizon)), horizon, effect)
-
-
-def _by_succession(held: _HeldOut) -> Rows:
-    """What the features say: they take what shows of a grip in full."""
-    history = held.decided.history
-    return (1.0 - history.occlusion) * succession(history.successes, history.failures, held.grip)
 
 
 def grasp_model_of(grasp: Any, logs: Logs, horizon: int) -> GraspModel | None:

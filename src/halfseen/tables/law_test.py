@@ -39,7 +39,7 @@ from halfseen.learning.rows import TrajectoryArrays, stage_places, trajectory_ar
 from halfseen.learning.targets import Weighted
 from halfseen.learning.task import Encoded
 from halfseen.logs import Logs
-from halfseen.planners.belief import belief_of, expected_attempt_s
+from halfseen.planners.belief import expected_attempt_s, grip_posterior
 from halfseen.planners.one_step import HELD, left_price, outlook_of, table_of
 from halfseen.shapes import Bool, Float, Int
 from halfseen.tables.encoding import logged_actions
@@ -97,7 +97,7 @@ def with_lift_price(config: WorldConfig, log: WeightedLog) -> tuple[WorldConfig,
     if not len(at[0]) or not config.reward_lift_per_s:
         return config, None
     state, rows = mapped(lambda leaf: leaf[at], log.states), np.arange(len(at[0]))
-    seconds = expected_attempt_s(config, occlusion(state), belief_of(config, state).grip)
+    seconds = expected_attempt_s(config, occlusion(state), grip_posterior(config, state))
     expected = config.reward_lift_per_s * seconds[rows, space.target(log.action[at])]
     paid, weight = log.reward[at], log.weight[at]
     beyond = np.bincount(at[0], weight * (paid - expected), len(log.weight))
@@ -177,7 +177,7 @@ def residuals_of(config: WorldConfig, log: WeightedLog) -> Residuals:
 
 def _ahead_at(config: WorldConfig, states: TableState, at: tuple[np.ndarray, ...]) -> tuple[Ahead, TableState]:
     there = mapped(lambda leaf: leaf[at], states)
-    return ahead_of(config, table_of(belief_of(config, there))), there
+    return ahead_of(config, table_of(config, there)), there
 
 
 FEWEST = 5
@@ -272,7 +272,7 @@ def _grasps(config: WorldConfig, logs: Logs, states: TableState, weight: Float[n
     there = mapped(lambda leaf: leaf[trajectory, stage], states)
     robot, number = tried["robot"].to_numpy(), np.arange(len(row))
     expected = np.zeros(len(row))
-    table = table_of(belief_of(config, there))
+    table = table_of(config, there)
     for k in range(config.num_robots if config.has_own_laws else 1):
         world = config.as_robot(k)
         look = outlook_of(world, table)

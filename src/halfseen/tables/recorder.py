@@ -43,24 +43,10 @@ RECORDER_SPREAD = 0.1
 """Standard deviation of the prior about the recorder's law, in logits."""
 
 
-class Recorder(NamedTuple):
-    """What log-odds tell of who recorded them."""
-
-    theta: Rows
-    """Numbers of the law, in the family that the log speaks for."""
-    error: float
-    """Root mean square of what is left of `MOST` of the moves."""
-
-    @property
-    def is_consistent(self) -> bool:
-        """Whether one law made them."""
-        return self.error <= MOVE_ROUNDING
-
-
 def read_back(
     labels: Labels, law_of: Callable[[Rows], KnownSeeing], centre: Rows, bounds: tuple[float, float]
-) -> Recorder:
-    """Find the law whose labels would have moved the log-odds as they moved.
+) -> Rows | None:
+    """Find the numbers of the law whose labels would have moved the log-odds as they moved; None if no one law did.
 
     The search begins at `centre`, where numbers stay that no label tells; each lies within `bounds`.
     """
@@ -71,27 +57,21 @@ def read_back(
     def left(theta: Float[np.ndarray, " k"]) -> Float[np.ndarray, " m"]:
         return np.concatenate([moved_by(law_of(theta), some) - some.moved, 1e-4 * (theta - centre)])
 
-    def read(loss: str) -> Recorder:
+    def read(loss: str) -> Rows | None:
         limits: Any = {"bounds": bounds, "loss": loss, "f_scale": MOVE_ROUNDING, "max_nfev": MOST_STEPS}
         theta = least_squares(left, centre, **limits).x
         squares = np.sort((moved_by(law_of(theta), labels) - labels.moved) ** 2)
-        return Recorder(theta, float(np.sqrt(np.mean(squares[: int(np.ceil(MOST * len(squares)))]))))
+        error = np.sqrt(np.mean(squares[: int(np.ceil(MOST * len(squares)))]))
+        return theta if error <= MOVE_ROUNDING else None
 
     exact = read("linear")
-    return exact if exact.is_consistent else read("soft_l1")
+    return read("soft_l1") if exact is None else exact
 
 
 def moved_by(law: KnownSeeing, labels: Labels) -> Rows:
     """By how much the labels move the log-odds under a law."""
     if_dirty, if_clean = law.positive(labels.occlusion, labels.seen, labels.is_held)
     return np.asarray(label_evidence(if_dirty, if_clean, labels.says_dirty), dtype=np.float64)
-
-
-def _speaks_against(log_likelihood: float, best: float, num_numbers: int) -> bool:
-    """Whether labels reject a law, given its log-likelihood and the best of its family."""
-    from scipy.special import chdtri
-
-    return bool(2.0 * (best - log_likelihood) > chdtri(num_numbers, LEVEL))
 
 
 class SeenBy(NamedTuple):
@@ -109,21 +89,24 @@ def seeing_of(labels: Labels, dirty_share: float, known: KnownSeeing | None = No
     Without any labels, the law's numbers are the prior's. Where the recorder's law is not to be had, that is about
     the law that is `known`; None for a weak prior.
     """
+    from scipy.special import chdtri
+
     families: list[Any] = [Independent(labels, dirty_share)]
     if labels.is_persistent:
         families = [Persistent(labels, dirty_share, num_parts) for num_parts in PARTS]
     plain = families[0]
     about = None if known is None else plain.theta_of(known)
     unaided = plain.prior if about is None else Prior(about, RECORDER_SPREAD)
-    each = ((family, read_back(labels, family.law, family.prior.mode, family.bounds)) for family in families)
-    found = next((pair for pair in each if pair[1].is_consistent), None) if len(labels.trajectory) else None
-    if found is None:
+    told = families if len(labels.trajectory) else []
+    each = ((family, read_back(labels, family.law, family.prior.mode, family.bounds)) for family in told)
+    family, theta = next((pair for pair in each if pair[1] is not None), (plain, None))
+    if theta is None:
         return SeenBy(plain.law(plain.fitted(unaided)), None)
-    family, recorder = found
-    best = family.fitted(Prior(recorder.theta, family.prior.spread))
-    if _speaks_against(family.likelihood(recorder.theta)[0], family.likelihood(best)[0], len(best)):
-        return SeenBy(plain.law(plain.fitted(unaided)), family.law(recorder.theta), is_rejected=True)
-    return SeenBy(family.law(family.fitted(Prior(recorder.theta, RECORDER_SPREAD))), family.law(recorder.theta))
+    best = family.fitted(Prior(theta, family.prior.spread))
+    gained = family.likelihood(best)[0] - family.likelihood(theta)[0]
+    if 2.0 * gained > chdtri(len(best), LEVEL):
+        return SeenBy(plain.law(plain.fitted(unaided)), family.law(theta), is_rejected=True)
+    return SeenBy(family.law(family.fitted(Prior(theta, RECORDER_SPREAD))), family.law(theta))
 
 
 NUM_KNOTS = 16

@@ -4,7 +4,7 @@ Read down: `random` (draws), `grasping`, `seeing` (the laws; another robot or gr
 `config` (they and the numbers) → `scene` (where an episode starts) → `state` (what is seen, what is hidden) → `robots`
 (who works at the table) → `actions` (the verbs, and what other robots are at) → `attempts`, `transition` (one step) →
 `policy` (what decides), `explanation` (how sure that is) → `rollout` (many tables to their end) → `cuts` → `logs` with
-`log_rows`, `log_checks` (to and from logs) → `table_world`, `envs` with `observations`, `pettingzoo_env` (the faces).
+`log_rows`, `log_checks` (to and from logs) → `table_world`, `envs`, `pettingzoo_env` (the faces).
 """
 
 from typing import TYPE_CHECKING

@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from halfseen.arrays import Array, at, chosen, library_of
+from halfseen.arrays import Amounts, Array, Flags, Which, at, chosen, library_of
 from halfseen.shapes import Bool, Float
 from halfseen.world.actions import Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import Arrangement, Attempt
-from halfseen.world.number import Amounts, Flags, Which
 from halfseen.world.random import Key
 from halfseen.world.seeing import Glimpse
 from halfseen.world.state import NO_ATTEMPT, HiddenState, TableState, numbered, occlusion_by

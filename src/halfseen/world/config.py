@@ -4,13 +4,16 @@ The paper prints none of them. Anyone who compares results must compare them und
 prints it.
 """
 
+from collections.abc import Callable, Mapping
 from dataclasses import field, replace
-from typing import Any
+from math import isfinite
+from typing import Any, TypeAlias, TypeGuard
 
-from halfseen.arrays import STATIC, record
+import numpy as np
+
+from halfseen.arrays import STATIC, Number, record
 from halfseen.errors import ArgumentError
 from halfseen.world.grasping import AssumedGrasping, GraspingByRobot, GraspLaw
-from halfseen.world.number import Number, check_number
 from halfseen.world.seeing import AssumedSeeing, SeeingLaw
 
 HORIZON = 10
@@ -111,3 +114,53 @@ class WorldConfig:
         if not isinstance(self.grasping, GraspingByRobot):
             return self
         return replace(self, grasping=replace(self.grasping, robot=robot))
+
+
+PlainNumber: TypeAlias = int | float | np.integer | np.floating
+_PARAMETERS: Mapping[str, tuple[Callable[[Any], bool], str]] = {
+    "reach_m": (lambda value: value > 0, "a finite number above 0 [m]"),
+    "speed": (lambda value: value > 0, "a finite number above 0"),
+    "drop_out_rate": (lambda value: value >= 0, "a finite hazard, 0 or above [1/s]"),
+    "clearance_m": (lambda value: value >= 0, "a finite distance, 0 or above [m]"),
+    "reward_per_s": (lambda value: value <= 0, "a finite price, 0 or below [1/s]"),
+    "random_share": (lambda value: 0 <= value <= 1, "the share of decisions made at random, in [0, 1]"),
+}
+"""Which finite numbers each parameter can be, and what to give where it is none of them."""
+
+
+def is_number(value: object) -> TypeGuard[PlainNumber]:
+    """Whether a value is a plain number, NumPy's included; a truth value is none."""
+    return isinstance(value, PlainNumber) and not isinstance(value, bool)
+
+
+def is_finite(value: PlainNumber) -> bool:
+    """Whether a number is one in double precision, too: an integer may be larger than any."""
+    try:
+        return isfinite(value)
+    except OverflowError:
+        return False
+
+
+def check_number(name: str, value: object, label: str | None = None) -> None:
+    """Refuse a parameter that is no number which it can be; arrays, as JAX makes them of numbers, are not looked at.
+
+    Parameters
+    ----------
+    name
+        Of the parameter; one that is not known here may be anything.
+    value
+        Given for it.
+    label
+        What it is called in the message.
+
+    Raises
+    ------
+    ArgumentError
+        As above.
+    """
+    is_array = hasattr(value, "dtype") and not isinstance(value, np.generic)
+    if name not in _PARAMETERS or is_array:
+        return
+    is_right, wanted = _PARAMETERS[name]
+    if not (is_number(value) and is_finite(value) and is_right(value)):
+        raise ArgumentError(f"{name if label is None else label} is {value!r}; give {wanted}")

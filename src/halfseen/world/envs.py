@@ -7,21 +7,111 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from halfseen.arrays import mapped
+from halfseen.arrays import expit, mapped
 from halfseen.errors import ArgumentError
 from halfseen.shapes import Int
 from halfseen.world import random
-from halfseen.world.actions import TARGETED, possible_actions
+from halfseen.world.actions import TARGETED, VERB_NAMES, WAIT, possible_actions
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CAUSES
-from halfseen.world.observations import Observation, doing_of, object_lines, observed, space_of
 from halfseen.world.robots import Robot, Team
 from halfseen.world.scene import Scene
-from halfseen.world.state import TableState
+from halfseen.world.seeing import KnownSeeing, is_independent, label_evidence
+from halfseen.world.state import Layout, TableState, attempt_counts, initial_state, occlusion
 from halfseen.world.table_world import TableWorld
 from halfseen.world.transition import start, step
 
-_PLACES_M = ((-0.2, 0.0), (0.0, 0.0), (0.2, 0.0), (-0.1, 0.15), (0.1, 0.15), (0.3, 0.15))
+Observation = dict[str, Any]
+"""Arrays by name; see `CupsEnv`."""
+_OF_TABLE = ("is_object", "is_on_table", "grip", "seen", "lifts", "hides")
+_OF_TABLE += ("attempt_object", "attempt_occlusion", "attempt_succeeded")
+
+
+def observed(config: WorldConfig, state: TableState, robot: int | None = None) -> Observation:
+    """S_t of one table as arrays, as the robot that decides sees it, or another; padding, and who is idle, read 0."""
+    successes, failures = attempt_counts(state)
+    seen = {name: getattr(state, name) for name in _OF_TABLE}
+    seen |= {
+        "occlusion": occlusion(state),
+        "log_odds": np.where(state.is_object, state.log_odds, np.float32(0.0)),
+        "successes": successes.astype(np.int32),
+        "failures": failures.astype(np.int32),
+        "steps_to_go": np.asarray(state.steps_to_go)[None],
+    }
+    robots, space, decider = state.robots, state.workspace, state.decider
+    if robots is not None and space is not None and decider is not None:
+        at_work = {name: getattr(robots, name) for name in ("verb", "target", "since_s")}
+        seen |= {name: np.where(robots.is_busy, each, 0).astype(each.dtype) for name, each in at_work.items()}
+        seen |= {
+            "decider": np.array([decider if robot is None else robot], dtype=np.int32),
+            "is_busy": robots.is_busy,
+            "is_parked": robots.is_parked,
+            "is_out": np.zeros_like(robots.is_busy) if robots.is_out is None else robots.is_out,
+            "decisions_to_go": robots.decisions_to_go,
+            "is_in_reach": space.is_in_reach,
+            "is_near": space.is_near,
+            **({"attempt_robot": state.attempt_robot} if config.has_own_laws else {}),
+        }
+    return {name: each.astype(np.int8) if each.dtype == bool else each for name, each in seen.items()}
+
+
+def space_of(config: WorldConfig, layouts: Layout) -> spaces.Space[Observation]:
+    """Space of the observations of some tables: their shapes and types, and how far their numbers reach."""
+    example = observed(config, initial_state(config, mapped(lambda leaf: leaf[0], layouts)))
+    firmest, surest = float(np.nanmax(np.abs(layouts.grip), initial=1.0)), _largest_log_odds(config)
+    worlds = (config.as_robot(robot) for robot in range(config.num_robots))
+    longest_s = (float(world.grasping.limit_s + world.transport_s) for world in worlds)
+    bound_s = np.ceil(max(each / float(speed) for each, speed in zip(longest_s, config.speed, strict=True)))
+    last_object, last_robot = layouts.is_object.shape[-1] - 1, config.num_robots - 1
+    usual: dict[Any, tuple[Any, Any]] = {np.float32: (0.0, 1.0), np.int32: (0, config.num_stages)}
+    bounds: dict[str, tuple[Any, Any]] = {
+        "grip": (-firmest, firmest),
+        "log_odds": (-surest, surest),
+        "attempt_object": (-1, last_object),
+        "decider": (0, last_robot),
+        "verb": (0, WAIT),
+        "target": (0, last_object),
+        # Of the longest attempt of one, or a wait for it; seconds are added up event by event, and rounded.
+        "since_s": (0.0, float(bound_s * (1.0 + 1e-5))),
+        "decisions_to_go": (0, config.horizon),
+        "attempt_robot": (0, last_robot),
+    }
+
+    def space(name: str, value: np.ndarray) -> spaces.Space[Any]:
+        if value.dtype == np.int8:
+            return spaces.MultiBinary(value.shape if value.ndim > 1 else len(value))
+        low, high = bounds.get(name, usual[value.dtype.type])
+        return spaces.Box(low, high, value.shape, dtype=value.dtype.type)
+
+    return spaces.Dict({name: space(name, value) for name, value in example.items()})
+
+
+def _largest_log_odds(config: WorldConfig) -> float:
+    """Bound on |log-odds|: the prior's, and as many labels as there are, each the surest that a label can be.
+
+    There is none where it is not known how sure a label can be, or labels are not independent.
+    """
+    if not (isinstance(config.seeing, KnownSeeing) and is_independent(config.seeing)):
+        return np.inf
+    in_full_view = config.seeing.positive(0.0, 0.0)
+    surest = max(abs(label_evidence(*in_full_view, says_dirty)) for says_dirty in (False, True))
+    prior = np.abs(np.log(config.dirty_share) - np.log1p(-config.dirty_share))
+    return float(np.ceil(prior + (config.num_stages + 1) * surest))
+
+
+def _object_line(seen: Observation, cup: int) -> str:
+    """How dirty an object seems, and where it is."""
+    where = f"hidden {seen['occlusion'][cup]:.0%}" if seen["is_on_table"][cup] else "in the dishwasher"
+    return f"cup {cup}: dirty {expit(seen['log_odds'][cup]):.0%}, {where}"
+
+
+def _doing_of(seen: Observation, robot: int) -> str:
+    """What a robot is at, in words."""
+    if not seen["is_busy"][robot]:
+        return "out" if seen["is_out"][robot] else "parked" if seen["is_parked"][robot] else "free"
+    verb = int(seen["verb"][robot])
+    what = f" {seen['target'][robot]}" if verb in TARGETED else ""
+    return f"{VERB_NAMES[verb]}{what} for {seen['since_s'][robot]:.1f} s"
 
 
 def default_scene() -> Scene:
@@ -30,7 +120,8 @@ def default_scene() -> Scene:
     hides[3, 0], hides[3, 1] = 0.35, 0.25
     hides[4, 1], hides[4, 2] = 0.3, 0.3
     hides[5, 2] = 0.15
-    return Scene(hides, name="default", places_m=np.array(_PLACES_M))
+    places_m = [(-0.2, 0.0), (0.0, 0.0), (0.2, 0.0), (-0.1, 0.15), (0.1, 0.15), (0.3, 0.15)]
+    return Scene(hides, name="default", places_m=np.array(places_m))
 
 
 def default_team() -> Team:
@@ -116,13 +207,7 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
 
     @property
     def state(self) -> TableState:
-        """S_t.
-
-        Raises
-        ------
-        ArgumentError
-            No table is set.
-        """
+        """S_t; an `ArgumentError` where no table is set."""
         if self._state is None:
             raise ArgumentError("the trajectory has not begun; call reset")
         return self._state
@@ -140,15 +225,10 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Set a table.
+        """Set a table; an `ArgumentError` where the scene that `options` asks for is none.
 
         ``info["episode_seed"]`` is the integer s with which `halfseen.world.rollout.play` plays this very table, from
         ``halfseen.world.random.key_of(s)``.
-
-        Raises
-        ------
-        ArgumentError
-            The scene that `options` asks for is none.
         """
         super().reset(seed=seed)
         rng = self.np_random
@@ -210,8 +290,8 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
         else:
             lines = [f"robot {self.decider} decides, {self.elapsed_s:.1f} s"]
             for r, robot in enumerate(self.team.robots):
-                lines.append(f"{robot.name}: {doing_of(seen, r)}, {seen['decisions_to_go'][r]} decisions to go")
-        return "\n".join([*lines, *object_lines(seen)])
+                lines.append(f"{robot.name}: {_doing_of(seen, r)}, {seen['decisions_to_go'][r]} decisions to go")
+        return "\n".join([*lines, *(_object_line(seen, cup) for cup in np.flatnonzero(seen["is_object"]).tolist())])
 
     def _info(self) -> dict[str, Any]:
         return self.info() if self.team is None else {**self.info(), "robot": self.decider}
@@ -220,15 +300,12 @@ class CupsEnv(gymnasium.Env[Observation, np.int64]):
 class TeamCupsEnv(CupsEnv):
     """A table of half-hidden cups before several robots, as ``gymnasium.make("halfseen/TeamCups-v0")`` makes it.
 
-    Each step is one decision of one robot, ``info["robot"]``: the one that is free. Actions are numbered as in
-    `halfseen.world.actions`, and WAIT comes last; ``info["action_mask"]`` tells which are possible for that robot.
-    An attempt that is not possible closes on nothing: it fails, takes the limit of an attempt, and is paid like a
-    missed grasp. A WAIT for nothing lasts as long as going home.
+    All is as in `CupsEnv`, but each step is one decision of one robot, ``info["robot"]``: the one that is free. WAIT is
+    the last action; for nothing, it lasts as long as going home.
 
-    The reward is all that falls until the next decision, whichever robot makes it. ``terminated`` is the table's own
-    end: cleared, or every robot parked, dropped out or out of decisions. ``truncated`` is a cut from outside the task,
-    which ends the table for all; the stage in progress is lost. A robot that drops out alone ends nothing:
-    observations tell that it is out.
+    The reward is all that falls until the next decision, whichever robot makes it. The table's own end is that it is
+    cleared, or every robot parked, dropped out or out of decisions. A cut ends it for all. A robot that drops out alone
+    ends nothing: observations tell that it is out.
 
     An observation holds what one of `CupsEnv` holds, and decider (number of the robot that decides); for each robot
     is_busy, is_parked, is_out, verb (0 FINISH, 1 WASH, 2 LIFT, 3 WAIT), target, since_s and decisions_to_go; and
@@ -237,20 +314,15 @@ class TeamCupsEnv(CupsEnv):
 
     Parameters
     ----------
-    scenes
-        Where episodes begin, with `places_m`: one is drawn at each reset, or chosen by ``options={"scene": k}``. None
-        for six cups.
+    scenes, num_objects, config, cut_rate, render_mode
+        As of `CupsEnv`; scenes have `places_m`.
     team
         The robots; None for two, left and right of the table.
-    num_objects, config, cut_rate, render_mode
-        As of `CupsEnv`.
 
     Raises
     ------
-    SceneError
-        There is no scene, one has more objects than `num_objects`, or does not tell where they stand.
-    ArgumentError
-        `cut_rate` is negative or not finite, or `render_mode` unknown.
+    SceneError, ArgumentError
+        As of `CupsEnv`; or a scene does not tell where its objects stand.
 
     Examples
     --------

@@ -12,11 +12,10 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from halfseen.arrays import Array, at, chosen, library_of, record
+from halfseen.arrays import Amounts, Array, Flags, Number, Which, at, chosen, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
-from halfseen.world.number import Amounts, Flags, Number, Which
 from halfseen.world.random import Key
 
 

@@ -26,7 +26,7 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from halfseen.arrays import mapped
+from halfseen.arrays import Number, mapped
 from halfseen.errors import LogError
 from halfseen.logs import Logs
 from halfseen.logs.columns import robots_that_may_drop_out
@@ -35,7 +35,6 @@ from halfseen.world.actions import TARGETED, VERB_NAMES, ActionSpace
 from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE, CutEpisodes, CutKind, drop_out_columns
 from halfseen.world.log_checks import ATTEMPT_BY, DISHWASHER, TABLE, checked_tables
 from halfseen.world.log_rows import FREE, IDLE, OUT, PARKED, TableLog
-from halfseen.world.number import Number
 from halfseen.world.scene import Scene
 from halfseen.world.state import NO_ATTEMPT, Robots, TableState, Workspace, attempt_counts, occlusion
 

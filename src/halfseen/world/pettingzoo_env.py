@@ -9,8 +9,7 @@ from pettingzoo import AECEnv
 
 from halfseen.errors import ArgumentError
 from halfseen.world.cuts import CAUSES, DROP_OUT_CAUSE
-from halfseen.world.envs import TeamCupsEnv
-from halfseen.world.observations import Observation
+from halfseen.world.envs import Observation, TeamCupsEnv
 
 
 class TeamCupsAEC(AECEnv[str, Observation, np.integer | int | None]):

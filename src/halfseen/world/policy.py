@@ -8,13 +8,12 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from halfseen.arrays import Array, library_of, record
+from halfseen.arrays import Array, Number, library_of, record
 from halfseen.errors import PolicyError
 from halfseen.shapes import Bool, Float, Int
 from halfseen.world import random
 from halfseen.world.actions import possible_actions
-from halfseen.world.config import WorldConfig
-from halfseen.world.number import Number, check_number
+from halfseen.world.config import WorldConfig, check_number
 from halfseen.world.random import Key
 from halfseen.world.state import TableState
 

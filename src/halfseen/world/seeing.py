@@ -21,11 +21,10 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from halfseen.arrays import Array, library_of, record
+from halfseen.arrays import Array, Number, library_of, record
 from halfseen.errors import ArgumentError
 from halfseen.shapes import Bool, Float
 from halfseen.world import random
-from halfseen.world.number import Number
 from halfseen.world.random import Key
 
 

@@ -16,14 +16,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.arrays import Array, at, chosen, library_of
+from halfseen.arrays import Amounts, Array, Flags, Which, at, chosen, library_of
 from halfseen.shapes import Bool, Float
 from halfseen.world import random
 from halfseen.world.actions import WAIT, ActionSpace, Verb, possible_actions
 from halfseen.world.attempts import action_reward, after_attempt, attempted, is_target, look, price_of_left
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import Attempt
-from halfseen.world.number import Amounts, Flags, Which
 from halfseen.world.random import Key
 from halfseen.world.state import (
     HiddenState,
@@ -60,22 +59,17 @@ def start(config: WorldConfig, layout: Layout, key: Key) -> tuple[TableState, Hi
     """Set tables: what is hidden is drawn, and the camera takes its first view; all robots are free."""
     hidden_key, see_key = random.split(key)
     state = initial_state(config, layout)
-    hidden = draw_hidden(config, state.num_objects, hidden_key)
+    dirty_key, grasp_key = random.split(hidden_key)
+    hidden = HiddenState(
+        is_dirty=random.uniform(dirty_key, state.num_objects) < config.dirty_share,
+        grasp_latent=config.grasping.draw_latent(state.num_objects, grasp_key),
+        seeing_latent=config.seeing.draw_latent(state.num_objects, random.fold_in(hidden_key, 2)),
+    )
     if state.robots is not None:
         until_s = until_out_s(config, random.fold_in(key, _DROP_OUT_KEY))
         pending = nothing_pending(config.num_robots, state.is_object)
         hidden = replace(hidden, pending=pending, until_out_s=until_s)
     return look(config, state, hidden, library_of(state.is_object).zeros_like(state.is_object), see_key)
-
-
-def draw_hidden(config: WorldConfig, num_objects: int, key: Key) -> HiddenState:
-    """Draw attributes from the prior, and the latents of the laws."""
-    dirty_key, grasp_key = random.split(key)
-    return HiddenState(
-        is_dirty=random.uniform(dirty_key, num_objects) < config.dirty_share,
-        grasp_latent=config.grasping.draw_latent(num_objects, grasp_key),
-        seeing_latent=config.seeing.draw_latent(num_objects, random.fold_in(key, 2)),
-    )
 
 
 def until_out_s(config: WorldConfig, key: Key) -> Float[Array, "*B K"] | None:
@@ -277,7 +271,10 @@ def _next_event(
         leaver, leaves_s = xp.argmin(until_s, axis=-1), xp.min(until_s, axis=-1)
         is_first = leaves_s < first_s
         passed_s, paid = xp.where(is_first, leaves_s, passed_s), xp.where(is_first, zero, paid)
-        at_drop_out = _at_drop_out(state, hidden, leaver, passed_s)
+        # The table is as it was.
+        freed, pending = _freed(robots, _pending(hidden), leaver, passed_s)
+        is_out = robots.is_out | _is_one(robots, leaver)
+        at_drop_out = replace(state, robots=replace(freed, is_out=is_out)), replace(hidden, pending=pending)
         after, of_hidden = chosen(is_first, at_drop_out, (after, of_hidden))
         of_hidden = replace(of_hidden, until_out_s=until_out - passed_s[..., None])
         out_s = xp.where(is_first[..., None] & _is_one(robots, leaver), passed_s[..., None], never)
@@ -315,21 +312,14 @@ def _at_end(
     tried = Attempt(is_held, duration_s, xp.where(is_moved, moved, state.hides), None)
     robots, pending = _freed(robots, pending, robot, passed_s)
     is_parked = xp.where(_is_one(robots, robot), (verb == Verb.FINISH)[..., None], robots.is_parked)
-    held = _in_the_air(config, robots, pending, state)
+    # An object is held for as long as its transport takes.
+    transport_s = config.transport_s / xp.asarray(config.speed, dtype=np.float32)
+    is_holding = robots.is_busy & pending.is_held & (pending.left_s <= transport_s)
+    held = xp.any(is_holding[..., None] & (robots.target[..., None] == xp.arange(state.num_objects)), axis=-2)
     state, hidden, paid = _ended(
         config, state, hidden, _to_the_table(verb), target, tried, was_hidden, key, robot, held
     )
     return replace(state, robots=replace(robots, is_parked=is_parked)), replace(hidden, pending=pending), paid
-
-
-def _at_drop_out(
-    state: TableState, hidden: HiddenState, robot: Which, passed_s: Amounts
-) -> tuple[TableState, HiddenState]:
-    """What is seen and hidden once a robot has dropped out: the table is as it was."""
-    robots, pending = _freed(_robots(state), _pending(hidden), robot, passed_s)
-    assert robots.is_out is not None
-    robots = replace(robots, is_out=robots.is_out | _is_one(robots, robot))
-    return replace(state, robots=robots), replace(hidden, pending=pending)
 
 
 def _freed(robots: Robots, pending: Pending, robot: Which, passed_s: Amounts) -> tuple[Robots, Pending]:
@@ -339,12 +329,3 @@ def _freed(robots: Robots, pending: Pending, robot: Which, passed_s: Amounts) ->
     left_s = xp.where(robots.is_busy, pending.left_s, never)
     freed = replace(robots, is_busy=robots.is_busy & ~is_free, since_s=robots.since_s + passed_s[..., None])
     return freed, replace(pending, left_s=xp.where(freed.is_busy, left_s - passed_s[..., None], never))
-
-
-def _in_the_air(config: WorldConfig, robots: Robots, pending: Pending, state: TableState) -> Bool[Array, "*B N"]:
-    """What robots that are busy hold: an object is held for as long as its transport takes."""
-    xp = library_of(robots.is_busy)
-    transport_s = config.transport_s / xp.asarray(config.speed, dtype=np.float32)
-    is_holding = robots.is_busy & pending.is_held & (pending.left_s <= transport_s)
-    is_target = robots.target[..., None] == xp.arange(state.num_objects)
-    return xp.any(is_holding[..., None] & is_target, axis=-2)

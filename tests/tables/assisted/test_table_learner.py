@@ -88,7 +88,7 @@ def test_it_learns_with_laws_unless_something_is_said_of_linear_q():
 
 
 def test_the_same_log_gives_the_same_bytes_again_and_the_parameters_are_scikit_learns():
-    logs = logs_of(60)
+    logs = logs_of(30)
     learner = CensoredQLearner.for_table(HORIZON, random_state=4).fit(logs)
     again = learner.unfitted().fit(logs)
     assert isinstance(learner.policy_, AssistedPolicy)
@@ -109,19 +109,19 @@ def test_few_logs_learn_more_than_linear_eq_3_does():
 
 
 @pytest.mark.parametrize(
-    ("wrong", "num"),
+    "wrong",
     [
-        ({"seeing": AssumedSeeing(0.5, 0.3, 1.0)}, 200),
-        ({"grasping": AssumedGrasping(offset_std=0.2, log_time=3.0, log_time_per_occlusion=0.0, limit_s=8.0)}, 200),
+        {"seeing": AssumedSeeing(0.5, 0.3, 1.0)},
+        {"grasping": AssumedGrasping(offset_std=0.2, log_time=3.0, log_time_per_occlusion=0.0, limit_s=8.0)},
     ],
 )
-def test_where_the_log_contradicts_the_laws_it_builds_on_a_rule_or_on_linear_eq_3(monkeypatch, wrong, num):
+def test_where_the_log_contradicts_the_laws_it_builds_on_a_rule_or_on_linear_eq_3(monkeypatch, wrong):
     def forced(*given):
         found = fitted_laws(*given)
         return found._replace(config=replace(found.config, **wrong))
 
     monkeypatch.setattr(learning, "fitted_laws", forced)
-    learner = CensoredQLearner.for_table(HORIZON).fit(logs_of(num))
+    learner = CensoredQLearner.for_table(HORIZON).fit(logs_of(120))
     assert learner.assisted_.test.is_rejected
     assert learner.assisted_.basis in ("rule", "linear")
     kind = RulePolicy if learner.assisted_.basis == "rule" else LinearTablePolicy

@@ -79,7 +79,7 @@ def test_nothing_on_a_fine_grid_is_better():
     model = BetaGrasp().fit(cut_some(beta_attempts(150)))
     best = np.array([model.intercept_, model.slope_, np.log(model.strength_)])
     least = negative_log_posterior(best, decided)[0]
-    steps = np.linspace(-2.0, 2.0, 21)
+    steps = np.linspace(-2.0, 2.0, 13)
     grid = [negative_log_posterior(best + shift, decided)[0] for shift in itertools.product(steps, repeat=3)]
 
     assert min(grid) == pytest.approx(least, abs=1e-9)

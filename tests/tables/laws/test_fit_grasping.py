@@ -39,7 +39,7 @@ def drawn(num_objects, seed=0, cut_share=0.3):
 
 def some_attempts():
     """Few attempts of all kinds: ended, at the limit, and cut, one of them at once; objects in no order."""
-    tried = drawn(25)
+    tried = drawn(15)
     rng = np.random.default_rng(1)
     at_limit = ~(tried.is_held | tried.is_missed) & (rng.random(len(tried.object)) < 0.5)
     tried = tried._replace(is_missed=tried.is_missed | at_limit, watched_s=np.where(at_limit, LIMIT_S, tried.watched_s))

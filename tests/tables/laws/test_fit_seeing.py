@@ -213,7 +213,7 @@ def test_labels_reject_a_recorder_that_is_too_sure_and_the_law_is_fitted_to_them
 
 
 def test_log_odds_that_no_law_of_the_family_made_tell_of_no_recorder():
-    told = looks(200, SEEING)
+    told = looks(80, SEEING)
     found = seeing_of(told._replace(moved=told.moved * np.where(np.arange(len(told.moved)) % 2, 1.0, 2.0)), SHARE)
     assert found.recorder is None
     np.testing.assert_allclose(curves_of(found.law), curves_of(fit_persistent(told, SHARE)))
@@ -221,7 +221,7 @@ def test_log_odds_that_no_law_of_the_family_made_tell_of_no_recorder():
 
 @pytest.mark.parametrize(("share", "is_read"), [(0.03, True), (0.2, False)])
 def test_some_views_that_are_remembered_otherwise_hide_no_recorder(share, is_read):
-    told = looks(300, SEEING)
+    told = looks(150, SEEING)
     is_other = np.random.default_rng(1).random(len(told.moved)) < share
     occlusion = np.where(is_other & ~told.is_held, 0.5 * told.occlusion, told.occlusion)
     recorder = seeing_of(told._replace(occlusion=occlusion), SHARE).recorder
