@@ -11,8 +11,7 @@ import click
 from halfseen import __version__
 from halfseen.cli.group import VerbGroup
 from halfseen.cli.messages import remedy, tell_error, tell_warning, unexpected
-from halfseen.errors import HalfseenError, HalfseenWarning
-from halfseen.suggestions import did_you_mean
+from halfseen.errors import HalfseenError, HalfseenWarning, did_you_mean
 
 VERBS = {
     "inspect": "Say what a folder of logs holds: trajectories, endings, causes, weights, and what looks wrong.",

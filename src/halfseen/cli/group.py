@@ -7,8 +7,8 @@ from typing import Any
 import click
 from click.shell_completion import CompletionItem
 
+from halfseen.errors import did_you_mean
 from halfseen.progress import Telling, telling
-from halfseen.suggestions import did_you_mean
 
 
 def _show_progress(ctx: click.Context, _: click.Parameter, is_quiet: bool) -> None:

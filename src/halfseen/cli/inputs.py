@@ -10,9 +10,8 @@ import click
 
 from halfseen.cli.messages import say, tell_warning
 from halfseen.cli.options import ASSUMED, SHIPPED, Arm
-from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.errors import ArgumentError, CloudError, PolicyError, did_you_mean
 from halfseen.planners.named import HEURISTICS, PLANNER, exploring, named_policy
-from halfseen.suggestions import did_you_mean
 from halfseen.writing import refuse_taken, refuse_unwritable, write_file
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.evaluation.targets import FixedSequence, horizon_of, refuse_other_names, target_probabilities
 from halfseen.learning.discrete_policy import NamedActionPolicy
@@ -20,7 +20,6 @@ from halfseen.policies.folder import read_policy
 from halfseen.policies.rule_files import read_rule_table
 from halfseen.policies.rule_table import Rule
 from halfseen.shapes import Float
-from halfseen.suggestions import did_you_mean
 
 LOGGING, LOGGING_RULE = "logging", "logging-rule"
 """The logging policy as it was, and what it does where it does not explore."""

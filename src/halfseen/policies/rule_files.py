@@ -28,10 +28,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.policies.rule_table import ACTION, COMPARISONS, STAGE, Condition, RuleRow, RuleTable
 from halfseen.reading import opened_text, read_text, reason_of, toml_of
-from halfseen.suggestions import did_you_mean
 
 
 class Rows(NamedTuple):

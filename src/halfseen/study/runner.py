@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.figures import drawn
 from halfseen.progress import Progress
 from halfseen.reading import NUMBERS, json_of, read_text, reason_of
@@ -23,9 +23,8 @@ from halfseen.study.experiment import Experiment, PieceOf, Pieces, Tables, Timed
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of
 from halfseen.study.setting import Setting
-from halfseen.suggestions import did_you_mean
 from halfseen.workers import Workers
-from halfseen.workers.piece import versions
+from halfseen.workers.pool import versions
 from halfseen.writing import held_alone, write_file
 
 FINGERPRINT = "design.json"
