@@ -39,7 +39,7 @@ from halfseen.logs.formats import (
 )
 from halfseen.logs.parquet_footer import bytes_of_texts, chunks_of
 from halfseen.perception import read_cloud
-from halfseen.perception.label_files import read_labels
+from halfseen.perception.labels import read_labels
 from halfseen.policies import read_policy
 from halfseen.policies.rule_files import read_rule_table
 from halfseen.study.runner import Store

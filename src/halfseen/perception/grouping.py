@@ -10,12 +10,19 @@ from scipy.spatial import KDTree
 from halfseen.arrays import Points
 from halfseen.perception.clouds import Vector
 from halfseen.perception.objects import Labels, pixels_of
+from halfseen.perception.occlusion import covered, middle_depth_m
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
-from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Hull, Vessel
-from halfseen.perception.splitting import FEWEST_POINTS, divided
-from halfseen.perception.vessel_fits import flat_misfit, lying_vessels, robust_cost, standing_vessels, thinned
+from halfseen.perception.vessel_fits import (
+    FEWEST_POINTS,
+    divided,
+    flat_misfit,
+    lying_vessels,
+    robust_cost,
+    standing_vessels,
+    thinned,
+)
 from halfseen.shapes import Float
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
