@@ -14,6 +14,7 @@ The offset of an object is never seen, but its past attempts j tell of it. With 
 both integrals at the same nodes.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -97,7 +98,22 @@ def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> Grasp
     # Of mean 1: within the integral over an object's offset, attempts that weigh more would seem to be more.
     weight = decided.weight / decided.weight.mean()
     data = _Data(design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), weight, objects)
-    return _fitted(data, clusters, len(trials) - int(kept.sum()), decided.diagnostics.effective_sample_size)
+    estimate = minimize(lambda theta: _posterior(theta, data)[:2], _PRIOR_MEAN, jac=True).x
+    for _ in range(_NUM_NEWTON_STEPS):
+        # To the last digits, so that every machine finds the same.
+        _, gradient, _, curvature = _posterior(estimate, data)
+        estimate = estimate - np.linalg.solve(curvature(), gradient)
+    _, _, scores, curvature = _posterior(estimate, data)
+    bread = np.linalg.inv(curvature())
+    of_object = np.zeros(len(scores), dtype=np.int64)
+    of_object[objects] = clusters
+    by_table = np.zeros((int(clusters.max()) + 1, len(estimate)))
+    np.add.at(by_table, of_object, scores)
+    covariance = bread @ (by_table.T @ by_table) @ bread
+    if not (np.isfinite(estimate).all() and np.isfinite(covariance).all()):
+        raise LogError("no finite numbers fit these attempts; look for facts of objects that are out of all proportion")
+    num_cut = len(trials) - len(clusters)
+    return GraspFit(estimate, covariance, len(clusters), num_cut, decided.diagnostics.effective_sample_size)
 
 
 class _Data(NamedTuple):
@@ -109,34 +125,10 @@ class _Data(NamedTuple):
     objects: Int[np.ndarray, " n"]
 
 
-def _fitted(data: _Data, clusters: Int[np.ndarray, " n"], num_cut: int, size: float) -> GraspFit:
-    num_objects = int(data.objects.max()) + 1
-    of_object = np.zeros(num_objects, dtype=np.int64)
-    of_object[data.objects] = clusters
-
-    def objective(theta: np.ndarray) -> tuple[float, np.ndarray]:
-        value, gradient, _, _ = _posterior(theta, data)
-        return value, gradient
-
-    estimate = minimize(objective, _PRIOR_MEAN, jac=True).x
-    for _ in range(_NUM_NEWTON_STEPS):
-        # To the last digits, so that every machine finds the same.
-        _, gradient, curvature, _ = _posterior(estimate, data)
-        estimate = estimate - np.linalg.solve(curvature, gradient)
-    _, _, curvature, scores = _posterior(estimate, data)
-    bread = np.linalg.inv(curvature)
-    by_table = np.zeros((int(clusters.max()) + 1, len(estimate)))
-    np.add.at(by_table, of_object, scores)
-    covariance = bread @ (by_table.T @ by_table) @ bread
-    if not (np.isfinite(estimate).all() and np.isfinite(covariance).all()):
-        raise LogError("no finite numbers fit these attempts; look for facts of objects that are out of all proportion")
-    return GraspFit(estimate, covariance, len(clusters), num_cut, size)
-
-
 def _posterior(
     theta: Float[np.ndarray, " p"], data: _Data
-) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, "p p"], Float[np.ndarray, "objects p"]]:
-    """Negative log-posterior, its gradient and Hessian, and the gradient of each object's log-likelihood.
+) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, "objects p"], Callable[[], Float[np.ndarray, "p p"]]]:
+    """Negative log-posterior, its gradient, that of each object's log-likelihood, and the Hessian when it is asked for.
 
     With l_q the log-likelihood of an object at node q of its offset, and π_q its posterior there, the gradient of
     log Σ_q e^{l_q} is Σ π l', and its Hessian Σ π (l'' + l' l'ᵀ) − (Σ π l')(Σ π l')ᵀ.
@@ -144,7 +136,6 @@ def _posterior(
     num_objects, std = int(data.objects.max()) + 1, np.exp(theta[-1])
     logits = data.sign[:, None] * ((data.covariates @ theta[:-1])[:, None] + std * _NODES)
     slope = data.weight[:, None] * data.sign[:, None] * expit(-logits)
-    bend = -data.weight[:, None] * expit(logits) * expit(-logits)
     # How each logit moves with each parameter, by node.
     moves = np.concatenate(
         [
@@ -163,15 +154,19 @@ def _posterior(
     found = np.asarray(logsumexp(each, axis=1))
     chance = np.exp(each - found[:, None])
     gradients = by_object(slope[..., None] * moves)
-    hessians = by_object(bend[..., None, None] * moves[..., :, None] * moves[..., None, :])
-    # The last parameter is a logarithm: its logit bends, too.
-    hessians[..., -1, -1] += by_object(slope * std * _NODES)
     scores = np.einsum("oq,oqp->op", chance, gradients)
-    curved = np.einsum("oq,oqpr->pr", chance, hessians + gradients[..., :, None] * gradients[..., None, :])
     shift = (theta - _PRIOR_MEAN) / _PRIOR_STD
+
+    def curvature() -> np.ndarray:
+        bend = -data.weight[:, None] * expit(logits) * expit(-logits)
+        hessians = by_object(bend[..., None, None] * moves[..., :, None] * moves[..., None, :])
+        # The last parameter is a logarithm: its logit bends, too.
+        hessians[..., -1, -1] += by_object(slope * std * _NODES)
+        curved = np.einsum("oq,oqpr->pr", chance, hessians + gradients[..., :, None] * gradients[..., None, :])
+        return np.diag(_PRIOR_STD**-2) - (curved - scores.T @ scores)
+
     value = 0.5 * float(shift @ shift) - float(found.sum())
-    gradient = shift / _PRIOR_STD - scores.sum(axis=0)
-    return value, gradient, np.diag(_PRIOR_STD**-2) - (curved - scores.T @ scores), scores
+    return value, shift / _PRIOR_STD - scores.sum(axis=0), scores, curvature
 
 
 _MANY_NODES, _MANY_WEIGHTS = np.polynomial.hermite_e.hermegauss(41)
