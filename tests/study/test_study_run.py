@@ -10,7 +10,7 @@ import pytest
 from tiny import SETTING, TINY
 
 from axe import PAGES, faults_of, in_browser
-from halfseen.cell.calibration.law_folder import shipped_law
+from halfseen.cell.calibration.law import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.runner import run_study, store_of, without_laws
 from halfseen.study.setting import under

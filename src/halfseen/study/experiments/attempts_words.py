@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from halfseen import figures as pages
-from halfseen.cell.calibration.grasping import SCALES
+from halfseen.cell.calibration.fits import SCALES
 from halfseen.figures import BLUE, FAINT, INK, ORANGE, PINK, RED, SKY, SOFT
 from halfseen.study import figures
 from halfseen.study.compare import estimated_in, records, row_of, three, where

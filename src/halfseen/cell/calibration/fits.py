@@ -1,6 +1,7 @@
-"""P(an attempt holds), given what is seen: a logistic regression with a random offset of each object, under censoring.
+"""What a cell's laws are fitted by: P(an attempt holds), times of attempts, and what labels tell of what was in view.
 
-For attempts i of object g, with covariates x_i and weights w_i ∝ δ_i / Ĝ(time_i⁻) of mean 1,
+*P(an attempt holds), given what is seen*, is a logistic regression with a random offset of each object, under
+censoring. For attempts i of object g, with covariates x_i and weights w_i ∝ δ_i / Ĝ(time_i⁻) of mean 1,
 
     ℓ(β, σ) = Σ_g log ∫ Π_{i ∈ g} expit(±(x_i·β + σ z))^{w_i} φ(z) dz,
 
@@ -12,9 +13,16 @@ The offset of an object is never seen, but its past attempts j tell of it. With 
     P(held | x, past) = ∫ expit(x·β + σz) Π_j expit(±(x_j·β + σz)) φ(z) dz / ∫ Π_j expit(±(x_j·β + σz)) φ(z) dz,
 
 both integrals at the same nodes.
+
+*Times* of attempts are lognormal, for those that hold and those that miss.
+
+*Labels.* An object tells what it is at some share V of its surface: a stain is found when so much has been in view, or
+never. What is known of V is an interval, from what had been seen before the label that said DIRTY to what was seen with
+it; or that V lies beyond all that was seen. The curve P(V ≤ v) is a straight line between knots; its steps maximise the
+likelihood, found by self-consistency [Turnbull1976]_.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -25,8 +33,10 @@ from scipy.special import expit, log_expit, logsumexp, softmax
 
 from halfseen.cell.calibration.attempts import FACTS
 from halfseen.errors import LogError
+from halfseen.perception.labels import FACING_SHARE
 from halfseen.shapes import Float, Int
 from halfseen.tables.grasp_attempts import checked_attempts
+from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
 
 CENTRES, SCALES = (
     {"is_lying": 0.0, "width_m": 0.075, "room_m": 0.04},
@@ -179,7 +189,7 @@ def held_given_past(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Flo
     Parameters
     ----------
     theta
-        Estimates of `halfseen.cell.calibration.grasping.NAMES`.
+        Estimates of `halfseen.cell.calibration.fits.NAMES`.
     trials
         As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object. What became of
         an attempt is read for later ones alone; one that was cut tells them nothing.
@@ -204,7 +214,127 @@ def held_share(theta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n 
     theta
         As in `held_given_past`.
     covariates
-        As `halfseen.cell.calibration.grasping.design` gives them.
+        As `halfseen.cell.calibration.fits.design` gives them.
     """
     logits = (covariates @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
     return expit(logits) @ (_MANY_WEIGHTS / _MANY_WEIGHTS.sum())
+
+
+FEWEST_MISSES = 5  # with fewer, a miss is taken to last as long as an attempt that holds
+
+
+class TimeFit(NamedTuple):
+    """Means of the logarithms of the durations of attempts that hold and that miss, and their standard deviation.
+
+    `rest_s` is the mean time of what follows an attempt, until the next decision [s].
+    """
+
+    log_held_s: float
+    log_missed_s: float
+    log_std: float
+    rest_s: float
+
+
+def fit_times(trials: pd.DataFrame) -> TimeFit:
+    """Fit the durations, each attempt weighted for those that were cut.
+
+    Parameters
+    ----------
+    trials
+        As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
+        alone.
+    """
+    decided = checked_attempts(trials)
+    rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
+    attempt_s, watched_s = (rows[name].to_numpy(dtype=np.float64) for name in ("attempt_s", "time_s"))
+    is_tried = attempt_s > 0.0
+    weight, held = decided.weight[is_tried], decided.succeeded[is_tried]
+    log_s = np.log(attempt_s[is_tried])
+    means = [float(np.average(log_s[which], weights=weight[which])) for which in _groups(held)]
+    spread = log_s - np.where(held, *means)
+    rest_s = float(np.average(watched_s - attempt_s, weights=decided.weight))
+    return TimeFit(means[0], means[1], float(np.sqrt(np.average(spread**2, weights=weight))), rest_s)
+
+
+def _groups(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    missed = ~held
+    every = np.ones_like(held)
+    return (held if held.any() else every), (missed if missed.sum() >= FEWEST_MISSES else every)
+
+
+VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SHARE, 1.0)
+"""Shares of the surface at which curves are fitted: quarters of what a look on the table shows, and all."""
+_NUM_STEPS, _SMALLEST_CHANGE = 2000, 1e-10
+
+Interval = tuple[float, float]
+"""The label turned DIRTY after the first share had been seen, and by the second; infinite where it never did."""
+
+
+def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
+    """Fit both curves.
+
+    Parameters
+    ----------
+    glances
+        One row an object, as `attempts.glances` gives them.
+
+    Raises
+    ------
+    LogError
+        No object is dirty, or none is clean.
+    """
+    curves = []
+    for is_dirty in (True, False):
+        rows = pd.DataFrame(glances[glances["is_dirty"] == is_dirty])
+        if rows.empty:
+            kind = "dirty" if is_dirty else "clean"
+            raise LogError(
+                f"objects: none of {len(glances)} is {kind}; labels are calibrated on dirty and on clean ones"
+            )
+        curves.append(tuple(found_by(intervals(rows)).tolist()))
+    return PersistentSeeing(FACING_SHARE, VIEWS, curves[0], curves[1])
+
+
+def intervals(rows: pd.DataFrame) -> list[Interval]:
+    """The interval of each object that holds the share at which its label turned DIRTY.
+
+    Parameters
+    ----------
+    rows
+        With `attempts.GLANCES`.
+    """
+    columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
+    return [_interval(zip(*each, strict=True)) for each in zip(*columns, strict=True)]
+
+
+def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
+    seen = 0.0
+    for occlusion, is_held, says_dirty in labels:
+        shown = 1.0 if is_held else FACING_SHARE * (1.0 - occlusion)
+        # What shows no more than was seen before is no news: it repeats itself, or errs by noise.
+        if shown <= seen + SAME_VIEW:
+            continue
+        if says_dirty:
+            return seen, shown
+        seen = shown
+    return seen, np.inf
+
+
+def found_by(intervals: list[Interval]) -> Float[np.ndarray, " knots"]:
+    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood."""
+    knots = np.array([0.0, *VIEWS])
+    low, high = np.array(intervals, dtype=np.float64).reshape(-1, 2).T
+    # How much of each piece an interval holds; the last column is "never".
+    begins, ends = np.maximum(knots[:-1], low[:, None]), np.minimum(knots[1:], high[:, None])
+    inside = np.clip(ends - begins, 0.0, None) / np.diff(knots)
+    share = np.column_stack([inside, np.isinf(high)])
+    share = share[share.sum(axis=1) > 0]
+    mass = np.full(share.shape[1], 1.0 / share.shape[1])
+    for _ in range(_NUM_STEPS):
+        weight = share * mass
+        after = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)
+        is_settled = np.abs(after - mass).max() < _SMALLEST_CHANGE
+        mass = after
+        if is_settled:
+            break
+    return np.minimum(np.cumsum(mass[:-1]), 1.0)
