@@ -16,10 +16,9 @@ from halfseen.study.experiments.attempts_repetition import MODEL_NAMES as ATTEMP
 from halfseen.study.experiments.clutter import Clutter
 from halfseen.study.experiments.clutter_places import table_of
 from halfseen.study.experiments.grasp import MODEL_NAMES
-from halfseen.study.pipeline import episodes_in_turn
+from halfseen.study.pipeline import TREATMENTS, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, ONE_STEP
 from halfseen.study.setting import Setting
-from halfseen.study.treatments import TREATMENTS
 from halfseen.tables.learner import MODEL, RULE
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene

@@ -9,10 +9,9 @@ from tiny import SETTING
 from fitted_laws import FITTED
 from halfseen.errors import ArgumentError
 from halfseen.learning import CensoredQLearner
-from halfseen.study.pipeline import Source, episodes_in_turn
+from halfseen.study.pipeline import TREATMENTS, Source, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, horizon_planner
 from halfseen.study.runner import MOST_AT_ONCE, in_rows
-from halfseen.study.treatments import TREATMENTS
 from halfseen.world import Scene, UniformPolicy, WorldConfig, random
 from halfseen.world.cuts import CutEpisodes
 from halfseen.world.logs import to_logs
