@@ -209,7 +209,17 @@ def write_law(
     counts = {"num_decided": law.grasp.num_decided, "num_cut": law.grasp.num_cut}
     record = {"version": VERSION, "parameters": list(NAMES), **counts, **plain(dict(more))}
     text = json.dumps(record, indent=1, allow_nan=False) + "\n"
-    numbers = safetensors.numpy.save(_arrays(law))
+    arrays = {
+        "estimate": law.grasp.estimate,
+        "covariance": np.ascontiguousarray(law.grasp.covariance),
+        "effective_sample_size": np.array([law.grasp.effective_sample_size]),
+        "time": np.array(law.time, dtype=np.float64),
+        "limit_s": np.array([law.limit_s]),
+        "grips": law.grips,
+        "facing": np.array([law.seeing.facing], dtype=np.float64),
+        **{name: np.array(getattr(law.seeing, name), dtype=np.float64) for name in ("views", *_CURVES)},
+    }
+    numbers = safetensors.numpy.save(arrays)
     beside: dict[str, Callable[[Path], None]] = {}
     if logs is not None:
         from halfseen.cell.calibration.figures import pictures_of
@@ -254,19 +264,6 @@ def _record(text: bytes, file: Path) -> Mapping[str, Any]:
         if not isinstance(record.get(name), int):
             raise PolicyError(f"{file}: {name} is {record.get(name)!r}, no count of attempts; {_AGAIN}")
     return record
-
-
-def _arrays(law: Law) -> dict[str, np.ndarray]:
-    return {
-        "estimate": law.grasp.estimate,
-        "covariance": np.ascontiguousarray(law.grasp.covariance),
-        "effective_sample_size": np.array([law.grasp.effective_sample_size]),
-        "time": np.array(law.time, dtype=np.float64),
-        "limit_s": np.array([law.limit_s]),
-        "grips": law.grips,
-        "facing": np.array([law.seeing.facing], dtype=np.float64),
-        **{name: np.array(getattr(law.seeing, name), dtype=np.float64) for name in ("views", *_CURVES)},
-    }
 
 
 def _law(arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> Law:
