@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shell
 
-from drawn_cards import TWO_CARDS, K, depth_of_cards
+from drawn_tables import TWO_CARDS, K, depth_of_cards
 from halfseen.perception import Cloud, write_pcd
 from halfseen.scene import table_paths
 

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drawn_cards import TWO_CARDS, depth_of_cards
+from drawn_tables import TWO_CARDS, depth_of_cards
 from fuzz.corpus import CLOUDS, HEAVY, LEARN, ONE, OTHERS, seed
 from halfseen.logs import Logs
 from small_logs import begun_log, flat_log, table_log

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from scores import matched
 
-from drawn_boxes import boxes_cloud
-from drawn_tables import Can, draw
+from drawn_tables import Can, boxes_cloud, draw
 from halfseen.errors import ArgumentError, CloudError
 from halfseen.perception import Cloud, Label, LabelFile, Labeller, StainCounter, perceive, read_cloud, read_labels
 from halfseen.perception.labels import share_in_view

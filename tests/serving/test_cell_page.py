@@ -11,7 +11,7 @@ from asking import client_of
 from test_comparing import RULE, run
 from test_stepping_back import decided, learned
 
-from axe import PAGES, faults_of, in_browser
+from chromium import PAGES, faults_of, in_browser
 from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms

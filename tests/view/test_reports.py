@@ -11,7 +11,7 @@ import pytest
 from click.testing import CliRunner
 from markupsafe import Markup
 
-from axe import PAGES, faults_of, in_browser
+from chromium import PAGES, faults_of, in_browser
 from halfseen.cli import halfseen
 from halfseen.errors import ArgumentError
 from halfseen.evaluation.evaluation import PerHour, Rate
