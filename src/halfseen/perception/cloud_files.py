@@ -32,7 +32,17 @@ def read_npz(path: Path) -> Cloud:
     CloudError
         The file is cut short, lacks an array, or holds one of another kind.
     """
-    arrays = _arrays(path)
+    try:
+        there = names_in_archive(path, CLOUD)
+        missing = {"depth_m", "K"} - set(there)
+        if missing:
+            raise CloudError(
+                f"{path}: has {sorted(there)[:20]} and lacks {sorted(missing)}; "
+                "store the depth image as depth_m [m] and the pinhole matrix as K [px]"
+            )
+        arrays = read_arrays(path, ("depth_m", "K", "rgb"), CLOUD)
+    except ValueError as error:
+        raise CloudError(f"{path}: {error}; record or export it again") from error
     depth, K, picture = arrays["depth_m"], arrays["K"], arrays.get("rgb")
     check_intrinsics(K, str(path))
     if depth.ndim != 2 or depth.dtype.kind != "f":
@@ -46,20 +56,6 @@ def read_npz(path: Path) -> Cloud:
             "a colour for each pixel of depth_m: register it to the depth image, or leave it out"
         )
     return Cloud.from_depth(depth.astype(np.float64), K.astype(np.float64), path.name, picture)
-
-
-def _arrays(path: Path) -> dict[str, np.ndarray]:
-    try:
-        there = names_in_archive(path, CLOUD)
-        missing = {"depth_m", "K"} - set(there)
-        if missing:
-            raise CloudError(
-                f"{path}: has {sorted(there)[:20]} and lacks {sorted(missing)}; "
-                "store the depth image as depth_m [m] and the pinhole matrix as K [px]"
-            )
-        return read_arrays(path, ("depth_m", "K", "rgb"), CLOUD)
-    except ValueError as error:
-        raise CloudError(f"{path}: {error}; record or export it again") from error
 
 
 # A header has a few dozen lines.

@@ -11,9 +11,9 @@ import numpy as np
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Colours, check_num_points
-from halfseen.perception.frames import FRAME_COMMENT, VIEWPOINT, Viewpoint, camera_of, quaternion_of, viewpoint_of
+from halfseen.perception.frames import FRAME_COMMENT, VIEWPOINT, camera_of, quaternion_of, viewpoint_of
 from halfseen.reading import CLOUD, check_unpacked, opened
-from halfseen.shapes import Float, Shaped
+from halfseen.shapes import Shaped
 from halfseen.writing import write_file
 
 # Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
@@ -84,7 +84,9 @@ def read_pcd(path: Path) -> Cloud:
     if packed is not None:
         colours = _unpacked(columns[packed], points, _packed_kind(fields[names.index(packed)], path))
     shape = (height, width) if height > 1 else None
-    camera = camera_of(points, shape, _viewpoint(header, path), str(path), header.get(f"# {FRAME_COMMENT}"))
+    pose = _numbers((header.get("VIEWPOINT") or "0 0 0").split(), "VIEWPOINT", path)
+    viewpoint, frame = viewpoint_of(pose, str(path)), header.get(f"# {FRAME_COMMENT}")
+    camera = camera_of(points, shape, viewpoint, str(path), frame)
     return Cloud(points, shape, _intrinsics(header, path), path.name, camera.eye_m, colours, camera.axes)
 
 
@@ -214,11 +216,6 @@ def _unpacked(column: Shaped[np.ndarray, " n"], points_m: Points, kind: str) -> 
     return np.stack([bits >> shift & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)
 
 
-def _packed(colours: Colours) -> Float[np.ndarray, " n"]:
-    red, green, blue = colours.astype(np.uint32).T
-    return (red << 16 | green << 8 | blue).view(np.float32)
-
-
 def _intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
     if INTRINSICS_COMMENT not in header:
         return None
@@ -227,11 +224,6 @@ def _intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
         raise CloudError(f"{path}: the intrinsics comment is {values}; it must be 'fx fy cx cy' in pixels")
     fx, fy, cx, cy = _numbers(values, "the intrinsics comment", path)
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-
-def _viewpoint(header: dict[str, str], path: Path) -> Viewpoint:
-    values = (header.get("VIEWPOINT") or "0 0 0").split()
-    return viewpoint_of(_numbers(values, "VIEWPOINT", path), str(path))
 
 
 def _numbers(values: list[str], what: str, path: Path) -> list[float]:
@@ -261,7 +253,8 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
     columns = [*cloud.points_m.astype(np.float32).T]
     names = ["x", "y", "z"]
     if cloud.colours is not None:
-        columns, names = [*columns, _packed(cloud.colours)], [*names, "rgb"]
+        red, green, blue = cloud.colours.astype(np.uint32).T
+        columns, names = [*columns, (red << 16 | green << 8 | blue).view(np.float32)], [*names, "rgb"]
     parsed = PointCloud.from_points(columns, names, [np.float32] * len(names))
     num_rows, num_columns = cloud.shape or (1, len(cloud.points_m))
     viewpoint = (*cloud.eye_m.tolist(), *quaternion_of(cloud.camera_axes))
