@@ -16,7 +16,7 @@ from pathlib import Path
 import pandas as pd
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import shipped_law
+from halfseen.cell.calibration.law import shipped_law
 from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import CUT_KIND, Source
 from halfseen.study.policies import FITTED_ONE_STEP, LEARNED, STRONGEST_RULE, fitted_planner

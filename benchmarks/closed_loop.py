@@ -26,7 +26,7 @@ import pandas as pd
 from scipy.special import expit
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.cell.campaign import Campaign, Conditions, logs_of, working_folder
 from halfseen.cell.summary import Summary, summarised
 from halfseen.cell.table_state import Belief

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from halfseen.cell.calibration.law_folder import shipped_law
+from halfseen.cell.calibration.law import shipped_law
 from halfseen.scene.shipped import table_paths
 from halfseen.study.pipeline import Source
 from halfseen.study.policies import ONE_STEP, STRONGEST_RULE

@@ -28,7 +28,7 @@ import pandas as pd
 from scipy.special import expit
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.cell.camera import CellCamera
 from halfseen.cell.memory import Known
 from halfseen.cell.table_state import Belief, rows_of

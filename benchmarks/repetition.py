@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from timings import Row, write
 
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.scene import table_paths
 from halfseen.study.experiments.reward import Reward
 from halfseen.study.pipeline import CUT_KIND, Source

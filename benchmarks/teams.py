@@ -26,7 +26,7 @@ import numpy as np
 from scipy import stats
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.cell.facts import tables_seen
 from halfseen.learning import CensoredQLearner
 from halfseen.planners.heuristics import GreedyPolicy, OneAtATime, ReservingPolicy, RoundRobin

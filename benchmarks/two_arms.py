@@ -27,7 +27,7 @@ import numpy as np
 from rules.of_arms import InTurn, WashEverything
 from tqdm import tqdm
 
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.cell.campaign import Campaign, Conditions, working_folder
 from halfseen.cell.model import PAIR
 from halfseen.cell.table_state import Belief

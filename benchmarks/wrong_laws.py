@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from halfseen.arrays import record
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.learning import CensoredQLearner
 from halfseen.planners import GreedyPolicy
 from halfseen.planners.control import controlled

@@ -4,7 +4,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import expit
 
-from halfseen.cell.calibration.grasping import CENTRES, SCALES
+from halfseen.cell.calibration.fits import CENTRES, SCALES
 from halfseen.logs import Logs
 from halfseen.perception.labels import FACING_SHARE
 

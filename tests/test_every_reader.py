@@ -17,7 +17,7 @@ import pytest
 from bags import WITHOUT_CLOUD, mapping_for, mixed, two_trajectories, write_bag, write_mcap
 from event_files import write_events
 from foreign import arrays, episodes, rows_of, write_arrays, write_lerobot, write_rows
-from halfseen.cell.calibration.law_folder import read_law
+from halfseen.cell.calibration.law import read_law
 from halfseen.errors import HalfseenError
 from halfseen.logs import LogStream, read_logs
 from halfseen.logs.formats import (
@@ -39,7 +39,7 @@ from halfseen.logs.formats import (
 )
 from halfseen.logs.parquet import bytes_of_texts, chunks_of
 from halfseen.perception import read_cloud
-from halfseen.perception.label_files import read_labels
+from halfseen.perception.labels import read_labels
 from halfseen.policies import read_policy
 from halfseen.policies.rule_files import read_rule_table
 from halfseen.study.runner import Store

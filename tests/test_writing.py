@@ -1,18 +1,16 @@
+"""Files and folders that are there whole or not at all; and locks, as this system and as Windows has them."""
+
 import os
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
+from types import SimpleNamespace
 
 import pytest
 
+from halfseen import writing
 from halfseen.errors import ArgumentError
-from halfseen.writing import left_aside, placed, refuse_unwritable, write_file
-
-
-@pytest.fixture
-def in_the_way(tmp_path):
-    file = tmp_path / "file"
-    file.write_text("in the way")
-    return file
+from halfseen.writing import is_locked, left_aside, placed, refuse_unwritable, write_file
 
 
 def names(folder):
@@ -25,12 +23,6 @@ def test_a_file_is_written_with_its_parents_and_replaced(tmp_path):
     write_file(file, "größer\n")
     assert file.read_bytes() == "größer\n".encode()
     assert names(file.parent) == ["b.txt"]
-
-
-def test_a_file_that_cannot_be_written_is_refused_in_one_line(in_the_way):
-    with pytest.raises(ArgumentError, match=r"file/b: cannot be written \(File exists\); choose another folder"):
-        write_file(in_the_way / "b", "")
-    assert names(in_the_way.parent) == ["file"]
 
 
 def test_what_was_there_stays_when_the_new_file_does_not_fit(tmp_path, monkeypatch):
@@ -124,8 +116,72 @@ def test_no_device_is_replaced_and_a_link_goes_on_pointing(tmp_path):
     assert (tmp_path / "link").is_symlink()
 
 
-def test_a_name_that_is_too_long_is_refused_in_one_line(tmp_path):
+@pytest.mark.parametrize("refused", [lambda file: write_file(file, ""), refuse_unwritable])
+def test_a_name_that_is_too_long_is_refused_in_one_line(tmp_path, refused):
     with pytest.raises(ArgumentError, match=r"File name too long.; choose a shorter name"):
-        write_file(tmp_path / ("n" * 300), "")
-    with pytest.raises(ArgumentError, match=r"File name too long.; choose a shorter name"):
-        refuse_unwritable(tmp_path / ("n" * 300))
+        refused(tmp_path / ("n" * 300))
+
+
+def test_a_file_that_cannot_be_written_is_refused_in_one_line(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(ArgumentError, match=r"file/b: cannot be written \(File exists\); choose another folder"):
+        write_file(tmp_path / "file" / "b", "")
+    assert names(tmp_path) == ["file"]
+
+
+@pytest.fixture
+def descriptors(tmp_path):
+    """Of one file, opened twice."""
+    file = tmp_path / "file"
+    file.write_bytes(b"abc")
+    both = [os.open(file, os.O_RDWR | os.O_APPEND) for _ in range(2)]
+    yield both
+    for each in both:
+        os.close(each)
+
+
+def test_a_lock_keeps_others_out_until_it_is_closed(descriptors):
+    one, other = (os.dup(each) for each in descriptors)
+    reader = os.open(f"/proc/self/fd/{other}", os.O_RDONLY) if sys.platform == "linux" else os.dup(other)
+    assert is_locked(one)
+    assert not is_locked(reader)
+    assert not is_locked(reader, is_shared=True)
+    os.close(one)
+    os.close(descriptors[0])
+    descriptors[0] = os.dup(other)
+    assert is_locked(reader, is_shared=True)
+    os.close(other)
+    os.close(reader)
+
+
+def test_shared_locks_go_together(descriptors):
+    assert all(is_locked(each, is_shared=True) for each in descriptors)
+    assert not is_locked(descriptors[0])
+
+
+class WindowsLocks:
+    """Stands in for `msvcrt`: a lock is of bytes at the place of the descriptor, and is never shared."""
+
+    LK_NBLCK = 2
+
+    def __init__(self):
+        self.held = {}
+
+    def locking(self, descriptor, mode, num_bytes):
+        assert (mode, num_bytes) == (self.LK_NBLCK, 1)
+        place = (os.fstat(descriptor).st_ino, os.lseek(descriptor, 0, os.SEEK_CUR))
+        if self.held.setdefault(place, descriptor) != descriptor:
+            raise PermissionError(13, "Permission denied")
+
+
+def test_windows_locks_a_byte_that_nobody_reads(descriptors, monkeypatch):
+    windows = WindowsLocks()
+    monkeypatch.setitem(sys.modules, "msvcrt", windows)
+    monkeypatch.setattr(writing, "sys", SimpleNamespace(platform="win32"))
+    assert is_locked(descriptors[0])
+    assert not is_locked(descriptors[1])
+    assert not is_locked(descriptors[1], is_shared=True)
+    assert [place for _, place in windows.held] == [writing.FAR_BYTE]
+    os.write(descriptors[0], b"d")
+    assert os.pread(descriptors[1], 9, 0) == b"abcd"
+    assert os.read(descriptors[0], 0) == b""

@@ -8,12 +8,13 @@ from pictures.picture import Picture
 
 def _draw() -> bytes:
     from halfseen.cell.calibration.figures import pictures_of
-    from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, shipped_law
+    from halfseen.cell.calibration.law import ATTEMPTS, read_law, shipped_law
     from halfseen.logs import read_logs
 
     with TemporaryDirectory() as folder:
         file = Path(folder) / "held.png"
-        pictures_of(read_law(shipped_law()).law, read_logs(shipped_law() / ATTEMPTS))["held.png"](file)
+        law, logs = read_law(shipped_law()).law, read_logs(shipped_law() / ATTEMPTS)
+        pictures_of(law.grasp.estimate, law.seeing, logs)["held.png"](file)
         return file.read_bytes()
 
 

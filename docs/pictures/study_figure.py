@@ -22,7 +22,7 @@ _RULES = ("greedy", "history", "greedy-penalty", "history-penalty")
 @cache
 def _setting():
     """The study's tables, under its law, as `halfseen study` sets them up."""
-    from halfseen.cell.calibration.law_folder import shipped_law
+    from halfseen.cell.calibration.law import shipped_law
     from halfseen.perception import perceive, read_cloud
     from halfseen.scene import table_paths
     from halfseen.study.setting import Setting, under

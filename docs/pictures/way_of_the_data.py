@@ -23,12 +23,10 @@ PASSED_OVER = {
     "writing",
     "reading",
     "installation",
-    "locks",
     "arrays",
     "shapes",
     "errors",
     "progress",
-    "suggestions",
     "text_table",
 }
 """Layers of the package that data does not pass: what all of it stands on."""

@@ -18,8 +18,9 @@ Every message says what is wrong, where, the value, and the remedy. Warnings are
 """
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
+from difflib import get_close_matches
 
 
 class HalfseenError(Exception):
@@ -92,3 +93,24 @@ def noted() -> Iterator[list[str]]:
         warnings.simplefilter("always", HalfseenWarning)
         yield notes
     notes += [str(one.message) for one in caught if issubclass(one.category, HalfseenWarning)]
+
+
+def closest(given: object, known: Iterable[object]) -> str | None:
+    """Name the one of `known` that is most like `given`, capitals aside; None if none is much like it."""
+    names = {str(name).lower(): str(name) for name in known}
+    close = get_close_matches(str(given).lower(), names, n=1)
+    return names[close[0]] if close else None
+
+
+def did_you_mean(given: object, known: Iterable[object]) -> str:
+    """Ask whether another name was meant: an end for a message, empty if there is none like it.
+
+    Parameters
+    ----------
+    given
+        What was typed.
+    known
+        The names that there are.
+    """
+    name = closest(given, known)
+    return "" if name is None else f"; did you mean {name!r}?"

@@ -1,4 +1,4 @@
-"""Names that are alike: what may have been meant by one that does not exist, and those that differ in spelling alone.
+"""Names that differ in spelling alone.
 
 Spelling is capitals, separators, or how Unicode composes a letter. Signs, digits apart and decimal points count: ``-x``
 is not ``+x``, nor ``2.5`` ``25``, nor ``slot 1 2`` ``slot 12``.
@@ -6,7 +6,6 @@ is not ``+x``, nor ``2.5`` ``25``, nor ``slot 1 2`` ``slot 12``.
 
 import re
 from collections.abc import Iterable
-from difflib import get_close_matches
 from unicodedata import normalize
 
 DASHES = re.compile("[\u2010-\u2015\u2212\ufe63\uff0d]")
@@ -19,27 +18,6 @@ _SEPARATORS = re.compile(
     """,
     re.VERBOSE,
 )
-
-
-def closest(given: object, known: Iterable[object]) -> str | None:
-    """Name the one of `known` that is most like `given`, capitals aside; None if none is much like it."""
-    names = {str(name).lower(): str(name) for name in known}
-    close = get_close_matches(str(given).lower(), names, n=1)
-    return names[close[0]] if close else None
-
-
-def did_you_mean(given: object, known: Iterable[object]) -> str:
-    """Ask whether another name was meant: an end for a message, empty if there is none like it.
-
-    Parameters
-    ----------
-    given
-        What was typed.
-    known
-        The names that there are.
-    """
-    name = closest(given, known)
-    return "" if name is None else f"; did you mean {name!r}?"
 
 
 def folded(name: str) -> str:

@@ -1,7 +1,13 @@
-"""A file or a folder that is there whole or not at all: written under a name of its own, then renamed."""
+"""A file or a folder that is there whole or not at all: written under a name of its own, then renamed; and locks.
+
+The kernel gives a lock back when its process ends, however it ends. On Windows a lock keeps others from reading what is
+locked, and is never shared: there a byte far behind the end stands for the file, and anyone who asks for a shared lock
+holds it alone.
+"""
 
 import os
 import shutil
+import sys
 import uuid
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -10,10 +16,11 @@ from glob import escape
 from pathlib import Path
 
 from halfseen.errors import ArgumentError
-from halfseen.locks import is_locked
 
 LOCK = ".lock"
 """File by which a folder is held."""
+FAR_BYTE = 2**30
+"""Place of the byte that stands for a file on Windows [B]."""
 
 
 def write_file(target: Path, content: str | bytes) -> None:
@@ -114,6 +121,46 @@ def refuse_unwritable(target: Path) -> None:
     if not (nearest.is_dir() and os.access(nearest, os.W_OK)):
         kind = "may not be written by you" if nearest.is_dir() else "is no folder"
         raise ArgumentError(f"{target}: cannot be written, as {nearest} {kind}; choose another folder")
+
+
+def is_locked(descriptor: int, *, is_shared: bool = False) -> bool:
+    """Take the lock of a file, if no other process or descriptor has it; closing the descriptor gives it back.
+
+    Parameters
+    ----------
+    descriptor
+        Of the file.
+    is_shared
+        Whether others may have it at the same time.
+
+    Returns
+    -------
+    bool
+        Whether it was taken.
+
+    Raises
+    ------
+    OSError
+        Files cannot be locked there, as on some network drives.
+    """
+    if sys.platform == "win32":
+        import msvcrt
+
+        os.lseek(descriptor, FAR_BYTE, os.SEEK_SET)
+        try:
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+        except PermissionError:
+            return False
+        finally:
+            os.lseek(descriptor, 0, os.SEEK_SET)
+        return True
+    import fcntl
+
+    try:
+        fcntl.flock(descriptor, (fcntl.LOCK_SH if is_shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    return True
 
 
 @contextmanager

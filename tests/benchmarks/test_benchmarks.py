@@ -21,7 +21,7 @@ from worlds.haze import Haze
 from worlds.policies import policies_of
 from worlds.wide import Wide
 
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.cell.table_state import Belief
 from halfseen.logs import read_logs
 

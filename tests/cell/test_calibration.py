@@ -14,8 +14,18 @@ from attempt_logs import TRUTH as TRUTH_OF_LOGS
 from attempt_logs import attempt_log
 from halfseen.cell.calibration.attempts import clustered_share, trials, wilson
 from halfseen.cell.calibration.figures import Count, counted
-from halfseen.cell.calibration.grasping import CENTRES, SCALES, design, fit_grasping, held_given_past, held_share
-from halfseen.cell.calibration.law import VIEWS, fit_times, found_by, intervals
+from halfseen.cell.calibration.fits import (
+    CENTRES,
+    SCALES,
+    VIEWS,
+    design,
+    fit_grasping,
+    fit_times,
+    found_by,
+    held_given_past,
+    held_share,
+    intervals,
+)
 from halfseen.perception.labels import FACING_SHARE
 from halfseen.world.seeing import PersistentSeeing
 

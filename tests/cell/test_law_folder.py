@@ -12,8 +12,7 @@ from scipy.special import expit
 from attempt_logs import attempt_log
 from halfseen.cell.calibration.attempts import HORIZON, occlusion_bins, shares_by, trials
 from halfseen.cell.calibration.figures import held_shares
-from halfseen.cell.calibration.law import fit_law
-from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, read_law, shipped_law, write_law
+from halfseen.cell.calibration.law import ATTEMPTS, LAW, fit_law, read_law, shipped_law, write_law
 from halfseen.cell.facts import Facts, look_again, tables_seen
 from halfseen.cell.live_cell import Stops
 from halfseen.cli.inputs import scenes_of

@@ -11,8 +11,8 @@ import pandas as pd
 import pytest
 import shell
 
-from drawn_boxes import boxes_cloud
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from drawn_tables import boxes_cloud
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.learning import CensoredQLearner
 from halfseen.perception import perceive, read_cloud, write_pcd
 from halfseen.policies import read_policy

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
-from halfseen.cell.calibration.law_folder import ATTEMPTS, read_law, shipped_law, write_law
+from halfseen.cell.calibration.law import ATTEMPTS, read_law, shipped_law, write_law
 from halfseen.cell.campaign import WHAT_FILE
 from halfseen.cli.cell_run import run
 from halfseen.cli.inputs import stations_for

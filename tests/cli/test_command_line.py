@@ -14,11 +14,10 @@ import pytest
 
 from halfseen.cli import VERBS, halfseen, messages
 from halfseen.cli.messages import EXTRAS, HELD, remedy
-from halfseen.errors import HalfseenWarning
+from halfseen.errors import HalfseenWarning, closest, did_you_mean
 from halfseen.installation import command_for
 from halfseen.logs import Logs
 from halfseen.progress import Progress, Telling, _telling
-from halfseen.suggestions import closest, did_you_mean
 from small_logs import flat_log
 
 VERB_TRAJECTORIES = [(verb,) for verb in VERBS] + [("cell", name) for name in ("calibrate", "run", "film")]

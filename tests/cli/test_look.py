@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import shell
 
-from drawn_cards import TWO_CARDS, K, depth_of_cards
+from drawn_tables import TWO_CARDS, K, depth_of_cards
 from few_cups import draw_small_tables
 from halfseen.logs import read_logs
 from halfseen.perception import Cloud, StainCounter, perceive, read_cloud, write_pcd

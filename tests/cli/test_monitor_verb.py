@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 import shell
 
-from axe import PAGES, faults_of, in_browser
+from chromium import PAGES, faults_of, in_browser
 from halfseen.cli import act as module
 from halfseen.learning import CensoredQLearner
 from halfseen.logs import LogRecorder, Logs, read_logs

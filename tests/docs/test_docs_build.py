@@ -12,7 +12,7 @@ import click
 import pytest
 
 import halfseen
-from axe import PAGES, faults_of, in_browser
+from chromium import PAGES, faults_of, in_browser
 from halfseen import cli
 
 DOCS = Path(__file__).parent.parent.parent / "docs"

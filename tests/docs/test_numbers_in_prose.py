@@ -8,7 +8,7 @@ import runpy
 import pandas as pd
 import pytest
 
-from halfseen.cell.calibration.law_folder import ATTEMPTS, VISIBLE_ONLY, read_law, shipped_law
+from halfseen.cell.calibration.law import ATTEMPTS, VISIBLE_ONLY, read_law, shipped_law
 from halfseen.cli.cell import calibrate
 from halfseen.logs import read_logs
 from pictures.guide_pages import numbers_in, table_of

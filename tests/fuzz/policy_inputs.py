@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from drawn_cards import TWO_CARDS, depth_of_cards
+from drawn_tables import TWO_CARDS, depth_of_cards
 from fuzz.corpus import CLOUDS, HEAVY, LEARN, ONE, OTHERS, seed
 from halfseen.logs import Logs
 from small_logs import begun_log, flat_log, table_log
@@ -169,7 +169,7 @@ def begun(folder: Path) -> None:
 @seed(HEAVY, f"cell calibrate --from in/attempts --workers 1 {ONE}")
 def attempts(folder: Path) -> None:
     """Attempts of a cell, fewer than its law needs to be sure."""
-    from halfseen.cell.calibration.law_folder import shipped_law
+    from halfseen.cell.calibration.law import shipped_law
     from halfseen.logs import read_logs
 
     logs = read_logs(shipped_law() / "attempts")
@@ -180,7 +180,7 @@ def attempts(folder: Path) -> None:
 
 @seed(HEAVY, f"{SIMULATE} --law in/law")
 def law(folder: Path) -> None:
-    from halfseen.cell.calibration.law_folder import shipped_law
+    from halfseen.cell.calibration.law import shipped_law
 
     (folder / "law").mkdir()
     for name in ("law.json", "law.safetensors", "law.sha256"):

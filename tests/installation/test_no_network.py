@@ -24,7 +24,7 @@ TINY_STUDY = """
 import json
 import halfseen.study.runner as run
 from release.every_verb import LINES, run as run_line
-from tiny import TINY
+from examples import TINY
 run.chosen = lambda only: TINY[-1:]
 print(json.dumps([run_line(line) for line in LINES]))
 """

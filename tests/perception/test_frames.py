@@ -9,8 +9,8 @@ from scipy.spatial.transform import Rotation
 from drawn_tables import EYE_M, TABLE_FROM_CAMERA, Can, draw
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, perceive, read_cloud, write_pcd
+from halfseen.perception.frames import turned_pinhole
 from halfseen.perception.range_image import range_image
-from halfseen.perception.sensor import turned_pinhole
 from halfseen.scene import table_paths
 from refusals import refused
 

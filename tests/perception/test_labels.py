@@ -8,13 +8,12 @@ import numpy as np
 import pytest
 from scores import matched
 
-from drawn_boxes import boxes_cloud
-from drawn_tables import Can, draw
+from drawn_tables import Can, boxes_cloud, draw
 from halfseen.errors import ArgumentError, CloudError
 from halfseen.perception import Cloud, Label, LabelFile, Labeller, StainCounter, perceive, read_cloud, read_labels
-from halfseen.perception.kind import HIGHEST_M, LOWEST_M, other_things, other_things_in_words
 from halfseen.perception.labels import share_in_view
 from halfseen.perception.solids import Hull
+from halfseen.perception.view import HIGHEST_M, LOWEST_M, other_things, other_things_in_words
 from halfseen.scene import Stain, Surface, capture, draw_surface, random_table, read_table, table_paths
 from halfseen.scene.cups import SURFACES
 from halfseen.scene.record import colours, is_within

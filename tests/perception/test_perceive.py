@@ -13,7 +13,7 @@ from skimage.draw import polygon2mask
 from drawn_tables import DOWN_RAD, EYE_M, TABLE_FROM_CAMERA, Can, Drawn, camera_point, draw
 from halfseen.errors import CloudError
 from halfseen.perception import Cloud, View, perceive, read_cloud
-from halfseen.perception.silhouette import convex_pixels
+from halfseen.perception.occlusion import convex_pixels
 from halfseen.perception.tracking import FARTHEST_M, matched
 from halfseen.scene import capture, random_table, read_truth, table_paths
 from halfseen.world.scene import Scene

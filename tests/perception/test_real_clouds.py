@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from halfseen.perception import Cloud, perceive, read_cloud
-from halfseen.perception.kind import other_things_in_words
+from halfseen.perception.view import other_things_in_words
 
 BESIDE = Path(__file__).parents[3] / "shared" / "clouds"
 FOLDER = Path(os.environ.get("HALFSEEN_CLOUDS", BESIDE))

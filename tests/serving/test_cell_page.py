@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from asking import RULE, client_of, decided, run
 
-from axe import PAGES, faults_of, in_browser
+from chromium import PAGES, faults_of, in_browser
 from halfseen.logs import read_logs
 from halfseen.monitoring import monitored
 from halfseen.monitoring.dealing import Terms

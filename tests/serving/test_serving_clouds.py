@@ -25,7 +25,7 @@ from halfseen.learning import CensoredQLearner
 from halfseen.logs import read_logs
 from halfseen.logs.data_quality import data_warnings
 from halfseen.perception import perceive, read_cloud
-from halfseen.perception.formats import write_pcd
+from halfseen.perception.pcd import write_pcd
 from halfseen.policies import decider_of, read_policy, table_observation
 from halfseen.policies.folder import write_policy
 from halfseen.policies.table_observation import Past, see_table

@@ -1,4 +1,4 @@
-"""Made-up pieces of every experiment, and what is made of them: for the tests of what is drawn and written."""
+"""Made-up pieces of every experiment, and what is made of them; and the experiments as small as they go."""
 
 from dataclasses import asdict
 from functools import cache
@@ -13,13 +13,16 @@ from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.experiments.attempts import Attempts
 from halfseen.study.experiments.attempts_repetition import COMPLETED, VISIBLE_ONLY, source_of
 from halfseen.study.experiments.attempts_repetition import MODEL_NAMES as ATTEMPT_MODELS
+from halfseen.study.experiments.censoring import Censoring
 from halfseen.study.experiments.clutter import Clutter
 from halfseen.study.experiments.clutter_places import table_of
-from halfseen.study.experiments.grasp import MODEL_NAMES
-from halfseen.study.pipeline import episodes_in_turn
+from halfseen.study.experiments.grasp import MODEL_NAMES, Grasp
+from halfseen.study.experiments.planning import Planning
+from halfseen.study.experiments.regret import Regret
+from halfseen.study.experiments.reward import Reward
+from halfseen.study.pipeline import TREATMENTS, episodes_in_turn
 from halfseen.study.policies import HEURISTICS, ONE_STEP
 from halfseen.study.setting import Setting
-from halfseen.study.treatments import TREATMENTS
 from halfseen.tables.learner import MODEL, RULE
 from halfseen.world.config import WorldConfig
 from halfseen.world.scene import Scene
@@ -236,3 +239,35 @@ def _attempts(design, index, decided, trajectory, hard, gain, rng):
     said["law"] = rng.uniform(0.6, 1.0, int(rows.sum())).tolist()
     kept = {"rows": decided[rows].tolist(), "row_weight": np.ones(int(rows.sum())).tolist(), "said": said}
     return {"index": index, "tables": tables.tolist(), "weight": weight.tolist(), "scores": scores, **kept}
+
+
+SIZES = (25, 50)
+
+
+def table(num_objects):
+    rng = np.random.default_rng(num_objects)
+    return Scene(np.tril(rng.uniform(0.0, 0.6, (num_objects, num_objects)), -1), name=f"table_{num_objects}")
+
+
+SETTING = Setting((table(3), table(4)), repetitions=2)
+TINY = (
+    Reward(
+        SIZES,
+        (0.0, 0.5),
+        2,
+        ((4, 2), (8, 1)),
+        fitted_episodes=2,
+        selection_blocks=2,
+        selection_planned=2,
+        table_num_trajectories=50,
+        num_starts=300,
+    ),
+    Planning(
+        ((4, 2), (8, 1)), (1, 2), 8, horizon_episodes=4, num_trajectories=50, episodes_per_scene=2, num_starts=300
+    ),
+    Censoring(SIZES, compared_num_trajectories=50, episodes_per_scene=2),
+    Grasp(SIZES, episodes_per_scene=2, num_starts=300),
+    Clutter((2, 3), (0.2,), (1.0,), (-10.0,), (0.5,), num_trajectories=50, num_tables=4, episodes_per_table=5),
+    Regret(2, 3, SIZES, (0.0, 0.5), planner_horizons=(1, 2), planner_simulations=8),
+    Attempts((5, 10), 2),
+)

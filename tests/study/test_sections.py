@@ -15,7 +15,7 @@ from halfseen.evaluation.estimate import Estimate
 from halfseen.figures import drawn, style
 from halfseen.study.compare import row_of, where
 from halfseen.study.experiments import EXPERIMENTS
-from halfseen.study.experiments.reward_figures import opening_of
+from halfseen.study.experiments.reward import opening_of
 from halfseen.study.experiments.reward_repetition import over_peer
 from halfseen.wording import Claim
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from tiny import SETTING, TINY
 
-from axe import PAGES, faults_of, in_browser
-from halfseen.cell.calibration.law_folder import shipped_law
+from chromium import PAGES, faults_of, in_browser
+from examples import SETTING, TINY
+from halfseen.cell.calibration.law import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.study.runner import run_study, store_of, without_laws
 from halfseen.study.setting import under

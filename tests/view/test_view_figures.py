@@ -20,7 +20,7 @@ from halfseen.view.decision_picture import MOST_BARS, draw_decision
 from halfseen.view.log_figures import OTHERS, action_colours, draw_follow_up, draw_timeline
 from halfseen.view.log_findings import MOST_ROWS, UNKNOWN_ACTION, endings, follow_up, timeline
 from halfseen.view.policy_figures import FEW_STATES, draw_choices, draw_map, draw_table_map
-from halfseen.view.policy_map import FEWEST_NEAR, NEAR, policy_maps, supported, table_map
+from halfseen.view.policy_findings import FEWEST_NEAR, NEAR, policy_maps, supported, table_map
 from halfseen.world import ActionSpace
 from small_logs import table_log
 from small_report import ACTIONS, COVARIATES, hostile_log
@@ -190,7 +190,7 @@ def test_support_is_enough_states_nearby_by_a_loop(num_covariates):
 
 
 def test_objects_of_a_log_are_counted_by_what_the_policy_would_do_to_them(monkeypatch):
-    monkeypatch.setattr("halfseen.view.policy_map.FEWEST_OBJECTS", 1)
+    monkeypatch.setattr("halfseen.view.policy_findings.FEWEST_OBJECTS", 1)
     logs = table_log(num_trajectories=60)
     policy = CensoredQLearner.for_table(3, reg=0.1).fit(logs).policy_
     task = task_of(policy, logs)
@@ -263,8 +263,10 @@ def test_what_is_said_stands_on_the_picture_and_bars_only_where_values_are_known
 
 
 def test_every_verb_and_an_object_that_is_not_seen_can_be_drawn_and_the_same_gives_the_same_bytes(view, tmp_path):
-    for number, action in enumerate(("WASH 3", "FINISH", "PUSH 1", "LIFT 9", "LIFT 9")):
-        draw_decision(replace(DECISION, action=action), tmp_path / f"{number}.png", view=view)
-    first, *_, last, again = (file.read_bytes() for file in sorted(tmp_path.iterdir()))
-    assert first.startswith(b"\x89PNG")
-    assert last == again
+    for action in ("WASH 3", "FINISH", "PUSH 1"):
+        draw_decision(replace(DECISION, action=action), tmp_path / "d.svg", view=view)
+    for name in ("one.png", "other.png"):
+        draw_decision(replace(DECISION, action="LIFT 9"), tmp_path / name, view=view)
+    one, other = ((tmp_path / name).read_bytes() for name in ("one.png", "other.png"))
+    assert one.startswith(b"\x89PNG")
+    assert one == other

@@ -14,7 +14,7 @@ import pytest
 
 from halfseen.errors import ArgumentError, WorkerError
 from halfseen.workers import Workers
-from halfseen.workers.piece import home, made
+from halfseen.workers.pool import made, versions
 
 ENGINES = [Workers(1), Workers(2), pytest.param(Workers(2, "dask"), marks=pytest.mark.slow)]
 ENGINES += [pytest.param(Workers(2, "ray"), marks=pytest.mark.slow)]
@@ -120,7 +120,7 @@ def test_a_piece_that_kills_every_worker_is_given_up(workers, monkeypatch):
 @pytest.mark.slow
 def test_a_cluster_that_stays_without_workers_is_given_up(monkeypatch):
     distributed = pytest.importorskip("distributed")
-    monkeypatch.setattr("halfseen.workers.on_dask.EMPTY_S", 1.0)
+    monkeypatch.setattr("halfseen.workers.engines.EMPTY_S", 1.0)
     with (
         distributed.LocalCluster(n_workers=0, dashboard_address=None) as cluster,
         Workers(engine="dask", address=cluster.scheduler_address).ready() as pool,
@@ -177,9 +177,9 @@ def test_workers_that_there_cannot_be_are_refused(told, words):
 
 
 def test_other_versions_and_what_a_worker_cannot_import_are_told_by_name():
-    asker = home()
-    other = asker._replace(versions={**asker.versions, "numpy": "1.0"})
+    here = versions()
+    other = {**here, "numpy": "1.0"}
     nothing, nowhere = (np.frombuffer(each, dtype=np.uint8) for each in (b"", b"cnowhere_at_all\nsquared\n."))
     assert f"numpy {np.__version__} instead of 1.0; install the same" in str(made(other, nothing, 0, 0).error)
-    told = str(made(asker, nowhere, 0, 0).error)
+    told = str(made(here, nowhere, 0, 0).error)
     assert told.startswith("a worker cannot import nowhere_at_all, which is needed here; install it there")

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 
 from halfseen.arrays import record
-from halfseen.cell.calibration.law_folder import read_law, shipped_law
+from halfseen.cell.calibration.law import read_law, shipped_law
 from halfseen.world import Robot, Scene, TableWorld, Team, Workspace, WorldConfig
 from halfseen.world.actions import FINISH
 from halfseen.world.policy import surely

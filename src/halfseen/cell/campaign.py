@@ -308,15 +308,12 @@ def attempts_of(
     campaign = Campaign(LiftAtRandom(), belief, conditions, seed, tells_truth=True)
     begun: list[int] = []
     while sum(begun) < num_attempts:
-        # A batch is waited for to its end: nothing records any more when this returns.
-        for _, run in campaign.runs(_batch(begun, num_attempts, pool.num_workers), folder, pool):
+        # Most tables that are likely to be needed, as workers wait at the end of a batch: nothing records any more when
+        # this returns.
+        likely = int(0.8 * (num_attempts - sum(begun)) * len(begun) / max(sum(begun), 1))
+        batch = range(len(begun), len(begun) + max(4 * pool.num_workers, likely))
+        for _, run in campaign.runs(batch, folder, pool):
             begun.append(sum(run.verbs.values()))
             on_table(begun[-1])
     # As many tables as it takes, however many there were in a batch.
     return logs_of(folder, range(1 + int(np.searchsorted(np.cumsum(begun), num_attempts))))
-
-
-def _batch(begun: Sequence[int], num_attempts: int, num_workers: int) -> range:
-    """Tables that are begun next: most of those that are likely to be needed, as workers wait at the end of a batch."""
-    likely = 0.8 * (num_attempts - sum(begun)) * len(begun) / max(sum(begun), 1)
-    return range(len(begun), len(begun) + max(4 * num_workers, int(likely)))

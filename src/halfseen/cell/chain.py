@@ -72,7 +72,11 @@ def find_chain(
         tip = _trunk(model, still or _WORLD)[-1] if mounted is None else mounted.body
     still = _standing(model, tip) if still is None else still
     found = _joints_between(model, name, still, tip) if named is None else named
-    _require_enough(model, name, found, tip)
+    if len(found) < LEAST_JOINTS:
+        raise SceneError(
+            f"{name}: the arm has {len(found)} joints as far as body {model.body(tip).name!r}, and needs "
+            f"{LEAST_JOINTS} to point its hand; name its flange, or its joints: there are {_listed(_hinges(model))}"
+        )
     last = int(model.jnt_bodyid[found[-1]])
     mounted = mounted or _found_flange(model, last)
     path = _path(model, still, mounted.body)
@@ -124,29 +128,26 @@ def _at_site(model: mujoco.MjModel, site: int) -> Flange:
 
 def _trunk(model: mujoco.MjModel, begin: int) -> list[int]:
     """Bodies from one on, as long as one way only leads to more joints; of several robots in a world, the longest."""
-    moves = [any(True for _ in _own_joints(model, body)) for body in range(model.nbody)]
+    moves = [bool(_own_joints(model, body)) for body in range(model.nbody)]
     for body in range(model.nbody - 1, _WORLD, -1):
         moves[model.body_parentid[body]] |= moves[body]
     ways = [body for body in range(begin + 1, model.nbody) if model.body_parentid[body] == begin and moves[body]]
     if begin == _WORLD and ways:
-        return max((_trunk(model, way) for way in ways), key=lambda way: _num_joints(model, way))
+        trunks = (_trunk(model, way) for way in ways)
+        return max(trunks, key=lambda trunk: sum(len(_own_joints(model, body)) for body in trunk))
     return [begin, *_trunk(model, ways[0])] if len(ways) == 1 else [begin]
 
 
-def _own_joints(model: mujoco.MjModel, body: int) -> Iterable[int]:
+def _own_joints(model: mujoco.MjModel, body: int) -> list[int]:
     """Joints of a body, less one by which it floats."""
     begin, number = model.body_jntadr[body], model.body_jntnum[body]
-    return (joint for joint in range(begin, begin + number) if model.jnt_type[joint] != _FREE)
-
-
-def _num_joints(model: mujoco.MjModel, bodies: Iterable[int]) -> int:
-    return sum(1 for body in bodies for _ in _own_joints(model, body))
+    return [joint for joint in range(begin, begin + number) if model.jnt_type[joint] != _FREE]
 
 
 def _standing(model: mujoco.MjModel, tip: int) -> int:
     """The body of the world that carries another; the world itself where that one turns on a joint."""
     root = int(model.body_rootid[tip])
-    return _WORLD if any(True for _ in _own_joints(model, root)) else root
+    return _WORLD if _own_joints(model, root) else root
 
 
 def _path(model: mujoco.MjModel, begin: int, end: int) -> list[int]:
@@ -168,14 +169,6 @@ def _joints_between(model: mujoco.MjModel, name: str, begin: int, end: int) -> t
             f"what is not named stays as it is: there are {_listed(_hinges(model))}"
         )
     return tuple(hinges)
-
-
-def _require_enough(model: mujoco.MjModel, name: str, joints: Sequence[int], tip: int) -> None:
-    if len(joints) < LEAST_JOINTS:
-        raise SceneError(
-            f"{name}: the arm has {len(joints)} joints as far as body {model.body(tip).name!r}, and needs "
-            f"{LEAST_JOINTS} to point its hand; name its flange, or its joints: there are {_listed(_hinges(model))}"
-        )
 
 
 def _require_row(model: mujoco.MjModel, name: str, joints: Sequence[int], path: Sequence[int]) -> None:

@@ -88,7 +88,9 @@ class Film:
     def _drawn(self, cell: Workcell) -> list[Picture]:
         model = _painted(cell)
         data, shot = mujoco.MjData(model), self.shot
-        camera = mujoco.MjvCamera()
+        # Furniture is shown, too; not the walls by which cups are held.
+        shown, camera = mujoco.MjvOption(), mujoco.MjvCamera()
+        shown.geomgroup[:] = [group != UNSEEN_GROUP for group in range(len(shown.geomgroup))]
         camera.lookat[:], camera.distance = shot.looks_at_m, shot.distance_m
         camera.azimuth, camera.elevation = shot.azimuth_deg, shot.elevation_deg
         pictures = []
@@ -96,16 +98,9 @@ class Film:
             for places, _ in self._kept:
                 data.qpos[:] = places
                 mujoco.mj_forward(model, data)
-                renderer.update_scene(data, camera, _shown())
+                renderer.update_scene(data, camera, shown)
                 pictures.append(renderer.render())
         return pictures
-
-
-def _shown() -> mujoco.MjvOption:
-    """Furniture, too; not the walls by which cups are held."""
-    option = mujoco.MjvOption()
-    option.geomgroup[:] = [group != UNSEEN_GROUP for group in range(len(option.geomgroup))]
-    return option
 
 
 def _painted(cell: Workcell) -> mujoco.MjModel:

@@ -47,10 +47,6 @@ class Rest:
     seconds: float
 
 
-def _nowhere() -> Way:
-    return np.zeros((0, 0))
-
-
 @dataclass(frozen=True, eq=False)
 class Reserve:
     """Have the space of a way for oneself before it is gone; who works alone has it at once.
@@ -61,7 +57,7 @@ class Reserve:
     """
 
     way: Float[np.ndarray, "going J"]
-    back: Float[np.ndarray, "returning _"] = field(default_factory=_nowhere)
+    back: Float[np.ndarray, "returning _"] = field(default_factory=lambda: np.zeros((0, 0)))
     is_patient: bool = True
     below_m: float = 0.0
 

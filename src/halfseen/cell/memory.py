@@ -13,7 +13,7 @@ from halfseen.arrays import Hides, Points
 from halfseen.cell.facts import Facts, facts_of
 from halfseen.cell.grasps import Grasp
 from halfseen.perception.clouds import Vector
-from halfseen.perception.silhouette import NEAREST_M, projected
+from halfseen.perception.occlusion import NEAREST_M, projected
 from halfseen.perception.tracking import matched
 from halfseen.perception.view import SeenObject, View
 from halfseen.shapes import Float

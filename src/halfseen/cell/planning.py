@@ -118,7 +118,8 @@ def _planned(
 ) -> Plan:
     back_m = grasp.middle_m - APPROACH_M * grasp.approach
     before, angles = _first(_poses(grasp, back_m, world_from_table), kinematics, begin_rad, rng)
-    held = Pose(_in_world(grasp.middle_m, world_from_table), before.quaternion)
+    x_m, y_m, z_m = (world_from_table @ [*grasp.middle_m, 1.0])[:3].tolist()
+    held = Pose((x_m, y_m, z_m), before.quaternion)
     approach = line(kinematics, angles, before, np.array(held.position_m))
     lift = line(kinematics, approach[-1], held, np.add(held.position_m, [0.0, 0.0, LIFT_M]))
     hover = np.concatenate([_above(kinematics, angles, before), angles[None]])
@@ -144,13 +145,6 @@ def _poses(grasp: Grasp, middle_m: Float[np.ndarray, " 3"], world_from_table: Fl
         hand[:3, :3] = grasp.axes * [sign, sign, 1.0]
         poses.append(from_matrix(world_from_table @ hand))
     return poses
-
-
-def _in_world(
-    point_m: Float[np.ndarray, " 3"], world_from_table: Float[np.ndarray, "4 4"]
-) -> tuple[float, float, float]:
-    x_m, y_m, z_m = (world_from_table @ [*point_m, 1.0])[:3].tolist()
-    return x_m, y_m, z_m
 
 
 def beginnings(kinematics: Kinematics, here_rad: Angles, rng: np.random.Generator) -> list[Angles]:

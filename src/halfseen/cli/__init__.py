@@ -13,9 +13,8 @@ from click.shell_completion import CompletionItem
 
 from halfseen import __version__
 from halfseen.cli.messages import remedy, tell_error, tell_warning, unexpected
-from halfseen.errors import HalfseenError, HalfseenWarning
+from halfseen.errors import HalfseenError, HalfseenWarning, did_you_mean
 from halfseen.progress import Telling, telling
-from halfseen.suggestions import did_you_mean
 
 VERBS = {
     "inspect": "Say what a folder of logs holds: trajectories, endings, causes, weights, and what looks wrong.",

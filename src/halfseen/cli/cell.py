@@ -110,8 +110,7 @@ def calibrate(
     """
     load_mujoco()
     from halfseen.cell.calibration.attempts import HORIZON
-    from halfseen.cell.calibration.law import fit_law
-    from halfseen.cell.calibration.law_folder import ATTEMPTS, LAW, VISIBLE_ONLY, read_law, write_law
+    from halfseen.cell.calibration.law import ATTEMPTS, LAW, VISIBLE_ONLY, fit_law, read_law, write_law
     from halfseen.cell.campaign import Conditions, attempts_of, working_folder
     from halfseen.cell.live_cell import Stops
     from halfseen.logs import read_logs

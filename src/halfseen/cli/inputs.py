@@ -10,9 +10,8 @@ import click
 
 from halfseen.cli.messages import say, tell_warning
 from halfseen.cli.options import ASSUMED, SHIPPED, Arm
-from halfseen.errors import ArgumentError, CloudError, PolicyError
+from halfseen.errors import ArgumentError, CloudError, PolicyError, did_you_mean
 from halfseen.planners import HEURISTICS, PLANNER, exploring, named_policy
-from halfseen.suggestions import did_you_mean
 from halfseen.writing import refuse_taken, refuse_unwritable, write_file
 
 if TYPE_CHECKING:
@@ -40,7 +39,7 @@ def law_folder(name: str, beside: Path | None = None) -> Path | None:
     """
     if name == ASSUMED:
         return None
-    from halfseen.cell.calibration.law_folder import shipped_law
+    from halfseen.cell.calibration.law import shipped_law
 
     if name == SHIPPED:
         return shipped_law()
@@ -62,7 +61,7 @@ def law_of(name: str, beside: Path | None = None) -> "Law | None":
     folder = law_folder(name, beside)
     if folder is None:
         return None
-    from halfseen.cell.calibration.law_folder import read_law
+    from halfseen.cell.calibration.law import read_law
 
     return read_law(folder).law
 
@@ -154,7 +153,7 @@ def policy_for(name: str, random_share: float, config: "WorldConfig", num_arms: 
 def belief_of(name: str, arm_name: str) -> "Belief":
     """What a robot with this arm believes under the law of a name."""
     from halfseen.cell.arm import JACO_2
-    from halfseen.cell.calibration.law_folder import read_law
+    from halfseen.cell.calibration.law import read_law
     from halfseen.cell.table_state import Belief, no_grip
     from halfseen.world import WorldConfig
 

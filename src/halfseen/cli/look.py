@@ -275,7 +275,7 @@ def _serve(port: int, shown: "Iterable[Watched]") -> None:
 def _export(files: tuple[Path, ...], watched: "Watched") -> None:
     for file in files:
         if file.suffix.lower() == ".gif":
-            from halfseen.view.film import write_gif
+            from halfseen.view.recording import write_gif
 
             write_gif(watched, file)
         else:

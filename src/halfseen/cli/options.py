@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import click
 
-from halfseen.suggestions import did_you_mean
+from halfseen.errors import did_you_mean
 from halfseen.workers import ENGINES
 
 PATH = click.Path(path_type=Path)

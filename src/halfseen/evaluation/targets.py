@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.evaluation.logging_rule import NAME as LOGGING_RULE_NAME
 from halfseen.learning.discrete_policy import NamedActionPolicy, more_cautious
 from halfseen.learning.named_task import NamedActions
@@ -23,7 +23,7 @@ from halfseen.policies.folder import read_policy
 from halfseen.policies.rule_files import read_rule_table
 from halfseen.policies.rule_table import Rule
 from halfseen.shapes import Float, Int
-from halfseen.suggestions import composed, did_you_mean
+from halfseen.suggestions import composed
 
 
 @dataclass(frozen=True)

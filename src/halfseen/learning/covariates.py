@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, did_you_mean
 from halfseen.lazy import Frame
 from halfseen.logs.checks import LARGEST
 from halfseen.logs.missing import remedy_of
 from halfseen.shapes import Float
-from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs

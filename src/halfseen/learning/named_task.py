@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, did_you_mean
 from halfseen.learning.behaviour import seen_among
 from halfseen.learning.covariates import Categories, Covariates, learned_categories, unfit_covariates
 from halfseen.learning.discrete_policy import DiscretePolicy, NamedActionPolicy
@@ -16,7 +16,6 @@ from halfseen.learning.task import ACTION, Encoded, LearnedQ, RewardedStages
 from halfseen.logs import Logs
 from halfseen.logs.missing import Filling
 from halfseen.shapes import Bool, Float, Int
-from halfseen.suggestions import did_you_mean
 
 MOST_MEMORY = 8e9
 """That the features of all stages and actions of a log may take [bytes]."""

@@ -11,11 +11,10 @@ import numpy as np
 import pandas as pd
 import pyarrow as pa
 
-from halfseen.errors import LogError
+from halfseen.errors import LogError, closest
 from halfseen.logs.missing import remedy_of, share_of
 from halfseen.reading import reason_of
 from halfseen.shapes import Bool, Float
-from halfseen.suggestions import closest
 
 LARGEST_FRACTION = 2**53
 """From it on, fractions tell no whole numbers apart: it may stand for the next one, too."""

@@ -45,9 +45,9 @@ from pathlib import Path
 from typing import Any
 
 from halfseen.errors import LogError, warn
-from halfseen.locks import is_locked
 from halfseen.logs.columns import converting
 from halfseen.reading import TABLE, opened, reason_of
+from halfseen.writing import is_locked
 
 FORMAT, VERSION = "halfseen-journal", 2
 HEADER = {"event": "journal", "format": FORMAT, "version": VERSION}

@@ -14,9 +14,9 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from halfseen.errors import ArgumentError, LogError, within
-from halfseen.locks import is_locked
 from halfseen.logs import journal
 from halfseen.logs.checks import common_unit
+from halfseen.writing import is_locked
 
 FSYNC: dict[str, Container[str]] = {
     "never": (),

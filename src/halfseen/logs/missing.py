@@ -17,9 +17,8 @@ from typing import Any, Literal, TypeAlias
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, did_you_mean
 from halfseen.lazy import Frame
-from halfseen.suggestions import did_you_mean
 
 REFUSE, MEDIAN, LAST, KEEP = "refuse", "median+flag", "last", "keep"
 RULES = (MEDIAN, LAST, REFUSE)

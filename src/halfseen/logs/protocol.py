@@ -26,10 +26,9 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
 
-from halfseen.errors import ArgumentError, HalfseenError, LogError
+from halfseen.errors import ArgumentError, HalfseenError, LogError, did_you_mean
 from halfseen.logs.recorder import LogRecorder
 from halfseen.logs.trajectory_recorder import TrajectoryRecorder
-from halfseen.suggestions import did_you_mean
 
 MOST_BYTES = 1_000_000
 """A longer line is refused, and none of it kept."""

@@ -10,12 +10,19 @@ from scipy.spatial import KDTree
 from halfseen.arrays import Points
 from halfseen.perception.clouds import Vector
 from halfseen.perception.objects import Labels, pixels_of
+from halfseen.perception.occlusion import covered, middle_depth_m
 from halfseen.perception.plane import Plane
 from halfseen.perception.range_image import PixelMask, Pixels, RangeImage
-from halfseen.perception.silhouette import covered, middle_depth_m
 from halfseen.perception.solids import Hull, Vessel
-from halfseen.perception.splitting import FEWEST_POINTS, divided
-from halfseen.perception.vessel_fits import flat_misfit, lying_vessels, robust_cost, standing_vessels, thinned
+from halfseen.perception.vessel_fits import (
+    FEWEST_POINTS,
+    divided,
+    flat_misfit,
+    lying_vessels,
+    robust_cost,
+    standing_vessels,
+    thinned,
+)
 from halfseen.shapes import Float
 
 # A fit whose mean cost is worse is no vessel: residuals of 8 mm everywhere.
@@ -144,7 +151,8 @@ def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, li
     sets = [plane.table_points(points_m[pixels]) for pixels in of_sheet]
     spread = [_spread(points) for points in sets]
     for sheet, (points, solid) in enumerate(zip(sets, completed(spread), strict=True)):
-        is_first = divided(points) if len(points) >= FEWEST_POINTS and _is_doubtful(solid) else None
+        is_doubtful = isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT
+        is_first = divided(points) if len(points) >= FEWEST_POINTS and is_doubtful else None
         if is_first is None or is_first.all() or not is_first.any():
             pieces.append(_Piece((sheet,), spread[sheet], solid))
             continue
@@ -152,10 +160,6 @@ def _pieces(sheets: Labels, plane: Plane, image: RangeImage) -> tuple[Labels, li
         sheets.ravel()[of_sheet[sheet][~is_first]] = new
         pieces += [_Piece((sheet,), _spread(points[is_first])), _Piece((new,), _spread(points[~is_first]))]
     return sheets, pieces
-
-
-def _is_doubtful(solid: Vessel | Hull) -> bool:
-    return isinstance(solid, Hull) or solid.misfit > DOUBTFUL_VESSEL_MISFIT
 
 
 def completed(sets: Sequence[Float[np.ndarray, "_ 3"]]) -> list[Vessel | Hull]:

@@ -13,6 +13,7 @@ from halfseen.writing import write_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
 
 # Colours that stay apart for colour-blind eyes (Okabe and Ito 2008), without black and grey: the depth image is grey.
 COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#D55E00", "#F0E442", "#8C6BB1", "#66A61E", "#A6761D")
@@ -61,18 +62,14 @@ def draw(view: View, path: str | os.PathLike[str]) -> None:
     ArgumentError
         The file cannot be written there.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     num_rows, num_columns = view.labels.shape
     figure = Figure(figsize=(WIDTH_INCHES, WIDTH_INCHES * num_rows / num_columns + 1.1), dpi=DOTS_PER_INCH)
-    FigureCanvasAgg(figure)
     draw_view(figure.add_axes((0.0, 0.06, 1.0, 0.86)), view)
     figure.text(0.5, 0.985, sentence(view), ha="center", va="top", fontsize=13)
     figure.text(0.5, 0.02, _legend(view), ha="center", va="bottom", fontsize=9)
-    image = io.BytesIO()
-    figure.savefig(image, format="png")
-    write_file(Path(path), image.getvalue())
+    write_file(Path(path), _png(figure))
 
 
 def thumbnail(view: View) -> bytes:
@@ -83,16 +80,18 @@ def thumbnail(view: View) -> bytes:
     view
         What a camera sees.
     """
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=THUMBNAIL_INCHES, dpi=DOTS_PER_INCH)
-    FigureCanvasAgg(figure)
     axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
     draw_view(axes, view, THUMBNAIL_NUMBERS, has_shares=False)
     left, right, top, bottom = _frame_px(view)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)
+    return _png(figure)
+
+
+def _png(figure: "Figure") -> bytes:
     image = io.BytesIO()
     figure.savefig(image, format="png")
     return image.getvalue()

@@ -7,9 +7,8 @@ import numpy as np
 
 from halfseen.arrays import Image, Points, Rows
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Vector
+from halfseen.perception.clouds import DepthSensor, Vector
 from halfseen.perception.range_image import PixelMask, RangeImage
-from halfseen.perception.sensor import DepthSensor
 from halfseen.shapes import Bool, Float, Int
 
 # RANSAC over a thinned image with a fixed generator: one input gives one plane.

@@ -8,13 +8,11 @@ from scipy.spatial import KDTree
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Vector
-from halfseen.perception.sensor import (
+from halfseen.perception.clouds import XTION, Cloud, DepthSensor, Vector
+from halfseen.perception.frames import (
     FEWEST_RETURNS,
     LARGEST_REPROJECTION_PX,
     NUM_ASKED,
-    XTION,
-    DepthSensor,
     Pinhole,
     aligned_pinhole,
     misfit_px,

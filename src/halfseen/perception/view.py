@@ -1,4 +1,12 @@
-"""From a cloud to a view: the table, what stands on it, and who hides whom."""
+"""From a cloud to a view: the table, what stands on it, and who hides whom; and whether these are cups.
+
+What perception and every law know are tables of tumblers and mugs that stand or lie. What counts as another thing: a
+height that no cup has; and, where more than a third of the objects show it, a shape that no vessel fits, or a width
+that no cup has. One such shape among cups is most likely two cups that were taken for one.
+
+*What this cannot tell.* A can is a cup to it, and so is a bowl, a jar, a box that is partly hidden, or a thing of a
+cup's size that is round: it tells what is surely something else, and passes what may be a cup.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -8,13 +16,12 @@ from scipy.spatial import QhullError
 
 from halfseen.arrays import Hides, Points
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Vector
+from halfseen.perception.clouds import XTION, Cloud, DepthSensor, Vector
 from halfseen.perception.grouping import objects_of_sheets
 from halfseen.perception.objects import Labels, pixels_of, sheets_on_table
-from halfseen.perception.occlusion import Occlusion, extended, occlusions
+from halfseen.perception.occlusion import extended, occlusions
 from halfseen.perception.plane import Plane, find_table
 from halfseen.perception.range_image import Pixels, RangeImage, range_image
-from halfseen.perception.sensor import XTION, DepthSensor
 from halfseen.perception.solids import Hull, Vessel
 from halfseen.reading import reason_of
 from halfseen.shapes import Bool, Float
@@ -149,11 +156,25 @@ def _perceived(cloud: Cloud, sensor: DepthSensor) -> View:
         for i, solid in enumerate(solids)
     )
     found = occlusions(labels, solids, plane, image)
-    counts = _points_of_pixels(image)
-    objects = tuple(
-        _seen(i, solid, pixels, found, plane, image, counts, cloud)
-        for i, (solid, pixels) in enumerate(zip(solids, pixels_of(labels), strict=True))
-    )
+    num_points = np.bincount(image.pixel_of_point[image.pixel_of_point >= 0], minlength=image.depth_m.size)
+
+    def seen(i: int, solid: Vessel | Hull, pixels: Pixels) -> SeenObject:
+        points = plane.table_points(image.points_m.reshape(-1, 3)[pixels])
+        low, high = np.percentile(points, [EXTENT_PERCENT, 100 - EXTENT_PERCENT], axis=0)
+        middle = plane.camera_points(solid.middle_m[None])[0]
+        return SeenObject(
+            id=i,
+            centroid_m=image.cloud_from_camera @ middle + cloud.eye_m,
+            height_m=float(high[2]),
+            size_m=np.array([high[0] - low[0], high[1] - low[1], high[2]]),
+            occlusion=float(found.occlusion[i]),
+            num_points=int(num_points[pixels].sum()),
+            is_upright=_is_upright(solid, high - low, float(high[2])),
+            pixels=pixels,
+            solid=solid,
+        )
+
+    objects = tuple(map(seen, range(len(solids)), solids, pixels_of(labels)))
     normal = image.cloud_from_camera @ plane.normal
     table = Plane(normal, float(plane.offset_m + normal @ cloud.eye_m))
     from_table, from_camera = np.eye(4), np.eye(4)
@@ -174,37 +195,6 @@ def _perceived(cloud: Cloud, sensor: DepthSensor) -> View:
     )
 
 
-def _points_of_pixels(image: RangeImage) -> np.ndarray:
-    seen = image.pixel_of_point[image.pixel_of_point >= 0]
-    return np.bincount(seen, minlength=image.depth_m.size)
-
-
-def _seen(
-    i: int,
-    solid: Vessel | Hull,
-    pixels: Pixels,
-    found: Occlusion,
-    plane: Plane,
-    image: RangeImage,
-    counts: np.ndarray,
-    cloud: Cloud,
-) -> SeenObject:
-    points = plane.table_points(image.points_m.reshape(-1, 3)[pixels])
-    low, high = np.percentile(points, [EXTENT_PERCENT, 100 - EXTENT_PERCENT], axis=0)
-    middle = plane.camera_points(solid.middle_m[None])[0]
-    return SeenObject(
-        id=i,
-        centroid_m=image.cloud_from_camera @ middle + cloud.eye_m,
-        height_m=float(high[2]),
-        size_m=np.array([high[0] - low[0], high[1] - low[1], high[2]]),
-        occlusion=float(found.occlusion[i]),
-        num_points=int(counts[pixels].sum()),
-        is_upright=_is_upright(solid, high - low, float(high[2])),
-        pixels=pixels,
-        solid=solid,
-    )
-
-
 def _is_upright(solid: Vessel | Hull, extent_m: Vector, height_m: float) -> bool:
     if isinstance(solid, Vessel):
         return solid.is_upright
@@ -220,3 +210,68 @@ def most_hidden(objects: Sequence[SeenObject]) -> SeenObject:
         At least one object.
     """
     return max(objects, key=lambda seen: (seen.occlusion, -seen.id))
+
+
+LOWEST_M, HIGHEST_M = 0.045, 0.17
+"""Heights that a cup has, standing or lying [m]: on the ten tables that come with halfseen, 0.062 to 0.149."""
+
+WIDEST_M = 0.19
+"""Longest that a cup is, across, handle included [m]: on these tables, 0.154."""
+
+LARGEST_SHARE = 1.0 / 3.0
+"""Share of objects without a cup's shape up to which they may be cups that were badly seen."""
+
+
+def other_things(view: View) -> tuple[int, ...]:
+    """Find the objects of a view that are surely no cups.
+
+    Parameters
+    ----------
+    view
+        What a camera sees, by `halfseen.perception.perceive`.
+
+    Returns
+    -------
+    tuple
+        Their numbers, rising; empty where all may be cups.
+    """
+    is_odd = {seen.id: _has_other_height(seen) or _has_other_shape(seen) for seen in view.objects}
+    if sum(is_odd.values()) > LARGEST_SHARE * len(view.objects):
+        return tuple(index for index, is_it in is_odd.items() if is_it)
+    return tuple(seen.id for seen in view.objects if _has_other_height(seen))
+
+
+def other_things_in_words(view: View) -> str:
+    """Say which objects are no cups, and by what; nothing where all may be.
+
+    Parameters
+    ----------
+    view
+        What a camera sees.
+    """
+    odd = [view.objects[index] for index in other_things(view)]
+    if not odd:
+        return ""
+    each = "; ".join(f"{seen.id} {_by(seen)}" for seen in odd)
+    them = "this is no table of cups" if len(odd) == len(view.objects) else "not all on this table are cups"
+    return f"{them}, and of other things nothing was learned: {each}"
+
+
+def _has_other_height(seen: SeenObject) -> bool:
+    return not LOWEST_M <= seen.height_m <= HIGHEST_M
+
+
+def _has_other_shape(seen: SeenObject) -> bool:
+    return isinstance(seen.solid, Hull) or _width_m(seen) > WIDEST_M
+
+
+def _width_m(seen: SeenObject) -> float:
+    return float(seen.size_m[:2].max())
+
+
+def _by(seen: SeenObject) -> str:
+    if _has_other_height(seen):
+        return f"is {seen.height_m:.3f} m high (a cup {LOWEST_M} to {HIGHEST_M})"
+    if isinstance(seen.solid, Hull):
+        return "is no vessel by its shape"
+    return f"is {_width_m(seen):.3f} m wide (a cup at most {WIDEST_M})"

@@ -4,14 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.learning.covariates import unfit_covariates
 from halfseen.learning.q_learner import CensoredQLearner
 from halfseen.learning.tabular import is_state
 from halfseen.learning.task import AUTO
 from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
-from halfseen.suggestions import did_you_mean
 
 TABLE_HORIZON = 10
 """Stages that a trajectory on a table may have, unless the log has longer ones."""

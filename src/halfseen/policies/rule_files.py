@@ -39,11 +39,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, HalfseenError
+from halfseen.errors import ArgumentError, HalfseenError, did_you_mean
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.rule_table import ACTION, COMPARISONS, STAGE, Condition, RuleRow, RuleTable
 from halfseen.reading import opened_text, read_text, reason_of, toml_of
-from halfseen.suggestions import did_you_mean
 
 if TYPE_CHECKING:
     from halfseen.policies.rule_table import RuleTable

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from halfseen.errors import ArgumentError, CloudError, PolicyError, within
 from halfseen.perception import View, perceive, read_cloud
-from halfseen.perception.kind import other_things_in_words
-from halfseen.perception.label_files import labels_of
+from halfseen.perception.labels import labels_of
+from halfseen.perception.view import other_things_in_words
 from halfseen.policies.folder.stored import StoredPolicy, refuse_log_of_team
 from halfseen.policies.named_decider import STATE_FILES
 from halfseen.tables.first_look import chances_in_words, labels_in_words

@@ -17,7 +17,7 @@ import numpy as np
 
 from halfseen.errors import ArgumentError, SceneError
 from halfseen.perception.clouds import Cloud
-from halfseen.perception.formats import write_pcd
+from halfseen.perception.pcd import write_pcd
 from halfseen.scene.cups import Cup
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import Camera, Table, Truth

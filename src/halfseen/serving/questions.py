@@ -10,8 +10,8 @@ import numpy as np
 
 from halfseen.arrays import Points, mapped
 from halfseen.errors import HalfseenError, OutOfRangeError
-from halfseen.logs.trajectory_recorder import log_so_far
 from halfseen.logs.recording_state import Schema
+from halfseen.logs.trajectory_recorder import log_so_far
 from halfseen.policies.decision import Decision
 from halfseen.policies.folder.stored import StoredPolicy
 from halfseen.policies.named_decider import (

@@ -113,7 +113,10 @@ def words(experiment: str, text: str, **facts: Any) -> str:
 
 @runtime_checkable
 class Experiment(Protocol):
-    """One question of the study."""
+    """One question of the study.
+
+    One that also measures times on this machine has ``measure(setting)``; nothing but these times depends on them.
+    """
 
     name: ClassVar[str]
     """Under which it is chosen and its pieces are kept."""
@@ -137,13 +140,4 @@ class Experiment(Protocol):
 
     def section(self, setting: Setting, tables: Tables) -> Section:
         """Say what was found, from the tables alone."""
-        ...
-
-
-@runtime_checkable
-class Timed(Protocol):
-    """An experiment that also measures times on this machine; nothing but these times depends on them."""
-
-    def measure(self, setting: Setting) -> PieceOf:
-        """Measure."""
         ...

@@ -1,5 +1,6 @@
 """Figures of points with intervals: panels, series side by side, policies as lines across, and their names."""
 
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
@@ -115,3 +116,25 @@ def finish_by_size(
     axes.set_xlim(min(sizes) / margins[0], max(sizes) * margins[1])
     name_panel(axes, name)
     pages.write_end_labels(axes, labels)
+
+
+def draw_named_bars(points: pd.DataFrame, colours: Sequence[str], across: str, title: str) -> Figure:
+    """Draw values with their intervals, the columns of `INTERVAL`, as bars from 0 on, by name."""
+    lines = textwrap.wrap(title, 62)
+    figure = Figure(figsize=(7.2, 0.75 + 0.55 * len(points) + 0.26 * len(lines)), layout="constrained")
+    axes = figure.add_subplot()
+    beside: Any = {"xytext": (6, 0), "textcoords": "offset points", "va": "center", "fontsize": 13}
+    for place, (mean, low, high) in enumerate(points.to_numpy().tolist()):
+        axes.barh(place, mean, height=0.62, color=colours[place])
+        for colour, width in (("white", 3.4), ("black", 1.2)):
+            axes.plot([low, high], [place, place], color=colour, linewidth=width, solid_capstyle="butt")
+        axes.annotate(amount(mean, 1), (max(high, mean), place), fontweight="bold", **beside)
+    axes.set_yticks(range(len(points)), list(points.index), fontsize=12)
+    axes.invert_yaxis()
+    axes.set_xlim(0.0, 1.22 * float(points[["mean_reward", "high"]].max(axis=None)))
+    axes.set_xlabel(across, fontsize=11, x=0.9, ha="right")
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+    if title:
+        figure.suptitle("\n".join(lines), x=0.012, ha="left", fontsize=13, fontweight="bold", linespacing=1.3)
+    return figure

@@ -1,8 +1,22 @@
 """The one way from a policy to a policy: play → cut → encode → treat → learn → evaluate.
 
 *With laws*, by default, as the product learns of tables: laws are fitted to the log, and eq. 3 on the weighted log
-judges them. *Without*, linear eq. 3 alone: what is learned beside, and what treatments of cuts (`treatments`) are
-compared by, as these are treatments of eq. 3.
+judges them. *Without*, linear eq. 3 alone: what is learned beside, and what treatments of cuts are compared by, as
+these are treatments of eq. 3:
+
+``imputed``
+    Every begun stage, with an imputed target where it was cut, and Q at its lower confidence bound: what the product
+    does where nothing is said.
+``weighted``
+    Every completed stage, weighted by 1/Ĝ(U⁻): the paper's.
+``unweighted``
+    Every completed stage alike.
+``dropped``
+    Only trajectories that finished, all their stages alike.
+``failures``
+    Every completed stage alike, and the stage in which the cut fell counts as a failed attempt that ended the
+    trajectory: WASH costs what a failure costs, LIFT the time until the cut, and the dirty objects left are paid for as
+    at every end.
 
 What tells the probability of a grasp in the features of linear eq. 3 is chosen by each log's attempts, alike for all
 treatments of the log: so they differ in what they make of cuts alone.
@@ -22,7 +36,7 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import mapped
-from halfseen.censoring import weight_diagnostics
+from halfseen.censoring import StageClocks, weight_diagnostics
 from halfseen.errors import ArgumentError, HalfseenError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.q_model import QModel
@@ -33,7 +47,6 @@ from halfseen.planners.control import controlled_each, start_values
 from halfseen.shapes import Float
 from halfseen.study.policies import Contender, decision_times_ms, logging_policy, timed_policy
 from halfseen.study.setting import Setting
-from halfseen.study.treatments import CENSORING, trajectory_arrays, treated
 from halfseen.tables.assisted import RulePolicy
 from halfseen.tables.encoding import encoded_states, layouts_of
 from halfseen.tables.evidence import Evidence, evidence_of
@@ -46,9 +59,10 @@ from halfseen.tables.learner import LINEAR, Assisted, Chosen, assisted_by, rule_
 from halfseen.tables.policy import LinearTablePolicy
 from halfseen.workers.threads import one_thread
 from halfseen.world import random
+from halfseen.world.actions import ActionSpace, Verb
 from halfseen.world.config import WorldConfig
 from halfseen.world.cuts import CutEpisodes, CutKind, cut, cut_rate
-from halfseen.world.logs import to_logs
+from halfseen.world.logs import elapsed_s, to_logs
 from halfseen.world.policy import GraspModel, Policy
 from halfseen.world.random import Key
 from halfseen.world.rollout import Episodes, evaluate_each, play
@@ -59,8 +73,9 @@ from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
 """What random keys are for; other experiments' worlds draw from `purpose` on."""
 CUT_KIND: CutKind = "independent"  # how logs are cut where an experiment does not compare kinds of cuts
-NAMELESS = (Scene(np.zeros((1, 1))),)
-"""What tables are called tells nothing of laws; nor does the cause of a cut."""
+TREATMENTS = ("imputed", "weighted", "unweighted", "dropped", "failures")
+CENSORING = {"imputed": "auto", "weighted": "kaplan-meier"}
+"""Treatment → what the learner is told of cuts; nothing where it is not here."""
 
 Grasp = GraspModel | Literal["auto"] | None
 """What tells the probability of a grasp: a model; None for the rule of succession; ``"auto"``, chosen by the log."""
@@ -160,7 +175,45 @@ class Source:
 
 def log_of(cuts: CutEpisodes, world: WorldConfig) -> Logs:
     """Episodes as a log, from which attempts and laws are read; of the world, the share of dirty objects counts."""
-    return to_logs(cuts, CUT_KIND, NAMELESS, world.dirty_share)
+    # What tables are called tells nothing of laws; nor does the cause of a cut.
+    return to_logs(cuts, CUT_KIND, (Scene(np.zeros((1, 1))),), world.dirty_share)
+
+
+def treated(cuts: CutEpisodes, encoded: Encoded, treatment: str, world: WorldConfig) -> TrajectoryArrays:
+    """A log as a learner sees it under one of `TREATMENTS`: as reading back its `Logs` gives it, without writing it."""
+    if treatment not in TREATMENTS:
+        raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
+    clocks = StageClocks(
+        trajectory_ids=np.arange(len(cuts.end_s)),
+        elapsed_s=elapsed_s(cuts),
+        end_s=cuts.end_s,
+        is_finished=cuts.is_finished,
+        is_begun=cuts.is_begun,
+        covariates=np.zeros((*cuts.is_begun.shape, 0)),
+        covariate_names=(),
+    )
+    reward = np.where(cuts.is_completed, np.asarray(cuts.episodes.reward, dtype=np.float64), 0.0)
+    if treatment == "dropped":
+        kept = cuts.is_finished[:, None]
+        elapsed = np.where(kept, clocks.elapsed_s, np.nan)
+        clocks = clocks._replace(is_begun=clocks.is_begun & kept, elapsed_s=elapsed)
+    if treatment == "failures":
+        is_cut_stage = cuts.is_begun & ~cuts.is_completed
+        elapsed = np.where(is_cut_stage, cuts.end_s[:, None], clocks.elapsed_s)
+        clocks = clocks._replace(elapsed_s=elapsed, is_finished=np.ones_like(clocks.is_finished))
+        reward = np.where(is_cut_stage, _failure_reward(cuts, world), reward)
+    probability = np.asarray(cuts.episodes.probability, dtype=np.float64)
+    return TrajectoryArrays(clocks, encoded, has_action=cuts.is_begun, probability=probability, reward=reward)
+
+
+def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, "n T"]:
+    verb = np.asarray(ActionSpace(cuts.episodes.states.num_objects).verb(cuts.episodes.action))
+    begun_s = np.nan_to_num(elapsed_s(cuts)).max(axis=1)
+    lifted = world.reward_lift_per_s * (cuts.end_s - begun_s)
+    attempt = np.select([verb == Verb.WASH, verb == Verb.LIFT], [world.reward_wash_failed, lifted[:, None]], 0.0)
+    is_dirty = np.asarray(cuts.episodes.hidden.is_dirty)[:, None, :]
+    dirty_left = np.sum(np.asarray(cuts.episodes.states.is_on_table) & is_dirty, axis=-1)
+    return attempt + world.reward_dirty_left * dirty_left
 
 
 class Learned(NamedTuple):
@@ -203,7 +256,7 @@ class LoggedTrajectories:
 
     def lay_out(self, cuts: CutEpisodes, treatment: str) -> TrajectoryArrays:
         """A log as the learner sees it under a treatment."""
-        return treated(trajectory_arrays(cuts, self.encoded), cuts, treatment, self.source.world)
+        return treated(cuts, self.encoded, treatment, self.source.world)
 
     def learn(self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]) -> list[Learned]:
         """Learn from the first trajectories of logs, each under its treatment; at each size from all."""

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from markupsafe import Markup
 
-from halfseen.cell.calibration.law_folder import shipped_law
+from halfseen.cell.calibration.law import shipped_law
 from halfseen.errors import ArgumentError
 from halfseen.figures import HUES, inline_svg
 from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Experiment, Section, Tables

@@ -15,17 +15,16 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.figures import drawn
 from halfseen.progress import Progress
 from halfseen.reading import NUMBERS, json_of, read_text, reason_of
-from halfseen.study.experiment import Experiment, PieceOf, Pieces, Tables, Timed
+from halfseen.study.experiment import Experiment, PieceOf, Pieces, Tables
 from halfseen.study.experiments import EXPERIMENTS
 from halfseen.study.report import StudyResults, report_of
 from halfseen.study.setting import Setting
-from halfseen.suggestions import did_you_mean
 from halfseen.workers import Workers
-from halfseen.workers.piece import versions
+from halfseen.workers.pool import versions
 from halfseen.writing import held_alone, write_file
 
 FINGERPRINT = "design.json"
@@ -147,10 +146,10 @@ class Run(NamedTuple):
 
     def tabulated(self, setting: Setting) -> Tables:
         """Make the tables from the pieces that are kept; a resumed study has the times that the killed one measured."""
-        its = self.experiment
         repetitions = [self.store.read(repetition(index)) for index in range(self.num)]
-        measured = self.store.kept("measured", lambda: its.measure(setting)) if isinstance(its, Timed) else {}
-        return its.tabulate(setting, Pieces(self.store.read(PREPARED), measured, repetitions))
+        measure = getattr(self.experiment, "measure", None)
+        measured = {} if measure is None else self.store.kept("measured", lambda: measure(setting))
+        return self.experiment.tabulate(setting, Pieces(self.store.read(PREPARED), measured, repetitions))
 
 
 def run_all(

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from halfseen.cell.calibration.law import Law
-from halfseen.cell.calibration.law_folder import read_law
+from halfseen.cell.calibration.law import Law, read_law
 from halfseen.errors import ArgumentError
 from halfseen.perception import perceive, read_cloud
 from halfseen.perception.picture import thumbnail

@@ -8,14 +8,13 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import mapped
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, did_you_mean
 from halfseen.learning.named_task import action_indicators
 from halfseen.learning.rows import stage_places
 from halfseen.learning.task import ACTION, Encoded
 from halfseen.logs import Logs
 from halfseen.logs.columns import refuse, shown, value_at
 from halfseen.shapes import Bool, Int
-from halfseen.suggestions import did_you_mean
 from halfseen.tables.features import table_features, team_features
 from halfseen.world.actions import FINISH, TARGETED, VERB_NAMES, WAIT, ActionSpace, Verb, wait_of, worthwhile_actions
 from halfseen.world.log_checks import TABLE, checked_tables, robots_in

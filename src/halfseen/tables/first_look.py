@@ -8,8 +8,7 @@ import numpy as np
 
 from halfseen.arrays import expit
 from halfseen.perception.clouds import Cloud
-from halfseen.perception.label_files import labels_of
-from halfseen.perception.labels import WORDS, Label
+from halfseen.perception.labels import WORDS, Label, labels_of
 from halfseen.perception.view import View
 from halfseen.tables.present import Present, first_state, labelled
 from halfseen.world.config import WorldConfig

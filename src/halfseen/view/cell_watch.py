@@ -212,7 +212,7 @@ def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
         usual = int(policy.base.decide(state, base_key).action)
         return options, reason if usual == moment.action else f"{name}: by chance, to explore; {explanation}."
     decision = TableDecider(policy).decide_with(Present(state, moment.stage), moment.key)
-    options = options_of(decision.q_values, decision.intervals, decision.chance_best)
+    options = options_of(decision)
     return options, decision.reason if decision.action == name else f"{name}: {explanation}."
 
 

@@ -16,8 +16,18 @@ from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
 from halfseen.policies.folder.record import plain
 from halfseen.view.log_findings import FollowUp, Timeline, follow_up, log_findings, positivity_of, timeline
-from halfseen.view.policy_findings import MOST_COVARIATES, Band, QCurve, choices, q_curves, telling
-from halfseen.view.policy_map import PolicyMap, TableMap, policy_maps, table_map
+from halfseen.view.policy_findings import (
+    MOST_COVARIATES,
+    Band,
+    PolicyMap,
+    QCurve,
+    TableMap,
+    choices,
+    policy_maps,
+    q_curves,
+    table_map,
+    telling,
+)
 from halfseen.workers import ALONE, Workers
 
 ASKED = {"censoring_covariates": "covariates", "truncate_at": "truncate_at"}

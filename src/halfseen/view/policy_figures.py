@@ -13,8 +13,7 @@ from halfseen import figures
 from halfseen.evaluation import Estimate, Evaluation
 from halfseen.figures import INK, NARROW_INCHES, OURS, draw_grid, fitted, legend_columns
 from halfseen.view.log_figures import LEGEND_INCHES, OTHERS_COLOUR
-from halfseen.view.policy_findings import QCurve
-from halfseen.view.policy_map import PolicyMap, TableMap
+from halfseen.view.policy_findings import PolicyMap, QCurve, TableMap
 from halfseen.view.words import gains_of, values_of
 from halfseen.wording import labelled, with_interval
 

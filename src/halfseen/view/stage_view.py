@@ -1,7 +1,7 @@
 """One stage as it is shown: plain data, whatever it comes from and whatever draws it; and the same in words, as HTML.
 
-Two back ends draw it: `film` as pictures, `viewer` in 3-D. Places are in one frame for all stages of a run, whose third
-axis points up [m].
+Two back ends draw it: `recording` as pictures, `viewer` in 3-D. Places are in one frame for all stages of a run, whose
+third axis points up [m].
 """
 
 from dataclasses import dataclass, field

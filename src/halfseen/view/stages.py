@@ -4,10 +4,9 @@
 """
 
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -202,20 +201,16 @@ def _seen_stage(
     )
     if decision is None:
         return stage
-    options = options_of(decision.q_values, decision.intervals, decision.chance_best)
+    options = options_of(decision)
     doubts = tuple(decision.warnings)
     return replace(stage, options=options, action=str(decision.action), reason=decision.reason, notes=doubts)
 
 
-def options_of(
-    q_values: Mapping[str, float | None],
-    intervals: Mapping[str, tuple[float, float]] = MappingProxyType({}),
-    chance_best: Mapping[str, float] = MappingProxyType({}),
-) -> tuple[Option, ...]:
+def options_of(decision: Decision) -> tuple[Option, ...]:
     """Actions that have a value, best first, with how sure that is where it is known."""
     known = [
-        Option(name, q, *intervals.get(name, (None, None)), chance_best.get(name))
-        for name, q in q_values.items()
+        Option(name, q, *decision.intervals.get(name, (None, None)), decision.chance_best.get(name))
+        for name, q in decision.q_values.items()
         if q is not None
     ]
     return tuple(sorted(known, key=lambda option: -option.value))

@@ -12,8 +12,7 @@ from halfseen.evaluation.evaluation import Rate
 from halfseen.evaluation.verdict import FEWEST_TRAJECTORIES, Verdict
 from halfseen.view.findings import Findings, PolicyFindings
 from halfseen.view.log_findings import FollowUp, Timeline
-from halfseen.view.policy_findings import QCurve
-from halfseen.view.policy_map import PolicyMap, TableMap
+from halfseen.view.policy_findings import PolicyMap, QCurve, TableMap
 from halfseen.wording import amount, as_sentence, counted, listed, percent, significant, with_interval, with_unit
 
 VERDICTS = {

@@ -1,7 +1,7 @@
 """Pieces of work, made by processes of this machine or by a cluster: what comes out is the same bytes.
 
-Read down: `workers` (who makes them) → `pool` (the pieces, streamed, and made again where a worker was lost) → `piece`
-(what a worker does with one), on an `engine`: `processes`, or a cluster's tasks (`task_backend`: `on_ray`, `on_dask`).
+Read down: `workers` (who makes them) → `pool` (the pieces, streamed, and made again where a worker was lost) →
+`engines` (processes of this machine, or a cluster's tasks).
 """
 
 from typing import TYPE_CHECKING

@@ -1,16 +1,24 @@
-"""Pieces go to workers, and what comes out of them streams back; what a lost worker had is made again."""
+"""Pieces go to workers, and what comes out of them streams back; what a lost worker had is made again.
 
+A worker sees that it is like the machine that asks, makes the piece, and sends back what came out.
+"""
+
+import pickle
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from typing import Any, TypeVar
+from functools import cache, lru_cache
+from importlib.metadata import PackageNotFoundError, version
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from halfseen.errors import WorkerError
+import halfseen
+from halfseen.errors import HalfseenError, WorkerError
+from halfseen.progress import Telling, telling
 from halfseen.shapes import UInt8
-from halfseen.workers.engine import Engine
-from halfseen.workers.piece import home, made, result_of
+from halfseen.workers.threads import one_thread
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -24,6 +32,94 @@ WORTH_S = 20.0
 
 _STREAMED: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
 """No more pieces are under way than keep all workers busy: memory is bounded, and little is lost with a worker."""
+
+
+class Engine(NamedTuple):
+    """A backend of joblib that is ready for work."""
+
+    backend: str
+    """Name by which joblib knows it."""
+    num_workers: int
+    """Pieces that are made at once."""
+    losses: tuple[type[BaseException], ...]
+    """What it raises when a worker was lost and the engine itself has given up."""
+    place: str
+    """What it is called in messages."""
+    is_here: bool
+    """Whether its workers are processes of this machine, with its folders."""
+    options: Mapping[str, Any] = MappingProxyType({})
+    """What else joblib tells the backend."""
+
+
+PACKAGES = ("mujoco", "numpy", "pandas", "scipy")
+"""What the numbers depend on, beside halfseen."""
+
+
+class Outcome(NamedTuple):
+    """What came out of a piece."""
+
+    number: int
+    result: Any
+    error: HalfseenError | None = None
+
+
+@cache
+def versions() -> Mapping[str, str]:
+    """Versions of the packages that are installed here, by name."""
+    found = {"halfseen": halfseen.__version__}
+    for name in PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def made(wanted: Mapping[str, str], function: UInt8[np.ndarray, " bytes"], number: int, piece: Any) -> Outcome:
+    """Make a piece, in a worker; errors that a user can mend are sent back as they are."""
+    try:
+        _check_versions(wanted)
+        return Outcome(number, result_of(_function(function.tobytes()), piece))
+    except HalfseenError as error:
+        return Outcome(number, None, error)
+    except MemoryError:
+        return Outcome(number, None, WorkerError("a worker is out of memory; give --workers a smaller number"))
+
+
+def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
+    """Make a piece as every worker does: it tells nothing, and matrices use one thread, as sums depend on that."""
+    with telling(Telling.NOTHING), one_thread():
+        return function(piece)
+
+
+def _check_versions(wanted: Mapping[str, str]) -> None:
+    """Refuse to work with other versions than those of the process that asks.
+
+    Raises
+    ------
+    WorkerError
+        Other versions are installed here.
+    """
+    here = versions()
+    other = {name: version for name, version in wanted.items() if here.get(name) != version}
+    if other:
+        others = ", ".join(
+            f"{name} {here.get(name, 'missing')} instead of {version}" for name, version in other.items()
+        )
+        raise WorkerError(
+            f"a worker has other versions than the machine that asks: {others}; install the same on all machines"
+        )
+
+
+@lru_cache(maxsize=1)
+def _function(function: bytes) -> Callable[[Any], Any]:
+    # It came from the process that asks, and from nowhere else; what it has worked out serves the next piece.
+    try:
+        return pickle.loads(function)
+    except ModuleNotFoundError as error:
+        raise WorkerError(
+            f"a worker cannot import {error.name}, which is needed here; install it there, or set PYTHONPATH"
+        ) from error
 
 
 class Pool:
@@ -130,8 +226,8 @@ def _round(engine: Engine, function: UInt8[np.ndarray, " bytes"], left: Mapping[
     # With one job joblib would make the pieces in this process, which a piece then could end.
     with parallel_config(engine.backend, n_jobs=max(engine.num_workers, 2), **engine.options):
         parallel: Any = Parallel(return_as="generator_unordered", **_STREAMED)
-    asker = home()
-    outcomes = parallel(delayed(made)(asker, function, number, piece) for number, piece in list(left.items()))
+    wanted = versions()
+    outcomes = parallel(delayed(made)(wanted, function, number, piece) for number, piece in list(left.items()))
     try:
         for number, result, error in outcomes:
             if error is not None:

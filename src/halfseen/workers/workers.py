@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 from halfseen.errors import ArgumentError
 from halfseen.workers import ENGINES
-from halfseen.workers.engine import Engine
-from halfseen.workers.pool import Pool
+from halfseen.workers.pool import Engine, Pool
 
 
 def num_cores() -> int:
@@ -85,17 +84,12 @@ class Workers:
         return self.num or num_cores()
 
     def _engine(self) -> AbstractContextManager[Engine]:
-        if self.engine == "ray":
-            from halfseen.workers.on_ray import on_ray
+        from halfseen.workers import engines
 
-            return on_ray(self._num, self.address)
-        if self.engine == "dask":
-            from halfseen.workers.on_dask import on_dask
-
-            return on_dask(self._num, self.address)
-        from halfseen.workers.processes import processes
-
-        return processes(self._num)
+        if self.engine == "processes":
+            return engines.processes(self._num)
+        begin = engines.on_ray if self.engine == "ray" else engines.on_dask
+        return begin(self._num, self.address)
 
 
 ALONE = Workers(1)

@@ -22,9 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from halfseen.errors import ArgumentError, HalfseenWarning, SceneError, within
+from halfseen.errors import ArgumentError, HalfseenWarning, SceneError, did_you_mean, within
 from halfseen.reading import json_of, read_text, toml_of
-from halfseen.suggestions import did_you_mean
 from halfseen.world.config import WorldConfig, check_number, is_finite, is_number
 from halfseen.world.grasping import GraspingByRobot, GraspLaw, check_law
 from halfseen.world.scene import Scene

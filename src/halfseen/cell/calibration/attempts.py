@@ -54,29 +54,19 @@ def trials(logs: Logs, horizon: int) -> pd.DataFrame:
     table = attempts(logs, horizon)
     assert logs.objects is not None, "attempts are read from logs with objects"
     require_columns("objects", logs.objects, (*FACTS, "attempt_s"))
-    _check_facts(logs.objects)
+    for name in (name for name in FACTS if name.endswith("_m")):
+        lengths_m = as_floats("objects", logs.objects, name).to_numpy()
+        wrong = ~(np.abs(lengths_m) <= LARGEST_M)
+        refuse(logs.objects, wrong, lambda row, m=lengths_m, n=name: f"{n} is {m[row]:g}, no length on a table")
     acted_on = pd.DataFrame(logs.stages[_AT])
     seen = acted_on.merge(logs.objects[[*_AT, *FACTS]], on=_AT)
     after = acted_on.assign(stage=acted_on["stage"] + 1).merge(logs.objects[[*_AT, "attempt_s"]], on=_AT)
-    after = after.assign(stage=after["stage"] - 1, attempt_s=[_last(each) for each in after["attempt_s"]])
+    after = after.assign(
+        stage=after["stage"] - 1, attempt_s=[each[-1] if len(each) else np.nan for each in after["attempt_s"]]
+    )
     at = ["trajectory", "stage"]
     table = table.merge(seen.drop(columns="object"), on=at).merge(after.drop(columns="object"), on=at, how="left")
     return table.assign(is_lying=table["is_lying"].astype(np.float64))
-
-
-def _check_facts(objects: pd.DataFrame) -> None:
-    for name in (name for name in FACTS if name.endswith("_m")):
-        lengths_m = as_floats("objects", objects, name).to_numpy()
-        wrong = ~(np.abs(lengths_m) <= LARGEST_M)
-        refuse(
-            objects,
-            wrong,
-            lambda row, lengths=lengths_m, name=name: f"{name} is {lengths[row]:g}, no length on a table",
-        )
-
-
-def _last(durations_s: list[float] | Float[np.ndarray, " past"]) -> float:
-    return float(durations_s[-1]) if len(durations_s) else np.nan
 
 
 def glances(logs: Logs) -> pd.DataFrame:

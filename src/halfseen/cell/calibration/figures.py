@@ -16,8 +16,7 @@ from halfseen import figures as pages
 from halfseen.arrays import Rows
 from halfseen.cell.calibration import attempts
 from halfseen.cell.calibration.attempts import OCCLUSION_EDGES, Share, glances, occlusion_bins, shares_by, trials
-from halfseen.cell.calibration.grasping import held_given_past
-from halfseen.cell.calibration.law import Law
+from halfseen.cell.calibration.fits import held_given_past
 from halfseen.figures import BLUE, RED, WIDTH_INCHES, draw_bars, draw_grid, drawn
 from halfseen.logs import Logs
 from halfseen.shapes import Float, Int
@@ -36,7 +35,7 @@ def held_shares(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Panels:
     Parameters
     ----------
     theta
-        Estimates of `halfseen.cell.calibration.grasping.NAMES`.
+        Estimates of `halfseen.cell.calibration.fits.NAMES`.
     trials
         As `halfseen.cell.calibration.attempts.trials` gives them.
     """
@@ -209,12 +208,14 @@ def _draw_curve(axes: Axes, seeing: PersistentSeeing, rows: pd.DataFrame, is_dir
 KINDS = ("svg", "png")
 
 
-def pictures_of(law: Law, logs: Logs) -> Mapping[str, Callable[[Path], None]]:
-    """Give what writes each picture, by the name of its file."""
-    panels = held_shares(law.grasp.estimate, trials(logs, attempts.HORIZON))
-    figures = {"held": partial(draw_held, panels), "labels": partial(draw_labels, law.seeing, glances(logs))}
-    return {f"{name}.{kind}": partial(_write, draw, kind) for name, draw in figures.items() for kind in KINDS}
+def pictures_of(
+    theta: Float[np.ndarray, " p"], seeing: PersistentSeeing, logs: Logs
+) -> Mapping[str, Callable[[Path], None]]:
+    """Give what writes each picture of a law, by the name of its file."""
+    panels = held_shares(theta, trials(logs, attempts.HORIZON))
+    figures = {"held": partial(draw_held, panels), "labels": partial(draw_labels, seeing, glances(logs))}
 
+    def write(draw: Callable[[], Figure], kind: str, file: Path) -> None:
+        file.write_bytes(drawn(draw, kind))
 
-def _write(draw: Callable[[], Figure], kind: str, file: Path) -> None:
-    file.write_bytes(drawn(draw, kind))
+    return {f"{name}.{kind}": partial(write, draw, kind) for name, draw in figures.items() for kind in KINDS}

@@ -1,153 +1,53 @@
-"""The laws of a cell, estimated from what it tried: of grasping, of times, of seeing; and a world under them.
+"""The laws of a cell, estimated from what it tried, a world under them, and on disk: loading one runs no code.
 
-Times of attempts are lognormal, for those that hold and those that miss. An object tells what it is at some share V of
-its surface: a stain is found when so much has been in view, or never. What is known of V is an interval, from what had
-been seen before the label that said DIRTY to what was seen with it; or that V lies beyond all that was seen. The curve
-P(V ≤ v) is a straight line between knots; its steps maximise the likelihood, found by self-consistency [Turnbull1976]_.
+::
+
+    FOLDER/
+      law.json          what was tried, how often, under which conditions; names and units of the numbers
+      law.safetensors   the numbers
+      law.sha256        digests of both
+      attempts/         the log that they were estimated from, if it is kept; and with it
+      held.svg, .png    how often attempts held, and what the law says of them
+      labels.svg, .png  what labels say by how much was in view
+      attempts-visible-only/  attempts of grasps that were planned from visible points alone, if there are some
 """
 
-from collections.abc import Iterable, Sequence
+import json
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from importlib.resources import files
 from math import exp
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
+import safetensors.numpy
+from safetensors import SafetensorError
 
 from halfseen.arrays import Rows
 from halfseen.cell.calibration.attempts import FACTS, glances, trials
-from halfseen.cell.calibration.grasping import CENTRES, NAMES, SCALES, GraspFit, fit_grasping
+from halfseen.cell.calibration.fits import (
+    CENTRES,
+    NAMES,
+    SCALES,
+    GraspFit,
+    TimeFit,
+    fit_grasping,
+    fit_seeing,
+    fit_times,
+)
 from halfseen.cell.facts import Facts, facts_of
-from halfseen.errors import LogError
+from halfseen.errors import PolicyError
 from halfseen.logs import Logs
-from halfseen.perception.labels import FACING_SHARE
 from halfseen.perception.view import View
-from halfseen.shapes import Float
-from halfseen.tables.grasp_attempts import checked_attempts
+from halfseen.policies.folder.files import Kind, read_files, write_files
+from halfseen.policies.folder.record import plain
+from halfseen.reading import json_of
 from halfseen.world.config import WorldConfig
 from halfseen.world.grasping import FittedGrasping
 from halfseen.world.scene import Scene
-from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
-
-FEWEST_MISSES = 5  # with fewer, a miss is taken to last as long as an attempt that holds
-
-
-class TimeFit(NamedTuple):
-    """Means of the logarithms of the durations of attempts that hold and that miss, and their standard deviation.
-
-    `rest_s` is the mean time of what follows an attempt, until the next decision [s].
-    """
-
-    log_held_s: float
-    log_missed_s: float
-    log_std: float
-    rest_s: float
-
-
-def fit_times(trials: pd.DataFrame) -> TimeFit:
-    """Fit the durations, each attempt weighted for those that were cut.
-
-    Parameters
-    ----------
-    trials
-        As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
-        alone.
-    """
-    decided = checked_attempts(trials)
-    rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
-    attempt_s, watched_s = (rows[name].to_numpy(dtype=np.float64) for name in ("attempt_s", "time_s"))
-    is_tried = attempt_s > 0.0
-    weight, held = decided.weight[is_tried], decided.succeeded[is_tried]
-    log_s = np.log(attempt_s[is_tried])
-    means = [float(np.average(log_s[which], weights=weight[which])) for which in _groups(held)]
-    spread = log_s - np.where(held, *means)
-    rest_s = float(np.average(watched_s - attempt_s, weights=decided.weight))
-    return TimeFit(means[0], means[1], float(np.sqrt(np.average(spread**2, weights=weight))), rest_s)
-
-
-def _groups(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    missed = ~held
-    every = np.ones_like(held)
-    return (held if held.any() else every), (missed if missed.sum() >= FEWEST_MISSES else every)
-
-
-VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SHARE, 1.0)
-"""Shares of the surface at which curves are fitted: quarters of what a look on the table shows, and all."""
-_NUM_STEPS, _SMALLEST_CHANGE = 2000, 1e-10
-
-Interval = tuple[float, float]
-"""The label turned DIRTY after the first share had been seen, and by the second; infinite where it never did."""
-
-
-def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
-    """Fit both curves.
-
-    Parameters
-    ----------
-    glances
-        One row an object, as `attempts.glances` gives them.
-
-    Raises
-    ------
-    LogError
-        No object is dirty, or none is clean.
-    """
-    curves = []
-    for is_dirty in (True, False):
-        rows = pd.DataFrame(glances[glances["is_dirty"] == is_dirty])
-        if rows.empty:
-            kind = "dirty" if is_dirty else "clean"
-            raise LogError(
-                f"objects: none of {len(glances)} is {kind}; labels are calibrated on dirty and on clean ones"
-            )
-        curves.append(tuple(found_by(intervals(rows)).tolist()))
-    return PersistentSeeing(FACING_SHARE, VIEWS, curves[0], curves[1])
-
-
-def intervals(rows: pd.DataFrame) -> list[Interval]:
-    """The interval of each object that holds the share at which its label turned DIRTY.
-
-    Parameters
-    ----------
-    rows
-        With `attempts.GLANCES`.
-    """
-    columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
-    return [_interval(zip(*each, strict=True)) for each in zip(*columns, strict=True)]
-
-
-def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
-    seen = 0.0
-    for occlusion, is_held, says_dirty in labels:
-        shown = 1.0 if is_held else FACING_SHARE * (1.0 - occlusion)
-        # What shows no more than was seen before is no news: it repeats itself, or errs by noise.
-        if shown <= seen + SAME_VIEW:
-            continue
-        if says_dirty:
-            return seen, shown
-        seen = shown
-    return seen, np.inf
-
-
-def found_by(intervals: list[Interval]) -> Float[np.ndarray, " knots"]:
-    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood."""
-    knots = np.array([0.0, *VIEWS])
-    low, high = np.array(intervals, dtype=np.float64).reshape(-1, 2).T
-    # How much of each piece an interval holds; the last column is "never".
-    begins, ends = np.maximum(knots[:-1], low[:, None]), np.minimum(knots[1:], high[:, None])
-    inside = np.clip(ends - begins, 0.0, None) / np.diff(knots)
-    share = np.column_stack([inside, np.isinf(high)])
-    share = share[share.sum(axis=1) > 0]
-    mass = np.full(share.shape[1], 1.0 / share.shape[1])
-    for _ in range(_NUM_STEPS):
-        weight = share * mass
-        after = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)
-        is_settled = np.abs(after - mass).max() < _SMALLEST_CHANGE
-        mass = after
-        if is_settled:
-            break
-    return np.minimum(np.cumsum(mass[:-1]), 1.0)
-
+from halfseen.world.seeing import PersistentSeeing
 
 _NUM_GRIPS, _DIGITS = 100, 6
 _CURVES = ("sensitivity", "false_alarms")
@@ -257,3 +157,123 @@ def _grips(grasp: GraspFit, facts: pd.DataFrame) -> Rows:
 def _rounded(values: np.ndarray | Sequence[float]) -> np.ndarray:
     """Digits far below the errors are dropped: machines differ in the last ones, and a law is the same on all."""
     return np.round(np.asarray(values, dtype=np.float64), _DIGITS)
+
+
+def shipped_law() -> Path:
+    """Find its folder, to be read with `read_law`.
+
+    It was made by ``halfseen cell calibrate --attempts 6000``; ``--from`` of its attempts makes it again.
+    """
+    return Path(str(files("halfseen.cell.calibration"))) / "shipped_law"
+
+
+ATTEMPTS, VISIBLE_ONLY = "attempts", "attempts-visible-only"
+LAW = Kind("law", "halfseen cell calibrate")
+VERSION = 1
+_AGAIN = f"make it again by `{LAW.maker}`"
+
+
+@dataclass(frozen=True, eq=False)
+class StoredLaw:
+    """A law that was read from a folder, and what its law.json says."""
+
+    law: Law
+    record: Mapping[str, Any]
+
+
+def write_law(
+    law: Law,
+    folder: Path,
+    more: Mapping[str, Any],
+    *,
+    logs: Logs | None = None,
+    contrast: Logs | None = None,
+    overwrite: bool = False,
+) -> None:
+    """Write a law, all or nothing.
+
+    Parameters
+    ----------
+    more
+        What else is to be kept: conditions, versions, how it was made.
+    logs
+        What it was estimated from; None if that is neither to be kept nor drawn.
+    contrast
+        Attempts of grasps that were planned from visible points alone, to be kept beside; None where there are none.
+
+    Raises
+    ------
+    ArgumentError
+        The folder exists or cannot be written.
+    """
+    counts = {"num_decided": law.grasp.num_decided, "num_cut": law.grasp.num_cut}
+    record = {"version": VERSION, "parameters": list(NAMES), **counts, **plain(dict(more))}
+    text = json.dumps(record, indent=1, allow_nan=False) + "\n"
+    arrays = {
+        "estimate": law.grasp.estimate,
+        "covariance": np.ascontiguousarray(law.grasp.covariance),
+        "effective_sample_size": np.array([law.grasp.effective_sample_size]),
+        "time": np.array(law.time, dtype=np.float64),
+        "limit_s": np.array([law.limit_s]),
+        "grips": law.grips,
+        "facing": np.array([law.seeing.facing], dtype=np.float64),
+        **{name: np.array(getattr(law.seeing, name), dtype=np.float64) for name in ("views", *_CURVES)},
+    }
+    numbers = safetensors.numpy.save(arrays)
+    beside: dict[str, Callable[[Path], None]] = {}
+    if logs is not None:
+        from halfseen.cell.calibration.figures import pictures_of
+
+        beside = {ATTEMPTS: logs.write, **pictures_of(law.grasp.estimate, law.seeing, logs)}
+    if contrast is not None:
+        beside[VISIBLE_ONLY] = contrast.write
+    write_files(folder, text.encode(), numbers, overwrite=overwrite, kind=LAW, beside=beside)
+
+
+def read_law(folder: str | Path) -> StoredLaw:
+    """Read a law, and check all of it; no code of the folder is run.
+
+    Raises
+    ------
+    PolicyError
+        A file is missing, a byte has changed, the version is unknown, or the numbers are none of a law.
+    """
+    text, numbers = read_files(Path(folder), LAW)
+    record = _record(text, Path(folder) / LAW.record)
+    try:
+        law = _law(safetensors.numpy.load(numbers), record)
+    except (KeyError, ValueError, TypeError, SafetensorError) as error:
+        raise PolicyError(f"{Path(folder) / LAW.arrays}: no numbers of a law ({error}); {_AGAIN}") from error
+    return StoredLaw(law, record)
+
+
+def _record(text: bytes, file: Path) -> Mapping[str, Any]:
+    try:
+        record = json_of(text)
+    except ValueError as error:
+        raise PolicyError(f"{file}: it cannot be read ({error}); {_AGAIN}") from error
+    if not isinstance(record, dict) or record.get("version") != VERSION:
+        version = record.get("version") if isinstance(record, dict) else record
+        raise PolicyError(f"{file}: version {version!r} is not {VERSION}, which is read here; {_AGAIN}")
+    if record.get("parameters") != list(NAMES):
+        raise PolicyError(
+            f"{file}: the law tells grasps by {record.get('parameters')}, and objects here are known by {list(NAMES)}: "
+            f"it is of other objects; {_AGAIN}"
+        )
+    for name in ("num_decided", "num_cut"):
+        if not isinstance(record.get(name), int):
+            raise PolicyError(f"{file}: {name} is {record.get(name)!r}, no count of attempts; {_AGAIN}")
+    return record
+
+
+def _law(arrays: Mapping[str, np.ndarray], record: Mapping[str, Any]) -> Law:
+    if arrays["estimate"].shape != (len(NAMES),):
+        raise ValueError(f"the estimate has shape {arrays['estimate'].shape} and not {(len(NAMES),)}")
+    if not all(np.isfinite(array).all() for array in arrays.values()):
+        raise ValueError("a number is not finite")
+    (size,), (limit_s,), (facing,) = (arrays[name].tolist() for name in ("effective_sample_size", "limit_s", "facing"))
+    if limit_s <= 0:
+        raise ValueError(f"limit_s is {limit_s}, and a time is above 0")
+    fit = GraspFit(arrays["estimate"], arrays["covariance"], record["num_decided"], record["num_cut"], size)
+    seeing = PersistentSeeing(facing, *(tuple(arrays[name].tolist()) for name in ("views", *_CURVES)))
+    return Law(fit, TimeFit(*arrays["time"].tolist()), seeing, limit_s, arrays["grips"])

@@ -17,13 +17,12 @@ from typing import NoReturn
 import msgspec
 import pyarrow as pa
 
-from halfseen.errors import ArgumentError, LogError
+from halfseen.errors import ArgumentError, LogError, did_you_mean
 from halfseen.logs.columns import refuse_repeated, shown
 from halfseen.logs.formats.mapping import Layout
 from halfseen.logs.formats.step_tables import LAST, whole_table
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import TABLE, opened, reason_of
-from halfseen.suggestions import did_you_mean
 
 TEXT_FILES, TYPED_FILES, SHEETS = (".csv", ".tsv", ".txt"), (".parquet",), (".xlsx", ".xls", ".ods")
 SEPARATORS = (";", ",", "\t", "|")

@@ -8,10 +8,9 @@ from typing import Annotated, Any, Literal
 
 import msgspec
 
-from halfseen.errors import ArgumentError
+from halfseen.errors import ArgumentError, did_you_mean
 from halfseen.logs.formats.mapping import mapping_in
 from halfseen.policies.folder.stored import StoredPolicy
-from halfseen.suggestions import did_you_mean
 
 REMEDY = "`halfseen serve POLICY --mapping-template` prints one"
 FILES = ("certificate", "key", "server_certificate", "user_certificate", "user_key")

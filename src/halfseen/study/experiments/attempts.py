@@ -25,7 +25,7 @@ from scipy.special import expit, logit
 
 from halfseen.arrays import Rows
 from halfseen.cell.calibration.attempts import OCCLUSION_EDGES, occlusion_bins, shares_by
-from halfseen.cell.calibration.grasping import NAMES, GraspFit, held_share
+from halfseen.cell.calibration.fits import NAMES, GraspFit, held_share
 from halfseen.evaluation.estimate import Estimate, around
 from halfseen.shapes import Float, Int
 from halfseen.study.compare import LEVEL, columns, four, holm

@@ -20,9 +20,9 @@ import numpy as np
 import pandas as pd
 
 from halfseen.arrays import RowMask, Rows
-from halfseen.cell.calibration import law_folder
+from halfseen.cell.calibration import law
 from halfseen.cell.calibration.attempts import FACTS, HORIZON, trials
-from halfseen.cell.calibration.grasping import GraspFit, fit_grasping, held_given_past
+from halfseen.cell.calibration.fits import GraspFit, fit_grasping, held_given_past
 from halfseen.learning.svm.estimators import CensoredSVC
 from halfseen.learning.svm.kernels import SetKernel
 from halfseen.logs import read_logs
@@ -51,7 +51,7 @@ PAIRS = ((SVM, BETA), (SVM_FACTS, BETA), (SVM_SET, BETA), (LAW, BETA), (SVM_SET,
 """Who is tested against whom; the first is the paper's claim."""
 SUREST = 1e-9  # no prediction counts as surer than this in the log-loss: one miss would cost endlessly much
 COMPLETED, VISIBLE_ONLY = "completed", "visible-only"
-PLANNERS = {COMPLETED: law_folder.ATTEMPTS, VISIBLE_ONLY: law_folder.VISIBLE_ONLY}
+PLANNERS = {COMPLETED: law.ATTEMPTS, VISIBLE_ONLY: law.VISIBLE_ONLY}
 """Way to plan grasps, with hidden shape completed or by what is visible → folder of its attempts within a law's."""
 COLUMNS = (
     "trajectory",

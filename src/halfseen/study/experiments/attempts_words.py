@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import PercentFormatter
 
 from halfseen import figures as pages
-from halfseen.cell.calibration.grasping import SCALES
+from halfseen.cell.calibration.fits import SCALES
 from halfseen.figures import BLUE, FAINT, INK, ORANGE, PINK, RED, SKY, SOFT
 from halfseen.study import figures
 from halfseen.study.compare import estimated_in, records, row_of, three, where
@@ -79,14 +79,14 @@ def _tests(setting: Setting, tests: pd.DataFrame) -> list[Listing]:
     }
     first, *others = (records(tests, model=model, rival=rival) for model, rival in PAIRS)
     rest = [row for rows in others for row in rows]
+
+    def heading(row: Row) -> str:
+        return f"{capitalised(NOUNS[row['model']])} against {NOUNS[row['rival']]}: {MEASURES[row['measure']]}"
+
     return [
         Listing.of("Table 4", caption, first, cells, lambda row: capitalised(MEASURES[row["measure"]]), False),
-        Listing.of("The other pairs of models, tested alike", "", rest, cells, _heading),
+        Listing.of("The other pairs of models, tested alike", "", rest, cells, heading),
     ]
-
-
-def _heading(row: Row) -> str:
-    return f"{capitalised(NOUNS[row['model']])} against {NOUNS[row['rival']]}: {MEASURES[row['measure']]}"
 
 
 def _numbers(scores: pd.DataFrame) -> Listing:

@@ -16,9 +16,8 @@ from halfseen.figures import BLUE, ORANGE, PINK, RED, SKY
 from halfseen.study import figures
 from halfseen.study.compare import estimate_in, estimated_in, learned_from, mean_columns, records, stacked, where
 from halfseen.study.experiment import CUT_KIND_NAMES, Drawing, Listing, PieceOf, Pieces, Section, Tables, words
-from halfseen.study.pipeline import Source
+from halfseen.study.pipeline import TREATMENTS, Source
 from halfseen.study.setting import Setting
-from halfseen.study.treatments import TREATMENTS
 from halfseen.wording import MISSING, NOT_SUPPORTED, SUPPORTED, Claim, amount, capitalised, interval, listed
 from halfseen.world.cuts import CutKind
 

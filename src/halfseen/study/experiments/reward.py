@@ -1,38 +1,34 @@
 """What the learned policy earns, by size of the log and proportion of cut trajectories: Figure 1, Tables 1 and 2."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from halfseen import wording
-from halfseen.study import compare
-from halfseen.study.compare import EFFECT, estimated_in, learned_from, records, row_of, where
+from halfseen.figures import BAND_OPACITY, WIDTH_INCHES, EndLabel, draw_curve, draw_zero, write_title
+from halfseen.study import compare, figures, policies
+from halfseen.study.compare import EFFECT, estimated_in, learned_from, records, row_of, three, where
 from halfseen.study.experiment import Drawing, Listing, Row, Section, Tables, words
-from halfseen.study.experiments.reward_figures import GAIN, Figure1, opening_of
 from halfseen.study.experiments.reward_repetition import MEASURES, RewardRepetition
 from halfseen.study.figures import INTERVAL
-from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, LEARNED, LINEAR, STRONGEST_RULE
+from halfseen.study.policies import BEST, FITTED_ONE_STEP, FITTED_RULE, HEURISTICS, LEARNED, LINEAR, ONE_STEP
 from halfseen.study.setting import Setting
-from halfseen.wording import (
-    INCONCLUSIVE,
-    MISSING,
-    NOT_SUPPORTED,
-    SUPPORTED,
-    Claim,
-    amount,
-    listed,
-    share,
-    share_in_words,
-)
+from halfseen.wording import MISSING, SUPPORTED, Claim, amount, listed, share, share_in_words
 
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
 ROLES = {BEST[0]: "the strongest heuristic", BEST[1]: "the strongest planner, which knows the true model"}
 MARK = " *"  # marks a difference that the test finds
+GAIN = three("gain")
+GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the true laws, on the same episodes"
+DODGE = 1.02  # factor between neighbouring curves, which stand side by side rather than on one another
+PLAIN = ("greedy", "history")  # rules of thumb that do not count what a wrong WASH costs
 
 
 @dataclass(frozen=True)
@@ -49,7 +45,7 @@ class Reward(RewardRepetition):
         both = f"{rule.sentence[:-1]}; it {planner.asserted} {planner.rival}: {planner.verdict} ({planner.numbers})."
         found = _sufficient(self, figure1)
         size, on_planner = self.table_num_trajectories, f"it {planner.found} the strongest planner"
-        caption = words(self.name, "caption", design=self, setting=setting, logging_rule=STRONGEST_RULE.label)
+        caption = words(self.name, "caption", design=self, setting=setting, logging_rule=policies.STRONGEST_RULE.label)
         times = {row["baseline"]: float(row["other"]) for row in records(table1, measure="decision_ms")}
         times[LEARNED.name] = float(row_of(table1, measure="decision_ms")[LEARNED.name])
         title = f"{_beats(found)}; learned from {size} trajectories, {on_planner}"
@@ -61,15 +57,10 @@ class Reward(RewardRepetition):
             _what_of_laws(self, figure1),
             _verdicts(self, table1),
         )
-        listings = (
-            *_numbers(self, setting, figure1, peer),
-            _tests(self, setting, table1),
-            _weights(self, tables["weights"]),
-        )
-        opening = opening_of(self, setting, figure1, rule)
-        return Section(
-            "Reward against the size of the log", sentences, (drawing,), listings, num_leading=3, opening=opening
-        )
+        tests, weights = _tests(self, setting, table1), _weights(self, tables["weights"])
+        listings = (*_numbers(self, setting, figure1, peer), tests, weights)
+        heading, opening = "Reward against the size of the log", opening_of(self, setting, figure1, rule)
+        return Section(heading, sentences, (drawing,), listings, num_leading=3, opening=opening)
 
 
 def claim(design: Reward, setting: Setting, figure1: pd.DataFrame, table1: pd.DataFrame, role: str) -> Claim:
@@ -131,7 +122,8 @@ def _against_peer(design: Reward, peer: pd.DataFrame) -> str:
     """Say who earns more from how many trajectories, over all proportions of cut trajectories and at single ones."""
     means, single = records(peer, cut_share=None), records(peer[peer["cut_share"].notna()])
     ends = " and ".join(f"{estimated_in(row, EFFECT)} from {row['num_trajectories']}" for row in (means[0], means[-1]))
-    verdicts = {"by_means": _by_verdict(means, _sizes), "by_proportions": _by_verdict(single, _places)}
+    by_means = _by_verdict(means, lambda rows: f"{listed([str(row['num_trajectories']) for row in rows])} trajectories")
+    verdicts = {"by_means": by_means, "by_proportions": _by_verdict(single, _places)}
     return words(design.name, "peer_sentence", design=design, ends=ends, num_tests=len(peer), **verdicts)
 
 
@@ -142,10 +134,6 @@ def _by_verdict(rows: list[Row], written: Callable[[list[Row]], str]) -> str:
     parts = [f"{verb} from {written(there)}" for verb, there in verbs.items() if there]
     rest = "elsewhere shows no significant difference" if parts else "shows no significant difference anywhere"
     return listed([*parts, rest] if len(found) < len(rows) else parts)
-
-
-def _sizes(rows: list[Row]) -> str:
-    return f"{listed([str(row['num_trajectories']) for row in rows])} trajectories"
 
 
 def _places(rows: list[Row]) -> str:
@@ -176,7 +164,7 @@ def _verdicts(design: Reward, table1: pd.DataFrame) -> str:
     """Say how many hypotheses of Table 1 the data speak for, and name those that they do not."""
     parts = []
     for measure, claimed in CLAIM_WORDS.items():
-        found: dict[str, list[str]] = {SUPPORTED: [], NOT_SUPPORTED: [], INCONCLUSIVE: []}
+        found: dict[str, list[str]] = {SUPPORTED: [], wording.NOT_SUPPORTED: [], wording.INCONCLUSIVE: []}
         for row in records(table1, measure=measure):
             found[compare.verdict_of(row)].append(design.contenders[row["baseline"]].label)
         said = [f"{SUPPORTED} against {len(found.pop(SUPPORTED))} of {len(design.baseline_names)}"]
@@ -211,20 +199,16 @@ def _numbers(design: Reward, setting: Setting, figure1: pd.DataFrame, peer: pd.D
     above = {design.contenders[name].label: where(of_logs, policy=name) for name in made}
     of_peer = words(design.name, "peer", design=design, setting=setting, mark=MARK.strip(), num_tests=len(peer))
     own, gain = partial(estimated_in, names=INTERVAL), partial(estimated_in, names=GAIN)
+    in_figure1, of_made = "The numbers of the learned policy in Figure 1", words(design.name, "above")
+    peer_label, more = "Learned, or planned with fitted laws", ("mean over these",)
 
     def marked(row: Row) -> str:
         return f"{estimated_in(row, EFFECT)}{MARK if row['supported'] else ''}"
 
     return [
-        _by_size(
-            design, "The numbers of the learned policy in Figure 1", "", {"": where(figure1, policy=LEARNED.name)}, own
-        ),
-        _by_size(
-            design, "What is made of logs, above the strongest heuristic", words(design.name, "above"), above, gain
-        ),
-        _by_size(
-            design, "Learned, or planned with fitted laws", of_peer, {"": peer}, marked, more=("mean over these",)
-        ),
+        _by_size(design, in_figure1, "", {"": where(figure1, policy=LEARNED.name)}, own),
+        _by_size(design, "What is made of logs, above the strongest heuristic", of_made, above, gain),
+        _by_size(design, peer_label, of_peer, {"": peer}, marked, more),
     ]
 
 
@@ -257,8 +241,107 @@ def _tests(design: Reward, setting: Setting, table1: pd.DataFrame) -> Listing:
 def _weights(design: Reward, weights: pd.DataFrame) -> Listing:
     contradicted = 1.0 - weights["by_laws"].astype(float)
     caption = words(design.name, "weights", design=design, contradicted=contradicted)
+    return _by_size(
+        design,
+        "Table 2",
+        caption,
+        {"": weights},
+        lambda row: f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})",
+        is_folded=False,
+    )
 
-    def cell(row: Row) -> str:
-        return f"{amount(row['effective_sample_size'], 0)} ({amount(row['largest_weight'], 1)})"
 
-    return _by_size(design, "Table 2", caption, {"": weights}, cell, is_folded=False)
+class Figure1:
+    """Rewards above; below what those that come near one another earn above the strongest heuristic."""
+
+    def __init__(self, design: RewardRepetition, table: pd.DataFrame, times_ms: Mapping[str, float]) -> None:
+        self.design, self.table = design, table
+        self.best = [design.contenders[str(row_of(table, role=role)["policy"])] for role in BEST]
+        self.ms = {name: f"  ({wording.significant(value, 2)} ms)" for name, value in times_ms.items()}
+
+    def draw(self, title: str) -> Figure:
+        """Draw it under a title."""
+        figure, sizes = Figure(figsize=(WIDTH_INCHES, 8.6)), self.design.num_trajectories
+        top = write_title(figure, title) - 0.045
+        upper, lower = figures.two_panels(figure, top, 0.065, 0.50, 0.06, 0.085, lower_share=0.62)
+        for axes, name, draw in ((upper, figures.REWARD_AXIS, self._rewards), (lower, GAIN_AXIS, self._gains)):
+            figures.finish_by_size(axes, name, sizes, (1.08, 1.05), draw(axes))
+        lower.set_xlabel(figures.TRAJECTORIES_AXIS)
+        return figure
+
+    def _rewards(self, axes: Axes) -> list[EndLabel]:
+        """Learned with laws and without, the heuristics, and the strongest planner."""
+        labels = self._levels(axes, [*(each.name for each in HEURISTICS), self.best[1].name], INTERVAL)
+        if LINEAR.name in self.design.beside_names:
+            labels.append(self._curve(axes, LINEAR, INTERVAL, "o"))
+        rows = where(self.table, policy=LEARNED.name, cut_share=self.design.table_cut_share)
+        draw_curve(axes, rows["num_trajectories"], rows[INTERVAL], color=LEARNED.colour, marker="s")
+        return [*labels, self._label(LEARNED, float(rows["mean_reward"].iloc[-1]), is_bold=True)]
+
+    def _gains(self, axes: Axes) -> list[EndLabel]:
+        """Learned by share of cuts; with fitted laws and with the true ones, one step ahead and to the end."""
+        draw_zero(axes, self.best[0].colour, 1.5)
+        labels = [self._label(self.best[0], 0.0, is_bold=True)]
+        labels += self._levels(axes, [*self.design.planner_names, ONE_STEP.name], GAIN)
+        for who, marker in ((self.design.peer, "X"), (FITTED_ONE_STEP, "P"), (FITTED_RULE, "v")):
+            labels.append(self._curve(axes, who, GAIN, marker))
+        shares, ms = self.design.cut_shares, self.ms[LEARNED.name]
+        return labels + figures.draw_by_cut_share(axes, self.table, shares, GAIN, draw_curve, DODGE, ms)
+
+    def _levels(self, axes: Axes, names: Sequence[str], columns: list[str]) -> list[EndLabel]:
+        """Draw what learns nothing as lines, with bands for the strongest."""
+        labels = []
+        for name in names:
+            who, is_best = self.design.contenders[name], name in [each.name for each in self.best]
+            value, low, high = (float(row_of(self.table, policy=name)[column]) for column in columns)
+            labels.append(figures.draw_level(axes, who, value, is_best, self.ms[name]))
+            if is_best:
+                axes.axhspan(low, high, color=who.colour, alpha=BAND_OPACITY, linewidth=0, zorder=1)
+        return labels
+
+    def _curve(self, axes: Axes, who: policies.Contender, columns: list[str], marker: str) -> EndLabel:
+        """Draw what is made of logs, the mean over the proportions of cut trajectories."""
+        means = where(self.table, policy=who.name, cut_share=None)
+        look: dict[str, Any] = {"color": who.colour, "marker": marker, "linestyle": (0, who.dashes)}
+        draw_curve(axes, means["num_trajectories"], means[columns], **look)
+        return self._label(who, float(means[columns[0]].iloc[-1]))
+
+    def _label(self, who: policies.Contender, end: float, is_bold: bool = False) -> EndLabel:
+        return EndLabel(end, f"{who.label}  {amount(end)}{self.ms[who.name]}", who.colour, is_bold)
+
+
+def opening_of(design: RewardRepetition, setting: Setting, figure1: pd.DataFrame, rule: Claim) -> Drawing:
+    """Draw what each way of clearing a table brings, and say whether learning is the better one.
+
+    Points are counted above leaving a table as it is: what FINISH at once costs for the dirty objects left, in
+    expectation. `rule` is the claim that the learned policy earns more than the strongest heuristic.
+    """
+    world, size, cut_share = setting.world, design.table_num_trajectories, design.table_cut_share
+    num_objects = float(np.mean([scene.num_objects for scene in setting.scenes]))
+    nothing = float(world.reward_dirty_left) * float(world.dirty_share) * num_objects
+    plain = max((row_of(figure1, policy=name) for name in PLAIN), key=lambda row: float(row["mean_reward"]))
+    peer = row_of(figure1, policy=design.peer.name, num_trajectories=size, cut_share=None)
+    bars = {
+        "a plain rule of thumb": plain,
+        "the best rule of thumb": row_of(figure1, role=BEST[0]),
+        "learned from the runs": row_of(figure1, policy=LEARNED.name, num_trajectories=size, cut_share=cut_share),
+        "plans ahead, with laws from the runs": peer,
+        "plans ahead, and knows the true laws": row_of(figure1, role=BEST[1]),
+    }
+    table = pd.DataFrame(bars.values(), index=pd.Index(bars))
+    points = table[INTERVAL].astype(float) - nothing
+    colours = [design.contenders[name].colour for name in table["policy"]]
+    theirs, ours = (amount(mean, 1) for mean in points["mean_reward"].iloc[1:3])
+    across = "points won on a table, above leaving it as it is; thin lines: 95 % intervals"
+    how = {SUPPORTED: "better than", wording.INCONCLUSIVE: "about as well as"}.get(rule.verdict, "worse than")
+    sentence = (
+        f"In simulation, a robot that learned from {size} old runs, {share_in_words(cut_share)} of them cut short, "
+        f"clears a table {how} the best rule of thumb: {ours} points a table, against {theirs}."
+    )
+    return Drawing(
+        "opening",
+        "",
+        sentence,
+        words("reward", "opening", world=world),
+        partial(figures.draw_named_bars, points, colours, across),
+    )

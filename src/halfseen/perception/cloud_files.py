@@ -1,16 +1,62 @@
-"""PLY files: points, their colours if they have some, and the camera's pose and pixel grid where PCL wrote them."""
+"""Files that hold clouds: NPZ with a depth image, PLY, and `halfseen.perception.pcd`; read by what their name ends in.
+
+Of PLY, colours are read if there are some, and the camera's pose and pixel grid where PCL wrote them.
+"""
 
 import io
+import os
 import warnings
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from halfseen.errors import CloudError
-from halfseen.perception.clouds import Cloud, Colours, Rotation, check_num_points
+from halfseen.perception.clouds import Cloud, Colours, Rotation, check_intrinsics, check_num_points
 from halfseen.perception.frames import FRAME_COMMENT, OWN, Viewpoint, camera_of
-from halfseen.reading import CLOUD, read_bytes
+from halfseen.perception.pcd import read_pcd
+from halfseen.reading import CLOUD, names_in_archive, read_arrays, read_bytes, reason_of
 from halfseen.shapes import Shaped
+
+
+def read_npz(path: Path) -> Cloud:
+    """Read ``depth_m`` [m] and ``K`` [px], and ``rgb``, uint8, if it is there.
+
+    Parameters
+    ----------
+    path
+        The file.
+
+    Raises
+    ------
+    CloudError
+        The file is cut short, lacks an array, or holds one of another kind.
+    """
+    try:
+        there = names_in_archive(path, CLOUD)
+        missing = {"depth_m", "K"} - set(there)
+        if missing:
+            raise CloudError(
+                f"{path}: has {sorted(there)[:20]} and lacks {sorted(missing)}; "
+                "store the depth image as depth_m [m] and the pinhole matrix as K [px]"
+            )
+        arrays = read_arrays(path, ("depth_m", "K", "rgb"), CLOUD)
+    except ValueError as error:
+        raise CloudError(f"{path}: {error}; record or export it again") from error
+    depth, K, picture = arrays["depth_m"], arrays["K"], arrays.get("rgb")
+    check_intrinsics(K, str(path))
+    if depth.ndim != 2 or depth.dtype.kind != "f":
+        raise CloudError(
+            f"{path}: depth_m is {depth.dtype} of shape {depth.shape}; it must be an image of floats in metres"
+        )
+    check_num_points(depth.size, str(path))
+    if picture is not None and (picture.shape != (*depth.shape, 3) or picture.dtype != np.uint8):
+        raise CloudError(
+            f"{path}: rgb is {picture.dtype} of shape {picture.shape}; it must be uint8 of shape {(*depth.shape, 3)}, "
+            "a colour for each pixel of depth_m: register it to the depth image, or leave it out"
+        )
+    return Cloud.from_depth(depth.astype(np.float64), K.astype(np.float64), path.name, picture)
+
 
 # A header has a few dozen lines.
 MOST_HEADER_BYTES = 10**6
@@ -104,3 +150,50 @@ def _colours(vertex: Shaped[np.ndarray, " n"], path: Path) -> Colours | None:
             "export it so, or leave it out"
         )
     return np.stack([vertex[name] for name in COLOURS], axis=1)
+
+
+_READERS: dict[str, Callable[[Path], Cloud]] = {".pcd": read_pcd, ".ply": read_ply, ".npz": read_npz}
+
+
+def read_cloud(path: str | os.PathLike[str]) -> Cloud:
+    """Read a point cloud from a file.
+
+    Parameters
+    ----------
+    path
+        ``.pcd`` (ascii, binary or binary_compressed), ``.ply`` (ascii or binary), or ``.npz`` with a depth image
+        ``depth_m`` [m] and a pinhole matrix ``K`` [px].
+
+    Returns
+    -------
+    Cloud
+        Organised if the file is. Points stay in the frame of the file. Where it says a viewpoint, which is the pose of
+        the camera, points may be in its frame or in the camera's: the pixel grid tells which, and of points without
+        one, from where a camera could see them all. A comment ``points_frame camera`` or ``points_frame viewpoint``
+        in the header settles it.
+
+    Raises
+    ------
+    CloudError
+        It is in doubt which frame the points are in; or the file is missing, of another kind, cut short or broken, or
+        holds not one point.
+    """
+    path = Path(path)
+    reader = _READERS.get(path.suffix.lower())
+    if reader is None:
+        raise CloudError(f"{path}: files ending in {path.suffix!r} are not read; use one of {', '.join(_READERS)}")
+    if not path.exists():
+        raise CloudError(f"{path}: no such file")
+    try:
+        cloud = reader(path)
+    except CloudError:
+        raise
+    except OSError as error:
+        raise CloudError(f"{path}: cannot be read: {reason_of(error)}") from error
+    except Exception as error:  # parsers of broken files raise nearly anything
+        raise CloudError(
+            f"{path}: not a whole {path.suffix.lower()} file: {reason_of(error)}; record or export it again"
+        ) from error
+    if not cloud.num_returns:
+        raise CloudError(f"{path}: not one of {len(cloud.points_m)} points is finite; nothing returned to the camera")
+    return cloud

@@ -2,17 +2,18 @@
 
 import io
 import os
+from io import BufferedReader
 from pathlib import Path
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from halfseen.arrays import Intrinsics, Points
 from halfseen.errors import CloudError
 from halfseen.perception.clouds import Cloud, Colours, check_num_points
-from halfseen.perception.frames import FRAME_COMMENT, VIEWPOINT, Viewpoint, camera_of, quaternion_of, viewpoint_of
+from halfseen.perception.frames import FRAME_COMMENT, VIEWPOINT, camera_of, quaternion_of, viewpoint_of
 from halfseen.reading import CLOUD, check_unpacked, opened
-from halfseen.shapes import Float, Shaped
+from halfseen.shapes import Shaped
 from halfseen.writing import write_file
 
 # Comment of a header that carries the pinhole camera [px]: PCD has no field for it, and readers skip comments.
@@ -32,6 +33,20 @@ PACKED_COLOURS = ("rgb", "rgba")
 Columns: TypeAlias = dict[str, Shaped[np.ndarray, " n"]]
 
 
+class Field(NamedTuple):
+    """A column of the points: its TYPE, SIZE [B] and COUNT."""
+
+    name: str
+    kind: str
+    size: int
+    count: int
+
+    @property
+    def num_bytes(self) -> int:
+        """Of a point [B]."""
+        return self.size * self.count
+
+
 def read_pcd(path: Path) -> Cloud:
     """Read a file of any of the three kinds of DATA; it is organised if its HEIGHT is more than 1.
 
@@ -45,30 +60,53 @@ def read_pcd(path: Path) -> Cloud:
     CloudError
         The file is cut short, lacks coordinates, or holds colours or intrinsics of another kind.
     """
-    header, num_header_lines = _pcd_header(path)
-    fields = header.get("FIELDS", "").split()
-    if not {"x", "y", "z"} <= set(fields):
-        raise CloudError(f"{path}: has fields {fields} and needs x, y and z; export it with coordinates in metres")
-    packed = next((name for name in PACKED_COLOURS if name in fields), None)
-    names = ["x", "y", "z"] if packed is None else ["x", "y", "z", packed]
-    num_points, width, height = (_whole(header, key, path) for key in ("POINTS", "WIDTH", "HEIGHT"))
-    _check_layout(header, num_points, path)
-    check_num_points(num_points, str(path))
-    is_text = header["DATA"] == "ascii"
-    if header["DATA"] == "binary_compressed":
-        _check_packed(path, num_header_lines, _bytes_of_point(header) * num_points)
-    read = _text_columns if is_text else _binary_columns
-    columns = read(path, header, num_header_lines, names)
+    with opened(path, CLOUD) as file:
+        header = _header(file, path)
+        names = header.get("FIELDS", "").split()
+        if not {"x", "y", "z"} <= set(names):
+            raise CloudError(f"{path}: has fields {names} and needs x, y and z; export it with coordinates in metres")
+        num_points, width, height = (_whole(header, key, path) for key in ("POINTS", "WIDTH", "HEIGHT"))
+        fields = _fields(header, num_points, path)
+        check_num_points(num_points, str(path))
+        packed = next((name for name in PACKED_COLOURS if name in names), None)
+        wanted = ["x", "y", "z"] if packed is None else ["x", "y", "z", packed]
+        if header["DATA"] == "ascii":
+            columns = _text_columns(file, fields, wanted)
+        else:
+            columns = _binary_columns(file, fields, wanted, num_points, header["DATA"] == "binary", path)
     with np.errstate(invalid="ignore"):  # signalling NaN
         points = np.stack([columns[axis].astype(np.float64) for axis in "xyz"], axis=1)
     if len(points) != num_points:
         raise CloudError(
             f"{path}: holds {len(points)} points and announces {num_points}; it was cut short: export it again"
         )
-    colours = None if packed is None else _unpacked(columns[packed], points, _packed_kind(header, packed, path))
+    colours = None
+    if packed is not None:
+        colours = _unpacked(columns[packed], points, _packed_kind(fields[names.index(packed)], path))
     shape = (height, width) if height > 1 else None
-    camera = camera_of(points, shape, _pcd_viewpoint(header, path), str(path), header.get(f"# {FRAME_COMMENT}"))
-    return Cloud(points, shape, _pcd_intrinsics(header, path), path.name, camera.eye_m, colours, camera.axes)
+    pose = _numbers((header.get("VIEWPOINT") or "0 0 0").split(), "VIEWPOINT", path)
+    viewpoint, frame = viewpoint_of(pose, str(path)), header.get(f"# {FRAME_COMMENT}")
+    camera = camera_of(points, shape, viewpoint, str(path), frame)
+    return Cloud(points, shape, _intrinsics(header, path), path.name, camera.eye_m, colours, camera.axes)
+
+
+def _header(file: BufferedReader, path: Path) -> dict[str, str]:
+    """Header entries, our comments too; what follows in the file are the points."""
+    header: dict[str, str] = {}
+    for _ in range(1, MOST_HEADER_LINES):
+        line = file.readline(MOST_LINE_BYTES)
+        text = line.decode("ascii", errors="replace").strip()
+        comment = next((each for each in COMMENTS if text.startswith(each)), None)
+        if comment is not None:
+            header[comment] = text.removeprefix(comment).strip()
+        elif not text.startswith("#"):
+            key, _, value = text.partition(" ")
+            header[key] = value.strip()
+        if text.startswith("DATA"):
+            return header
+        if not line:
+            break
+    raise CloudError(f"{path}: has no DATA line; it is no PCD file or was cut short in the header")
 
 
 def _whole(header: dict[str, str], key: str, path: Path) -> int:
@@ -78,77 +116,77 @@ def _whole(header: dict[str, str], key: str, path: Path) -> int:
     return int(digits)
 
 
-def _check_layout(header: dict[str, str], num_points: int, path: Path) -> None:
-    """Refuse a header whose columns contradict one another, or announce more than the file can hold."""
-    fields = header["FIELDS"].split()
+def _fields(header: dict[str, str], num_points: int, path: Path) -> list[Field]:
+    """Columns of a header; one whose columns contradict one another, or announce more than there is, is refused."""
+    names = header["FIELDS"].split()
     kinds, sizes, counts = (header.get(key, "").split() for key in ("TYPE", "SIZE", "COUNT"))
-    counts = counts or ["1"] * len(fields)
-    if len(set(fields) - {"_"}) < len(fields) - fields.count("_"):
+    counts = counts or ["1"] * len(names)
+    if len(set(names) - {"_"}) < len(names) - names.count("_"):
         raise CloudError(f"{path}: two FIELDS have one name ({header['FIELDS'][:80]}); give each its own")
-    if not len(fields) == len(kinds) == len(sizes) == len(counts):
+    if not len(names) == len(kinds) == len(sizes) == len(counts):
         raise CloudError(
-            f"{path}: there are {len(fields)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT; "
+            f"{path}: there are {len(names)} FIELDS, {len(sizes)} SIZE, {len(kinds)} TYPE and {len(counts)} COUNT; "
             "give one of each for every field"
         )
-    for name, kind, size, count in zip(fields, kinds, sizes, counts, strict=True):
+    for name, kind, size, count in zip(names, kinds, sizes, counts, strict=True):
         if kind + size not in _KINDS or not (count.isascii() and count.isdigit() and 0 < int(count[:9]) <= MOST_COUNT):
             raise CloudError(
                 f"{path}: field {name[:40]} has TYPE {kind[:9]}, SIZE {size[:9]} and COUNT {count[:12]}; a TYPE is F, "
                 f"U or I of 1, 2, 4 or 8 bytes (F: 4 or 8), a COUNT from 1 to {MOST_COUNT}"
             )
-    num_bytes, of_point = path.stat().st_size, _bytes_of_point(header)
-    at_least = {"ascii": 2 * len(fields) - 1, "binary": of_point}.get(header["DATA"], 0) * num_points
+    fields = [
+        Field(name, kind, int(size), int(n)) for name, kind, size, n in zip(names, kinds, sizes, counts, strict=True)
+    ]
+    num_bytes, of_point = path.stat().st_size, sum(field.num_bytes for field in fields)
+    at_least = {"ascii": 2 * len(names) - 1, "binary": of_point}.get(header["DATA"], 0) * num_points
     if at_least > num_bytes:
         raise CloudError(
             f"{path}: {num_points} points are announced, which take {at_least} bytes, and the file has {num_bytes}; it "
             "was cut short: export it again"
         )
     check_unpacked(num_bytes, of_point * num_points)
+    return fields
 
 
-def _bytes_of_point(header: dict[str, str]) -> int:
-    return sum(int(size) * count for size, count in zip(header["SIZE"].split(), _counts(header), strict=True))
+def _text_columns(file: BufferedReader, fields: list[Field], wanted: list[str]) -> Columns:
+    """Columns of text; a row may have several spaces."""
+    names, starts = [field.name for field in fields], np.cumsum([0, *(field.count for field in fields)])
+    places = starts[[names.index(name) for name in wanted]].tolist()
+    rows = np.loadtxt(file, usecols=places, ndmin=2, dtype=np.float64)
+    return dict(zip(wanted, rows.T, strict=True))
 
 
-def _check_packed(path: Path, num_header_lines: int, num_bytes: int) -> None:
-    """Refuse packed points that announce another size than they have: memory would be asked for all of it."""
-    with opened(path, CLOUD) as file:
-        for _ in range(num_header_lines):
-            file.readline(MOST_LINE_BYTES)
-        announced = int.from_bytes(file.read(8)[4:], "little")
+def _binary_columns(
+    file: BufferedReader, fields: list[Field], wanted: list[str], num_points: int, is_plain: bool, path: Path
+) -> Columns:
+    """Columns of point after point, or of packed field after field; pypcd4 takes longer to load than these to read."""
+    of_field = [field.num_bytes for field in fields]
+    if is_plain:
+        points = np.frombuffer(file.read(), np.uint8, num_points * sum(of_field)).reshape(num_points, -1)
+        columns = np.split(points, np.cumsum(of_field)[:-1], axis=1)
+    else:
+        packed = np.frombuffer(_decompressed(file, num_points * sum(of_field), path), np.uint8)
+        columns = np.split(packed, np.cumsum(of_field)[:-1] * num_points)
+    found = {field.name: (field, column) for field, column in zip(fields, columns, strict=True)}
+    return {
+        name: np.ascontiguousarray(column).ravel().view(f"<{field.kind.lower()}{field.size}")
+        for name, (field, column) in ((name, found[name]) for name in wanted)
+    }
+
+
+def _decompressed(file: BufferedReader, num_bytes: int, path: Path) -> bytes:
+    """Unpack points; those that announce another size than they have are refused, as memory would be asked for it."""
+    import lzf
+
+    start = file.read(8)
+    num_packed, announced = (int.from_bytes(start[k : k + 4], "little") for k in (0, 4))
     if announced != num_bytes:
         raise CloudError(
             f"{path}: its packed points announce {announced} bytes, and its header {num_bytes}; it was cut short or "
             "changed: export it again"
         )
-
-
-def _binary_columns(path: Path, header: dict[str, str], num_header_lines: int, names: list[str]) -> Columns:
-    """Columns of point after point, or of packed field after field; pypcd4 takes longer to load than these to read."""
-    fields, sizes = header["FIELDS"].split(), header["SIZE"].split()
-    kinds = [f"<{kind.lower()}{size}" for kind, size in zip(header["TYPE"].split(), sizes, strict=True)]
-    with opened(path, CLOUD) as file:
-        for _ in range(num_header_lines):
-            file.readline(MOST_LINE_BYTES)
-        data = file.read()
-    num_points = int(header["POINTS"])
-    of_field = [int(size) * count for size, count in zip(sizes, _counts(header), strict=True)]
-    if header["DATA"] == "binary":
-        points = np.frombuffer(data, np.uint8, num_points * sum(of_field)).reshape(num_points, -1)
-        columns = np.split(points, np.cumsum(of_field)[:-1], axis=1)
-    else:
-        packed = np.frombuffer(_decompressed(data, path), np.uint8)
-        columns = np.split(packed, np.cumsum(of_field)[:-1] * num_points)
-    own = {name: np.ascontiguousarray(columns[fields.index(name)]).ravel() for name in names}
-    return {name: column.view(kinds[fields.index(name)]) for name, column in own.items()}
-
-
-def _decompressed(data: bytes, path: Path) -> bytes:
-    import lzf
-
-    num_packed, num_bytes = (int.from_bytes(data[k : k + 4], "little") for k in (0, 4))
     try:
-        found = lzf.decompress(data[8 : 8 + num_packed], num_bytes)
+        found = lzf.decompress(file.read()[:num_packed], num_bytes)
     except ValueError:
         found = None
     if found is None or len(found) != num_bytes:
@@ -156,44 +194,10 @@ def _decompressed(data: bytes, path: Path) -> bytes:
     return found
 
 
-def _text_columns(path: Path, header: dict[str, str], num_header_lines: int, names: list[str]) -> Columns:
-    """Columns of text; a row may have several spaces."""
-    fields, counts = header["FIELDS"].split(), _counts(header)
-    places = [sum(counts[: fields.index(name)]) for name in names]
-    with opened(path, CLOUD) as file:
-        rows = np.loadtxt(file, skiprows=num_header_lines, usecols=places, ndmin=2, dtype=np.float64)
-    return dict(zip(names, rows.T, strict=True))
-
-
-def _pcd_header(path: Path) -> tuple[dict[str, str], int]:
-    """Header entries of a PCD file, our comments too, and how many lines they take."""
-    header: dict[str, str] = {}
-    with opened(path, CLOUD) as file:
-        for number in range(1, MOST_HEADER_LINES):
-            line = file.readline(MOST_LINE_BYTES)
-            text = line.decode("ascii", errors="replace").strip()
-            comment = next((each for each in COMMENTS if text.startswith(each)), None)
-            if comment is not None:
-                header[comment] = text.removeprefix(comment).strip()
-            elif not text.startswith("#"):
-                key, _, value = text.partition(" ")
-                header[key] = value.strip()
-            if text.startswith("DATA"):
-                return header, number
-            if not line:
-                break
-    raise CloudError(f"{path}: has no DATA line; it is no PCD file or was cut short in the header")
-
-
-def _counts(header: dict[str, str]) -> list[int]:
-    return [int(count) for count in (header.get("COUNT") or "1 " * len(header["FIELDS"].split())).split()]
-
-
-def _packed_kind(header: dict[str, str], name: str, path: Path) -> str:
+def _packed_kind(field: Field, path: Path) -> str:
     """TYPE of a packed colour: F, U or I."""
-    place = header["FIELDS"].split().index(name)
-    kind, size, count = header["TYPE"].split()[place], header["SIZE"].split()[place], _counts(header)[place]
-    if (size, count) != ("4", 1):
+    name, kind, size, count = field
+    if (size, count) != (4, 1):
         raise CloudError(
             f"{path}: field {name} has TYPE {kind}, SIZE {size} and COUNT {count}; a colour is packed into 4 bytes, "
             "TYPE F or U, COUNT 1: export it so, or leave it out"
@@ -212,12 +216,7 @@ def _unpacked(column: Shaped[np.ndarray, " n"], points_m: Points, kind: str) -> 
     return np.stack([bits >> shift & 0xFF for shift in (16, 8, 0)], axis=1).astype(np.uint8)
 
 
-def _packed(colours: Colours) -> Float[np.ndarray, " n"]:
-    red, green, blue = colours.astype(np.uint32).T
-    return (red << 16 | green << 8 | blue).view(np.float32)
-
-
-def _pcd_intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
+def _intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
     if INTRINSICS_COMMENT not in header:
         return None
     values = header[INTRINSICS_COMMENT].split()
@@ -225,11 +224,6 @@ def _pcd_intrinsics(header: dict[str, str], path: Path) -> Intrinsics | None:
         raise CloudError(f"{path}: the intrinsics comment is {values}; it must be 'fx fy cx cy' in pixels")
     fx, fy, cx, cy = _numbers(values, "the intrinsics comment", path)
     return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-
-
-def _pcd_viewpoint(header: dict[str, str], path: Path) -> Viewpoint:
-    values = (header.get("VIEWPOINT") or "0 0 0").split()
-    return viewpoint_of(_numbers(values, "VIEWPOINT", path), str(path))
 
 
 def _numbers(values: list[str], what: str, path: Path) -> list[float]:
@@ -259,7 +253,8 @@ def write_pcd(cloud: Cloud, path: str | os.PathLike[str]) -> None:
     columns = [*cloud.points_m.astype(np.float32).T]
     names = ["x", "y", "z"]
     if cloud.colours is not None:
-        columns, names = [*columns, _packed(cloud.colours)], [*names, "rgb"]
+        red, green, blue = cloud.colours.astype(np.uint32).T
+        columns, names = [*columns, (red << 16 | green << 8 | blue).view(np.float32)], [*names, "rgb"]
     parsed = PointCloud.from_points(columns, names, [np.float32] * len(names))
     num_rows, num_columns = cloud.shape or (1, len(cloud.points_m))
     viewpoint = (*cloud.eye_m.tolist(), *quaternion_of(cloud.camera_axes))

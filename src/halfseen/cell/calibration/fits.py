@@ -1,0 +1,340 @@
+"""What a cell's laws are fitted by: P(an attempt holds), times of attempts, and what labels tell of what was in view.
+
+*P(an attempt holds), given what is seen*, is a logistic regression with a random offset of each object, under
+censoring. For attempts i of object g, with covariates x_i and weights w_i ∝ δ_i / Ĝ(time_i⁻) of mean 1,
+
+    ℓ(β, σ) = Σ_g log ∫ Π_{i ∈ g} expit(±(x_i·β + σ z))^{w_i} φ(z) dz,
+
+the integral by Gauss–Hermite quadrature, plus a weak normal prior. An attempt that was cut weighs nothing, and stands
+for by those that were seen. Standard errors are robust, tables being the clusters [LiangZeger1986]_.
+
+The offset of an object is never seen, but its past attempts j tell of it. With φ the standard normal density,
+
+    P(held | x, past) = ∫ expit(x·β + σz) Π_j expit(±(x_j·β + σz)) φ(z) dz / ∫ Π_j expit(±(x_j·β + σz)) φ(z) dz,
+
+both integrals at the same nodes.
+
+*Times* of attempts are lognormal, for those that hold and those that miss.
+
+*Labels.* An object tells what it is at some share V of its surface: a stain is found when so much has been in view, or
+never. What is known of V is an interval, from what had been seen before the label that said DIRTY to what was seen with
+it; or that V lies beyond all that was seen. The curve P(V ≤ v) is a straight line between knots; its steps maximise the
+likelihood, found by self-consistency [Turnbull1976]_.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pandas as pd
+from scipy.optimize import minimize
+from scipy.special import expit, log_expit, logsumexp, softmax
+
+from halfseen.cell.calibration.attempts import FACTS
+from halfseen.errors import LogError
+from halfseen.perception.labels import FACING_SHARE
+from halfseen.shapes import Float, Int
+from halfseen.tables.grasp_attempts import checked_attempts
+from halfseen.world.seeing import SAME_VIEW, PersistentSeeing
+
+CENTRES, SCALES = (
+    {"is_lying": 0.0, "width_m": 0.075, "room_m": 0.04},
+    {"is_lying": 1.0, "width_m": 0.02, "room_m": 0.03},
+)
+"""Facts enter as (fact − centre) / scale: a standing cup 7.5 cm wide with 4 cm of room has offset 0."""
+NAMES = ("log_odds", "occlusion", *FACTS, "log_offset_std")  # of the parameters, in their order
+_PRIOR_MEAN = np.array([0.0, 0.0, 0.0, 0.0, 0.0, np.log(0.5)])
+_PRIOR_STD = np.array([5.0, 5.0, 5.0, 2.0, 2.0, 1.0])
+_NUM_NEWTON_STEPS = 4
+_NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(15)
+
+
+@dataclass(frozen=True)
+class GraspFit:
+    """What attempts tell of P(held): estimates of `NAMES`, and their covariance, robust, tables being clusters.
+
+    Beside them stand the numbers of attempts that were decided and cut, and the effective sample size of the weights.
+    """
+
+    estimate: Float[np.ndarray, " p"]
+    covariance: Float[np.ndarray, "p p"]
+    num_decided: int
+    num_cut: int
+    effective_sample_size: float
+
+    @property
+    def standard_error(self) -> Float[np.ndarray, " p"]:
+        """Of each estimate."""
+        return np.sqrt(np.diag(self.covariance))
+
+
+def design(trials: pd.DataFrame) -> Float[np.ndarray, "n k"]:
+    """Give the covariates of attempts: 1, the occlusion, and the facts as `CENTRES` and `SCALES` have them.
+
+    Parameters
+    ----------
+    trials
+        With occlusion and `FACTS`.
+    """
+    facts = [(trials[name].to_numpy(dtype=np.float64) - CENTRES[name]) / SCALES[name] for name in FACTS]
+    return np.column_stack([np.ones(len(trials)), trials["occlusion"], *facts])
+
+
+def fit_grasping(trials: pd.DataFrame, censoring: str = "kaplan-meier") -> GraspFit:
+    """Fit the regression.
+
+    Parameters
+    ----------
+    trials
+        As `halfseen.cell.calibration.attempts.trials` gives them.
+    censoring
+        As in `halfseen.tables.grasp_models.BetaGrasp`.
+
+    Raises
+    ------
+    ArgumentError
+        A value is none that an attempt can have, or none was decided.
+    PositivityError
+        A weight is not identified.
+    LogError
+        No finite numbers fit them.
+    """
+    decided = checked_attempts(trials, censoring)
+    kept = trials["is_finished"].to_numpy(dtype=bool)
+    # Rows of one object follow one another's number; an integral is taken over each.
+    objects = pd.factorize(decided.group)[0].astype(np.int64)
+    clusters = pd.factorize(trials["trajectory"][kept])[0].astype(np.int64)
+    # Of mean 1: within the integral over an object's offset, attempts that weigh more would seem to be more.
+    weight = decided.weight / decided.weight.mean()
+    data = _Data(design(trials)[kept], np.where(decided.succeeded, 1.0, -1.0), weight, objects)
+    estimate = minimize(lambda theta: _posterior(theta, data)[:2], _PRIOR_MEAN, jac=True).x
+    for _ in range(_NUM_NEWTON_STEPS):
+        # To the last digits, so that every machine finds the same.
+        _, gradient, _, curvature = _posterior(estimate, data)
+        estimate = estimate - np.linalg.solve(curvature(), gradient)
+    _, _, scores, curvature = _posterior(estimate, data)
+    bread = np.linalg.inv(curvature())
+    of_object = np.zeros(len(scores), dtype=np.int64)
+    of_object[objects] = clusters
+    by_table = np.zeros((int(clusters.max()) + 1, len(estimate)))
+    np.add.at(by_table, of_object, scores)
+    covariance = bread @ (by_table.T @ by_table) @ bread
+    if not (np.isfinite(estimate).all() and np.isfinite(covariance).all()):
+        raise LogError("no finite numbers fit these attempts; look for facts of objects that are out of all proportion")
+    num_cut = len(trials) - len(clusters)
+    return GraspFit(estimate, covariance, len(clusters), num_cut, decided.diagnostics.effective_sample_size)
+
+
+class _Data(NamedTuple):
+    """Attempts that were decided."""
+
+    covariates: Float[np.ndarray, "n k"]
+    sign: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, " n"]
+    objects: Int[np.ndarray, " n"]
+
+
+def _posterior(
+    theta: Float[np.ndarray, " p"], data: _Data
+) -> tuple[float, Float[np.ndarray, " p"], Float[np.ndarray, "objects p"], Callable[[], Float[np.ndarray, "p p"]]]:
+    """Negative log-posterior, its gradient, that of each object's log-likelihood, and the Hessian when it is asked for.
+
+    With l_q the log-likelihood of an object at node q of its offset, and π_q its posterior there, the gradient of
+    log Σ_q e^{l_q} is Σ π l', and its Hessian Σ π (l'' + l' l'ᵀ) − (Σ π l')(Σ π l')ᵀ.
+    """
+    num_objects, std = int(data.objects.max()) + 1, np.exp(theta[-1])
+    logits = data.sign[:, None] * ((data.covariates @ theta[:-1])[:, None] + std * _NODES)
+    slope = data.weight[:, None] * data.sign[:, None] * expit(-logits)
+    # How each logit moves with each parameter, by node.
+    moves = np.concatenate(
+        [
+            np.broadcast_to(data.covariates[:, None], (*logits.shape, len(theta) - 1)),
+            np.broadcast_to((std * _NODES)[:, None], (*logits.shape, 1)),
+        ],
+        axis=2,
+    )
+
+    def by_object(values: np.ndarray) -> np.ndarray:
+        total = np.zeros((num_objects, *values.shape[1:]))
+        np.add.at(total, data.objects, values)
+        return total
+
+    each = by_object(data.weight[:, None] * log_expit(logits)) + np.log(_WEIGHTS / _WEIGHTS.sum())
+    found = np.asarray(logsumexp(each, axis=1))
+    chance = np.exp(each - found[:, None])
+    gradients = by_object(slope[..., None] * moves)
+    scores = np.einsum("oq,oqp->op", chance, gradients)
+    shift = (theta - _PRIOR_MEAN) / _PRIOR_STD
+
+    def curvature() -> np.ndarray:
+        bend = -data.weight[:, None] * expit(logits) * expit(-logits)
+        hessians = by_object(bend[..., None, None] * moves[..., :, None] * moves[..., None, :])
+        # The last parameter is a logarithm: its logit bends, too.
+        hessians[..., -1, -1] += by_object(slope * std * _NODES)
+        curved = np.einsum("oq,oqpr->pr", chance, hessians + gradients[..., :, None] * gradients[..., None, :])
+        return np.diag(_PRIOR_STD**-2) - (curved - scores.T @ scores)
+
+    value = 0.5 * float(shift @ shift) - float(found.sum())
+    return value, shift / _PRIOR_STD - scores.sum(axis=0), scores, curvature
+
+
+_MANY_NODES, _MANY_WEIGHTS = np.polynomial.hermite_e.hermegauss(41)
+# More nodes than the fit has: at a few of them alone is what an object with many attempts has left of its offset.
+
+
+def held_given_past(theta: Float[np.ndarray, " p"], trials: pd.DataFrame) -> Float[np.ndarray, " n"]:
+    """Predict each attempt from those before it at the same object.
+
+    Parameters
+    ----------
+    theta
+        Estimates of `halfseen.cell.calibration.fits.NAMES`.
+    trials
+        As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object. What became of
+        an attempt is read for later ones alone; one that was cut tells them nothing.
+    """
+    logits = (design(trials) @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
+    is_decided = trials["succeeded"].notna().to_numpy()
+    is_held = trials["succeeded"].isin([True]).to_numpy()
+    sign = np.where(is_held, 1.0, -1.0)[:, None]
+    logs_of_held = pd.DataFrame(np.where(is_decided[:, None], log_expit(sign * logits), 0.0))
+    order = np.argsort(trials["stage"].to_numpy(), kind="stable")
+    in_turn = logs_of_held.iloc[order]
+    objects = trials["object"].to_numpy()[order]
+    before = (in_turn.groupby(objects).cumsum() - in_turn).sort_index().to_numpy()
+    return np.sum(softmax(before + np.log(_MANY_WEIGHTS), axis=1) * expit(logits), axis=1)
+
+
+def held_share(theta: Float[np.ndarray, " p"], covariates: Float[np.ndarray, "n k"]) -> Float[np.ndarray, " n"]:
+    """P(held) at the first attempt: the offset integrated out.
+
+    Parameters
+    ----------
+    theta
+        As in `held_given_past`.
+    covariates
+        As `halfseen.cell.calibration.fits.design` gives them.
+    """
+    logits = (covariates @ theta[:-1])[:, None] + np.exp(theta[-1]) * _MANY_NODES
+    return expit(logits) @ (_MANY_WEIGHTS / _MANY_WEIGHTS.sum())
+
+
+FEWEST_MISSES = 5  # with fewer, a miss is taken to last as long as an attempt that holds
+
+
+class TimeFit(NamedTuple):
+    """Means of the logarithms of the durations of attempts that hold and that miss, and their standard deviation.
+
+    `rest_s` is the mean time of what follows an attempt, until the next decision [s].
+    """
+
+    log_held_s: float
+    log_missed_s: float
+    log_std: float
+    rest_s: float
+
+
+def fit_times(trials: pd.DataFrame) -> TimeFit:
+    """Fit the durations, each attempt weighted for those that were cut.
+
+    Parameters
+    ----------
+    trials
+        As `halfseen.cell.calibration.attempts.trials` gives them; attempts that found nothing to try count for the rest
+        alone.
+    """
+    decided = checked_attempts(trials)
+    rows = pd.DataFrame(trials[trials["is_finished"].to_numpy(dtype=bool)])
+    attempt_s, watched_s = (rows[name].to_numpy(dtype=np.float64) for name in ("attempt_s", "time_s"))
+    is_tried = attempt_s > 0.0
+    weight, held = decided.weight[is_tried], decided.succeeded[is_tried]
+    log_s = np.log(attempt_s[is_tried])
+    means = [float(np.average(log_s[which], weights=weight[which])) for which in _groups(held)]
+    spread = log_s - np.where(held, *means)
+    rest_s = float(np.average(watched_s - attempt_s, weights=decided.weight))
+    return TimeFit(means[0], means[1], float(np.sqrt(np.average(spread**2, weights=weight))), rest_s)
+
+
+def _groups(held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    missed = ~held
+    every = np.ones_like(held)
+    return (held if held.any() else every), (missed if missed.sum() >= FEWEST_MISSES else every)
+
+
+VIEWS = (0.25 * FACING_SHARE, 0.5 * FACING_SHARE, 0.75 * FACING_SHARE, FACING_SHARE, 1.0)
+"""Shares of the surface at which curves are fitted: quarters of what a look on the table shows, and all."""
+_NUM_STEPS, _SMALLEST_CHANGE = 2000, 1e-10
+
+Interval = tuple[float, float]
+"""The label turned DIRTY after the first share had been seen, and by the second; infinite where it never did."""
+
+
+def fit_seeing(glances: pd.DataFrame) -> PersistentSeeing:
+    """Fit both curves.
+
+    Parameters
+    ----------
+    glances
+        One row an object, as `attempts.glances` gives them.
+
+    Raises
+    ------
+    LogError
+        No object is dirty, or none is clean.
+    """
+    curves = []
+    for is_dirty in (True, False):
+        rows = pd.DataFrame(glances[glances["is_dirty"] == is_dirty])
+        if rows.empty:
+            kind = "dirty" if is_dirty else "clean"
+            raise LogError(
+                f"objects: none of {len(glances)} is {kind}; labels are calibrated on dirty and on clean ones"
+            )
+        curves.append(tuple(found_by(intervals(rows)).tolist()))
+    return PersistentSeeing(FACING_SHARE, VIEWS, curves[0], curves[1])
+
+
+def intervals(rows: pd.DataFrame) -> list[Interval]:
+    """The interval of each object that holds the share at which its label turned DIRTY.
+
+    Parameters
+    ----------
+    rows
+        With `attempts.GLANCES`.
+    """
+    columns = (rows[name] for name in ("glance_occlusions", "glance_held", "glance_dirty"))
+    return [_interval(zip(*each, strict=True)) for each in zip(*columns, strict=True)]
+
+
+def _interval(labels: Iterable[tuple[float, bool, bool]]) -> Interval:
+    seen = 0.0
+    for occlusion, is_held, says_dirty in labels:
+        shown = 1.0 if is_held else FACING_SHARE * (1.0 - occlusion)
+        # What shows no more than was seen before is no news: it repeats itself, or errs by noise.
+        if shown <= seen + SAME_VIEW:
+            continue
+        if says_dirty:
+            return seen, shown
+        seen = shown
+    return seen, np.inf
+
+
+def found_by(intervals: list[Interval]) -> Float[np.ndarray, " knots"]:
+    """P(V ≤ v) at each of `VIEWS`, by maximum likelihood."""
+    knots = np.array([0.0, *VIEWS])
+    low, high = np.array(intervals, dtype=np.float64).reshape(-1, 2).T
+    # How much of each piece an interval holds; the last column is "never".
+    begins, ends = np.maximum(knots[:-1], low[:, None]), np.minimum(knots[1:], high[:, None])
+    inside = np.clip(ends - begins, 0.0, None) / np.diff(knots)
+    share = np.column_stack([inside, np.isinf(high)])
+    share = share[share.sum(axis=1) > 0]
+    mass = np.full(share.shape[1], 1.0 / share.shape[1])
+    for _ in range(_NUM_STEPS):
+        weight = share * mass
+        after = (weight / weight.sum(axis=1, keepdims=True)).mean(axis=0)
+        is_settled = np.abs(after - mass).max() < _SMALLEST_CHANGE
+        mass = after
+        if is_settled:
+            break
+    return np.minimum(np.cumsum(mass[:-1]), 1.0)
