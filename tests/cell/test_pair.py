@@ -6,7 +6,7 @@ import mujoco
 import numpy as np
 import pytest
 from cells import CAMERA, FULL_CAMERA, HOMES, LEFT, ROBOTS, SLIM, live_pair, two_arm_cell
-from halfseen.scene.stains import draw_surface
+from halfseen.scene.cups import draw_surface
 from scipy.spatial.transform import Rotation
 
 from halfseen.cell.kinematics import Kinematics, line

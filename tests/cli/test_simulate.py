@@ -9,7 +9,7 @@ import pytest
 import shell
 from shell import BEHIND, LEFT, RIGHT, TABLE, run
 
-from halfseen.cell.calibration.law_folder import read_law, shipped_law, write_law
+from halfseen.cell.calibration.law import read_law, shipped_law, write_law
 from halfseen.cli.inputs import policy_for, read_robots
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
