@@ -6,7 +6,6 @@ import mujoco
 import numpy as np
 import pytest
 from cells import CAMERA, FULL_CAMERA, HOMES, LEFT, ROBOTS, SLIM, live_pair, two_arm_cell
-from halfseen.scene.cups import draw_surface
 from scipy.spatial.transform import Rotation
 
 from halfseen.cell.kinematics import Kinematics, line
@@ -14,6 +13,7 @@ from halfseen.cell.live_cell import Reserve
 from halfseen.cell.model import PAIR
 from halfseen.cell.space import MARGIN_M, Outline
 from halfseen.errors import PlanError
+from halfseen.scene.cups import draw_surface
 from halfseen.scene.poses import Pose
 from halfseen.scene.table import TABLE_TOP_M
 
