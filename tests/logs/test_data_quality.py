@@ -1,6 +1,7 @@
 """Sound logs raise no data-quality warning; each way of being legal and probably not meant raises its own."""
 
 import re
+import tomllib
 
 import numpy as np
 import pandas as pd
@@ -78,9 +79,9 @@ def caused(tables, cause, rows=slice(None), end_s=None):
         tables["trajectories"].loc[is_cut, "end_s"] = np.linspace(end_s, end_s * 1.001, len(is_cut))
 
 
-def in_milliseconds(tables):
+def in_milliseconds(tables, num_first=10):
     for name, column in (("stages", "elapsed_s"), ("trajectories", "end_s")):
-        tables[name].loc[tables[name]["trajectory"] < 10, column] *= 1000
+        tables[name].loc[tables[name]["trajectory"] < num_first, column] *= 1000
 
 
 def stages(column, value, of=lambda stages: slice(None)):
@@ -94,6 +95,11 @@ def stages(column, value, of=lambda stages: slice(None)):
         tables["stages"] = rows.infer_objects()
 
     return change
+
+
+def reward_as_distance(tables):
+    rows = tables["stages"]
+    rows["reward"] = rows["distance"].where(rows["elapsed_s"].notna())
 
 
 def late(rows):
@@ -117,6 +123,9 @@ def without_probability(tables):
         (lambda tables: caused(tables, "time-out", end_s=tables["trajectories"]["end_s"].max() + 1), "horizon-as-cut",
          "{cuts} of {cuts} cuts by time-out fall at"),
         (in_milliseconds, "mixed-clock-units", r"in (10|9) .*are some clocks in milliseconds\?"),
+        (lambda tables: in_milliseconds(tables, 1), "mixed-clock-units",
+         r"^stages of trajectory \d+ last .* about 1,000 times as long as those of all others .* in milliseconds\?$"),
+        (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
         *(
             (stages(name, lambda values: values * 1e6, late), "mixed-covariate-units", f"^covariate {name} is around")
             for name in ("distance", "offset")
@@ -166,8 +175,9 @@ def test_names_that_differ_in_spelling(tables):
     tables["trajectories"]["cause"] = causes.where(causes.index % 2 == 0, causes.str.upper())
     tables["stages"].loc[::3, "action"] = tables["stages"]["action"].str.title() + " "
     spelling = [s.sentence for s in data_warnings(Logs(**tables)) if s.kind == "spelling"]
-    assert spelling[0] == "causes 'BATTERY', 'battery' differ only in their spelling: count them as one"
-    assert "actions 'PICK', 'Pick ' differ only in their spelling: count them as one" in spelling
+    remedy = "differ only in their spelling: count them as one (in a mapping: values = {{{}}})"
+    assert spelling[0] == "causes 'BATTERY', 'battery' " + remedy.format('"battery" = "BATTERY"')
+    assert "actions 'PICK', 'Pick ' " + remedy.format('"Pick " = "PICK"') in spelling
 
 
 NFC, NFD = "caf\u00e9", "cafe\u0301"
@@ -221,7 +231,8 @@ def test_names_that_look_alike_are_said_by_their_code_points(tables, table, colu
     rows = tables[table]
     rows[column] = [(NFC, NFD, "pick")[k % 3] for k in range(len(rows))]
     told = found(tables)["spelling"]
-    assert told == rf"{what} 'cafe\u0301', 'caf\xe9' differ only in their spelling: count them as one"
+    assert told.startswith(rf"{what} 'cafe\u0301', 'caf\xe9' differ only in their spelling: count them as one (in")
+    assert tomllib.loads(told[told.index("values =") : -1])["values"] == {NFC: NFD}
 
 
 def test_a_clock_that_runs_on(tables):

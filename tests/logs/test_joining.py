@@ -90,6 +90,16 @@ def test_columns_take_the_type_that_serves_all(tmp_path):
     assert stages["object"].isna().tolist() == [True, False, True]
 
 
+def test_only_some_have_stepped_back(tmp_path):
+    tables = flat_log(20).tables
+    stages = tables["stages"].assign(stepped_back=["late", *[None] * (len(tables["stages"]) - 1)])
+    Logs(**tables).write(tmp_path / "one")
+    Logs(**tables | {"stages": stages}).write(tmp_path / "other")
+    compact([tmp_path / "one", tmp_path / "other"], tmp_path / "all")
+    found = read_logs(tmp_path / "all").stages["stepped_back"]
+    assert (found.notna().sum(), found[len(stages)]) == (1, "late")
+
+
 def test_trajectories_that_are_being_recorded_are_left_out(tmp_path):
     with LogRecorder(tmp_path / "live") as recorder:
         recorder.begin_trajectory("p").begin_stage(covariates={"x": 0.5}, action="A")

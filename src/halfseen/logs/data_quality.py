@@ -6,9 +6,11 @@ recorded the logs, never a reason to refuse them.
 Units that look mixed show by a gap: two groups of trajectories, far apart, with nothing in between.
 """
 
+import json
 import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,9 +19,23 @@ from pandas.util import hash_pandas_object
 
 from halfseen.arrays import Rows
 from halfseen.logs.columns import OBJECT_COLUMNS, shown
-from halfseen.logs.grouping import can_be_counted, coded, far_apart, grouped_covariates, is_one_kind, rows_with
+from halfseen.logs.grouping import (
+    can_be_counted,
+    coded,
+    far_apart,
+    grouped_covariates,
+    is_one_kind,
+    rows_with,
+    thousandfold_of_others,
+)
 from halfseen.logs.logs import Logs
-from halfseen.logs.plausibility import cuts_called_finished, leaks, outcomes_among_covariates, untrue_probabilities
+from halfseen.logs.plausibility import (
+    MOST_EXPLAINED,
+    cuts_called_finished,
+    leaks,
+    outcomes_among_covariates,
+    untrue_probabilities,
+)
 from halfseen.suggestions import alike, spelled_out
 
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
@@ -90,8 +106,14 @@ def _mixed_clocks(logs: Logs) -> Iterator[str]:
     """Stages of some trajectories last some thousand times as long as those of others."""
     # The mean of a trajectory, not its shortest stages: some actions take hardly any time.
     clocks = logs.stages.groupby("trajectory")["elapsed_s"]
-    for words in _apart(logs, "stages last", clocks.max() / clocks.count(), " s"):
+    mean_s = clocks.max() / clocks.count()
+    for words in _apart(logs, "stages last", mean_s, " s"):
         yield f"{words}: are some clocks in milliseconds?"
+    for trajectory, size_s, others_s in thousandfold_of_others(mean_s):
+        yield (
+            f"stages of trajectory {shown(trajectory)} last {size_s:.3g} s, about 1,000 times as long as those of all "
+            f"others ({others_s:.3g} s): is its clock in milliseconds?"
+        )
 
 
 def _long_clocks(logs: Logs) -> Iterator[str]:
@@ -206,7 +228,11 @@ def _spelling(logs: Logs) -> Iterator[str]:
     for what, values in names:
         found = values.dropna().unique()
         for same in alike(found) if len(found) <= MOST_SPELLINGS else ():
-            yield f"{what} {_listed(spelled_out(same))} differ only in their spelling: count them as one"
+            as_first = ", ".join(f"{json.dumps(other)} = {json.dumps(same[0])}" for other in same[1:])
+            yield (
+                f"{what} {_listed(spelled_out(same))} differ only in their spelling: count them as one (in a mapping: "
+                f"values = {{{as_first}}})"
+            )
 
 
 def _rare_actions(logs: Logs) -> Iterator[str]:
@@ -237,6 +263,16 @@ def _no_exploration(logs: Logs) -> Iterator[str]:
     probability = logs.stages.loc[logs.stages["elapsed_s"].notna(), "probability"]
     if len(probability) >= FEWEST_ROWS and (probability == 1).all():
         yield "all probabilities are 1: the policy never explored, so nothing can be learned of other actions"
+
+
+def _reward_as_covariate(logs: Logs) -> Iterator[str]:
+    """A reward that equals another number of its stage in every row was taken from the wrong column."""
+    completed: Any = logs.stages[logs.stages["reward"].notna()]
+    if len(completed) < FEWEST_ROWS or completed["reward"].nunique() < 3:
+        return
+    for name in (*logs.stage_covariates, *("probability",) * ("probability" in completed.columns)):
+        if _is_number(completed[name]) and (completed[name].astype(float) == completed["reward"]).all():
+            yield f"all {len(completed)} rewards equal {name}: was the wrong column taken for the reward?"
 
 
 def _equal_rewards(logs: Logs) -> Iterator[str]:
@@ -312,7 +348,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "all-cut": _all_cut,
     "untrue-probability": untrue_probabilities,
     "leak": leaks,
-    "outcome-as-covariate": outcomes_among_covariates,
+    "outcome-as-covariate": partial(outcomes_among_covariates, untested=MOST_EXPLAINED),
     "cut-called-finished": cuts_called_finished,
     "identifier": _identifiers,
     "number-as-text": _numbers_as_text,
@@ -325,6 +361,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "long-clock": _long_clocks,
     "running-clock": _running_clocks,
     "mixed-covariate-units": _mixed_covariates,
+    "reward-as-covariate": _reward_as_covariate,
     "spelling": _spelling,
     "rare-action": _rare_actions,
     "no-probability": _no_probability,

@@ -16,6 +16,8 @@ BEGINNING = 1000
 """Rows that tell of most columns whether they have many kinds."""
 FEWEST_APART, FEWEST_SHARE, GAP, RATIO = 3, 0.01, 30.0, 300.0
 """Of a group whose units may differ: how many at least, what share, and how far apart."""
+FEWEST_OTHERS, MOST_RATIO = 20, 3000.0
+"""Of a few alone: beside how many, and how far apart at most."""
 
 
 class Grouped(NamedTuple):
@@ -98,6 +100,31 @@ def far_apart(sizes: Rows) -> RowMask | None:
     if gaps.max() < np.log(GAP) or ratio < np.log(RATIO):
         return None
     return usable & (sizes >= np.exp((logs[split] + logs[split - 1]) / 2))
+
+
+def thousandfold_of_others(sizes: Any) -> Iterator[tuple[Any, float, float]]:
+    """Positive sizes some thousand times as large as all others, where these are too few to be a group.
+
+    Parameters
+    ----------
+    sizes : Series
+        Of each trajectory.
+
+    Yields
+    ------
+    tuple
+        Name of the trajectory, its size, and the median size of the others.
+    """
+    ordered = sizes[np.isfinite(sizes) & (sizes > 0)].sort_values()
+    most = max(FEWEST_APART, int(np.ceil(FEWEST_SHARE * len(ordered)))) - 1
+    gaps = np.diff(np.log(ordered.to_numpy(dtype=np.float64)))[-most:]
+    if len(ordered) < FEWEST_OTHERS or not gaps.max() >= np.log(GAP):
+        return
+    first = len(ordered) - len(gaps) + int(gaps.argmax())
+    usual = float(ordered.iloc[:first].median())
+    for name, size in ordered.iloc[first:].items():
+        if RATIO <= size / usual <= MOST_RATIO:
+            yield name, float(size), usual
 
 
 def by_cause(logs: Logs) -> list[dict[str, Any]]:

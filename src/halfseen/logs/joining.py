@@ -17,7 +17,7 @@ import pyarrow.parquet as pq
 
 from halfseen.errors import ArgumentError, LogError
 from halfseen.logs.checks import common_unit
-from halfseen.logs.columns import shown
+from halfseen.logs.columns import STEPPED_BACK, shown
 from halfseen.logs.folder import Place, place_of
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import KEEP
@@ -254,7 +254,7 @@ def _agreed(
     return {name: _unified(name, schemas[name], here[name], run, first) for name in here}
 
 
-_MAY_LACK = {"stages": {"object"}, "objects": set()}
+_MAY_LACK = {"stages": {"object", STEPPED_BACK}, "objects": set()}
 """Columns that may be null; what else stages and objects have was seen of each, or of none. Of trajectories all may."""
 
 

@@ -12,7 +12,7 @@ Of what the other covariates, the action, and the covariate itself in the stage 
 covariate that was written down after the stage explains most: it repeats the outcome. What was known before may do so,
 too, where rewards have little noise. But the outcome depends on the action, and what was known before does not: the
 mean of 1{A = a} / p is the same whatever its value. Both must speak against a covariate; where a log has no
-probabilities, it must foretell nearly everything.
+probabilities, it must explain most.
 
 Where a task ends,
 something tells: the action that ends it, what it paid, or the number of stages. Stages of one action that paid the
@@ -38,8 +38,9 @@ LEVEL = 1e-3
 FEWEST = 30
 TINY = 1e-100
 FEWEST_REWARDS, MOST_REWARDS = 100, 2000
-MOST_EXPLAINED, NEARLY_ALL = 0.5, 0.95
-"""Share of what is left that a covariate may explain, if it depends on the action, too; and if nobody can tell."""
+MOST_EXPLAINED, UNTESTED = 0.5, 0.8
+"""Share of what is left that a covariate may explain if it depends on the action, too; and where nobody can tell, for
+no verdict to rest on it. Logs of our worlds stay below .3."""
 IMBALANCE_LEVEL = 0.01
 FEWEST_ENDS, ENDS_LEVEL = 10, 1e-4
 COMMON = 0.2
@@ -169,8 +170,20 @@ def _with_probability(logs: Logs) -> tuple[Any, Rows]:
     return stages, np.maximum(stages["probability"].to_numpy(dtype=np.float64), TINY)
 
 
-def outcomes_among_covariates(logs: Logs, of: Collection[str] | None = None) -> Iterator[str]:
-    """Find covariates, of all or those named, that repeat the outcome of their stage."""
+def outcomes_among_covariates(
+    logs: Logs, of: Collection[str] | None = None, untested: float = UNTESTED
+) -> Iterator[str]:
+    """Find covariates that repeat the outcome of their stage.
+
+    Parameters
+    ----------
+    logs
+        The log.
+    of
+        Names of the covariates to test; None for all.
+    untested
+        Share of what is left that a covariate must explain where the log has no probabilities to test it by.
+    """
     stages = rows_with(logs.stages, "reward", "action", most=MOST_REWARDS)
     if len(stages) < FEWEST_REWARDS or not logs.stage_covariates or logs.has_objects:
         return
@@ -202,17 +215,17 @@ def outcomes_among_covariates(logs: Logs, of: Collection[str] | None = None) -> 
         if by_others <= 1e-9 * np.var(reward):
             continue
         explained = 1.0 - left(is_other | (block == 2 + 2 * len(known) + k)) / by_others
-        if explained > MOST_EXPLAINED and _is_after(stages, each, explained):
+        if explained > MOST_EXPLAINED and _is_after(stages, each, explained > untested):
             yield (
                 f"covariate {each.name} foretells the reward of its own stage: it explains {explained:.0%} of what all "
                 "that was known before leaves open; if it was written down after the action, leave it out"
             )
 
 
-def _is_after(stages: Any, each: Grouped, explained: float) -> bool:
-    """Whether a covariate that foretells so much depends on the action of its stage."""
+def _is_after(stages: Any, each: Grouped, untested: bool) -> bool:
+    """Whether a covariate that predicts the reward depends on its action; `untested` if nobody can tell."""
     if "probability" not in stages.columns or stages["probability"].isna().any():
-        return explained > NEARLY_ALL
+        return untested
     probability, (action, names) = stages["probability"].to_numpy(dtype=np.float64), coded(stages["action"])
     took = [action == k for k in range(len(names))] + [probability > MOST_EXPLAINED]
     common = [rows for rows in took if rows.any() and probability[rows].mean() > COMMON]
