@@ -1,3 +1,5 @@
+import json
+
 import numpy as np
 import pytest
 from asking import learned
@@ -22,3 +24,11 @@ def flat(tmp_path_factory):
     folder, logs = tmp_path_factory.mktemp("serving") / "flat", flat_log()
     write_policy(learned().fit(logs), logs, folder)
     return folder
+
+
+@pytest.fixture(scope="session")
+def objects():
+    """The first stage of a table, as a log has it."""
+    logs = table_log(num_trajectories=1, num_objects=3, hides=np.pad(HIDES, (0, 1)), seed=2)
+    rows = logs.objects[(logs.objects["trajectory"] == 0) & (logs.objects["stage"] == 1)]
+    return json.loads(rows.drop(columns=["trajectory", "stage"]).to_json(orient="records"))

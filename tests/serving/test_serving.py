@@ -20,7 +20,7 @@ from halfseen.scene import table_paths
 from halfseen.serving.app import app_of
 from halfseen.serving.limits import Bounded
 from halfseen.serving.served import Served
-from small_logs import HIDES, flat_log, table_log
+from small_logs import flat_log
 
 SEEN = {"x1": 0.4, "x2": 1, "colour": "red"}
 NOT_OF_ACT = {"probability", "is_explored"}
@@ -358,11 +358,7 @@ def test_a_table_is_decided_from_a_cloud_as_act_does(tables):
         assert set(openapi) == {"application/json", "multipart/form-data"}
 
 
-def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, tmp_path):
-    logs = table_log(num_trajectories=1, num_objects=3, hides=np.pad(HIDES, (0, 1)), seed=2)
-    columns = [name for name in logs.objects.columns if name not in ("trajectory", "stage")]
-    rows = logs.objects[(logs.objects["trajectory"] == 0) & (logs.objects["stage"] == 1)][columns]
-    objects = json.loads(rows.to_json(orient="records"))
+def test_a_table_as_a_log_has_it_is_decided_and_recorded(tables, objects, tmp_path):
     with client_of(tables, tmp_path / "logs") as client:
         told = client.post("/decide", json={"objects": objects}).json()
         assert told["action"] == " ".join(str(one) for one in (told["verb"], told["object"]) if one is not None)

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -27,21 +27,9 @@ CENSORING = ("auto", *options.WEIGHTING, "buckley-james", "none")
 NOTHING_TO_TRY = "that is known of named actions and covariates, where the policy seldom does what LOGS do"
 WAYS = ("to take only what still holds: {}", "or, where that is little: the same as here with --recency auto")
 """What to do where a log is not of one cell."""
+LEARNING = ("covariates", "q_function", "stages", "horizon", "grasp", "has_laws", "reg", "pessimism", "half_life")
+"""What Q looks at, and what it may be, as `learner_for` takes it."""
 START, LEARN, FOLDS, JUDGE, LOOK = 1, 2, 6, 4, 1  # what each step takes of the time, roughly
-
-
-class _Learning(NamedTuple):
-    """What Q looks at, and what it may be, as `learner_for` takes it."""
-
-    covariates: list[str] | None
-    q_function: str
-    stages: str
-    horizon: int | None
-    grasp: str | None
-    has_laws: bool
-    reg: float | str
-    pessimism: float | str
-    half_life: float | str | None
 
 
 @click.command(epilog="Example: halfseen learn logs --out policy --censoring cox --seed 1")
@@ -152,11 +140,11 @@ class _Learning(NamedTuple):
 @options.overwrite("a policy that is")
 @options.as_json
 @options.cuts
-@options.gathered("learning", _Learning, *_Learning._fields)
+@options.gathered("learning", lambda *given: dict(zip(LEARNING, given, strict=True)), *LEARNING)
 def learn(
     logs: str | Path,
     out: Path,
-    learning: _Learning,
+    learning: dict[str, Any],
     cuts: options.Cuts,
     prior_law: str | None,
     since: str | None,
@@ -206,7 +194,7 @@ def learn(
         from halfseen.policies.shares import action_shares
 
         targets, log, prior = _targets(cuts), _opened(logs, streaming, missing, since), _prior_law(prior_law)
-        choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **learning._asdict())
+        choice = learner_for(log, censoring=targets, random_state=seed, prior_law=prior, **learning)
         bar.begin("learn", START)
         learner = choice.learner.fit(log, workers)
         bar.begin("judge" if has_verdict else "look", LEARN)

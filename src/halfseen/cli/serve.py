@@ -158,7 +158,7 @@ def serve(
     from halfseen.serving.limits import bound_socket
     from halfseen.serving.limits import serve as answer
     from halfseen.serving.recording import RecordedTrajectories
-    from halfseen.serving.served import Answering
+    from halfseen.serving.served import NOBODY, Answering, Served
     from halfseen.serving.watching import Recent, Watch
 
     if is_template:
@@ -172,7 +172,11 @@ def serve(
     if against is not None and record is None:
         raise ArgumentError(f"--against is {against}, and the comparison lives in the log; give --record LOGS")
     # A folder of logs is begun only where there is something to record.
-    served = _served(policy, extrapolate, out_of_range, fall_back or against, time_limit)
+    stays_within = not extrapolate and out_of_range != "answer"
+    how: Any = {"extrapolates": extrapolate, "stays_within": stays_within, "rule": fall_back or against}
+    served = Served(policy, **how, limit_s=time_limit)
+    if served.service.fall_back is None:
+        tell_warning(f"{NOBODY}; until then, what the policy does not decide is refused")
     if served.service.stored.counts_views:
         served.law = law_of(law or SHIPPED)
     wire = None if controller is None or mapping is None else _wire(served, controller, mapping)
@@ -199,18 +203,6 @@ def serve(
                 watch.ended()
 
         answer(app_of(served, token, wire=wire), at, begun)
-
-
-def _served(
-    policy: Path, extrapolate: bool, out_of_range: str | None, rule: Path | None, time_limit: float
-) -> "Served":
-    from halfseen.serving.served import NOBODY, Served
-
-    stays_within = not extrapolate and out_of_range != "answer"
-    served = Served(policy, extrapolates=extrapolate, stays_within=stays_within, rule=rule, limit_s=time_limit)
-    if served.service.fall_back is None:
-        tell_warning(f"{NOBODY}; until then, what the policy does not decide is refused")
-    return served
 
 
 def _check_wire(controller: str | None, mapping: Path | None, record: Path | None) -> None:

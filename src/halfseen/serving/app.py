@@ -11,8 +11,8 @@ from contextlib import asynccontextmanager, nullcontext
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from msgspec import UNSET, Struct
-from msgspec.structs import asdict, replace
+from msgspec import to_builtins
+from msgspec.structs import replace
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.requests import Request
@@ -215,12 +215,8 @@ def _content_type(request: Request) -> str:
 
 
 def _json(given: Any, status: int = 200) -> Response:
-    body = json.dumps(given, default=_given_fields, allow_nan=False).encode()
+    body = json.dumps(given, default=to_builtins, allow_nan=False).encode()
     return Response(body, status, media_type=JSON)
-
-
-def _given_fields(answer: Struct) -> dict[str, Any]:
-    return {name: value for name, value in asdict(answer).items() if value is not UNSET}
 
 
 def _error(refusal: Refusal) -> Response:
