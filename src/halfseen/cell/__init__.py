@@ -1,9 +1,9 @@
 """The physical cell: arms that try what they planned from their own cloud.
 
 Read down: `gripper`, `arm` or `chain` and `arm_file`, `model` (what there is, as one MuJoCo model) → `kinematics`
-(angles of a hand) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes,
-how it gets there, and where an arm waits) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the robot knows) →
-`workcell` (one table and its robots) → `table_state`, `rewards` (what a policy decides in, and what it earns) →
+(angles of a hand) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes, how it gets
+there, and where an arm waits) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the robot knows)
+→ `workcell` (one table and its robots) → `table_state`, `rewards` (what a policy decides in, and what it earns) →
 `space`, `executor` (K arms in one clock) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
 `calibration` (laws from what was tried).
 
