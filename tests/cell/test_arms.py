@@ -13,9 +13,8 @@ from halfseen.cell.arm import JACO_2
 from halfseen.cell.fetching import come, feels, pick_up
 from halfseen.cell.grasps import Grasp
 from halfseen.cell.gripper import ROBOT as CONTACTS
-from halfseen.cell.home import STANDS_M
 from halfseen.cell.kinematics import Kinematics
-from halfseen.cell.planning import beginnings, plans
+from halfseen.cell.planning import STANDS_M, beginnings, plans
 from halfseen.errors import SceneError
 from halfseen.scene.poses import Pose
 from halfseen.scene.rays import FURNITURE_GROUP, UNSEEN_GROUP

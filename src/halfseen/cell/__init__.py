@@ -1,9 +1,9 @@
 """The physical cell: arms that try what they planned from their own cloud.
 
-Read down: `gripper`, `arm` or `chain` and `arm_file`, `model` (what there is, as one MuJoCo model) → `kinematics`,
-`home` (angles of a hand) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes, and
-how it gets there) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the robot knows) →
-`workcell` (one table and its robots) → `table_state`, `rewards` (what a policy decides in, and what it earns) →
+Read down: `gripper`, `arm` or `chain` and `arm_file`, `model` (what there is, as one MuJoCo model) → `kinematics`
+(angles of a hand) → `live_cell`, `camera` (physics and looks) → `grasps`, `planning` (where a hand closes, how it gets
+there, and where an arm waits) → `fetching` (what an arm does with an object) → `facts`, `memory` (what the robot knows)
+→ `workcell` (one table and its robots) → `table_state`, `rewards` (what a policy decides in, and what it earns) →
 `space`, `executor` (K arms in one clock) → `episode` (one table to its end) → `campaign` (many) → `summary`, `film`;
 `calibration` (laws from what was tried).
 
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from halfseen.cell.episode import TeamRun, play
     from halfseen.cell.grasps import Grasp
     from halfseen.cell.gripper import Contacts, Gripper
-    from halfseen.cell.home import robot_of
     from halfseen.cell.kinematics import Kinematics
     from halfseen.cell.live_cell import LiveCell, Stops
     from halfseen.cell.memory import Memory
     from halfseen.cell.model import PAIR, Rack, Robot, Station, cell_model
+    from halfseen.cell.planning import robot_of
     from halfseen.cell.rewards import Run
     from halfseen.cell.table_state import Belief
     from halfseen.cell.workcell import Workcell
@@ -71,11 +71,11 @@ _NAMES = {
     "episode": "TeamRun play",
     "grasps": "Grasp",
     "gripper": "Contacts Gripper",
-    "home": "robot_of",
     "kinematics": "Kinematics",
     "live_cell": "LiveCell Stops",
     "memory": "Memory",
     "model": "PAIR Rack Robot Station cell_model",
+    "planning": "robot_of",
     "rewards": "Run",
     "table_state": "Belief",
     "workcell": "Workcell",
