@@ -180,6 +180,15 @@ def test_models_with_covariates(rounded, model):
     np.testing.assert_allclose(mine, whole, rtol=1e-9)
 
 
+@pytest.mark.parametrize("name", ["single precision", "added up in single precision", "dates"])
+def test_a_clock_of_few_ticks(name):
+    rng = np.random.default_rng(5)
+    ticks = rng.integers(1, 4, N)
+    time = ROUNDED[name](ticks, rng).astype(np.float64)
+    found, whole = (KaplanMeier().fit(t, IS_FINISHED).survival(t) for t in (time, ticks))
+    np.testing.assert_allclose(found, whole, rtol=1e-12)
+
+
 def test_a_time_asked_about_may_be_off_too(rounded):
     curve = KaplanMeier().fit(rounded, IS_FINISHED)
     off = rounded + curve.tolerance_s_ / 10.0 * np.random.default_rng(2).uniform(-1.0, 1.0, N)

@@ -172,6 +172,34 @@ def test_an_impossible_action_that_looks_best_is_not_in_the_maximum(logs):
     assert set(fitted.decide(states_of(2), 2)) <= {"A", "B"}
 
 
+@pytest.fixture(scope="module")
+def one_stage():
+    """Stages and trajectories of one stage, of which a fifth was cut."""
+    rng, ids = np.random.default_rng(1), np.arange(300)
+    x, action, is_cut = rng.random(300), rng.choice(["a", "b"], 300), rng.random(300) < 0.2
+    reward = np.where(action == "b", x, 1.0 - x) + 0.2 * rng.normal(size=300)
+    stages = pd.DataFrame(
+        {"trajectory": ids, "stage": 1, "elapsed_s": 1.0 + x, "action": action, "reward": reward, "x": x}
+    )
+    stages.loc[is_cut, ["elapsed_s", "reward"]] = np.nan
+    return stages, pd.DataFrame({"trajectory": ids, "end_s": 1.0 + x, "ending": np.where(is_cut, "cut", "finished")})
+
+
+def test_a_constant_in_all_rewards_changes_no_choice(one_stage):
+    stages, trajectories = one_stage
+
+    def gains(added):
+        moved = Logs(stages.assign(reward=stages["reward"] + added), trajectories)
+        policy = CensoredQLearner(1, ["a", "b"], ["x"]).fit(moved).policy_
+        return np.diff(policy.q_values(pd.DataFrame({"x": np.linspace(0.0, 1.0, 9)}), 1))
+
+    np.testing.assert_allclose(gains(1e5), gains(0.0), atol=1e-4)
+    with pytest.raises(
+        LogError, match=r"rewards are about 1e\+08 and differ by 0\.\d+, which rounding would take away"
+    ):
+        gains(1e8)
+
+
 def test_it_follows_scikit_learn(logs):
     original = learner(censoring=DoublyRobust("cox", by="pooled"), reg=CrossValidation(3), q_function=KernelQ(50))
     copy = clone(original)

@@ -23,6 +23,9 @@ ROOM = 10.0
 """Times may differ by this many of the largest roundings seen."""
 ULPS = 64.0
 """Units in the last place of the latest time that are rounding in any log."""
+FEWEST_ROWS, SHARED, TICK_RATIO = 20, 0.5, 1e3
+"""Where half of at least 20 times are shared to the last digit, the clock ticks, and no two ticks are closer than a
+thousandth of what separates others."""
 
 
 def clock_tolerance_s(time: Rows) -> float:
@@ -30,16 +33,18 @@ def clock_tolerance_s(time: Rows) -> float:
 
     Sort the differences d_1 ≤ d_2 ≤ … between neighbouring distinct times. Were there no rounding, d_{k+1} ≥ r d_k
     would have probability r^−k. So the largest d_k with r^−k ≤ 1e-9 and r ≥ 20 is rounding, if it is at most 1e-5 of
-    the span of nine in ten times, and times may differ by up to ten times as much. Where there is no such d_k, they may
-    differ by 64 units in the last place.
+    the span of nine in ten times, and times may differ by up to ten times as much. Where the clock is seen to tick,
+    r ≥ 1000 is enough. Where there is no such d_k, they may differ by 64 units in the last place.
     """
-    distinct = np.unique(time)
+    distinct, counts = np.unique(time, return_counts=True)
     differences = np.diff(distinct)
     gaps = np.sort(differences)
     largest_s = LARGEST_ROUNDING * float(np.quantile(time, 0.9) - distinct[0])
     small = gaps[:-1][gaps[:-1] <= largest_s]
     ratio = gaps[1 : len(small) + 1] / small
     is_clear = (np.arange(1, len(small) + 1) * np.log(ratio) >= -np.log(CHANCE)) & (ratio >= SMALLEST_RATIO)
+    if len(time) >= FEWEST_ROWS and counts[counts > 1].sum() >= SHARED * len(time):
+        is_clear |= ratio >= TICK_RATIO
     for k in np.flatnonzero(is_clear)[::-1].tolist():
         tolerance_s = float(small[k] * min(ROOM, np.sqrt(ratio[k])))
         begins = np.flatnonzero(np.append(True, differences > small[k]))

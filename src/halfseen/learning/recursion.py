@@ -255,7 +255,8 @@ class _Steps:
         cross = crosses[SHARE - 1][..., design]
         if equations.outcome is not None:
             kept, used = _of_outcome(columns)
-            outcome, _ = solve(equations.outcome, crosses[OUTCOME - 1][..., kept] * used)
+            of_outcome = moments[OUTCOME][..., kept[:, None], kept] * used[:, None] * used
+            outcome, _ = _around(equations.outcome, of_outcome, crosses[OUTCOME - 1][..., kept] * used, None)
             cross = cross + _of_imputed(moments, columns, outcome)
         gram = moments[WHOLE][..., design, design]
         if equations.common is not None:
@@ -295,9 +296,11 @@ def _around(
     centre: Float[np.ndarray, "K F"] | None,
     is_joint: bool = False,
 ) -> tuple[Float[np.ndarray, "K F"], Float[np.ndarray, " K"]]:
-    """Regress, shrunk towards a centre; None for 0."""
+    """Regress, shrunk towards a centre; None for the mean, so that a constant in all rewards changes no λ."""
     if centre is None:
-        return solve(ridge, cross, is_joint)
+        mass = gram[..., 0, 0].sum(axis=0)
+        centre = np.zeros(cross.shape[1:])
+        centre[:, 0] = cross[..., 0].sum(axis=0) / np.where(mass > 0, mass, 1.0)
     found, reg = solve(ridge, cross - np.einsum("vkfg,kg->vkf", gram, centre), is_joint)
     return centre + found, reg
 

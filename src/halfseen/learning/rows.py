@@ -246,11 +246,21 @@ def refuse_all_cut(is_finished: Bool[np.ndarray, " n"]) -> None:
         )
 
 
+LEAST_SPREAD = 3e-7
+"""Standard deviation of rewards by the largest: sums of squares keep some three digits of it."""
+
+
 def refuse_vanishing(reward: Float[np.ndarray, " m"]) -> None:
-    """Refuse rewards so small that their squares cannot be squared."""
+    """Refuse rewards so small that their squares cannot be squared, or whose differences rounding would take away."""
     largest = float(np.max(np.abs(reward), initial=0.0))
     if 0.0 < largest < 1 / LARGEST:
         raise LogError(f"the largest reward is {largest:g}, whose fourth power is 0; give rewards in another unit")
+    spread = float(np.std(reward)) if len(reward) else 0.0
+    if 0.0 < spread < LEAST_SPREAD * largest:
+        raise LogError(
+            f"rewards are about {np.mean(reward):.3g} and differ by {spread:.2g}, which rounding would take away; "
+            "subtract what they have in common"
+        )
 
 
 def refuse_too_few(num_seen: int, num_trajectories: int) -> None:
