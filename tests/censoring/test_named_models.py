@@ -181,6 +181,10 @@ def missing(value, wrap=np.array):
         (pd.DataFrame(Z, columns=["x", "x"]), "covariates has two columns 'x'; rename one"),
         (np.column_stack([Z, np.full(80, 0.1)]), r"covariates, column 2: 0.1 in every row.*leave it out"),
         *((missing(value), f"covariates, row 2, column 1: {value} is no value") for value in (np.nan, np.inf, -np.inf)),
+        *(
+            (Z * [1.0, unit], r"covariates, column 1: the largest is .*; give it in another unit")
+            for unit in (1e99, 1e-99)
+        ),
         (NAMED.where(NAMED["speed"] != Z[2, 1], np.nan), "covariates, row 2, clutter: "),
     ],
 )

@@ -88,6 +88,10 @@ def _checked_bools(values: ArrayLike, name: str) -> RowMask:
     return flags.astype(np.bool_)
 
 
+LARGEST = 1e75
+"""Covariates of larger size, or all of them smaller than its inverse, cannot be squared twice."""
+
+
 def checked_covariates(
     covariates: Any, num_rows: int, kind: str, names: list[str] | None = None
 ) -> tuple[Float[np.ndarray, "n p"], list[str]]:
@@ -128,6 +132,11 @@ def checked_covariates(
             f"covariates, row {row}, {found[column]}: {values[row, column]} is no value; fill it in, or leave the "
             "trajectory out knowingly"
         )
+    sizes = np.abs(values).max(axis=0, initial=0.0)
+    extreme = np.flatnonzero((sizes > LARGEST) | ((sizes > 0.0) & (sizes < 1.0 / LARGEST)))
+    if len(extreme):
+        column = extreme[0]
+        raise ArgumentError(f"covariates, {found[column]}: the largest is {sizes[column]:g}; give it in another unit")
     return values, found
 
 
