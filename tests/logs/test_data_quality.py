@@ -97,6 +97,11 @@ def stages(column, value, of=lambda stages: slice(None)):
     return change
 
 
+def in_text_order(tables):
+    for name in NAMES:
+        tables[name]["trajectory"] = [f"run-{number}" for number in tables[name]["trajectory"]]
+
+
 def reward_as_distance(tables):
     rows = tables["stages"]
     rows["reward"] = rows["distance"].where(rows["elapsed_s"].notna())
@@ -125,6 +130,7 @@ def without_probability(tables):
         (in_milliseconds, "mixed-clock-units", r"in (10|9) .*are some clocks in milliseconds\?"),
         (lambda tables: in_milliseconds(tables, 1), "mixed-clock-units",
          r"^stages of trajectory \d+ last .* about 1,000 times as long as those of all others .* in milliseconds\?$"),
+        (in_text_order, "text-order", "where 'run-109' comes before 'run-11', and which came"),
         (reward_as_distance, "reward-as-covariate", "^all {completed} rewards equal distance: was the wrong column"),
         *(
             (stages(name, lambda values: values * 1e6, late), "mixed-covariate-units", f"^covariate {name} is around")

@@ -2,8 +2,6 @@
 
 Each check is a small function from `Logs` to sentences; most logs give none. A finding is a question to anyone who
 recorded the logs, never a reason to refuse them.
-
-Units that look mixed show by a gap: two groups of trajectories, far apart, with nothing in between.
 """
 
 import json
@@ -11,6 +9,7 @@ import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -18,17 +17,18 @@ import pandas as pd
 from pandas.util import hash_pandas_object
 
 from halfseen.arrays import Rows
-from halfseen.logs.columns import OBJECT_COLUMNS, shown
+from halfseen.logs.columns import shown
 from halfseen.logs.grouping import (
     can_be_counted,
     coded,
-    far_apart,
+    covariate_columns,
     grouped_covariates,
+    is_number,
     is_one_kind,
     rows_with,
-    thousandfold_of_others,
 )
 from halfseen.logs.logs import Logs
+from halfseen.logs.mixed_units import long_clocks, mixed_clocks, mixed_covariates
 from halfseen.logs.plausibility import (
     MOST_EXPLAINED,
     cuts_called_finished,
@@ -41,8 +41,6 @@ from halfseen.suggestions import alike, spelled_out
 FEWEST_ROWS, FEWEST_CUTS, FEWEST_TRAJECTORIES = 10, 5, 30
 FEWEST_IN_STATE, FEWEST_STAGES, RARE_SHARE = 50, 200, 0.01
 SAME_END, NEARLY_ALL, NUM_NAMED, MOST_SPELLINGS = 0.01, 0.99, 3, 1000
-LONG_S = (900.0, 1e6)
-"""Beyond a quarter of an hour, below what takes days [s]."""
 AS_NUMBER = r"[+-]?(?:\d{1,3}(?:[.,'\u2019 ]\d{3})+(?:[.,]\d+)?|\d+,\d+)"
 """A number with a decimal comma, or with separators of thousands."""
 NAMES_OF_ENDS = {
@@ -102,28 +100,6 @@ def _one_stage(logs: Logs) -> Iterator[str]:
         yield f"all {len(last)} cuts fall in stage {last[0]}: does something of the task itself end trajectories there?"
 
 
-def _mixed_clocks(logs: Logs) -> Iterator[str]:
-    """Stages of some trajectories last some thousand times as long as those of others."""
-    # The mean of a trajectory, not its shortest stages: some actions take hardly any time.
-    clocks = logs.stages.groupby("trajectory")["elapsed_s"]
-    mean_s = clocks.max() / clocks.count()
-    for words in _apart(logs, "stages last", mean_s, " s"):
-        yield f"{words}: are some clocks in milliseconds?"
-    for trajectory, size_s, others_s in thousandfold_of_others(mean_s):
-        yield (
-            f"stages of trajectory {shown(trajectory)} last {size_s:.3g} s, about 1,000 times as long as those of all "
-            f"others ({others_s:.3g} s): is its clock in milliseconds?"
-        )
-
-
-def _long_clocks(logs: Logs) -> Iterator[str]:
-    lasted_s = logs.durations_s()
-    middle_s = 0.0 if np.isnan(lasted_s).all() else float(np.nanmedian(lasted_s))
-    if LONG_S[0] < middle_s < LONG_S[1]:
-        hours = middle_s / 3600.0
-        yield f"half of the stages last {middle_s:,.0f} s or more, which is {hours:.1f} h: are clocks in ms?"
-
-
 def _running_clocks(logs: Logs) -> Iterator[str]:
     """One clock for all trajectories: whichever ends later also has its first stage after the others' ends."""
     stages: Any = logs.stages
@@ -138,27 +114,21 @@ def _running_clocks(logs: Logs) -> Iterator[str]:
         )
 
 
-def _mixed_covariates(logs: Logs) -> Iterator[str]:
-    """Covariates are some thousand times as large in some trajectories as in others."""
-    for name, values, trajectory in _covariates(logs):
-        if _is_number(values):
-            for words in _apart(logs, f"{name} is around", values.astype(float).abs().groupby(trajectory).median()):
-                yield f"{words}: are its units mixed?"
+def _text_order(logs: Logs) -> Iterator[str]:
+    """Names of trajectories that hold numbers are sorted as text."""
+    names = [name for name in logs.trajectory_ids if isinstance(name, str)]
+    for one, other in pairwise(names):
+        if _as_counted(one) > _as_counted(other):
+            yield (
+                f"trajectories are sorted by their names as text, where {one!r} comes before {other!r}, and which came "
+                "later is told by that order: write their numbers with as many digits"
+            )
+            return
 
 
-def _apart(logs: Logs, what: str, values: Any, unit: str = "") -> Iterator[str]:
-    """Describe the two groups of trajectories that a gap parts; no word where there is no such gap."""
-    sizes = values.reindex(logs.trajectory_ids).to_numpy(dtype=np.float64)
-    is_large = far_apart(sizes)
-    if is_large is None:
-        return
-    is_small = ~is_large & np.isfinite(sizes) & (sizes > 0)
-    small, large = (f"{np.median(sizes[rows]):.3g}{unit}" for rows in (is_small, is_large))
-    first = int(np.argmax(is_small if is_small.sum() <= is_large.sum() else is_large))
-    yield (
-        f"{what} {small} in {is_small.sum()} trajectories and {large} in {is_large.sum()} (trajectory "
-        f"{shown(logs.trajectory_ids[first])} is of the fewer), with none in between"
-    )
+def _as_counted(name: str) -> tuple[tuple[int, str], ...]:
+    """What a name is sorted by if its numbers count."""
+    return tuple((int(part), "") if part.isdecimal() else (-1, part) for part in re.split(r"(\d+)", name))
 
 
 def _identifiers(logs: Logs) -> Iterator[str]:
@@ -169,7 +139,7 @@ def _identifiers(logs: Logs) -> Iterator[str]:
     is_first, began_s = stages["stage"].to_numpy() == 1, logs.begun_s()
     row = np.cumsum(is_first) - 1
     for name in logs.stage_covariates:
-        if not _is_number(stages[name]) or stages[name].isna().any():
+        if not is_number(stages[name]) or stages[name].isna().any():
             continue
         values = stages[name].to_numpy(dtype=np.float64)
         first = values[is_first]
@@ -189,7 +159,7 @@ def _is_clock(since_first: Rows, began_s: Rows) -> bool:
 
 
 def _numbers_as_text(logs: Logs) -> Iterator[str]:
-    for name, values, _ in _covariates(logs):
+    for name, values, _ in covariate_columns(logs):
         text = _texts(values)
         is_number = text.map(lambda each: re.fullmatch(AS_NUMBER, each) is not None).astype(bool)
         if is_number.mean() > 0.5:
@@ -224,7 +194,7 @@ def _no_alternative(logs: Logs) -> Iterator[str]:
 
 def _spelling(logs: Logs) -> Iterator[str]:
     names = [("causes", logs.trajectories["cause"]), ("actions", logs.stages["action"])]
-    names += [(f"values of {name}", _texts(values)) for name, values, _ in _covariates(logs)]
+    names += [(f"values of {name}", _texts(values)) for name, values, _ in covariate_columns(logs)]
     for what, values in names:
         found = values.dropna().unique()
         for same in alike(found) if len(found) <= MOST_SPELLINGS else ():
@@ -271,7 +241,7 @@ def _reward_as_covariate(logs: Logs) -> Iterator[str]:
     if len(completed) < FEWEST_ROWS or completed["reward"].nunique() < 3:
         return
     for name in (*logs.stage_covariates, *("probability",) * ("probability" in completed.columns)):
-        if _is_number(completed[name]) and (completed[name].astype(float) == completed["reward"]).all():
+        if is_number(completed[name]) and (completed[name].astype(float) == completed["reward"]).all():
             yield f"all {len(completed)} rewards equal {name}: was the wrong column taken for the reward?"
 
 
@@ -282,7 +252,7 @@ def _equal_rewards(logs: Logs) -> Iterator[str]:
 
 
 def _constant_covariates(logs: Logs) -> Iterator[str]:
-    for name, values, _ in _covariates(logs):
+    for name, values, _ in covariate_columns(logs):
         if len(values) < FEWEST_ROWS or not can_be_counted(values) or not is_one_kind(values):
             continue
         # A count of what never happened is no dead sensor.
@@ -316,22 +286,9 @@ def _duplicates(logs: Logs) -> Iterator[str]:
         )
 
 
-def _covariates(logs: Logs) -> Iterator[tuple[str, Any, Any]]:
-    """Each covariate of stages and objects: what to call it, its column, and the trajectory of each row."""
-    for name in logs.stage_covariates:
-        yield f"covariate {name}", logs.stages[name], logs.stages["trajectory"]
-    if logs.objects is not None:
-        for name in logs.objects.columns.difference(OBJECT_COLUMNS, sort=False):
-            yield f"object covariate {name}", logs.objects[name], logs.objects["trajectory"]
-
-
 def _texts(values: Any) -> Any:
     """What of a column is text."""
-    return values[:0] if _is_number(values) else values[values.map(lambda each: isinstance(each, str)).astype(bool)]
-
-
-def _is_number(values: Any) -> bool:
-    return pd.api.types.is_numeric_dtype(values.dtype) and not pd.api.types.is_bool_dtype(values.dtype)
+    return values[:0] if is_number(values) else values[values.map(lambda each: isinstance(each, str)).astype(bool)]
 
 
 def _listed(names: Iterable[str]) -> str:
@@ -350,6 +307,7 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "leak": leaks,
     "outcome-as-covariate": partial(outcomes_among_covariates, untested=MOST_EXPLAINED),
     "cut-called-finished": cuts_called_finished,
+    "text-order": _text_order,
     "identifier": _identifiers,
     "number-as-text": _numbers_as_text,
     "one-action": _one_action,
@@ -357,10 +315,10 @@ _CHECKS: dict[str, Callable[[Logs], Iterable[Any]]] = {
     "end-among-causes": _ends_among_causes,
     "horizon-as-cut": _horizons,
     "cuts-in-one-stage": _one_stage,
-    "mixed-clock-units": _mixed_clocks,
-    "long-clock": _long_clocks,
+    "mixed-clock-units": mixed_clocks,
+    "long-clock": long_clocks,
     "running-clock": _running_clocks,
-    "mixed-covariate-units": _mixed_covariates,
+    "mixed-covariate-units": mixed_covariates,
     "reward-as-covariate": _reward_as_covariate,
     "spelling": _spelling,
     "rare-action": _rare_actions,

@@ -7,17 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 
-from halfseen.arrays import RowIds, RowMask, Rows
-from halfseen.logs.columns import ROBOT, shown
+from halfseen.arrays import RowIds
+from halfseen.logs.columns import OBJECT_COLUMNS, ROBOT, shown
 from halfseen.logs.logs import Logs
 
 NUM_GROUPS, MOST_CATEGORIES = 5, 12
 BEGINNING = 1000
 """Rows that tell of most columns whether they have many kinds."""
-FEWEST_APART, FEWEST_SHARE, GAP, RATIO = 3, 0.01, 30.0, 300.0
-"""Of a group whose units may differ: how many at least, what share, and how far apart."""
-FEWEST_OTHERS, MOST_RATIO = 20, 3000.0
-"""Of a few alone: beside how many, and how far apart at most."""
 
 
 class Grouped(NamedTuple):
@@ -69,6 +65,20 @@ def grouped(name: str, values: Any) -> Grouped | None:
     return Grouped(name, group.astype(np.int64), (*words, f"above {ends[-1]:.3g}"))
 
 
+def covariate_columns(logs: Logs) -> Iterator[tuple[str, Any, Any]]:
+    """Each covariate of stages and objects: what to call it, its column, and the trajectory of each row."""
+    for name in logs.stage_covariates:
+        yield f"covariate {name}", logs.stages[name], logs.stages["trajectory"]
+    if logs.objects is not None:
+        for name in logs.objects.columns.difference(OBJECT_COLUMNS, sort=False):
+            yield f"object covariate {name}", logs.objects[name], logs.objects["trajectory"]
+
+
+def is_number(values: Any) -> bool:
+    """Whether a column holds numbers, and not yes and no."""
+    return pd.api.types.is_numeric_dtype(values.dtype) and not pd.api.types.is_bool_dtype(values.dtype)
+
+
 def can_be_counted(values: Any) -> bool:
     """Whether the values of a column can be told apart and counted: there are no lists and no records among them."""
     is_plain = values.dtype != object or pd.api.types.infer_dtype(values, skipna=True) == "string"
@@ -85,46 +95,6 @@ def coded(names: Any) -> tuple[RowIds, np.ndarray]:
 def is_one_kind(values: Any) -> bool:
     """Whether all values of a column that can be counted are the same, nulls among them."""
     return values.iloc[:BEGINNING].nunique(dropna=False) == 1 == values.nunique(dropna=False)
-
-
-def far_apart(sizes: Rows) -> RowMask | None:
-    """Which positive sizes lie above the widest gap on the logarithmic scale, if it is wide enough for mixed units."""
-    usable = np.isfinite(sizes) & (sizes > 0)
-    logs = np.sort(np.log(sizes[usable]))
-    fewest = max(FEWEST_APART, int(np.ceil(FEWEST_SHARE * len(logs))))
-    if len(logs) < 2 * fewest:
-        return None
-    gaps = np.diff(logs)[fewest - 1 : len(logs) - fewest]
-    split = int(np.argmax(gaps)) + fewest
-    ratio = np.median(logs[split:]) - np.median(logs[:split])
-    if gaps.max() < np.log(GAP) or ratio < np.log(RATIO):
-        return None
-    return usable & (sizes >= np.exp((logs[split] + logs[split - 1]) / 2))
-
-
-def thousandfold_of_others(sizes: Any) -> Iterator[tuple[Any, float, float]]:
-    """Positive sizes some thousand times as large as all others, where these are too few to be a group.
-
-    Parameters
-    ----------
-    sizes : Series
-        Of each trajectory.
-
-    Yields
-    ------
-    tuple
-        Name of the trajectory, its size, and the median size of the others.
-    """
-    ordered = sizes[np.isfinite(sizes) & (sizes > 0)].sort_values()
-    most = max(FEWEST_APART, int(np.ceil(FEWEST_SHARE * len(ordered)))) - 1
-    gaps = np.diff(np.log(ordered.to_numpy(dtype=np.float64)))[-most:]
-    if len(ordered) < FEWEST_OTHERS or not gaps.max() >= np.log(GAP):
-        return
-    first = len(ordered) - len(gaps) + int(gaps.argmax())
-    usual = float(ordered.iloc[:first].median())
-    for name, size in ordered.iloc[first:].items():
-        if RATIO <= size / usual <= MOST_RATIO:
-            yield name, float(size), usual
 
 
 def by_cause(logs: Logs) -> list[dict[str, Any]]:

@@ -1,0 +1,108 @@
+"""Units that look mixed within a log: milliseconds among seconds, or a covariate in another unit.
+
+They show by a gap: two groups of trajectories, far apart, with nothing in between; or one trajectory a thousand times
+as large as all others.
+"""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from halfseen.arrays import RowMask, Rows
+from halfseen.logs.columns import shown
+from halfseen.logs.grouping import covariate_columns, is_number
+from halfseen.logs.logs import Logs
+
+FEWEST_APART, FEWEST_SHARE, GAP, RATIO = 3, 0.01, 30.0, 300.0
+"""Of a group whose units may differ: how many at least, what share, and how far apart."""
+FEWEST_OTHERS, MOST_RATIO = 20, 3000.0
+"""Of a few alone: beside how many, and how far apart at most."""
+LONG_S = (900.0, 1e6)
+"""Beyond a quarter of an hour, below what takes days [s]."""
+
+
+def mixed_clocks(logs: Logs) -> Iterator[str]:
+    """Stages of some trajectories last some thousand times as long as those of others."""
+    # The mean of a trajectory, not its shortest stages: some actions take hardly any time.
+    clocks = logs.stages.groupby("trajectory")["elapsed_s"]
+    mean_s = clocks.max() / clocks.count()
+    for words in _apart(logs, "stages last", mean_s, " s"):
+        yield f"{words}: are some clocks in milliseconds?"
+    for trajectory, size_s, others_s in thousandfold_of_others(mean_s):
+        yield (
+            f"stages of trajectory {shown(trajectory)} last {size_s:.3g} s, about 1,000 times as long as those of all "
+            f"others ({others_s:.3g} s): is its clock in milliseconds?"
+        )
+
+
+def long_clocks(logs: Logs) -> Iterator[str]:
+    """Half of the stages last a quarter of an hour or more."""
+    lasted_s = logs.durations_s()
+    middle_s = 0.0 if np.isnan(lasted_s).all() else float(np.nanmedian(lasted_s))
+    if LONG_S[0] < middle_s < LONG_S[1]:
+        hours = middle_s / 3600.0
+        yield f"half of the stages last {middle_s:,.0f} s or more, which is {hours:.1f} h: are clocks in ms?"
+
+
+def mixed_covariates(logs: Logs) -> Iterator[str]:
+    """Covariates are some thousand times as large in some trajectories as in others."""
+    for name, values, trajectory in covariate_columns(logs):
+        if is_number(values):
+            for words in _apart(logs, f"{name} is around", values.astype(float).abs().groupby(trajectory).median()):
+                yield f"{words}: are its units mixed?"
+
+
+def _apart(logs: Logs, what: str, values: Any, unit: str = "") -> Iterator[str]:
+    """Describe the two groups of trajectories that a gap parts; no word where there is no such gap."""
+    sizes = values.reindex(logs.trajectory_ids).to_numpy(dtype=np.float64)
+    is_large = far_apart(sizes)
+    if is_large is None:
+        return
+    is_small = ~is_large & np.isfinite(sizes) & (sizes > 0)
+    small, large = (f"{np.median(sizes[rows]):.3g}{unit}" for rows in (is_small, is_large))
+    first = int(np.argmax(is_small if is_small.sum() <= is_large.sum() else is_large))
+    yield (
+        f"{what} {small} in {is_small.sum()} trajectories and {large} in {is_large.sum()} (trajectory "
+        f"{shown(logs.trajectory_ids[first])} is of the fewer), with none in between"
+    )
+
+
+def far_apart(sizes: Rows) -> RowMask | None:
+    """Which positive sizes lie above the widest gap on the logarithmic scale, if it is wide enough for mixed units."""
+    usable = np.isfinite(sizes) & (sizes > 0)
+    logs = np.sort(np.log(sizes[usable]))
+    fewest = max(FEWEST_APART, int(np.ceil(FEWEST_SHARE * len(logs))))
+    if len(logs) < 2 * fewest:
+        return None
+    gaps = np.diff(logs)[fewest - 1 : len(logs) - fewest]
+    split = int(np.argmax(gaps)) + fewest
+    ratio = np.median(logs[split:]) - np.median(logs[:split])
+    if gaps.max() < np.log(GAP) or ratio < np.log(RATIO):
+        return None
+    return usable & (sizes >= np.exp((logs[split] + logs[split - 1]) / 2))
+
+
+def thousandfold_of_others(sizes: Any) -> Iterator[tuple[Any, float, float]]:
+    """Positive sizes some thousand times as large as all others, where these are too few to be a group.
+
+    Parameters
+    ----------
+    sizes : Series
+        Of each trajectory.
+
+    Yields
+    ------
+    tuple
+        Name of the trajectory, its size, and the median size of the others.
+    """
+    ordered = sizes[np.isfinite(sizes) & (sizes > 0)].sort_values()
+    most = max(FEWEST_APART, int(np.ceil(FEWEST_SHARE * len(ordered)))) - 1
+    gaps = np.diff(np.log(ordered.to_numpy(dtype=np.float64)))[-most:]
+    if len(ordered) < FEWEST_OTHERS or not gaps.max() >= np.log(GAP):
+        return
+    first = len(ordered) - len(gaps) + int(gaps.argmax())
+    usual = float(ordered.iloc[:first].median())
+    for name, size in ordered.iloc[first:].items():
+        if RATIO <= size / usual <= MOST_RATIO:
+            yield name, float(size), usual
