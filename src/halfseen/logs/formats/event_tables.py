@@ -19,6 +19,7 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
+from halfseen.logs.formats.ending_flags import are_flags, with_ending
 from halfseen.logs.formats.mapping import NUMBERS, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
 from halfseen.logs.formats.table_values import Marks, Stamps
@@ -60,12 +61,15 @@ def read_event_table(
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
+    cells, wanted = with_ending(cells, wanted, file)
     _check_columns(cells, wanted, file)
     cells = cells if wanted.topic is None else _without_repeats(cells)
-    needed = {name: f"column {wanted.column(f'covariates.{name}')!r}" for name in wanted.covariates}
+    needed = {name: _origin(wanted, f"covariates.{name}") for name in wanted.covariates}
+    finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
     found = []
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
-        trajectory = Trajectory(number if name is None else name, needed, wanted.ending.finished, cause=LOG_ENDED)
+        called = number if name is None else name
+        trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
@@ -85,6 +89,23 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     columns = {name: [text for each in tables for text in each.columns[name]] for name in first.columns}
     places = [f"{Path(each.file).name}, {each.word} {row}" for each in tables for row in each.rows]
     return Cells(str(source[0].parent), columns, places, first.layout, "file")
+
+
+def _origin(mapping: EventMapping, key: str) -> str:
+    """Where a value comes from, for messages: its events, or its column."""
+    topics = mapping.entries[key].topics
+    return " or ".join(map(shown, topics)) if topics else f"column {mapping.column(key)!r}"
+
+
+def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
+    """What mends rows that come after an ending."""
+    column = mapping.column("ending")
+    if not mapping.ending.topics and are_flags(cells.columns[column]):
+        return f'column {column!r} is true or false, so say finished = {{field = "{column}"}} in [ending]'
+    if mapping.trajectory is None:
+        return "map [trajectory], the column of its name or the event that begins it, if there are several"
+    last = "the ending must be last by the clock"
+    return f"{last}; mend the times, or have {_origin(mapping, 'trajectory')} tell the trajectories apart"
 
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
@@ -187,7 +208,7 @@ def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
         topics, wanted = cells.columns[mapping.topic], set(entry.topics)
         return [row for row, topic in enumerate(topics) if topic in wanted]
     is_needed = mapping.topic is None and "." in key
-    is_needed |= "" in entry.values or (key == "ending" and "" in mapping.ending.finished)
+    is_needed |= "" in entry.values or (key == "ending" and "" in mapping.ending.finishing)
     return [row for row, text in enumerate(texts) if text or is_needed]
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
+from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.mapping import Layout
 from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
 from halfseen.logs.formats.table_values import (
@@ -46,6 +47,11 @@ _EVENTS_LIKE = {
     r"|dépo|depó|depos|résult",
     "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
 }
+_FLAGS_LIKE = {
+    "ending.finished": re.compile(r"terminat|is_terminal|(^|_)done$", re.IGNORECASE),
+    "ending.cut": re.compile(r"truncat|time_?out|time_?limit|^is_last$", re.IGNORECASE),
+}
+"""Likewise of columns of true and false, in the row that acts."""
 _FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
 """Likewise of events, and of endings that are no cut."""
 _ISO_8601 = "ISO8601"
@@ -88,8 +94,10 @@ def _read(file: Path) -> Cells:
 
 def _guessed(cells: Cells) -> dict[str, str]:
     """The column of each key, as far as one looks like it."""
-    found: dict[str, str] = {}
+    found = _flags(cells)
     for key, like in _LIKE.items():
+        if key == "ending" and found.keys() & _FLAGS_LIKE.keys():
+            continue
         for name, texts in cells.columns.items():
             there = [text for text in texts if text]
             if name in found.values() or not there or not re.search(like, name, re.IGNORECASE):
@@ -107,6 +115,13 @@ def _guessed(cells: Cells) -> dict[str, str]:
                 found[key] = name
                 break
     return found | _other_times(cells, found)
+
+
+def _flags(cells: Cells) -> dict[str, str]:
+    """The columns of true and false that tell of an ending; none without one that tells of its own end."""
+    flags = [name for name, texts in cells.columns.items() if are_flags(texts)]
+    found = {key: next(filter(like.search, flags), None) for key, like in _FLAGS_LIKE.items()}
+    return {} if found["ending.finished"] is None else {key: name for key, name in found.items() if name is not None}
 
 
 def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
@@ -140,7 +155,9 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
     like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
     for key in ("trajectory", "action", "object", "probability", "reward", "ending"):
         topic = [] if key == "trajectory" and key in found else like.get(key, [])
-        if key in found or topic or key in ("action", "reward", "ending"):
+        if key == "ending" and "ending.finished" in found and not topic:
+            yield from ("", *_flag_lines(cells, found))
+        elif key in found or topic or key in ("action", "reward", "ending"):
             yield from ("", *_entry_lines(cells, key, found, topic))
     taken = {one for each in like.values() for one in each}
     yield from _covariate_lines(cells, found, [one for one in topics if one not in taken])
@@ -214,6 +231,15 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "what it stands for, if that is another" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
+
+
+def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
+    """An ending of columns of true and false."""
+    yield "[ending]"
+    for key in _FLAGS_LIKE:
+        if key in found:
+            name, guess = _guess(cells, found[key]).split("  # ", 1)
+            yield f"{key.removeprefix('ending.')} = {{field = {name}}}  # {guess}"
 
 
 def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> Iterator[str]:
