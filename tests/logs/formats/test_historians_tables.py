@@ -207,3 +207,17 @@ def test_a_mapping_and_a_table_may_begin_with_the_mark_of_utf_8(read_table):
         assert (
             stages(read_table(GERMAN, "\ufeff" + mapping.replace("\n", "\r\n"), "utf-8-sig"), "weight") == GERMAN_STAGES
         )
+
+
+def test_what_stands_after_the_action_of_its_own_time_is_warned_of(read_table):
+    grip, weight = (next(line for line in GERMAN.splitlines() if line.endswith(end)) for end in ("Kiste;", ";0,75"))
+    at_once = weight.replace("02:00:02", "02:00:03")
+    early = GERMAN.replace(weight, at_once)
+    assert stages(read_table(early, HISTORIAN), "weight") == GERMAN_STAGES
+    late = GERMAN.replace(f"{weight}\n{grip}", f"{grip}\n{at_once}")
+    with pytest.warns(HalfseenWarning, match=r"1 values of 'Gewicht' stand at the time of an action, but after it"):
+        found = read_table(late, HISTORIAN)
+    assert stages(found, "weight")[1] == (7, 2, 15.0, "Kiste", -2.5, 0.5)
+    first = "2025-10-26T02:59:50+02:00;7;Gewicht;;0,5\n"
+    with refused(r"stage 1: no message of 'Gewicht' came before its action"):
+        read_table(GERMAN.replace(first, ""), HISTORIAN)

@@ -6,6 +6,7 @@ and an empty cell says nothing. Where trajectories have a column, each of their 
 A trajectory without an ending was cut: "log ended".
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -65,14 +66,17 @@ def read_event_table(
     _check_columns(cells, wanted, file)
     cells = cells if wanted.topic is None else _without_repeats(cells)
     needed = {name: _origin(wanted, f"covariates.{name}") for name in wanted.covariates}
+    late: Counter[str] = Counter()
     finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
     found = []
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
+        late.update(_late_covariates(events))
         called = number if name is None else name
         trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
+    _warn_of_late(cells, wanted, late)
     return logs_of(cells.file, file, found, missing=missing)
 
 
@@ -276,6 +280,26 @@ def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps
         rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
         early = f"the time is before that of the row above{rest}"
         warn(cells.place(late[0]), f"{early}; rows are put in order of time")
+
+
+def _late_covariates(events: list[Event]) -> Iterator[str]:
+    """Keys of covariates that stand at the time of an action, but after it."""
+    begun_ns: int | None = None
+    for event in events:
+        if event.key in ("action", "reward", "ending"):
+            begun_ns = event.stamp_ns if event.key == "action" else None
+        elif event.key.startswith("covariates.") and event.stamp_ns == begun_ns:
+            yield event.key
+
+
+def _warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> None:
+    if late:
+        names = ", ".join(_origin(mapping, key) for key in late)
+        warn(
+            cells.file,
+            f"{late.total():,} values of {names} stand at the time of an action, but after it in the file: the value "
+            "before was taken; write them before the action if they had been seen by then",
+        )
 
 
 def _warn_of_early(cells: Cells, events: list[Event]) -> None:
