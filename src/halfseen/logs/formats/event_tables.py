@@ -9,6 +9,7 @@ A trajectory without an ending was cut: "log ended".
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -21,15 +22,17 @@ from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
 from halfseen.logs.formats.ending_flags import are_flags, with_ending
-from halfseen.logs.formats.mapping import NUMBERS, Entry, EventMapping, read_event_mapping
+from halfseen.logs.formats.mapping import NUMBERS, Clock, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
-from halfseen.logs.formats.table_values import Marks, Stamps
+from halfseen.logs.formats.table_values import BEGIN_LIKE, Marks, Stamps
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
 LOG_ENDED = "log ended"
 """Cause of a trajectory that has no ending."""
+FEWEST_ON_ONE_CLOCK = 5
+"""Trajectories of several stages by which it shows that a clock runs on."""
 
 
 def read_event_table(
@@ -77,6 +80,8 @@ def read_event_table(
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
     _warn_of_late(cells, wanted, late)
+    if wanted.clock.since == "trajectory":
+        _warn_of_running_clock(cells, wanted.clock, found)
     return logs_of(cells.file, file, found, missing=missing)
 
 
@@ -299,6 +304,18 @@ def _warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> No
             cells.file,
             f"{late.total():,} values of {names} stand at the time of an action, but after it in the file: the value "
             "before was taken; write them before the action if they had been seen by then",
+        )
+
+
+def _warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
+    """Warn of one clock for all trajectories, where times are to count since each began."""
+    spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
+    if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
+        begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
+        warn(
+            f"{cells.file}, column {clock.fields[-1]!r}",
+            'times run on over trajectories, and do not count since each began; in place of since = "trajectory", say '
+            f'begin = "{begin}", the column of the time at which a stage began, with that of its end as field',
         )
 
 

@@ -16,6 +16,7 @@ from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.mapping import Layout
 from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
 from halfseen.logs.formats.table_values import (
+    BEGIN_LIKE,
     ISO,
     TIME_OF_DAY,
     dates_and_times,
@@ -28,7 +29,7 @@ from halfseen.logs.formats.table_values import (
 _LIKE = {
     "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"
     r"|heure|horodat|fecha|hora|^ora$|^data",
-    "clock.begin": r"beg[ia]n|start|anfang|début|inicio|inizio",
+    "clock.begin": BEGIN_LIKE.pattern,
     "trajectory": r"lauf|run|traj|episode|auftrag|order|job|batch|charge|cycle|zyklus|trial|essai|ciclo|lote|lotto",
     "topic": r"ereignis|event|typ|meldung|message|topic|kind|signal|tag|évén|mensaje|messaggio",
     "action": r"a[kc]tion|griff|greif|grip|tool|werkzeug|decision|choice|prise|pince|outil|acción|azione|pinza",
@@ -128,7 +129,7 @@ def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
     """A column of times that no name tells; of one row a stage, that of the end where the one found is a beginning."""
     times = (name for name in cells.columns if name not in found.values() and _date_formats(cells.columns[name]))
     first = found.get("clock.field") or next(times, None)
-    is_begin = first is not None and re.search(_LIKE["clock.begin"], first, re.IGNORECASE) is not None
+    is_begin = first is not None and BEGIN_LIKE.search(first) is not None
     if is_begin and not {"topic", "clock.begin"} & set(found) and (end := next(times, None)) is not None:
         return {"clock.begin": str(first), "clock.field": end}
     return {} if first is None else {"clock.field": first}

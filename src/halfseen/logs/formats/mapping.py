@@ -312,6 +312,8 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
         yield "clock.format", "dates have a format, and numbers a unit; leave one of the two out"
     if mapping.topic is None and clock.since is None and clock.begin is None:
         yield "clock.begin", "it is missing; name the column of the beginning of a stage, or say since what times count"
+    if clock.since is not None and clock.begin is not None:
+        yield "clock", f"since = {clock.since!r} and begin = {clock.begin!r} both say when it begins; leave one out"
     if mapping.topic is not None and (clock.since == "stage" or clock.begin is not None):
         yield "clock", "begin, and since = 'stage', are for tables of one row a stage; leave it out"
     yield from _troubles_of_flags(mapping.ending)
