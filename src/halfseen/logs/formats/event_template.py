@@ -34,17 +34,17 @@ _LIKE = {
     "topic": r"ereignis|event|typ|meldung|message|topic|kind|signal|tag|évén|mensaje|messaggio",
     "action": r"a[kc]tion|griff|greif|grip|tool|werkzeug|decision|choice|prise|pince|outil|acción|azione|pinza",
     "object": r"obje[kc]?t|teil|part|item|pièce|pieza|pezzo",
-    "probability": r"prob|wahrsch|propens",
+    "probability": r"prob|wahrsch|propens|^p$",
     "reward": r"reward|belohn|ertrag|worth|wert|value|score|punkt|profit|gewinn|récomp|valeur|valor",
-    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|stop|cause|grund|ursache|fault|fehler|stör|status"
-    r"|^fine?$|résult|risult|causa|motif|arrêt",
+    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
+    r"|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
 }
 """What names of columns look like that carry something, in the order in which columns are given away: as engineers
 write them in German, English, French, Spanish or Italian."""
 _EVENTS_LIKE = {
     "trajectory": r"^(start|begin|anfang|début|inicio|inizio)",
     "ending": r"^end|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
-    "reward": r"reward|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
+    "reward": r"reward|ertrag|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
     r"|dépo|depó|depos|résult",
     "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
 }
@@ -53,6 +53,10 @@ _FLAGS_LIKE = {
     "ending.cut": re.compile(r"truncat|time_?out|time_?limit|^is_last$", re.IGNORECASE),
 }
 """Likewise of columns of true and false, in the row that acts."""
+_END_TIME_LIKE = re.compile(r"(^|[^a-z])(end(e|ed)?|bis|until|fin(e|ished)?|done|stop(ped)?)([^a-z]|$)", re.IGNORECASE)
+"""Likewise of times at which a stage ended."""
+_KNOWN_LATER = re.compile(f"{_LIKE['ending']}|{_END_TIME_LIKE.pattern}|^is_(first|last)$", re.IGNORECASE)
+"""Likewise of what is no covariate, as it is known only after the action."""
 _FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
 """Likewise of events, and of endings that are no cut."""
 _ISO_8601 = "ISO8601"
@@ -95,16 +99,18 @@ def _read(file: Path) -> Cells:
 
 def _guessed(cells: Cells) -> dict[str, str]:
     """The column of each key, as far as one looks like it."""
-    found = _flags(cells)
+    found = _flags(cells) | _span(cells)
+    known = {*found} | ({"ending"} if "ending.finished" in found else set())
+    known |= {"topic"} if "clock.begin" in found else set()
     for key, like in _LIKE.items():
-        if key == "ending" and found.keys() & _FLAGS_LIKE.keys():
+        if key in known:
             continue
         for name, texts in cells.columns.items():
             there = [text for text in texts if text]
             if name in found.values() or not there or not re.search(like, name, re.IGNORECASE):
                 continue
             are_numbers = all(map(is_numeric, there))
-            are_times = len(there) == len(texts) and (are_numbers or bool(_date_formats(texts)))
+            are_times = len(there) == len(texts) and _are_times(texts)
             is_fit = {
                 "probability": are_numbers,
                 "reward": are_numbers,
@@ -123,6 +129,18 @@ def _flags(cells: Cells) -> dict[str, str]:
     flags = [name for name, texts in cells.columns.items() if are_flags(texts)]
     found = {key: next(filter(like.search, flags), None) for key, like in _FLAGS_LIKE.items()}
     return {} if found["ending.finished"] is None else {key: name for key, name in found.items() if name is not None}
+
+
+def _span(cells: Cells) -> dict[str, str]:
+    """The columns of the times at which a stage began and ended; none where one of the two is missing."""
+    times = [name for name, texts in cells.columns.items() if _are_times(texts) and not are_flags(texts)]
+    begin = next(filter(BEGIN_LIKE.search, times), None)
+    end = next((name for name in times if name != begin and _END_TIME_LIKE.search(name)), None)
+    return {} if begin is None or end is None else {"clock.begin": begin, "clock.field": end}
+
+
+def _are_times(texts: Sequence[str]) -> bool:
+    return all(map(is_numeric, texts)) or bool(_date_formats(texts))
 
 
 def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
@@ -182,9 +200,9 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if not formats:
         unit = re.search(r"(?<![a-z])(ms|us|ns|min|s)\W*$", name)
         yield f'unit = "{unit[1] if unit else "s"}"  # guess: s, ms, us, ns or min'
-        yield '{}since = "trajectory"  # guess: numbers count from there, or from the "stage"'.format(
-            "# " if has_topic else ""
-        )
+        begin = found.get("clock.begin")
+        since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
+        yield ("# " if has_topic else "") + since if begin is None else _begin_line(cells, begin, parts)
         return
     if len(formats) > 1:
         yield "# The order of day and month is not to be guessed; choose one:"
@@ -198,11 +216,11 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if not has_topic:
         yield "# Column of the time at which a stage began."
         begin = found.get("clock.begin")
-        yield (
-            '# begin = "COLUMN"  # no column looks like it'
-            if begin is None
-            else f"begin = {_guessed_time(cells, begin, parts)}"
-        )
+        yield ('# begin = "COLUMN"  # no column looks like it' if begin is None else _begin_line(cells, begin, parts))
+
+
+def _begin_line(cells: Cells, begin: str, parts: dict[str, list[str]]) -> str:
+    return f"begin = {_guessed_time(cells, begin, parts)}"
 
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
@@ -227,7 +245,7 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     if key == "ending":
         ends = [text for text in texts if _FINISHED_LIKE.search(text)] or [text for text in texts if not text]
         yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: what is no cut; "" where an empty cell is none'
-    elif key == "action" or (key == "reward" and not all(map(is_numeric, texts))):
+    elif key == "action" or (key == "reward" and not all(map(is_numeric, filter(None, texts)))):
         names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "what it stands for, if that is another" if key == "action" else "what each earns"
@@ -247,7 +265,12 @@ def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> 
     """What is left, as what was known before the action."""
     free = [name for name in cells.columns if name not in found.values()]
     for name in [] if "topic" in found else free:
-        yield from ("", f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}")
+        lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
+        if _KNOWN_LATER.search(name):
+            yield from ("", "# Its name is of what is known only after the action; it is no covariate then.")
+            yield from (f"# {line}" for line in lines)
+        else:
+            yield from ("", *lines)
     for topic in topics:
         rows = _rows(cells, found, [topic])
         column = _filled(cells, found, "covariates", rows)
@@ -266,7 +289,8 @@ def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> s
     others = {found.get(other) for other in ("topic", "clock.field", "trajectory") if other != key}
     ways = [name for name in cells.columns if name not in others and all(cells.columns[name][row] for row in rows)]
     numeric = [name for name in ways if all(is_numeric(cells.columns[name][row]) for row in rows)]
-    ways = numeric or ways if key == "reward" else ways
+    texts = [name for name in ways if name not in numeric]
+    ways = {"reward": numeric, "action": texts}.get(key) or ways
     return found[key] if found.get(key) in ways else next(iter(ways), None)
 
 
@@ -295,6 +319,9 @@ def _date_formats(texts: Sequence[str]) -> list[str]:
         return [_ISO_8601]
     if ":" not in some.iloc[0]:
         return []
-    ways = [f"{day} {time}" for day in _DAYS for time in _TIMES] + list(_TIMES)
-    likely = [way for way in ways if pd.notna(pd.to_datetime(some.iloc[0], format=way, errors="coerce"))]
-    return [way for way in likely if pd.to_datetime(some, format=way, errors="coerce").notna().all()]
+    days = [f"{day} {time}" for day in _DAYS for time in _TIMES]
+    ways = [*days, *(f"{way}%z" for way in days), *_TIMES]
+    likely = [
+        way for way in ways if pd.notna(pd.to_datetime(some.iloc[0], format=way, errors="coerce", utc="%z" in way))
+    ]
+    return [way for way in likely if pd.to_datetime(some, format=way, errors="coerce", utc="%z" in way).notna().all()]
