@@ -239,6 +239,9 @@ def test_rows_of_a_database_are_events_too(place):
     run("events.csv", "--mapping", "events.toml", "--out", "all")
     assert same(read_logs("out"), read_logs("all").select([7, 8]))
     assert "table.query: it is missing" in refusal("sql:sqlite:///cell.db", "--mapping", "events.toml", "--out", "x")
+    assert "put the SELECT into it as table.query" in refusal("sql:sqlite:///cell.db", "--mapping-template")
+    for words in (("--out", "x"), ("--out", "x", "--mapping", "cell.toml"), ("--mapping-template",)):
+        assert "halfseen convert sql:sqlite:///cell.db --mapping cell.toml" in refusal("cell.db", *words)
 
 
 def test_a_mapping_is_made_from_a_table_printed_or_written(place, typed):

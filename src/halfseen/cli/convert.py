@@ -113,6 +113,11 @@ def _give_template(sources: tuple[str, ...], target: str | None) -> None:
 
     if len(sources) > 1:
         raise ArgumentError(f"--mapping-template is made from one SOURCE; {len(sources)} are given: name one of them")
+    if any(one.startswith(SQL) for one in sources):
+        raise ArgumentError(
+            "--mapping-template is made from a file, and not from a database; save the rows of a SELECT as CSV, make "
+            "the mapping of that, and put the SELECT into it as table.query; or give --stages and --trajectories"
+        )
     table = next((one for one in sources if kind_of(one, is_mapped=True) == "events"), None)
     text = MAPPING_TEMPLATE if table is None else mapping_of(tables_of_events(Path(table))[0])
     give_mapping(text, None if target is None else Path(target))

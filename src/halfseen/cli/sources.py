@@ -50,7 +50,7 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
     is_mapped
         Whether a mapping says what it holds, so that a table is one of events and not of steps.
     """
-    from halfseen.logs.folder import is_remote, place_of
+    from halfseen.logs.folder import is_remote, place_of, refuse_no_folder
     from halfseen.logs.formats import is_older
     from halfseen.logs.formats.table_cells import is_event_table
 
@@ -78,7 +78,10 @@ def kind_of(source: str, is_mapped: bool = False) -> str:
         return "events"
     if _step_files(path):
         return "steps"
-    return "bag" if _bags(path) else "parquet"
+    if _bags(path):
+        return "bag"
+    refuse_no_folder(path)
+    return "parquet"
 
 
 def _step_files(path: Path) -> list[Path]:

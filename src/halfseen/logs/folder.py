@@ -84,6 +84,8 @@ def asking(place: Place) -> Iterator[None]:
 
 
 FOREIGN_TABLES = (".csv", ".tsv", ".txt", ".parquet")
+DATABASES = {".db": "sqlite", ".sqlite": "sqlite", ".sqlite3": "sqlite", ".duckdb": "duckdb"}
+"""How SQLAlchemy calls what a file holds, by its ending."""
 """Files of other programs, of which `halfseen convert` makes logs by a mapping."""
 MOST_PARTS = 64
 """Of a shard; a worker that is lost takes with it what it was to read."""
@@ -166,7 +168,7 @@ def read_manifest(folder: Place) -> Folder:
     LogError
         The folder holds no logs or those of another version, or the unit is no short text.
     """
-    _refuse_no_folder(folder)
+    refuse_no_folder(folder)
     file = folder / MANIFEST
     missing = f"it is missing, so {folder} holds no logs; give a folder that Logs.write wrote"
     with refused(file, "it cannot be read", "write the logs again", missing), asking(folder):
@@ -187,14 +189,23 @@ def read_manifest(folder: Place) -> Folder:
     return Folder(folder, rows, unit)
 
 
-def _refuse_no_folder(folder: Place) -> None:
+def _way_in(file: Path) -> str:
+    """What reads a file of another program."""
+    if file.suffix in FOREIGN_TABLES:
+        line = f"halfseen convert {shlex.quote(str(file))} --mapping-template --out cell.toml"
+        return f"make a mapping of it: {line}"
+    if file.suffix in DATABASES:
+        url = shlex.quote(f"sql:{DATABASES[file.suffix]}:///{file}")
+        return f"read the database by its SELECTs: halfseen convert {url} --mapping cell.toml --out LOGS"
+    return "`halfseen convert --help` says which files are read"
+
+
+def refuse_no_folder(folder: Place) -> None:
+    """Refuse what is no folder, and say what reads it if it is a file (`LogError`)."""
     with asking(folder):
         is_there = folder.is_dir()
     if isinstance(folder, Path) and folder.is_file():
-        line = f"halfseen convert {shlex.quote(str(folder))} --mapping-template --out cell.toml"
-        is_table, others = folder.suffix in FOREIGN_TABLES, "`halfseen convert --help` says which files are read"
-        remedy = f"make a mapping of it: {line}" if is_table else others
-        raise LogError(f"{folder}: it is a file, and no folder of logs; {remedy}")
+        raise LogError(f"{folder}: it is a file, and no folder of logs; {_way_in(folder)}")
     if not is_there:
         wrote = "Logs.write or `halfseen simulate` wrote"
         raise LogError(f"{folder}: there is no such folder; give the folder that {wrote}")

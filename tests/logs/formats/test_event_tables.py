@@ -217,6 +217,7 @@ def test_numbers_in_thousands_are_not_taken_for_fractions(read_table):
         ('"Zeit"}', '"Zeit", unit = "h"}', r"cell\.toml, clock\.unit: invalid enum value 'h'"),
         ('"Zeit"}', '"Zeit", unit = "s", format = "%d"}', r"clock\.format: dates have a format, and numbers a unit"),
         ('"Zeit"}', '"Zeit", since = "stage"}', r"cell\.toml, clock: begin, and since = 'stage'"),
+        ('"Zeit"}', '"Zeit", since = "trajectory", begin = "Zeit"}', r"clock: since = 'trajectory' and begin = 'Zeit'"),
         ("{field = \"Zeit\"}", "{feld = \"Zeit\"}", r"cell\.toml, clock\.(field: it is missing|feld: it is unknown)"),
         ("action = ", "acton = ", r"cell\.toml, (action: it is missing; add it|acton: it is unknown)"),
         ("covariates.weight", "covariates.reward", r"covariates\.reward: stages have such a column already"),
@@ -323,3 +324,14 @@ def test_a_covariate_is_numbers_or_text_as_it_begins_or_as_it_is_said(read_table
         assert weights(names) == names
     with refused(r"cell\.toml, covariates\.weight\.values: they are text; give numbers"):
         weights(["1", "x", "7", "7"], ', type = "number", values = {x = "much"}')
+
+
+def test_one_clock_for_all_trajectories_is_warned_of(read_table):
+    rows = [f"{run},{tool},{run * 10 + k},{run * 10 + k + 1},1,\n" for run in range(5) for k, tool in enumerate("xy")]
+    text = "run,tool,started,ms,worth,stop\n" + "".join(rows)
+    mapping = STAGES.replace('covariates.left = {field = "seconds left"}\n', "")
+    with pytest.warns(
+        HalfseenWarning, match=r"column 'ms': times run on over trajectories.* say begin = \"started\", the"
+    ):
+        read_table(text, mapping)
+    read_table(text, mapping.replace('since = "trajectory"', 'begin = "started"'))

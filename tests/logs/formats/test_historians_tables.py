@@ -207,3 +207,44 @@ def test_a_mapping_and_a_table_may_begin_with_the_mark_of_utf_8(read_table):
         assert (
             stages(read_table(GERMAN, "\ufeff" + mapping.replace("\n", "\r\n"), "utf-8-sig"), "weight") == GERMAN_STAGES
         )
+
+
+def test_what_stands_after_the_action_of_its_own_time_is_warned_of(read_table):
+    grip, weight = (next(line for line in GERMAN.splitlines() if line.endswith(end)) for end in ("Kiste;", ";0,75"))
+    at_once = weight.replace("02:00:02", "02:00:03")
+    early = GERMAN.replace(weight, at_once)
+    assert stages(read_table(early, HISTORIAN), "weight") == GERMAN_STAGES
+    late = GERMAN.replace(f"{weight}\n{grip}", f"{grip}\n{at_once}")
+    with pytest.warns(HalfseenWarning, match=r"1 values of 'Gewicht' stand at the time of an action, but after it"):
+        found = read_table(late, HISTORIAN)
+    assert stages(found, "weight")[1] == (7, 2, 15.0, "Kiste", -2.5, 0.5)
+    first = "2025-10-26T02:59:50+02:00;7;Gewicht;;0,5\n"
+    with refused(r"stage 1: no message of 'Gewicht' came before its action"):
+        read_table(GERMAN.replace(first, ""), HISTORIAN)
+
+
+SPANS = """\
+Charge;Start_ms;Ende_ms;Greifer;p;Verdeckung;Ertrag;Abschluss;Fehlertext
+1;21600000;21603100;suction;0,7;0,25;0,9876;ok;
+2;21620871;21621200;soft;0,3;0,89;;operator;E7
+"""
+"""One row a stage, all of one clock, with outcomes beside what was seen."""
+
+
+def test_what_is_known_only_after_an_action_is_guessed_as_no_covariate(read_table, tmp_path):
+    (tmp_path / "events.csv").write_text(SPANS)
+    made = mapping_of(tmp_path / "events.csv")
+    assert "# [covariates.Fehlertext]" in made.splitlines()
+    assert 'values = {"0,9876"' not in made
+    logs = read_table(SPANS, made)
+    assert stages(logs, "Verdeckung", "probability") == [
+        (1, 1, 3.1, "suction", 0.9876, 0.25, 0.7),
+        (2, 1, None, "soft", None, 0.89, 0.3),
+    ]
+    assert ends(logs) == [(1, 3.1, "finished", None), (2, 0.329, "cut", "operator")]
+    assert list(logs.stage_covariates) == ["Verdeckung"]
+
+
+def test_dates_with_an_offset_are_guessed_as_times(tmp_path):
+    (tmp_path / "events.csv").write_text(GERMAN.replace("2025-10-26T", "26.10.2025 ").replace("58,5", "58"))
+    assert 'format = "%d.%m.%Y %H:%M:%S%z"  # guess' in mapping_of(tmp_path / "events.csv").splitlines()

@@ -264,7 +264,8 @@ WRONG = {
         ({"observation": [[1.0, np.inf]] * 5}, r"covariate observation_1 is inf"),
         ({"observation": [{"a": 1.0}] * 5, "observation.a": [2.0] * 5}, r"two columns 'observation\.a'; drop or"),
         ({"episode_id": [*"abccc"], "is_first": [YES, YES, YES, NO, NO], "is_last": [YES, YES, NO, NO, YES],
-          "is_terminal": [YES, YES, NO, NO, NO]}, r"'a': it has no step"),
+          "is_terminal": [YES, YES, NO, NO, NO]},
+         r"'a': it has no step, as its only row is is_last.* in 2 of 3 episodes; if the ending stands in the row of"),
     ],
     arrays_with: [
         ({"rewards": None}, r"no 'rewards' for the reward among actions, next_observations"),

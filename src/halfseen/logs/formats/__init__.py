@@ -3,8 +3,8 @@
 Read down: `as_text` (columns as text, and what a form cannot hold) → `csv_folder` → `older` (logs of version 1) →
 `mapping` (files that say where things stand) → `sql_rows` → `steps` (steps of others, column by column, as stages) →
 `step_tables` → `lerobot_folder` → `step_arrays` → `minari` → `bag_files`, `bag_messages`, `bags` → `table_cells`,
-`event_tables` (any table, by a mapping as bags have), `event_template`. Libraries that only some users need load when
-they are used.
+`ending_flags`, `event_tables` (any table, by a mapping as bags have), `event_template`. Libraries that only some users
+need load when they are used.
 """
 
 from halfseen.logs.formats.as_text import Loss, losses

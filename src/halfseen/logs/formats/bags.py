@@ -92,6 +92,8 @@ def read_bag(
         for name, events in split(bag, read_events(bag, mapping), begin, mapping.file):
             num_begun += 1
             trajectory = Trajectory(num_begun if name is None else name, needed, mapping.ending.finished)
+            if begin is not None:
+                trajectory.remedy = f"record a message of {begin} before it"
             trajectory.follow(events)
             if is_seen(bag, trajectory):
                 of_bag.append(trajectory)
@@ -207,6 +209,8 @@ class Trajectory:
     """Number of the cloud of each stage, None where none had come."""
     place: str = ""
     """Where the last event stands, for messages."""
+    remedy: str = "map [trajectory], the message that begins a trajectory, if there are several"
+    """Of what comes after an ending, for messages."""
 
     @property
     def missing(self) -> list[str]:
@@ -285,7 +289,7 @@ class Trajectory:
         if key in ("action", "reward", "ending"):
             raise LogError(
                 f"{self.place}trajectory {shown(self.name)}: {key} comes at {clock_s:g} s, after its ending at "
-                f"{self.end_s:g} s; map [trajectory], the message that begins a trajectory, if there are several"
+                f"{self.end_s:g} s; {self.remedy}"
             )
 
     def _refuse(self, trouble: str) -> NoReturn:

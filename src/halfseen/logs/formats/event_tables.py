@@ -6,8 +6,10 @@ and an empty cell says nothing. Where trajectories have a column, each of their 
 A trajectory without an ending was cut: "log ended".
 """
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -19,15 +21,18 @@ from halfseen.logs.columns import shown
 from halfseen.logs.formats import table_values
 from halfseen.logs.formats.bag_messages import Event
 from halfseen.logs.formats.bags import Trajectory, is_seen, logs_of, split
-from halfseen.logs.formats.mapping import NUMBERS, Entry, EventMapping, read_event_mapping
+from halfseen.logs.formats.ending_flags import are_flags, with_ending
+from halfseen.logs.formats.mapping import NUMBERS, Clock, Entry, EventMapping, read_event_mapping
 from halfseen.logs.formats.table_cells import Cells, cells_of, check_column, read_cells
-from halfseen.logs.formats.table_values import Marks, Stamps
+from halfseen.logs.formats.table_values import BEGIN_LIKE, Marks, Stamps
 from halfseen.logs.logs import Logs
 from halfseen.logs.missing import Missing
 from halfseen.shapes import Int
 
 LOG_ENDED = "log ended"
 """Cause of a trajectory that has no ending."""
+FEWEST_ON_ONE_CLOCK = 5
+"""Trajectories of several stages by which it shows that a clock runs on."""
 
 
 def read_event_table(
@@ -60,15 +65,23 @@ def read_event_table(
     """
     wanted, file = read_event_mapping(mapping), str(mapping)
     cells = cells_of(place, source) if isinstance(source, pa.Table) else _read_files(source, wanted)
+    cells, wanted = with_ending(cells, wanted, file)
     _check_columns(cells, wanted, file)
     cells = cells if wanted.topic is None else _without_repeats(cells)
-    needed = {name: f"column {wanted.column(f'covariates.{name}')!r}" for name in wanted.covariates}
+    needed = {name: _origin(wanted, f"covariates.{name}") for name in wanted.covariates}
+    late: Counter[str] = Counter()
+    finishing, remedy = wanted.ending.finishing, _remedy_after_ending(cells, wanted)
     found = []
     for number, (name, events) in enumerate(_trajectories(cells, wanted, file), start=1):
-        trajectory = Trajectory(number if name is None else name, needed, wanted.ending.finished, cause=LOG_ENDED)
+        late.update(_late_covariates(events))
+        called = number if name is None else name
+        trajectory = Trajectory(called, needed, finishing, cause=LOG_ENDED, remedy=remedy)
         trajectory.follow(events)
         if is_seen(Path(cells.file), trajectory):
             found.append(trajectory)
+    _warn_of_late(cells, wanted, late)
+    if wanted.clock.since == "trajectory":
+        _warn_of_running_clock(cells, wanted.clock, found)
     return logs_of(cells.file, file, found, missing=missing)
 
 
@@ -85,6 +98,23 @@ def _read_files(source: str | Path | Sequence[Path], mapping: EventMapping) -> C
     columns = {name: [text for each in tables for text in each.columns[name]] for name in first.columns}
     places = [f"{Path(each.file).name}, {each.word} {row}" for each in tables for row in each.rows]
     return Cells(str(source[0].parent), columns, places, first.layout, "file")
+
+
+def _origin(mapping: EventMapping, key: str) -> str:
+    """Where a value comes from, for messages: its events, or its column."""
+    topics = mapping.entries[key].topics
+    return " or ".join(map(shown, topics)) if topics else f"column {mapping.column(key)!r}"
+
+
+def _remedy_after_ending(cells: Cells, mapping: EventMapping) -> str:
+    """What mends rows that come after an ending."""
+    column = mapping.column("ending")
+    if not mapping.ending.topics and are_flags(cells.columns[column]):
+        return f'column {column!r} is true or false, so say finished = {{field = "{column}"}} in [ending]'
+    if mapping.trajectory is None:
+        return "map [trajectory], the column of its name or the event that begins it, if there are several"
+    last = "the ending must be last by the clock"
+    return f"{last}; mend the times, or have {_origin(mapping, 'trajectory')} tell the trajectories apart"
 
 
 def _check_columns(cells: Cells, mapping: EventMapping, file: str) -> None:
@@ -187,7 +217,7 @@ def _rows_that_tell(cells: Cells, mapping: EventMapping, key: str) -> list[int]:
         topics, wanted = cells.columns[mapping.topic], set(entry.topics)
         return [row for row, topic in enumerate(topics) if topic in wanted]
     is_needed = mapping.topic is None and "." in key
-    is_needed |= "" in entry.values or (key == "ending" and "" in mapping.ending.finished)
+    is_needed |= "" in entry.values or (key == "ending" and "" in mapping.ending.finishing)
     return [row for row, text in enumerate(texts) if text or is_needed]
 
 
@@ -255,6 +285,38 @@ def _warn_of_reordered(cells: Cells, groups: Iterable[list[int]], stamps: Stamps
         rest = f"; so it is in {len(late):,} rows" if len(late) > 1 else ""
         early = f"the time is before that of the row above{rest}"
         warn(cells.place(late[0]), f"{early}; rows are put in order of time")
+
+
+def _late_covariates(events: list[Event]) -> Iterator[str]:
+    """Keys of covariates that stand at the time of an action, but after it."""
+    begun_ns: int | None = None
+    for event in events:
+        if event.key in ("action", "reward", "ending"):
+            begun_ns = event.stamp_ns if event.key == "action" else None
+        elif event.key.startswith("covariates.") and event.stamp_ns == begun_ns:
+            yield event.key
+
+
+def _warn_of_late(cells: Cells, mapping: EventMapping, late: Counter[str]) -> None:
+    if late:
+        names = ", ".join(_origin(mapping, key) for key in late)
+        warn(
+            cells.file,
+            f"{late.total():,} values of {names} stand at the time of an action, but after it in the file: the value "
+            "before was taken; write them before the action if they had been seen by then",
+        )
+
+
+def _warn_of_running_clock(cells: Cells, clock: Clock, found: list[Trajectory]) -> None:
+    """Warn of one clock for all trajectories, where times are to count since each began."""
+    spans = sorted((each.end_s, each.stages[0]["elapsed_s"]) for each in found if len(each.stages) > 1)
+    if len(spans) >= FEWEST_ON_ONE_CLOCK and all(end_s < first_s for (end_s, _), (_, first_s) in pairwise(spans)):
+        begin = next(filter(BEGIN_LIKE.search, cells.columns), "COLUMN")
+        warn(
+            f"{cells.file}, column {clock.fields[-1]!r}",
+            'times run on over trajectories, and do not count since each began; in place of since = "trajectory", say '
+            f'begin = "{begin}", the column of the time at which a stage began, with that of its end as field',
+        )
 
 
 def _warn_of_early(cells: Cells, events: list[Event]) -> None:

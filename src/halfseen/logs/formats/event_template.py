@@ -12,9 +12,11 @@ import pandas as pd
 
 from halfseen.errors import LogError
 from halfseen.logs.columns import STAGE_COLUMNS, shown
+from halfseen.logs.formats.ending_flags import are_flags
 from halfseen.logs.formats.mapping import Layout
 from halfseen.logs.formats.table_cells import TYPED_FILES, Cells, heading_of, read_cells
 from halfseen.logs.formats.table_values import (
+    BEGIN_LIKE,
     ISO,
     TIME_OF_DAY,
     dates_and_times,
@@ -27,25 +29,34 @@ from halfseen.logs.formats.table_values import (
 _LIKE = {
     "clock.field": r"zeit|time|stamp|date|datum|uhr|elapsed|clock|ende?_|end$|dauer|^t$|(^|_)(ms|us|ns|s|min)$"
     r"|heure|horodat|fecha|hora|^ora$|^data",
-    "clock.begin": r"beg[ia]n|start|anfang|début|inicio|inizio",
+    "clock.begin": BEGIN_LIKE.pattern,
     "trajectory": r"lauf|run|traj|episode|auftrag|order|job|batch|charge|cycle|zyklus|trial|essai|ciclo|lote|lotto",
     "topic": r"ereignis|event|typ|meldung|message|topic|kind|signal|tag|évén|mensaje|messaggio",
     "action": r"a[kc]tion|griff|greif|grip|tool|werkzeug|decision|choice|prise|pince|outil|acción|azione|pinza",
     "object": r"obje[kc]?t|teil|part|item|pièce|pieza|pezzo",
-    "probability": r"prob|wahrsch|propens",
+    "probability": r"prob|wahrsch|propens|^p$",
     "reward": r"reward|belohn|ertrag|worth|wert|value|score|punkt|profit|gewinn|récomp|valeur|valor",
-    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|stop|cause|grund|ursache|fault|fehler|stör|status"
-    r"|^fine?$|résult|risult|causa|motif|arrêt",
+    "ending": r"ende?$|ending|ergebnis|outcome|result|abbruch|schluss|stop|cause|grund|ursache|fault|fehler|stör|status"
+    r"|^fine?$|résult|risult|causa|motif|arrêt|terminat|truncat",
 }
 """What names of columns look like that carry something, in the order in which columns are given away: as engineers
 write them in German, English, French, Spanish or Italian."""
 _EVENTS_LIKE = {
     "trajectory": r"^(start|begin|anfang|début|inicio|inizio)",
     "ending": r"^end|^fine?$|stop|finish|fertig|abbruch|not-?halt|arrêt|parada|arresto",
-    "reward": r"reward|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
+    "reward": r"reward|ertrag|place|ablage|abgelegt|result|ergebnis|drop|success|^n?ok$|^(n\.?)?i\.?o\.?$"
     r"|dépo|depó|depos|résult",
     "action": r"griff|greif|pick|gras?p|grip|a[kc]tion|prise|agarre|presa|acción|azione",
 }
+_FLAGS_LIKE = {
+    "ending.finished": re.compile(r"terminat|is_terminal|(^|_)done$", re.IGNORECASE),
+    "ending.cut": re.compile(r"truncat|time_?out|time_?limit|^is_last$", re.IGNORECASE),
+}
+"""Likewise of columns of true and false, in the row that acts."""
+_END_TIME_LIKE = re.compile(r"(^|[^a-z])(end(e|ed)?|bis|until|fin(e|ished)?|done|stop(ped)?)([^a-z]|$)", re.IGNORECASE)
+"""Likewise of times at which a stage ended."""
+_KNOWN_LATER = re.compile(f"{_LIKE['ending']}|{_END_TIME_LIKE.pattern}|^is_(first|last)$", re.IGNORECASE)
+"""Likewise of what is no covariate, as it is known only after the action."""
 _FINISHED_LIKE = re.compile(r"fertig|finish|done|complet|success|^ok$|^ende?$|termin|réussi", re.IGNORECASE)
 """Likewise of events, and of endings that are no cut."""
 _ISO_8601 = "ISO8601"
@@ -88,14 +99,18 @@ def _read(file: Path) -> Cells:
 
 def _guessed(cells: Cells) -> dict[str, str]:
     """The column of each key, as far as one looks like it."""
-    found: dict[str, str] = {}
+    found = _flags(cells) | _span(cells)
+    known = {*found} | ({"ending"} if "ending.finished" in found else set())
+    known |= {"topic"} if "clock.begin" in found else set()
     for key, like in _LIKE.items():
+        if key in known:
+            continue
         for name, texts in cells.columns.items():
             there = [text for text in texts if text]
             if name in found.values() or not there or not re.search(like, name, re.IGNORECASE):
                 continue
             are_numbers = all(map(is_numeric, there))
-            are_times = len(there) == len(texts) and (are_numbers or bool(_date_formats(texts)))
+            are_times = len(there) == len(texts) and _are_times(texts)
             is_fit = {
                 "probability": are_numbers,
                 "reward": are_numbers,
@@ -109,11 +124,30 @@ def _guessed(cells: Cells) -> dict[str, str]:
     return found | _other_times(cells, found)
 
 
+def _flags(cells: Cells) -> dict[str, str]:
+    """The columns of true and false that tell of an ending; none without one that tells of its own end."""
+    flags = [name for name, texts in cells.columns.items() if are_flags(texts)]
+    found = {key: next(filter(like.search, flags), None) for key, like in _FLAGS_LIKE.items()}
+    return {} if found["ending.finished"] is None else {key: name for key, name in found.items() if name is not None}
+
+
+def _span(cells: Cells) -> dict[str, str]:
+    """The columns of the times at which a stage began and ended; none where one of the two is missing."""
+    times = [name for name, texts in cells.columns.items() if _are_times(texts) and not are_flags(texts)]
+    begin = next(filter(BEGIN_LIKE.search, times), None)
+    end = next((name for name in times if name != begin and _END_TIME_LIKE.search(name)), None)
+    return {} if begin is None or end is None else {"clock.begin": begin, "clock.field": end}
+
+
+def _are_times(texts: Sequence[str]) -> bool:
+    return all(map(is_numeric, texts)) or bool(_date_formats(texts))
+
+
 def _other_times(cells: Cells, found: dict[str, str]) -> dict[str, str]:
     """A column of times that no name tells; of one row a stage, that of the end where the one found is a beginning."""
     times = (name for name in cells.columns if name not in found.values() and _date_formats(cells.columns[name]))
     first = found.get("clock.field") or next(times, None)
-    is_begin = first is not None and re.search(_LIKE["clock.begin"], first, re.IGNORECASE) is not None
+    is_begin = first is not None and BEGIN_LIKE.search(first) is not None
     if is_begin and not {"topic", "clock.begin"} & set(found) and (end := next(times, None)) is not None:
         return {"clock.begin": str(first), "clock.field": end}
     return {} if first is None else {"clock.field": first}
@@ -140,7 +174,9 @@ def _template(cells: Cells, file: str, found: dict[str, str], parts: dict[str, l
     like = {key: [one for one in topics if re.search(words, one, re.IGNORECASE)] for key, words in _EVENTS_LIKE.items()}
     for key in ("trajectory", "action", "object", "probability", "reward", "ending"):
         topic = [] if key == "trajectory" and key in found else like.get(key, [])
-        if key in found or topic or key in ("action", "reward", "ending"):
+        if key == "ending" and "ending.finished" in found and not topic:
+            yield from ("", *_flag_lines(cells, found))
+        elif key in found or topic or key in ("action", "reward", "ending"):
             yield from ("", *_entry_lines(cells, key, found, topic))
     taken = {one for each in like.values() for one in each}
     yield from _covariate_lines(cells, found, [one for one in topics if one not in taken])
@@ -164,9 +200,9 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if not formats:
         unit = re.search(r"(?<![a-z])(ms|us|ns|min|s)\W*$", name)
         yield f'unit = "{unit[1] if unit else "s"}"  # guess: s, ms, us, ns or min'
-        yield '{}since = "trajectory"  # guess: numbers count from there, or from the "stage"'.format(
-            "# " if has_topic else ""
-        )
+        begin = found.get("clock.begin")
+        since = 'since = "trajectory"  # guess: numbers count from there, or from the "stage"'
+        yield ("# " if has_topic else "") + since if begin is None else _begin_line(cells, begin, parts)
         return
     if len(formats) > 1:
         yield "# The order of day and month is not to be guessed; choose one:"
@@ -180,11 +216,11 @@ def _clock_lines(cells: Cells, found: dict[str, str], has_topic: bool, parts: di
     if not has_topic:
         yield "# Column of the time at which a stage began."
         begin = found.get("clock.begin")
-        yield (
-            '# begin = "COLUMN"  # no column looks like it'
-            if begin is None
-            else f"begin = {_guessed_time(cells, begin, parts)}"
-        )
+        yield ('# begin = "COLUMN"  # no column looks like it' if begin is None else _begin_line(cells, begin, parts))
+
+
+def _begin_line(cells: Cells, begin: str, parts: dict[str, list[str]]) -> str:
+    return f"begin = {_guessed_time(cells, begin, parts)}"
 
 
 def _guessed_time(cells: Cells, name: str, parts: dict[str, list[str]]) -> str:
@@ -209,18 +245,32 @@ def _entry_lines(cells: Cells, key: str, found: dict[str, str], topic: list[str]
     if key == "ending":
         ends = [text for text in texts if _FINISHED_LIKE.search(text)] or [text for text in texts if not text]
         yield f'finished = [{", ".join(map(_quoted, ends))}]  # guess: what is no cut; "" where an empty cell is none'
-    elif key == "action" or (key == "reward" and not all(map(is_numeric, texts))):
+    elif key == "action" or (key == "reward" and not all(map(is_numeric, filter(None, texts)))):
         names = list(map(_quoted, filter(None, texts)))[: 1 if key == "action" else 20]
         pairs = ", ".join(f"{name} = {name if key == 'action' else '1.0'}" for name in names)
         meaning = "what it stands for, if that is another" if key == "action" else "what each earns"
         yield f"# values = {{{pairs}}}  # {meaning}"
 
 
+def _flag_lines(cells: Cells, found: dict[str, str]) -> Iterator[str]:
+    """An ending of columns of true and false."""
+    yield "[ending]"
+    for key in _FLAGS_LIKE:
+        if key in found:
+            name, guess = _guess(cells, found[key]).split("  # ", 1)
+            yield f"{key.removeprefix('ending.')} = {{field = {name}}}  # {guess}"
+
+
 def _covariate_lines(cells: Cells, found: dict[str, str], topics: list[str]) -> Iterator[str]:
     """What is left, as what was known before the action."""
     free = [name for name in cells.columns if name not in found.values()]
     for name in [] if "topic" in found else free:
-        yield from ("", f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}")
+        lines = f"[covariates.{_key(name)}]", f"field = {_guess(cells, name)}"
+        if _KNOWN_LATER.search(name):
+            yield from ("", "# Its name is of what is known only after the action; it is no covariate then.")
+            yield from (f"# {line}" for line in lines)
+        else:
+            yield from ("", *lines)
     for topic in topics:
         rows = _rows(cells, found, [topic])
         column = _filled(cells, found, "covariates", rows)
@@ -239,7 +289,8 @@ def _filled(cells: Cells, found: dict[str, str], key: str, rows: list[int]) -> s
     others = {found.get(other) for other in ("topic", "clock.field", "trajectory") if other != key}
     ways = [name for name in cells.columns if name not in others and all(cells.columns[name][row] for row in rows)]
     numeric = [name for name in ways if all(is_numeric(cells.columns[name][row]) for row in rows)]
-    ways = numeric or ways if key == "reward" else ways
+    texts = [name for name in ways if name not in numeric]
+    ways = {"reward": numeric, "action": texts}.get(key) or ways
     return found[key] if found.get(key) in ways else next(iter(ways), None)
 
 
@@ -268,6 +319,9 @@ def _date_formats(texts: Sequence[str]) -> list[str]:
         return [_ISO_8601]
     if ":" not in some.iloc[0]:
         return []
-    ways = [f"{day} {time}" for day in _DAYS for time in _TIMES] + list(_TIMES)
-    likely = [way for way in ways if pd.notna(pd.to_datetime(some.iloc[0], format=way, errors="coerce"))]
-    return [way for way in likely if pd.to_datetime(some, format=way, errors="coerce").notna().all()]
+    days = [f"{day} {time}" for day in _DAYS for time in _TIMES]
+    ways = [*days, *(f"{way}%z" for way in days), *_TIMES]
+    likely = [
+        way for way in ways if pd.notna(pd.to_datetime(some.iloc[0], format=way, errors="coerce", utc="%z" in way))
+    ]
+    return [way for way in likely if pd.to_datetime(some, format=way, errors="coerce", utc="%z" in way).notna().all()]

@@ -212,10 +212,24 @@ class Entry(msgspec.Struct, **Given):
         return [self.topic] if isinstance(self.topic, str) else list(self.topic or [])
 
 
-class Ending(Entry, **Given):
-    """Where an ending stands; what is in `finished` is no cause of a cut."""
+class Flag(msgspec.Struct, **Given):
+    """A column that is true where something holds."""
 
-    finished: list[str] = msgspec.field(default_factory=lambda: [FINISHED])
+    field: str
+
+
+class Ending(Entry, **Given):
+    """Where an ending stands: as text, or as flags of the row that acts."""
+
+    finished: list[str] | Flag = msgspec.field(default_factory=lambda: [FINISHED])
+    """Text that is no cause of a cut; or the flag of the end that a trajectory itself has."""
+    cut: Flag | None = None
+    """The flag of a cut, whose cause is the name of the column; where `finished` is a flag, too."""
+
+    @property
+    def finishing(self) -> list[str]:
+        """Text that is no cause of a cut; none where flags tell."""
+        return self.finished if isinstance(self.finished, list) else []
 
 
 class EventMapping(msgspec.Struct, **Given):
@@ -298,14 +312,26 @@ def _troubles_of_table(mapping: EventMapping) -> Iterator[tuple[str, str]]:
         yield "clock.format", "dates have a format, and numbers a unit; leave one of the two out"
     if mapping.topic is None and clock.since is None and clock.begin is None:
         yield "clock.begin", "it is missing; name the column of the beginning of a stage, or say since what times count"
+    if clock.since is not None and clock.begin is not None:
+        yield "clock", f"since = {clock.since!r} and begin = {clock.begin!r} both say when it begins; leave one out"
     if mapping.topic is not None and (clock.since == "stage" or clock.begin is not None):
         yield "clock", "begin, and since = 'stage', are for tables of one row a stage; leave it out"
+    yield from _troubles_of_flags(mapping.ending)
     for key, entry in mapping.entries.items():
         if mapping.topic is None and entry.topic is not None:
             yield f"{key}.topic", "no column of events is named; add topic = 'COLUMN' at the top"
-        if entry.field is None and (mapping.topic is None or entry.topic is None):
+        is_flag = isinstance(entry, Ending) and isinstance(entry.finished, Flag)
+        if entry.field is None and (mapping.topic is None or entry.topic is None) and not is_flag:
             yield f"{key}.field", "it is missing; name the column"
         if (key in NUMBERS or entry.type == "number") and any(
             isinstance(value, str) for value in entry.values.values()
         ):
             yield f"{key}.values", "they are text; give numbers"
+
+
+def _troubles_of_flags(ending: Ending) -> Iterator[tuple[str, str]]:
+    is_flag = isinstance(ending.finished, Flag)
+    if is_flag and (ending.field is not None or ending.topic is not None):
+        yield "ending", "field and topic are of text, and finished names a column of true and false; leave one out"
+    if ending.cut is not None and not is_flag:
+        yield "ending.finished", 'it is no flag, and cut is one; say finished = {field = "COLUMN"}, too'

@@ -34,7 +34,7 @@ from halfseen.logs.formats.steps import (
 from halfseen.logs.logs import Logs
 from halfseen.logs.parquet import parquet_file
 from halfseen.reading import MOST_LEVELS, TABLE, check_file, check_unpacked, opened, refused
-from halfseen.shapes import Float, Int, Shaped
+from halfseen.shapes import Bool, Float, Int, Shaped
 
 SEEN = "observation"
 EPISODES = ("episode_id", "episode_index", "episode")
@@ -86,8 +86,9 @@ def read_steps(files: str | Path | Sequence[str | Path], rules: StepRules | None
     last = begins[1:] - 1
     is_step = np.ones(len(is_last), dtype=bool)
     is_step[last] = ~is_last[last]
-    rewards = steps.numbers(named["reward"], "reward")
-    _warn_of_unread(place, table, {*named.values()}, rewards[~is_step])
+    rewards, remedy = steps.numbers(named["reward"], "reward"), _remedy_of_acting_ends(named["done"])
+    _refuse_without_step(place, names, begins, is_step, remedy)
+    _warn_of_unread(place, table, {*named.values()}, rewards[~is_step], remedy)
     observed = steps.observed(seen)
     actions = steps.actions(named["action"], is_step)
     step_s = rules.step_in(place)
@@ -125,7 +126,31 @@ def _episodes(steps: StepColumns, label: str | None) -> tuple[list[int | str], I
     return labels[begins[:-1]].tolist(), begins
 
 
-def _warn_of_unread(place: str, table: pa.Table, read: set[str], last_rewards: Float[np.ndarray, " E"]) -> None:
+def _remedy_of_acting_ends(done: str) -> str:
+    """What reads a table whose endings stand in the rows that act."""
+    ending = f'finished = {{field = "{done}"}} and cut = {{field = "{LAST}"}}'
+    return (
+        f"if the ending stands in the row of the last action, read the table by a mapping with {ending} in [ending], "
+        "which halfseen convert TABLE --mapping-template makes"
+    )
+
+
+def _refuse_without_step(
+    place: str, names: Sequence[int | str], begins: Int[np.ndarray, " E1"], is_step: Bool[np.ndarray, " N"], remedy: str
+) -> None:
+    """Refuse an episode of one row in which nothing was done any more (`LogError`)."""
+    is_without = (np.diff(begins) == 1) & ~is_step[begins[:-1]]
+    if is_without.any():
+        name, num_episodes = shown(names[int(np.argmax(is_without))]), int(is_without.sum())
+        raise LogError(
+            f"{place}, episode {name}: it has no step, as its only row is {LAST}, in which nothing is done any more; "
+            f"so it is in {num_episodes} of {len(names)} episodes; {remedy}"
+        )
+
+
+def _warn_of_unread(
+    place: str, table: pa.Table, read: set[str], last_rewards: Float[np.ndarray, " E"], remedy: str
+) -> None:
     known = {*read, *EPISODES, FIRST, LAST, TERMINAL}
     left_out = [name for name in table.column_names if name not in known and not name.startswith(SEEN)]
     if left_out:
@@ -135,7 +160,7 @@ def _warn_of_unread(place: str, table: pa.Table, read: set[str], last_rewards: F
         warn(
             place,
             f"{num_lost} rewards other than 0 stand in rows that are {LAST}, in which nothing was done any more: they "
-            "are not read",
+            f"are not read; {remedy}",
         )
 
 

@@ -139,6 +139,8 @@ _ZONED = re.compile(r":.*(Z|[+-]\d\d:?\d\d)$")
 _HOUR_NS = 3600 * 10**9
 _DAY_ALONE = re.compile(r"\d{1,4}[-./]\d{1,2}[-./]\d{1,4}")
 TIME_OF_DAY = re.compile(r"\d{1,2}:\d\d(:\d\d([.,]\d{1,9})?)?( ?[AaPp][Mm])?")
+BEGIN_LIKE = re.compile(r"beg[ia]n|start|anfang|début|inicio|inizio", re.IGNORECASE)
+"""What names of columns look like that tell when something began, in German, English, French, Spanish or Italian."""
 _HAS_DAY = re.compile(r"(?<!%)(%%)*%[djcxs]")
 Stamps: TypeAlias = Int[np.ndarray, " rows"]
 """Times [ns]."""

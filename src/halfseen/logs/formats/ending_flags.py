@@ -1,0 +1,52 @@
+"""Endings that are flags of the row that acts, such as ``terminated`` and ``truncated`` of Gymnasium.
+
+The flags of a row become one text: "finished", the cause of a cut, or none. Where both are true, the trajectory
+finished. A true flag in an earlier row than the last is refused as any ending is that comes too early.
+"""
+
+from dataclasses import replace
+
+import msgspec
+
+from halfseen.logs.columns import FINISHED
+from halfseen.logs.formats.mapping import Ending, EventMapping, Flag
+from halfseen.logs.formats.table_cells import Cells, check_column
+
+_TRUE, _FALSE = ("true", "1", "1.0", "yes"), ("false", "0", "0.0", "no", "")
+
+
+def are_flags(texts: list[str]) -> bool:
+    """Whether cells are true and false, or empty, and one says that it is false."""
+    found = {text.lower() for text in texts}
+    return found <= {*_TRUE, *_FALSE} and bool(found & {*_FALSE} - {""})
+
+
+def with_ending(cells: Cells, mapping: EventMapping, file: str) -> tuple[Cells, EventMapping]:
+    """Put the flags of an ending into one column of text, which the mapping names in their place.
+
+    Raises
+    ------
+    ArgumentError
+        There is no such column.
+    LogError
+        A cell is neither true nor false; an empty one is false.
+    """
+    ending = mapping.ending
+    if isinstance(ending.finished, list):
+        return cells, mapping
+    is_finished = _read(cells, ending.finished, f"{file}, ending.finished.field")
+    cause = "" if ending.cut is None else ending.cut.field
+    is_cut = [False] * len(is_finished) if ending.cut is None else _read(cells, ending.cut, f"{file}, ending.cut.field")
+    texts = [FINISHED if done else cause if cut else "" for done, cut in zip(is_finished, is_cut, strict=True)]
+    name = f"ending by {' or '.join(filter(None, [ending.finished.field, cause]))}"
+    by_text = Ending(field=name, finished=[FINISHED], values=ending.values)
+    return replace(cells, columns=cells.columns | {name: texts}), msgspec.structs.replace(mapping, ending=by_text)
+
+
+def _read(cells: Cells, flag: Flag, asked_by: str) -> list[bool]:
+    check_column(cells, flag.field, asked_by)
+    texts = [text.lower() for text in cells.columns[flag.field]]
+    wrong = next((row for row, text in enumerate(texts) if text not in (*_TRUE, *_FALSE)), None)
+    if wrong is not None:
+        cells.refuse(wrong, flag.field, "is neither true nor false (1 or 0, yes or no); mend it, or name another")
+    return [text in _TRUE for text in texts]

@@ -1,0 +1,70 @@
+"""Endings that are flags of the row that acts: what comes out was worked out by hand from the rows."""
+
+import pytest
+
+from event_files import ends, stages
+from halfseen.logs.formats import mapping_of
+from refusals import refused
+
+FLAGGED = """\
+run,tool,left,s,worth,terminated,truncated
+a,suction,9.5,1.5,2.5,false,false
+a,soft,8,4,-1,true,true
+b,soft,9.5,2,1,no,0
+b,suction,6.25,2.5,,no,1
+c,soft,3,2,1,False,
+d,soft,3,2,1,0.0,1.0
+"""
+BY_FLAGS = """
+clock = {field = "s", unit = "s", since = "trajectory"}
+trajectory = {field = "run"}
+action = {field = "tool"}
+reward = {field = "worth"}
+ending = {finished = {field = "terminated"}, cut = {field = "truncated"}}
+covariates.left = {field = "left"}
+"""
+
+
+def test_an_ending_may_be_flags_of_the_row_that_acts(read_table, tmp_path):
+    logs = read_table(FLAGGED, BY_FLAGS)
+    assert ends(logs) == [
+        ("a", 4.0, "finished", None),
+        ("b", 2.5, "cut", "truncated"),
+        ("c", 2.0, "cut", "log ended"),
+        ("d", 2.0, "cut", "truncated"),
+    ]
+    earned = [row[:5] for row in stages(logs) if row[4] is not None]
+    assert earned == [
+        ("a", 1, 1.5, "suction", 2.5),
+        ("a", 2, 4.0, "soft", -1.0),
+        ("b", 1, 2.0, "soft", 1.0),
+        ("c", 1, 2.0, "soft", 1.0),
+        ("d", 1, 2.0, "soft", 1.0),
+    ]
+    alone = read_table(FLAGGED, BY_FLAGS.replace(', cut = {field = "truncated"}', ""))
+    assert [row[2:] for row in ends(alone)] == [("finished", None)] + [("cut", "log ended")] * 3
+    made = mapping_of(tmp_path / "events.csv")
+    assert "cut = {field = \"truncated\"}  # guess: such as 'false' and 'true'" in made.splitlines()
+    assert ends(read_table(FLAGGED, made)) == ends(logs)
+    named = read_table(FLAGGED, BY_FLAGS.replace('"truncated"}', '"truncated"}, values = {truncated = "horizon"}'))
+    assert ends(named)[1] == ("b", 2.5, "cut", "horizon")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ("finished = {", 'field = "terminated", finished = {', r"cell\.toml, ending: field and topic are of text"),
+        ('finished = {field = "terminated"}, ', "", r"ending\.finished: it is no flag, and cut is one; say finished"),
+        ('"truncated"', '"truncate"', r"ending\.cut\.field: there is no column 'truncate' .*did you mean 'truncated'"),
+        ('"terminated"', '"worth"', r"line 2, column 'worth': '2.5' is neither true nor false"),
+        ('"run"', '"tool"', r"the ending must be last by the clock; .* have column 'tool' tell the trajectories apart"),
+        ('trajectory = {field = "run"}\n', "", r"map \[trajectory\], the column of its name or the event that begins"),
+        ('{field = "terminated"}, cut = {field = "truncated"}', '["true"], field = "terminated"',
+         r"action comes at 4 s, after its ending .*; column 'terminated' is true or false, so say finished = \{field"),
+    ],
+)  # fmt: skip
+def test_flags_that_do_not_fit_are_refused(read_table, old, new, message):
+    assert old in BY_FLAGS
+    *rows, _, _, _ = FLAGGED.replace("b,soft,9.5,2,", "b,soft,9.5,5,").replace("6.25,2.5", "6.25,6").splitlines()
+    with refused(message):
+        read_table("\n".join([*rows, "c,soft,3,7,1,no,no"]), BY_FLAGS.replace(old, new))
