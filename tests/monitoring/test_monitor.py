@@ -221,6 +221,47 @@ def test_lifetimes_without_a_change_are_seldom_alarmed_about(stored):
     assert alarms <= sum(ALPHAS.values()) * num + 2.0 * np.sqrt(num * 0.05)
 
 
+def coloured(num, seed, policy=None, new=()):
+    """As `cell`, with a covariate of text that tells nothing; some trajectories have a colour that was never seen."""
+    logs = cell(num, seed)
+    colour = np.random.default_rng(seed + 1).choice(["blue", "red"], num)
+    stages = logs.stages.assign(colour=colour)
+    if policy is not None:
+        is_done = stages["reward"].notna()
+        suits = (policy.decide(stages, 1) == "A") == (stages["x"] < 0.5)
+        draws = np.random.default_rng(seed + 2).random(num)
+        brought = (draws < np.where(suits, 0.9, 0.18)).astype(float)
+        stages = stages.assign(action=policy.decide(stages, 1), reward=np.where(is_done, brought, np.nan))
+    stages.loc[list(new), "colour"] = "green"
+    return Logs(stages, logs.trajectories)
+
+
+@pytest.fixture(scope="module")
+def of_colours(tmp_path_factory):
+    logs = coloured(500, 0)
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x", "z", "colour"], reg=1e-3).fit(logs)
+    folder = tmp_path_factory.mktemp("policies") / "coloured"
+    write_policy(learner, logs, folder, verdict=VERDICT)
+    return read_policy(folder)
+
+
+def test_a_category_that_was_never_seen_is_named_and_stops_nothing(of_colours):
+    found = monitored(of_colours, coloured(300, 1, of_colours.policy, [60]))
+    assert found.alarm_at is None
+    assert found.doubts[0].startswith("Covariate colour is 'green' in 1 stage, which the log that was learned from")
+    assert found.sentence.startswith("No alarm: in 300 trajectories nothing else has changed; it earns 0.")
+    assert np.isnan(found.outcomes.values[60])
+
+
+def test_a_category_that_is_never_seen_and_often_comes_is_an_alarm(of_colours):
+    found = monitored(of_colours, coloured(300, 1, of_colours.policy, range(200, 300)))
+    assert 200 < found.alarm_at < 300
+    assert "colour in stage 1" in {each.name for each in found.findings}
+    none_known = monitored(of_colours, coloured(100, 1, of_colours.policy, range(100)))
+    assert none_known.earned is None
+    assert none_known.alarm_at < 60
+
+
 LOOKS_AT = Covariates(("weight", "clutter"))
 
 

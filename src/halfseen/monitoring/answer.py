@@ -71,6 +71,8 @@ class Monitored:
         By name of a family, after each trajectory: the smallest of its p-values times their number.
     relearning
         Whether learning again may pay; "" where nothing has changed.
+    doubts
+        What the policy does not know, in words; it is told first.
     """
 
     num_trajectories: int
@@ -83,6 +85,7 @@ class Monitored:
     course: Course | None
     p_values: dict[str, Float[np.ndarray, " n"]]
     relearning: str = ""
+    doubts: tuple[str, ...] = ()
 
     @property
     def alarm_at(self) -> int | None:
@@ -101,7 +104,9 @@ class Monitored:
             promise = "{value:.3g} was promised ({low:.3g} to {high:.3g})".format(**self.promised)
             earned = f"{earned}, {promise}" if earned else promise
         if not self.findings:
-            seen = f"in {counted(self.num_trajectories, 'trajectory')} nothing has changed"
+            seen = (
+                f"in {counted(self.num_trajectories, 'trajectory')} nothing{' else' if self.doubts else ''} has changed"
+            )
             return f"No alarm: {seen}{'; ' if earned else ''}{earned}."
         first = self.findings[0]
         since = f"since about trajectory {first.since} ({first.since_low} to {first.since_high})"
@@ -119,6 +124,7 @@ class Monitored:
             "findings": [asdict(each) for each in self.findings],
             "causes": list(self.causes),
             "relearning": self.relearning,
+            "doubts": list(self.doubts),
             "notes": list(self.notes),
         }
 

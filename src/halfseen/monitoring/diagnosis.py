@@ -17,8 +17,8 @@ import numpy as np
 from halfseen.evaluation.kept import drifts_of
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.monitoring.streams import Stream, part_residuals
-from halfseen.policies.folder.promised_parts import moves, outcome_rows
+from halfseen.monitoring.streams import Stream, known_rows, part_residuals
+from halfseen.policies.folder.promised_parts import moves
 from halfseen.shapes import Float
 
 LEVEL = 0.95
@@ -141,7 +141,7 @@ def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> 
         Trajectory from which on it is looked at, counted from 1.
     """
     later = logs.select(logs.trajectory_ids[since - 1 :])
-    rows, found = outcome_rows(later), []
+    rows, found = known_rows(looks_at, later), []
     for part in promise.get("parts", ()):
         left = part_residuals(part, looks_at, rows[rows["action"].astype(str) == part["action"]])
         if len(left) < 2:
@@ -176,7 +176,7 @@ def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
     differ = {name for each in first for name, one in each["covariates"].items() if len(one.get("values", ())) > 1}
     numbers = [name for name in looks_at.columns if name in differ]
     parts = [part for part in promise.get("parts", ()) if part["what"] == "reward" and part["deviation"] > 0.0]
-    rows = outcome_rows(logs)
+    rows = known_rows(looks_at, logs)
 
     def misfit(frame: Any) -> tuple[float, float]:
         """Sum of squares of residuals, and their mean in standard errors."""

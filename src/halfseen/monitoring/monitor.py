@@ -30,6 +30,7 @@ from halfseen.monitoring.diagnosis import (
     is_misrecorded,
     moved,
 )
+from halfseen.monitoring.foreign import has_known_states, unknown_categories
 from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes, Course, Outcomes
 from halfseen.monitoring.streams import (
     Stream,
@@ -69,6 +70,8 @@ class Bets:
         What each trajectory adds to what is earned; None where that is not known.
     notes
         What is not watched.
+    doubts
+        What the policy does not know, in words.
     """
 
     logs: Logs
@@ -76,6 +79,7 @@ class Bets:
     streams: dict[str, list[Stream]]
     outcomes: Outcomes | None
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
 
 
 def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
@@ -132,13 +136,14 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if looks_at.num_features > 1 and promise.get("first_states"):
         joint = _joint(looks_at, logs, promise["first_states"], seed)
         payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
-    outcomes = _own_outcomes(stored, logs, is_own, promise, notes)
+    is_known = has_known_states(looks_at, logs)
+    outcomes = _own_outcomes(stored, logs, is_own, is_known, promise, notes)
     if outcomes is not None and promise.get("value"):
         least = np.array([promise["value"]["value"] - SURELY * promise["value"]["standard_error"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
         payoffs["promise"] = np.concatenate([*([payoffs["promise"]] if whole else []), promised], axis=1)
     streams = {"inputs": inputs, "parts": parts, "rewards": whole, "promise": whole}
-    return Bets(logs, payoffs, streams, outcomes, tuple(notes))
+    return Bets(logs, payoffs, streams, outcomes, tuple(notes), unknown_categories(looks_at, logs))
 
 
 def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n F"]) -> Monitored:
@@ -171,7 +176,7 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
     pays = ""
     if findings:
         pays = MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
-    rest: Any = (outcomes, course, smallest, pays)
+    rest: Any = (outcomes, course, smallest, pays, bets.doubts)
     return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
 
 
@@ -203,9 +208,12 @@ def _against_log(parts: list[Stream], num: int) -> Float[np.ndarray, "n P S"]:
 
 def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed: int) -> Float[np.ndarray, "n 1 S"]:
     rows: Any = logs.stages[logs.stages["stage"] == 1]
-    first = looks_at.encode(rows)
-    coins = np.random.default_rng([seed, 1]).random(len(first))
-    return pair_payoffs(first, np.array(reference), coins)
+    is_known = looks_at.knows(rows)
+    coins = np.random.default_rng([seed, 1]).random(len(rows))
+    of_known = pair_payoffs(looks_at.encode(rows[is_known]), np.array(reference), coins[is_known])
+    payoffs = np.ones((len(rows), *of_known.shape[1:]))
+    payoffs[is_known] = of_known
+    return payoffs
 
 
 def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
@@ -216,12 +224,19 @@ def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
 
 
 def _own_outcomes(
-    stored: StoredPolicy, logs: Logs, is_own: Bool[np.ndarray, " n"], promise: Any, notes: list[str]
+    stored: StoredPolicy,
+    logs: Logs,
+    is_own: Bool[np.ndarray, " n"],
+    is_known: Bool[np.ndarray, " n"],
+    promise: Any,
+    notes: list[str],
 ) -> Outcomes | None:
-    """As `_outcomes`; the rule's trajectories are not looked at."""
+    """As `_outcomes`; trajectories of the rule, and with categories that nobody knows, are not looked at."""
+    if not is_own.all():
+        notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
+    is_own = is_own & is_known
     if is_own.all():
         return _outcomes(stored, logs, promise, notes)
-    notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
     own = _outcomes(stored, logs.select(logs.trajectory_ids[is_own]), promise, notes) if is_own.any() else None
     if own is None:
         return None
@@ -261,7 +276,8 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
 def _own_share(stored: StoredPolicy, logs: Logs) -> float:
     """Share of the actions that are the policy's."""
     if hasattr(stored.policy, "decide") and isinstance(stored.policy, NamedActionPolicy):
-        known: Any = logs.stages[logs.stages["action"].notna()]
+        is_known = logs.stages["action"].notna().to_numpy() & looks_at_of(stored.policy).knows(logs.stages)
+        known: Any = logs.stages[is_known]
         return float(own_stages(stored.policy, known).mean()) if len(known) else 0.0
     shares = action_shares(stored.policy, task_of(stored.policy, logs), [logs])
     return float(np.average(shares["as_logged"].fillna(0.0), weights=shares["num_states"]))
