@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
+from halfseen.cli.act import lines
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.covariates import Covariates
@@ -135,6 +136,49 @@ def test_what_another_decided_says_nothing_of_the_promise(stored):
     found = monitored(stored, cell(300, 3))
     assert found.earned is None
     assert any("of the actions are the policy's" in each for each in found.notes)
+    assert found.foreign == ""
+
+
+class Opposite:
+    """Takes what another policy does not."""
+
+    def __init__(self, policy):
+        self.policy = policy
+
+    def decide(self, frame, stage):
+        return np.where(self.policy.decide(frame, stage) == "A", "B", "A").astype(object)
+
+
+def test_a_log_of_another_policy_is_not_judged_by_the_promise_of_this_one(stored):
+    other = cell(200, 3, policy=Opposite(stored.policy))
+    is_drawn = np.random.default_rng(0).random(200) < 0.1
+    stages = other.stages.assign(probability=np.where(is_drawn, 0.1, 0.9))
+    stages["action"] = np.where(is_drawn, stored.policy.decide(stages, 1), stages["action"])
+    found = monitored(stored, Logs(stages, other.trajectories))
+    assert found.sentence.startswith("Only 1")
+    assert "% of the actions are the policy's: this log is not of its service, and is not judged by" in found.sentence
+    assert (found.promised, found.earned) == (None, None)
+
+
+def test_where_most_is_explored_or_the_rule_decides_the_log_is_of_the_service(stored):
+    logs = cell(200, 3, policy=Opposite(stored.policy))
+    by_rule = Logs(logs.stages.assign(stepped_back="late"), logs.trajectories)
+    assert monitored(stored, by_rule).foreign == ""
+    drawn = Logs(logs.stages.assign(probability=0.5), logs.trajectories)
+    assert monitored(stored, drawn).foreign == ""
+    assert monitored(stored, logs).foreign.startswith("Only 0% of the actions are the policy's")
+
+
+def test_actions_that_the_policy_does_not_know_are_named_first(stored):
+    logs = cell(200, 1, policy=stored.policy)
+    names = logs.stages["action"].replace({"A": "a"}).mask(logs.stages.index == 3, "C")
+    found = monitored(stored, Logs(logs.stages.assign(action=names), logs.trajectories))
+    num = int((names == "a").sum())
+    assert found.doubts == (
+        f"{num} of 200 actions are 'a', which is none of the policy's (A, B). Write 'A' if that is meant.",
+        "1 of 200 actions is 'C', which is none of the policy's (A, B).",
+    )
+    assert lines(found)[:2] == list(found.doubts)
 
 
 def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):

@@ -73,6 +73,8 @@ class Monitored:
         Whether learning again may pay; "" where nothing has changed.
     doubts
         What the policy does not know, in words; it is told first.
+    foreign
+        That the log is of no service of the policy, in words; "" where it is.
     """
 
     num_trajectories: int
@@ -86,6 +88,7 @@ class Monitored:
     p_values: dict[str, Float[np.ndarray, " n"]]
     relearning: str = ""
     doubts: tuple[str, ...] = ()
+    foreign: str = ""
 
     @property
     def alarm_at(self) -> int | None:
@@ -94,7 +97,13 @@ class Monitored:
 
     @property
     def sentence(self) -> str:
-        """The answer."""
+        """The answer; where the log is of no service of the policy, that, and alarms alone."""
+        if self.foreign:
+            return f"{self.foreign}.{f' {self._alarm}' if self.findings else ''}"
+        return self._alarm
+
+    @property
+    def _alarm(self) -> str:
         earned = ""
         if self.earned is not None:
             words = "since then it earns {since:.3g} a trajectory"
@@ -117,6 +126,7 @@ class Monitored:
         return {
             "sentence": self.sentence,
             "is_alarm": bool(self.findings),
+            "is_of_service": not self.foreign,
             "alarm_at": self.alarm_at,
             "num_trajectories": self.num_trajectories,
             "promised": self.promised,

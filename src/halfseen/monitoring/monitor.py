@@ -30,7 +30,7 @@ from halfseen.monitoring.diagnosis import (
     is_misrecorded,
     moved,
 )
-from halfseen.monitoring.foreign import has_known_states, unknown_categories
+from halfseen.monitoring.foreign import has_known_states, not_its_own, unknown_actions, unknown_categories
 from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes, Course, Outcomes
 from halfseen.monitoring.streams import (
     Stream,
@@ -72,6 +72,8 @@ class Bets:
         What is not watched.
     doubts
         What the policy does not know, in words.
+    foreign
+        That the log is of no service of the policy, in words; "" where it is.
     """
 
     logs: Logs
@@ -80,6 +82,7 @@ class Bets:
     outcomes: Outcomes | None
     notes: tuple[str, ...]
     doubts: tuple[str, ...] = ()
+    foreign: str = ""
 
 
 def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
@@ -136,14 +139,17 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if looks_at.num_features > 1 and promise.get("first_states"):
         joint = _joint(looks_at, logs, promise["first_states"], seed)
         payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
-    is_known = has_known_states(looks_at, logs)
-    outcomes = _own_outcomes(stored, logs, is_own, is_known, promise, notes)
+    is_known, doubts, foreign = has_known_states(looks_at, logs), unknown_categories(looks_at, logs), ""
+    if hasattr(policy, "decide") and isinstance(policy, NamedActionPolicy):
+        doubts = (*unknown_actions(policy, logs), *doubts)
+        foreign = not_its_own(policy, looks_at, logs, is_own)
+    outcomes = None if foreign else _own_outcomes(stored, logs, is_own, is_known, promise, notes)
     if outcomes is not None and promise.get("value"):
         least = np.array([promise["value"]["value"] - SURELY * promise["value"]["standard_error"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
         payoffs["promise"] = np.concatenate([*([payoffs["promise"]] if whole else []), promised], axis=1)
     streams = {"inputs": inputs, "parts": parts, "rewards": whole, "promise": whole}
-    return Bets(logs, payoffs, streams, outcomes, tuple(notes), unknown_categories(looks_at, logs))
+    return Bets(logs, payoffs, streams, outcomes, tuple(notes), doubts, foreign)
 
 
 def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n F"]) -> Monitored:
@@ -171,12 +177,13 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
         causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
     since = findings[0].since if findings else 1
     course, earned = (None, None) if outcomes is None else _earned(outcomes, promise["brings"], since)
-    promised = {name: promise["value"][name] for name in ("value", "low", "high")} if promise.get("value") else None
+    is_judged = promise.get("value") and not bets.foreign
+    promised = {name: promise["value"][name] for name in ("value", "low", "high")} if is_judged else None
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
     pays = ""
     if findings:
         pays = MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
-    rest: Any = (outcomes, course, smallest, pays, bets.doubts)
+    rest: Any = (outcomes, course, smallest, pays, bets.doubts, bets.foreign)
     return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
 
 
