@@ -167,7 +167,7 @@ def _undecided(found: Evaluation, doubt: str) -> Evaluation:
         return one if one.verdict == "inconclusive" else replace(one, verdict="inconclusive", reason=doubt)
 
     notes = (doubt, *found.notes) if found.verdict == "inconclusive" else found.notes
-    return replace(open_(found), comparisons=tuple(map(open_, found.comparisons)), notes=notes)
+    return replace(open_(found), comparisons=tuple(map(open_, found.comparisons)), notes=notes, doubt=doubt)
 
 
 def _contenders(
