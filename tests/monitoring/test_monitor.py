@@ -12,7 +12,7 @@ from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, relearning
-from halfseen.monitoring.diagnosis import broken_parts, differs
+from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
 from halfseen.monitoring.streams import move_streams, part_streams, swap_streams
 from halfseen.policies.folder import read_policy, write_policy
@@ -79,6 +79,18 @@ def test_a_part_that_broke_is_named_and_since_when(stored):
     )
     assert any("less than the log says of the same states" in each for each in found.causes)
     assert not any("swapped" in each for each in found.causes)
+
+
+def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
+    logs = cell(200, 1, policy=stored.policy)
+    stages = logs.stages.assign(elapsed_s=logs.stages["elapsed_s"] * 1000.0)
+    found = monitored(stored, Logs(stages, logs.trajectories.assign(end_s=logs.trajectories["end_s"] * 1000.0)))
+    unit = "as if in another unit (milliseconds for seconds): divide the clock by 1,000"
+    assert unit in found.sentence
+    assert any(unit in each for each in found.causes)
+    assert found.relearning.startswith("Mend what is recorded")
+    assert clock_unit(np.log(5.0)) == ""
+    assert "the other way round): multiply the clock by 60" in clock_unit(-np.log(60.0))
 
 
 def test_swapped_columns_are_named(stored):
