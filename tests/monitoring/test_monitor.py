@@ -289,6 +289,7 @@ def coloured(num, seed, policy=None, new=()):
         brought = (draws < np.where(suits, 0.9, 0.18)).astype(float)
         stages = stages.assign(action=policy.decide(stages, 1), reward=np.where(is_done, brought, np.nan))
     stages.loc[list(new), "colour"] = "green"
+    stages["stepped_back"] = np.where(stages["colour"] == "green", "out-of-range", None)
     return Logs(stages, logs.trajectories)
 
 
@@ -306,7 +307,7 @@ def test_a_category_that_was_never_seen_is_named_and_stops_nothing(of_colours):
     assert found.alarm_at is None
     assert found.doubts[0].startswith("Covariate colour is 'green' in 1 stage, which the log that was learned from")
     assert found.sentence.startswith("No alarm: in 300 trajectories nothing else has changed; it earns 0.")
-    assert np.isnan(found.outcomes.values[60])
+    assert found.outcomes.is_weighed[60]
 
 
 def test_a_category_that_is_never_seen_and_often_comes_is_an_alarm(of_colours):
@@ -314,7 +315,7 @@ def test_a_category_that_is_never_seen_and_often_comes_is_an_alarm(of_colours):
     assert 200 < found.alarm_at < 300
     assert "colour in stage 1" in {each.name for each in found.findings}
     none_known = monitored(of_colours, coloured(100, 1, of_colours.policy, range(100)))
-    assert none_known.earned is None
+    assert none_known.earned is not None
     assert none_known.alarm_at < 60
 
 

@@ -90,7 +90,8 @@ def with_its_rule(policy: Any, logs: Logs) -> Served:
     if not is_new.any():
         return Served(policy, logs)
     # What nobody stepped back from is refused as ever.
-    policy.looks_at.encode(stages[is_new & ~_is_by_rule(stages)])
+    unexplained: Any = stages[is_new & ~_is_by_rule(stages)]
+    policy.looks_at.encode(unexplained)
     by_rule: Any = stages[is_new]
     actions = tuple(dict.fromkeys([*policy.actions, *by_rule["action"].tolist()]))
     replaced, notes = _replaced(policy.categories, stages)

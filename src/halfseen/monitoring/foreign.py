@@ -7,6 +7,7 @@ In a log of the service, no other action has as large a probability as the polic
 one half, and not by the rule in its place, is its own. A log of which most is not is another's.
 """
 
+from collections.abc import Collection
 from typing import Any
 
 import numpy as np
@@ -25,10 +26,15 @@ ERRORS = 3.0
 """Standard errors of that share, at most, below which it is no chance."""
 
 
-def has_known_states(looks_at: Covariates, logs: Logs) -> Bool[np.ndarray, " n"]:
-    """Which trajectories show no category but those that are known."""
-    strange: Any = logs.stages.loc[~looks_at.knows(logs.stages), "trajectory"]
-    return ~np.isin(logs.trajectory_ids, strange.to_numpy())
+def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:
+    """The same log, as the model of cuts takes it: with the first known category in the place of others."""
+    if looks_at.knows(logs.stages).all():
+        return logs
+    columns: dict[str, Any] = {}
+    for name, known in looks_at.categories.items():
+        values = logs.stages[name].astype(object).map(str)
+        columns[name] = values.where(values.isin(known), known[0])
+    return Logs(logs.stages.assign(**columns), logs.trajectories, reward_unit=logs.reward_unit)
 
 
 def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
@@ -39,11 +45,24 @@ def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
 
 
 def _not_known(action: str, count: int, num: int, policy: Any) -> str:
-    meant = closest(action.strip("'"), policy.actions)
-    remedy = "" if meant is None else f" Write {meant!r} if that is meant."
     known = ", ".join(map(str, policy.actions))
-    are = "are" if count > 1 else "is"
-    return f"{count:,} of {num:,} actions {are} {action}, which is none of the policy's ({known}).{remedy}"
+    are, meant = "are" if count > 1 else "is", _other_spelling(action.strip("'"), policy.actions)
+    return f"{count:,} of {num:,} actions {are} {action}, which is none of the policy's ({known}).{meant}"
+
+
+def _other_spelling(name: str, known: Collection[Any]) -> str:
+    meant = closest(name, known)
+    return "" if meant is None else f" Write {meant!r} if that is meant."
+
+
+def own_actions(policy: Any, looks_at: Covariates, stages: Any) -> Bool[np.ndarray, " m"]:
+    """In which stages with a known action the policy would have done the same, or stepped back, as its service does."""
+    is_own = np.zeros(len(stages), dtype=bool)
+    if STEPPED_BACK in stages.columns:
+        is_own |= stages[STEPPED_BACK].notna().to_numpy()
+    is_asked = ~is_own & looks_at.knows(stages)
+    is_own[is_asked] = own_stages(policy, stages[is_asked])
+    return is_own
 
 
 def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Bool[np.ndarray, " n"]) -> str:
@@ -61,27 +80,19 @@ def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Boo
         Which of its trajectories are said to be the policy's.
     """
     is_asked = np.isin(logs.stages["trajectory"], logs.trajectory_ids[is_of_policy])
-    stages: Any = logs.stages[is_asked & logs.stages["action"].notna().to_numpy() & looks_at.knows(logs.stages)]
+    stages: Any = logs.stages[is_asked & logs.stages["action"].notna().to_numpy()]
     if not len(stages):
         return ""
-    is_own = own_stages(policy, stages)
-    is_other = ~is_own & ~_is_explained(stages)
+    is_own = own_actions(policy, looks_at, stages)
+    is_other = ~is_own
+    if "probability" in stages.columns:
+        is_other &= stages["probability"].to_numpy(dtype=float, na_value=1.0) > HALF
     if is_other.mean() <= HALF + ERRORS * 0.5 / np.sqrt(len(stages)):
         return ""
     return (
         f"Only {is_own.mean():.0%} of the actions are the policy's: this log is not of its service, and is not judged "
         "by its promise"
     )
-
-
-def _is_explained(stages: Any) -> Bool[np.ndarray, " m"]:
-    """Where the policy may have done something else: the rule decided in its place, or the action was drawn."""
-    is_explained = np.zeros(len(stages), dtype=bool)
-    if STEPPED_BACK in stages.columns:
-        is_explained |= stages[STEPPED_BACK].notna().to_numpy()
-    if "probability" in stages.columns:
-        is_explained |= stages["probability"].to_numpy(dtype=float, na_value=1.0) <= HALF
-    return is_explained
 
 
 def unknown_categories(looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
@@ -94,7 +105,8 @@ def unknown_categories(looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
         counts = values[~values.isin(looks_at.categories[name])].value_counts()
         found += [
             f"Covariate {name} is {category!r} in {counted(int(count), 'stage')}, which the log that was learned from "
-            "never showed: the policy steps back there, and such trajectories say nothing of what it earns."
+            "never showed: there the policy steps back."
+            f"{_other_spelling(category, looks_at.categories[name])}"
             for category, count in counts.items()
         ]
     return tuple(found)

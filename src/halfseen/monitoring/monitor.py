@@ -30,7 +30,13 @@ from halfseen.monitoring.diagnosis import (
     is_misrecorded,
     moved,
 )
-from halfseen.monitoring.foreign import has_known_states, not_its_own, unknown_actions, unknown_categories
+from halfseen.monitoring.foreign import (
+    in_known_categories,
+    not_its_own,
+    own_actions,
+    unknown_actions,
+    unknown_categories,
+)
 from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes, Course, Outcomes
 from halfseen.monitoring.streams import (
     Stream,
@@ -42,7 +48,7 @@ from halfseen.monitoring.streams import (
     whole_stream,
 )
 from halfseen.policies.folder import StoredPolicy
-from halfseen.policies.shares import action_shares, own_stages
+from halfseen.policies.shares import action_shares
 from halfseen.shapes import Bool, Float
 from halfseen.wording import counted
 
@@ -139,11 +145,11 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if looks_at.num_features > 1 and promise.get("first_states"):
         joint = _joint(looks_at, logs, promise["first_states"], seed)
         payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
-    is_known, doubts, foreign = has_known_states(looks_at, logs), unknown_categories(looks_at, logs), ""
+    doubts, foreign = unknown_categories(looks_at, logs), ""
     if hasattr(policy, "decide") and isinstance(policy, NamedActionPolicy):
         doubts = (*unknown_actions(policy, logs), *doubts)
         foreign = not_its_own(policy, looks_at, logs, is_own)
-    outcomes = None if foreign else _own_outcomes(stored, logs, is_own, is_known, promise, notes)
+    outcomes = None if foreign else _own_outcomes(stored, logs, is_own, promise, notes)
     if outcomes is not None and promise.get("value"):
         least = np.array([promise["value"]["value"] - SURELY * promise["value"]["standard_error"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
@@ -231,19 +237,12 @@ def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
 
 
 def _own_outcomes(
-    stored: StoredPolicy,
-    logs: Logs,
-    is_own: Bool[np.ndarray, " n"],
-    is_known: Bool[np.ndarray, " n"],
-    promise: Any,
-    notes: list[str],
+    stored: StoredPolicy, logs: Logs, is_own: Bool[np.ndarray, " n"], promise: Any, notes: list[str]
 ) -> Outcomes | None:
-    """As `_outcomes`; trajectories of the rule, and with categories that nobody knows, are not looked at."""
-    if not is_own.all():
-        notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
-    is_own = is_own & is_known
+    """As `_outcomes`; the rule's trajectories are not looked at."""
     if is_own.all():
         return _outcomes(stored, logs, promise, notes)
+    notes.append(f"{counted(int((~is_own).sum()), 'trajectory')} of the rule say nothing of what the policy earns")
     own = _outcomes(stored, logs.select(logs.trajectory_ids[is_own]), promise, notes) if is_own.any() else None
     if own is None:
         return None
@@ -272,7 +271,8 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
         words = counted(num_more, "trajectory")
         notes.append(f"{words} brought more than any in the log could, and count as {high:g}")
     has_actions = isinstance(stored.policy, NamedActionPolicy) and logs.has_all_actions
-    known = task_of(stored.policy, logs).censoring_covariates(logs, None, False) if has_actions else None
+    plain = in_known_categories(looks_at_of(stored.policy), logs)
+    known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None
     shape = (logs.num_trajectories, logs.horizon)
     nothing = Encoded(np.zeros((*shape, 1, 0)), np.ones((*shape, 1), dtype=bool), np.zeros(shape, dtype=np.int64))
     clocks = trajectory_arrays(logs, nothing, known).clocks
@@ -281,11 +281,11 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
 
 
 def _own_share(stored: StoredPolicy, logs: Logs) -> float:
-    """Share of the actions that are the policy's."""
+    """Share of the actions that are the policy's, or its rule's where it stepped back."""
     if hasattr(stored.policy, "decide") and isinstance(stored.policy, NamedActionPolicy):
-        is_known = logs.stages["action"].notna().to_numpy() & looks_at_of(stored.policy).knows(logs.stages)
-        known: Any = logs.stages[is_known]
-        return float(own_stages(stored.policy, known).mean()) if len(known) else 0.0
+        known: Any = logs.stages[logs.stages["action"].notna()]
+        own = own_actions(stored.policy, looks_at_of(stored.policy), known)
+        return float(own.mean()) if len(known) else 0.0
     shares = action_shares(stored.policy, task_of(stored.policy, logs), [logs])
     return float(np.average(shares["as_logged"].fillna(0.0), weights=shares["num_states"]))
 
