@@ -126,8 +126,9 @@ def test_act_refuses_what_it_does_not_know(folder, tmp_path, text):
     file = state(tmp_path, "a.json", f'{{"x": 0.1, "colour": {text}, "is_heavy": true}}')
     told = refusal(PolicyError, "act", folder / "policy", file)
     value = text.replace('"', "'") if text != "7" else "'7'"
-    what = "is null; fill it in" if text == "null" else f"is {value}, which the log that was learned from never showed"
-    assert told.startswith(f"{file}: row 0: covariate 'colour' {what}")
+    known = f"row 0: covariate 'colour' is {value}, which the log that was learned from never showed"
+    what = "covariate 'colour' is null; fill it in" if text == "null" else known
+    assert told.startswith(f"{file}: {what}")
     file = state(tmp_path, "a.csv", f"x,colour,is_heavy\n0.1,{text},True\n")
     assert "known are 'blue', 'green', 'red'" in refusal(PolicyError, "act", folder / "policy", file)
 

@@ -301,3 +301,5 @@ def test_a_guess_of_which_nothing_is_known_says_why():
     main = found.best.comparisons[0]
     hidden = replace(found.best, comparisons=(replace(main, p=None, reason="no action is known"),))
     assert guess_of(hidden) == "unknown; no action is known"
+    doubted = guess_of(replace(found.best, doubt="the log cannot be true"))
+    assert doubted.endswith(" a trajectory than the logging policy, not provable while the log is in doubt")

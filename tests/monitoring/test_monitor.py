@@ -5,13 +5,14 @@ import pandas as pd
 import pytest
 from scipy.stats import norm
 
+from halfseen.cli.act import lines
 from halfseen.errors import PolicyError
 from halfseen.learning import CensoredQLearner
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
 from halfseen.monitoring import betting
 from halfseen.monitoring.answer import FEWEST, num_needed, relearning
-from halfseen.monitoring.diagnosis import broken_parts, differs
+from halfseen.monitoring.diagnosis import broken_parts, clock_unit, differs
 from halfseen.monitoring.monitor import ALPHAS, looks_at_of, monitored
 from halfseen.monitoring.streams import move_streams, part_streams, swap_streams
 from halfseen.policies.folder import read_policy, write_policy
@@ -80,6 +81,18 @@ def test_a_part_that_broke_is_named_and_since_when(stored):
     assert not any("swapped" in each for each in found.causes)
 
 
+def test_a_clock_in_milliseconds_is_told_from_a_slow_cell(stored):
+    logs = cell(200, 1, policy=stored.policy)
+    stages = logs.stages.assign(elapsed_s=logs.stages["elapsed_s"] * 1000.0)
+    found = monitored(stored, Logs(stages, logs.trajectories.assign(end_s=logs.trajectories["end_s"] * 1000.0)))
+    unit = "as if in another unit (milliseconds for seconds): divide the clock by 1,000"
+    assert unit in found.sentence
+    assert any(unit in each for each in found.causes)
+    assert found.relearning.startswith("Mend what is recorded")
+    assert clock_unit(np.log(5.0)) == ""
+    assert "the other way round): multiply the clock by 60" in clock_unit(-np.log(60.0))
+
+
 def test_swapped_columns_are_named(stored):
     found = monitored(stored, cell(200, 1, policy=stored.policy, swaps=True))
     assert found.alarm_at < 60
@@ -135,6 +148,49 @@ def test_what_another_decided_says_nothing_of_the_promise(stored):
     found = monitored(stored, cell(300, 3))
     assert found.earned is None
     assert any("of the actions are the policy's" in each for each in found.notes)
+    assert found.foreign == ""
+
+
+class Opposite:
+    """Takes what another policy does not."""
+
+    def __init__(self, policy):
+        self.policy = policy
+
+    def decide(self, frame, stage):
+        return np.where(self.policy.decide(frame, stage) == "A", "B", "A").astype(object)
+
+
+def test_a_log_of_another_policy_is_not_judged_by_the_promise_of_this_one(stored):
+    other = cell(200, 3, policy=Opposite(stored.policy))
+    is_drawn = np.random.default_rng(0).random(200) < 0.1
+    stages = other.stages.assign(probability=np.where(is_drawn, 0.1, 0.9))
+    stages["action"] = np.where(is_drawn, stored.policy.decide(stages, 1), stages["action"])
+    found = monitored(stored, Logs(stages, other.trajectories))
+    assert found.sentence.startswith("Only 1")
+    assert "% of the actions are the policy's: this log is not of its service, and is not judged by" in found.sentence
+    assert (found.promised, found.earned) == (None, None)
+
+
+def test_where_most_is_explored_or_the_rule_decides_the_log_is_of_the_service(stored):
+    logs = cell(200, 3, policy=Opposite(stored.policy))
+    by_rule = Logs(logs.stages.assign(stepped_back="late"), logs.trajectories)
+    assert monitored(stored, by_rule).foreign == ""
+    drawn = Logs(logs.stages.assign(probability=0.5), logs.trajectories)
+    assert monitored(stored, drawn).foreign == ""
+    assert monitored(stored, logs).foreign.startswith("Only 0% of the actions are the policy's")
+
+
+def test_actions_that_the_policy_does_not_know_are_named_first(stored):
+    logs = cell(200, 1, policy=stored.policy)
+    names = logs.stages["action"].replace({"A": "a"}).mask(logs.stages.index == 3, "C")
+    found = monitored(stored, Logs(logs.stages.assign(action=names), logs.trajectories))
+    num = int((names == "a").sum())
+    assert found.doubts == (
+        f"{num} of 200 actions are 'a', which is none of the policy's (A, B). Write 'A' if that is meant.",
+        "1 of 200 actions is 'C', which is none of the policy's (A, B).",
+    )
+    assert lines(found)[:2] == list(found.doubts)
 
 
 def test_in_a_comparison_the_policys_trajectories_alone_say_what_it_earns(stored):
@@ -219,6 +275,48 @@ def test_lifetimes_without_a_change_are_seldom_alarmed_about(stored):
         monitored(stored, cell(1500, 100 + k, policy=stored.policy), k).alarm_at is not None for k in range(num)
     )
     assert alarms <= sum(ALPHAS.values()) * num + 2.0 * np.sqrt(num * 0.05)
+
+
+def coloured(num, seed, policy=None, new=()):
+    """As `cell`, with a covariate of text that tells nothing; some trajectories have a colour that was never seen."""
+    logs = cell(num, seed)
+    colour = np.random.default_rng(seed + 1).choice(["blue", "red"], num)
+    stages = logs.stages.assign(colour=colour)
+    if policy is not None:
+        is_done = stages["reward"].notna()
+        suits = (policy.decide(stages, 1) == "A") == (stages["x"] < 0.5)
+        draws = np.random.default_rng(seed + 2).random(num)
+        brought = (draws < np.where(suits, 0.9, 0.18)).astype(float)
+        stages = stages.assign(action=policy.decide(stages, 1), reward=np.where(is_done, brought, np.nan))
+    stages.loc[list(new), "colour"] = "green"
+    stages["stepped_back"] = np.where(stages["colour"] == "green", "out-of-range", None)
+    return Logs(stages, logs.trajectories)
+
+
+@pytest.fixture(scope="module")
+def of_colours(tmp_path_factory):
+    logs = coloured(500, 0)
+    learner = CensoredQLearner.of_paper(1, ["A", "B"], ["x", "z", "colour"], reg=1e-3).fit(logs)
+    folder = tmp_path_factory.mktemp("policies") / "coloured"
+    write_policy(learner, logs, folder, verdict=VERDICT)
+    return read_policy(folder)
+
+
+def test_a_category_that_was_never_seen_is_named_and_stops_nothing(of_colours):
+    found = monitored(of_colours, coloured(300, 1, of_colours.policy, [60]))
+    assert found.alarm_at is None
+    assert found.doubts[0].startswith("Covariate colour is 'green' in 1 stage, which the log that was learned from")
+    assert found.sentence.startswith("No alarm: in 300 trajectories nothing else has changed; it earns 0.")
+    assert found.outcomes.is_weighed[60]
+
+
+def test_a_category_that_is_never_seen_and_often_comes_is_an_alarm(of_colours):
+    found = monitored(of_colours, coloured(300, 1, of_colours.policy, range(200, 300)))
+    assert 200 < found.alarm_at < 300
+    assert "colour in stage 1" in {each.name for each in found.findings}
+    none_known = monitored(of_colours, coloured(100, 1, of_colours.policy, range(100)))
+    assert none_known.earned is not None
+    assert none_known.alarm_at < 60
 
 
 LOOKS_AT = Covariates(("weight", "clutter"))

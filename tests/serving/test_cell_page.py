@@ -165,6 +165,17 @@ def test_a_log_is_looked_at_where_there_is_news_and_not_too_often(flat, tmp_path
     assert said == ["Look 2."]
 
 
+def test_a_log_that_cannot_be_watched_is_told_once(flat, tmp_path):
+    said = []
+    with Watch(flat, tmp_path / "nowhere", every_s=0.0, say=said.append) as watch:
+        for _ in range(2):
+            watch._next_s = 0.0
+            watch.ended()
+            watch._thread.join()
+    assert len(said) == 1
+    assert said[0].startswith("The log is not watched: ")
+
+
 def test_the_log_is_watched_in_a_process_of_its_own(flat, tmp_path):
     with client_of(flat, tmp_path / "logs") as asked:
         run(asked, np.random.default_rng(0), 3)

@@ -73,7 +73,10 @@ def test_what_has_no_rule_is_refused_in_one_line(tmp_path):
     learner = CensoredQLearner.of_paper(2, ACTIONS, ["x", "colour"], reg=0.1).fit(plain)
     write_policy(learner, plain, tmp_path / "policy")
     with client_of(tmp_path / "policy") as client:
-        assert "covariate 'colour' is null" in refused(client.post("/decide", json={"x": 1.0, "colour": None}), 422)
+        for name in ("x", "colour"):
+            line = refused(client.post("/decide", json={"x": 1.0, "colour": "red", name: None}), 422)
+            assert f"covariate {name!r} is null" in line
+            assert f"leave the state out, or learn the policy by --missing {name}=median+flag" in line
         assert "there is no 'x'" in refused(client.post("/decide", json={"colour": "red"}), 422)
 
 

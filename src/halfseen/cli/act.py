@@ -228,11 +228,15 @@ def monitor(
 
 
 def lines(found: "Monitored") -> list[str]:
-    """Say what was found: a sentence, what has changed, where to look, whether to learn again, what is not watched."""
+    """Say what was found.
+
+    What the policy does not know, a sentence, what has changed, where to look, whether to learn again, what is not
+    watched.
+    """
     others = [
         f"- {each.words}, since about trajectory {each.since} ({each.since_low} to {each.since_high})"
         for each in found.findings[1:]
     ]
     first = ["Where to look first:", *(f"- {each}" for each in found.causes)] if found.causes else []
     pays = [found.relearning] if found.relearning else []
-    return [found.sentence, *others, *first, *pays, *(f"note: {each}" for each in found.notes)]
+    return [*found.doubts, found.sentence, *others, *first, *pays, *(f"note: {each}" for each in found.notes)]

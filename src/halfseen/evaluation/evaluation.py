@@ -129,6 +129,8 @@ class Evaluation:
         above 0.
     per_hour
         What the policy and the logging policy earn in an hour of the clock; None where nobody asked.
+    doubt
+        Why no verdict can rest on the log; None where nothing speaks against it.
     """
 
     importance_sampling: Estimate
@@ -146,6 +148,7 @@ class Evaluation:
     reward_unit: str | None = None
     share: Estimate | None = None
     per_hour: PerHour | None = None
+    doubt: str | None = None
 
     def as_dict(self) -> dict[str, Any]:
         """Everything, ready for JSON."""
@@ -206,6 +209,8 @@ def guess_of(found: Evaluation) -> str:
     gained = f"{abs(gain):.3g}{_unit(found)} {'more' if gain > 0 else 'less'} a trajectory than {main.baseline}"
     if found.verdict == "better":
         return gained
+    if found.doubt is not None:
+        return f"{gained}, not provable while the log is in doubt"
     return f"{gained}, not yet provable; {more_trajectories(main.needed, found.num_trajectories)}"
 
 

@@ -20,6 +20,7 @@ from halfseen.evaluation.evaluation import Evaluation, per_hour
 from halfseen.evaluation.logging_rule import logging_rule
 from halfseen.evaluation.problem import Nuisances, Problem, following, logging_contribution, problem_of
 from halfseen.evaluation.specification import QSpec, default_q, default_targets, q_model_of, task_of
+from halfseen.evaluation.stepped_back import with_its_rule
 from halfseen.evaluation.targets import (
     DEFAULT,
     LOGGING,
@@ -166,7 +167,7 @@ def _undecided(found: Evaluation, doubt: str) -> Evaluation:
         return one if one.verdict == "inconclusive" else replace(one, verdict="inconclusive", reason=doubt)
 
     notes = (doubt, *found.notes) if found.verdict == "inconclusive" else found.notes
-    return replace(open_(found), comparisons=tuple(map(open_, found.comparisons)), notes=notes)
+    return replace(open_(found), comparisons=tuple(map(open_, found.comparisons)), notes=notes, doubt=doubt)
 
 
 def _contenders(
@@ -311,13 +312,14 @@ def judging(
         )
     is_logged, is_default = propensity == "logged", against is None
     baselines = baselines_of(DEFAULT if is_default else against, logs)
-    spec, widened = default_q(policy, logs) if q is None else (q, logs)
+    policy, known, taken_for = with_its_rule(policy, logs)
+    spec, widened = default_q(policy, known) if q is None else (q, known)
     targets = default_targets(logs) if censoring is None else targets_of(censoring)
     model = q_model_of(policy, widened, targets, spec, random_state)
-    doubt = doubt_of(logs, task_of(policy, logs) if spec.task is None else spec.task, is_logged, trust)
+    doubt = doubt_of(logs, task_of(policy, known) if spec.task is None else spec.task, is_logged, trust)
     problem = problem_of(policy, widened, model, propensity, np.random.default_rng([random_state, 1]), num_folds)
     with workers.ready_if_worth() as pool:
         problem = problem._replace(pool=pool)
         own = logging_contribution(problem, LOGGING)
         theirs, notes = _contenders(baselines, own, problem, logs, is_logged, is_default)
-        yield Judge(problem, logs, own, theirs, notes, level, doubt)
+        yield Judge(problem, logs, own, theirs, (*taken_for, *notes), level, doubt)

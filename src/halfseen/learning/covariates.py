@@ -19,7 +19,7 @@ from halfseen.errors import LogError, did_you_mean
 from halfseen.lazy import Frame
 from halfseen.logs.checks import LARGEST
 from halfseen.logs.missing import remedy_of
-from halfseen.shapes import Float
+from halfseen.shapes import Bool, Float
 
 if TYPE_CHECKING:
     from halfseen.logs import Logs
@@ -91,6 +91,21 @@ class Covariates:
                 indicated = np.arange(1, len(self.categories[name]))
                 features[:, source == name] = self.codes(frame, name)[:, None] == indicated
         return features
+
+    def knows(self, frame: Frame) -> Bool[np.ndarray, " m"]:
+        """Which rows show no category but those that are known.
+
+        Examples
+        --------
+        >>> import pandas as pd
+        >>> Covariates(("colour",), {"colour": ("blue", "red")}).knows(pd.DataFrame({"colour": ["red", "green"]}))
+        array([ True, False])
+        """
+        is_known = np.ones(len(frame), dtype=bool)
+        for name in self.columns:
+            if name in self.categories and name in frame.columns:
+                is_known &= frame[name].astype(object).map(str).isin(self.categories[name]).to_numpy()
+        return is_known
 
     def encode_known(self, rows: Sequence[Mapping[str, Any]]) -> Float[np.ndarray, "m F"]:
         """Turn values into numbers as `encode` does, without looking for faults: each is a number, or a known category.

@@ -4,10 +4,10 @@ Everything here may be looked at at any time. The chance that anything alarms in
 be 5 % at most.
 
 Read it down: `outcomes` (what a trajectory adds under cuts, and bounds on its mean) → `betting` (wealth against
-"nothing has changed") → `streams` (what is watched) → `diagnosis` (since when, and which part broke) → `answer` (with
-whether to learn again) → `monitor`. And `comparison` (bounds on the gain over the rule of today) → `dealing` (how a
-comparison stands, and who gets the next trajectory). Beside them `training_log` asks of a log before it is learned from
-whether it is of one cell.
+"nothing has changed") → `foreign` (what the policy does not know) → `streams` (what is watched) → `diagnosis` (since
+when, and which part broke) → `answer` (with whether to learn again) → `monitor`. And `comparison` (bounds on the gain
+over the rule of today) → `dealing` (how a comparison stands, and who gets the next trajectory). Beside them
+`training_log` asks of a log before it is learned from whether it is of one cell.
 """
 
 from typing import TYPE_CHECKING

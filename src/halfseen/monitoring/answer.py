@@ -71,6 +71,10 @@ class Monitored:
         By name of a family, after each trajectory: the smallest of its p-values times their number.
     relearning
         Whether learning again may pay; "" where nothing has changed.
+    doubts
+        What the policy does not know, in words; it is told first.
+    foreign
+        That the log is of no service of the policy, in words; "" where it is.
     """
 
     num_trajectories: int
@@ -83,6 +87,8 @@ class Monitored:
     course: Course | None
     p_values: dict[str, Float[np.ndarray, " n"]]
     relearning: str = ""
+    doubts: tuple[str, ...] = ()
+    foreign: str = ""
 
     @property
     def alarm_at(self) -> int | None:
@@ -91,7 +97,13 @@ class Monitored:
 
     @property
     def sentence(self) -> str:
-        """The answer."""
+        """The answer; where the log is of no service of the policy, that, and alarms alone."""
+        if self.foreign:
+            return f"{self.foreign}.{f' {self._alarm}' if self.findings else ''}"
+        return self._alarm
+
+    @property
+    def _alarm(self) -> str:
         earned = ""
         if self.earned is not None:
             words = "since then it earns {since:.3g} a trajectory"
@@ -101,7 +113,9 @@ class Monitored:
             promise = "{value:.3g} was promised ({low:.3g} to {high:.3g})".format(**self.promised)
             earned = f"{earned}, {promise}" if earned else promise
         if not self.findings:
-            seen = f"in {counted(self.num_trajectories, 'trajectory')} nothing has changed"
+            seen = (
+                f"in {counted(self.num_trajectories, 'trajectory')} nothing{' else' if self.doubts else ''} has changed"
+            )
             return f"No alarm: {seen}{'; ' if earned else ''}{earned}."
         first = self.findings[0]
         since = f"since about trajectory {first.since} ({first.since_low} to {first.since_high})"
@@ -112,6 +126,7 @@ class Monitored:
         return {
             "sentence": self.sentence,
             "is_alarm": bool(self.findings),
+            "is_of_service": not self.foreign,
             "alarm_at": self.alarm_at,
             "num_trajectories": self.num_trajectories,
             "promised": self.promised,
@@ -119,6 +134,7 @@ class Monitored:
             "findings": [asdict(each) for each in self.findings],
             "causes": list(self.causes),
             "relearning": self.relearning,
+            "doubts": list(self.doubts),
             "notes": list(self.notes),
         }
 

@@ -17,8 +17,8 @@ import numpy as np
 from halfseen.evaluation.kept import drifts_of
 from halfseen.learning.covariates import Covariates
 from halfseen.logs import Logs
-from halfseen.monitoring.streams import Stream, part_residuals
-from halfseen.policies.folder.promised_parts import moves, outcome_rows
+from halfseen.monitoring.streams import Stream, known_rows, part_residuals
+from halfseen.policies.folder.promised_parts import moves
 from halfseen.shapes import Float
 
 LEVEL = 0.95
@@ -81,7 +81,30 @@ def part_words(what: str, action: str, mean: float, than: str = "than the log sa
     """Say by how much an action brings or takes more or less: a mean reward, or a mean of logarithms of durations."""
     amount = f"{abs(mean):.2g}" if what == "reward" else f"{abs(np.expm1(mean)):.0%}"
     verb, time = ("brings", "") if what == "reward" else ("takes", " time")
-    return f"{action} {verb} {amount} {'less' if mean < 0 else 'more'}{time} {than}"
+    unit = "" if what == "reward" else clock_unit(mean)
+    return f"{action} {verb} {amount} {'less' if mean < 0 else 'more'}{time} {than}{unit}"
+
+
+CLOCKS = {
+    60.0: "seconds for minutes",
+    1e3: "milliseconds for seconds",
+    3600.0: "seconds for hours",
+    1e6: "microseconds for seconds",
+    1e9: "nanoseconds for seconds",
+}
+"""What durations may have been multiplied by, and as if they were what; or divided by, the other way round."""
+ABOUT = 0.2
+"""Logarithm of a factor by which a mean may differ from that of a unit."""
+
+
+def clock_unit(mean: float) -> str:
+    """Say in which other unit a clock seems to be, by the mean change of the logarithms of durations; "" if in none."""
+    factor = min(CLOCKS, key=lambda one: abs(abs(mean) - np.log(one)))
+    if abs(abs(mean) - np.log(factor)) > ABOUT:
+        return ""
+    is_longer = mean > 0
+    mend = f"{'divide' if is_longer else 'multiply'} the clock by {factor:,g}"
+    return f", {OTHER_UNIT} unit ({CLOCKS[factor]}{'' if is_longer else ' the other way round'}): {mend}"
 
 
 def moved(stream: Stream, at: int) -> str:
@@ -141,7 +164,7 @@ def broken_parts(promise: Any, looks_at: Covariates, logs: Logs, since: int) -> 
         Trajectory from which on it is looked at, counted from 1.
     """
     later = logs.select(logs.trajectory_ids[since - 1 :])
-    rows, found = outcome_rows(later), []
+    rows, found = known_rows(looks_at, later), []
     for part in promise.get("parts", ()):
         left = part_residuals(part, looks_at, rows[rows["action"].astype(str) == part["action"]])
         if len(left) < 2:
@@ -176,7 +199,7 @@ def _swapped(promise: Any, looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
     differ = {name for each in first for name, one in each["covariates"].items() if len(one.get("values", ())) > 1}
     numbers = [name for name in looks_at.columns if name in differ]
     parts = [part for part in promise.get("parts", ()) if part["what"] == "reward" and part["deviation"] > 0.0]
-    rows = outcome_rows(logs)
+    rows = known_rows(looks_at, logs)
 
     def misfit(frame: Any) -> tuple[float, float]:
         """Sum of squares of residuals, and their mean in standard errors."""

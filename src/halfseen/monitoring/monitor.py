@@ -30,6 +30,13 @@ from halfseen.monitoring.diagnosis import (
     is_misrecorded,
     moved,
 )
+from halfseen.monitoring.foreign import (
+    in_known_categories,
+    not_its_own,
+    own_actions,
+    unknown_actions,
+    unknown_categories,
+)
 from halfseen.monitoring.outcomes import BettingBounds, CensoredOutcomes, Course, Outcomes
 from halfseen.monitoring.streams import (
     Stream,
@@ -41,7 +48,7 @@ from halfseen.monitoring.streams import (
     whole_stream,
 )
 from halfseen.policies.folder import StoredPolicy
-from halfseen.policies.shares import action_shares, own_stages
+from halfseen.policies.shares import action_shares
 from halfseen.shapes import Bool, Float
 from halfseen.wording import counted
 
@@ -69,6 +76,10 @@ class Bets:
         What each trajectory adds to what is earned; None where that is not known.
     notes
         What is not watched.
+    doubts
+        What the policy does not know, in words.
+    foreign
+        That the log is of no service of the policy, in words; "" where it is.
     """
 
     logs: Logs
@@ -76,6 +87,8 @@ class Bets:
     streams: dict[str, list[Stream]]
     outcomes: Outcomes | None
     notes: tuple[str, ...]
+    doubts: tuple[str, ...] = ()
+    foreign: str = ""
 
 
 def monitored(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Monitored:
@@ -132,13 +145,17 @@ def bets_of(stored: StoredPolicy, logs: Logs, seed: int = 0) -> Bets:
     if looks_at.num_features > 1 and promise.get("first_states"):
         joint = _joint(looks_at, logs, promise["first_states"], seed)
         payoffs["inputs"] = np.concatenate([payoffs["inputs"], joint], axis=1)
-    outcomes = _own_outcomes(stored, logs, is_own, promise, notes)
+    doubts, foreign = unknown_categories(looks_at, logs), ""
+    if hasattr(policy, "decide") and isinstance(policy, NamedActionPolicy):
+        doubts = (*unknown_actions(policy, logs), *doubts)
+        foreign = not_its_own(policy, looks_at, logs, is_own)
+    outcomes = None if foreign else _own_outcomes(stored, logs, is_own, promise, notes)
     if outcomes is not None and promise.get("value"):
         least = np.array([promise["value"]["value"] - SURELY * promise["value"]["standard_error"]])
         promised = betting.mean_payoffs(outcomes.values[:, None], outcomes.highs[:, None], least)
         payoffs["promise"] = np.concatenate([*([payoffs["promise"]] if whole else []), promised], axis=1)
     streams = {"inputs": inputs, "parts": parts, "rewards": whole, "promise": whole}
-    return Bets(logs, payoffs, streams, outcomes, tuple(notes))
+    return Bets(logs, payoffs, streams, outcomes, tuple(notes), doubts, foreign)
 
 
 def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n F"]) -> Monitored:
@@ -166,12 +183,13 @@ def concluded(stored: StoredPolicy, bets: Bets, log_wealth: Float[np.ndarray, "n
         causes += tuple(each for each in broken if not any(each.startswith(one) for one in causes))
     since = findings[0].since if findings else 1
     course, earned = (None, None) if outcomes is None else _earned(outcomes, promise["brings"], since)
-    promised = {name: promise["value"][name] for name in ("value", "low", "high")} if promise.get("value") else None
+    is_judged = promise.get("value") and not bets.foreign
+    promised = {name: promise["value"][name] for name in ("value", "low", "high")} if is_judged else None
     smallest = {family: np.minimum(p.min(axis=1, initial=1.0) * p.shape[1], 1.0) for family, p in p_values.items()}
     pays = ""
     if findings:
         pays = MEND_FIRST if is_misrecorded(causes) else _pays(stored, logs, since, earned)
-    rest: Any = (outcomes, course, smallest, pays)
+    rest: Any = (outcomes, course, smallest, pays, bets.doubts, bets.foreign)
     return Monitored(logs.num_trajectories, promised, earned, tuple(findings), causes, bets.notes, *rest)
 
 
@@ -203,9 +221,12 @@ def _against_log(parts: list[Stream], num: int) -> Float[np.ndarray, "n P S"]:
 
 def _joint(looks_at: Covariates, logs: Logs, reference: list[list[float]], seed: int) -> Float[np.ndarray, "n 1 S"]:
     rows: Any = logs.stages[logs.stages["stage"] == 1]
-    first = looks_at.encode(rows)
-    coins = np.random.default_rng([seed, 1]).random(len(first))
-    return pair_payoffs(first, np.array(reference), coins)
+    is_known = looks_at.knows(rows)
+    coins = np.random.default_rng([seed, 1]).random(len(rows))
+    of_known = pair_payoffs(looks_at.encode(rows[is_known]), np.array(reference), coins[is_known])
+    payoffs = np.ones((len(rows), *of_known.shape[1:]))
+    payoffs[is_known] = of_known
+    return payoffs
 
 
 def _is_own(logs: Logs) -> Bool[np.ndarray, " n"]:
@@ -250,7 +271,8 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
         words = counted(num_more, "trajectory")
         notes.append(f"{words} brought more than any in the log could, and count as {high:g}")
     has_actions = isinstance(stored.policy, NamedActionPolicy) and logs.has_all_actions
-    known = task_of(stored.policy, logs).censoring_covariates(logs, None, False) if has_actions else None
+    plain = in_known_categories(looks_at_of(stored.policy), logs)
+    known = task_of(stored.policy, plain).censoring_covariates(plain, None, False) if has_actions else None
     shape = (logs.num_trajectories, logs.horizon)
     nothing = Encoded(np.zeros((*shape, 1, 0)), np.ones((*shape, 1), dtype=bool), np.zeros(shape, dtype=np.int64))
     clocks = trajectory_arrays(logs, nothing, known).clocks
@@ -259,10 +281,11 @@ def _outcomes(stored: StoredPolicy, logs: Logs, promise: Any, notes: list[str]) 
 
 
 def _own_share(stored: StoredPolicy, logs: Logs) -> float:
-    """Share of the actions that are the policy's."""
+    """Share of the actions that are the policy's, or its rule's where it stepped back."""
     if hasattr(stored.policy, "decide") and isinstance(stored.policy, NamedActionPolicy):
         known: Any = logs.stages[logs.stages["action"].notna()]
-        return float(own_stages(stored.policy, known).mean()) if len(known) else 0.0
+        own = own_actions(stored.policy, looks_at_of(stored.policy), known)
+        return float(own.mean()) if len(known) else 0.0
     shares = action_shares(stored.policy, task_of(stored.policy, logs), [logs])
     return float(np.average(shares["as_logged"].fillna(0.0), weights=shares["num_states"]))
 

@@ -111,7 +111,7 @@ def input_streams(promised: Any, logs: Logs) -> list[Stream]:
 
 def part_streams(parts: Any, looks_at: Covariates, logs: Logs) -> list[Stream]:
     """Residuals of rewards and durations of each action, their sum over a trajectory; and whether it was cut."""
-    rows, streams = outcome_rows(logs), []
+    rows, streams = known_rows(looks_at, logs), []
     largest = {what: max(part["deviation"] for part in parts if part["what"] == what) for what in WHATS if parts}
     errors = float(ndtri(1.0 - 0.5 * OFF / max(len(parts), 1)))
     for part in parts:
@@ -161,7 +161,7 @@ def swap_streams(streams: list[Stream], parts: Any, looks_at: Covariates, logs: 
     first
         Covariates of the first stage of the log that was learned from, as `input_streams` takes them.
     """
-    pairs, rows = zip(parts, streams, strict=False), outcome_rows(logs)
+    pairs, rows = zip(parts, streams, strict=False), known_rows(looks_at, logs)
     rewards = [(part, of) for part, of in pairs if part["what"] == "reward" and part["deviation"] > 0.0]
     frames = [rows[rows["action"].astype(str) == part["action"]] for part, _ in rewards]
     reach, num_states = max((of.reach for _, of in rewards), default=1.0), sum(of.num_states for _, of in rewards)
@@ -236,6 +236,12 @@ def _error(part: Any, looks_at: Covariates, rows: Any, deviation: float) -> Floa
     covariance = np.asarray(part["covariance"])
     variance = np.einsum("ij,jk,ik->i", features, covariance, features)
     return np.sqrt(np.maximum(variance, 0.0) + (MISFIT * deviation) ** 2)
+
+
+def known_rows(looks_at: Covariates, logs: Logs) -> Any:
+    """Rows of `outcome_rows` but those of a category that the log never showed, of which no model says anything."""
+    rows = outcome_rows(logs)
+    return rows[looks_at.knows(rows)]
 
 
 def part_residuals(part: Mapping[str, Any], looks_at: Covariates, rows: Any) -> Float[np.ndarray, " m"]:

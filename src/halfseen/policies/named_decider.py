@@ -285,6 +285,12 @@ def _check_row(row: Frame, policy: DiscretePolicy, where: str) -> None:
             f"{where}: the policy looks at {covariates_in_words(policy)}, and there is no {missing[0]!r} among "
             f"{', '.join(map(str, row.columns)) or 'nothing'}; give what the policy was learned from"
         )
+    null = next((name for name in policy.covariates if row[name].isna().to_numpy().any()), None)
+    if null is not None:
+        raise PolicyError(
+            f"{where}: covariate {null!r} is null; fill it in, leave the state out, or learn the policy by --missing "
+            f"{null}=median+flag, which fills in what is null"
+        )
     try:
         policy.looks_at.encode(row)
     except LogError as error:

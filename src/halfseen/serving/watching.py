@@ -45,7 +45,7 @@ class Watch:
     every_s
         How long to wait at least after a look at the log has begun [s].
     say
-        Is given the sentence of the first alarm.
+        Is given the sentence of the first alarm, and why the log cannot be watched.
     """
 
     policy: Path
@@ -56,7 +56,7 @@ class Watch:
     """As `found_of` has it; None before the first look is over."""
 
     def __post_init__(self) -> None:
-        self._is_new, self._began_s, self._next_s = False, 0.0, 0.0
+        self._is_new, self._is_over, self._began_s, self._next_s = False, False, 0.0, 0.0
         self._thread: threading.Thread | None = None
         self._process: subprocess.Popen[str] | None = None
 
@@ -64,7 +64,7 @@ class Watch:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
-        self._next_s = float("inf")
+        self._next_s, self._is_over = float("inf"), True
         if self._process is not None:
             self._process.kill()
         if self._thread is not None:
@@ -91,11 +91,13 @@ class Watch:
     def _look(self) -> None:
         began_s = time.monotonic()
         found = self._asked()
-        was_alarm = self.found is not None and self.found.get("is_alarm", False)
+        before = self.found or {}
         self._next_s = began_s + max(self.every_s, found.pop(WORK, 0.0) / MOST_WORK)
         self.found, self._began_s = found, began_s
-        if found.get("is_alarm") and not was_alarm:
+        if found.get("is_alarm") and not before.get("is_alarm"):
             self.say(found["sentence"])
+        if "error" in found and "error" not in before and not self._is_over:
+            self.say(f"The log is not watched: {found['error']}")
 
     def _asked(self) -> dict[str, Any]:
         words = [sys.executable, "-m", __name__, str(self.policy), str(self.logs)]

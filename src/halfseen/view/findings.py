@@ -11,6 +11,7 @@ from halfseen.censoring.positivity import PositivityReport
 from halfseen.errors import noted
 from halfseen.evaluation import Evaluation, evaluate
 from halfseen.evaluation.specification import specification_of, task_of
+from halfseen.evaluation.stepped_back import with_its_rule
 from halfseen.learning.discrete_policy import DiscretePolicy
 from halfseen.logs import Logs
 from halfseen.policies.folder import StoredPolicy, log_digest
@@ -144,8 +145,10 @@ def _judged(
 ) -> PolicyFindings:
     on_progress("evaluate")
     policy, spec = stored.policy, specification_of(stored, logs, **chosen)
-    task = (spec.q and spec.q.task) or task_of(policy, logs)
     evaluation = evaluate(policy, logs, censoring=spec.censoring, q=spec.q, is_hourly=True, **options)
+    # What the policy does not know is not shown as anything else than its models take it for.
+    logs = with_its_rule(policy, logs).logs
+    task = (spec.q and spec.q.task) or task_of(policy, logs)
     on_progress("look at the policy")
     decided = choices(stored, task, logs)
     on_progress("learn again")

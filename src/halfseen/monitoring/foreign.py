@@ -1,0 +1,112 @@
+"""What a log holds that the policy in service does not know or did not do, in words.
+
+Where a category stands that the log never showed, the policy steps back. No model says anything of such a state, so
+that nothing is held against one there; how often it comes is watched as that of any other category.
+
+In a log of the service, no other action has as large a probability as the policy's own, so what was done with more than
+one half, and not by the rule in its place, is its own. A log of which most is not is another's.
+"""
+
+from collections.abc import Collection
+from typing import Any
+
+import numpy as np
+
+from halfseen.errors import closest
+from halfseen.learning.covariates import Covariates
+from halfseen.logs import Logs
+from halfseen.logs.columns import STEPPED_BACK, shown
+from halfseen.policies.shares import own_stages
+from halfseen.shapes import Bool
+from halfseen.wording import counted
+
+HALF = 0.5
+"""Probability beyond which an action was hardly drawn; and share of such actions beyond which a log is another's."""
+ERRORS = 3.0
+"""Standard errors of that share, at most, below which it is no chance."""
+
+
+def in_known_categories(looks_at: Covariates, logs: Logs) -> Logs:
+    """The same log, as the model of cuts takes it: with the first known category in the place of others."""
+    if looks_at.knows(logs.stages).all():
+        return logs
+    columns: dict[str, Any] = {}
+    for name, known in looks_at.categories.items():
+        values = logs.stages[name].astype(object).map(str)
+        columns[name] = values.where(values.isin(known), known[0])
+    return Logs(logs.stages.assign(**columns), logs.trajectories, reward_unit=logs.reward_unit)
+
+
+def unknown_actions(policy: Any, logs: Logs) -> tuple[str, ...]:
+    """Name each action that is none of the policy's, and how often it was taken."""
+    counts: Any = logs.stages["action"].value_counts()
+    others = {action: int(count) for action, count in counts.items() if count and action not in policy.actions}
+    return tuple(_not_known(shown(action), count, int(counts.sum()), policy) for action, count in others.items())
+
+
+def _not_known(action: str, count: int, num: int, policy: Any) -> str:
+    known = ", ".join(map(str, policy.actions))
+    are, meant = "are" if count > 1 else "is", _other_spelling(action.strip("'"), policy.actions)
+    return f"{count:,} of {num:,} actions {are} {action}, which is none of the policy's ({known}).{meant}"
+
+
+def _other_spelling(name: str, known: Collection[Any]) -> str:
+    meant = closest(name, known)
+    return "" if meant is None else f" Write {meant!r} if that is meant."
+
+
+def own_actions(policy: Any, looks_at: Covariates, stages: Any) -> Bool[np.ndarray, " m"]:
+    """In which stages with a known action the policy would have done the same, or stepped back, as its service does."""
+    is_own = np.zeros(len(stages), dtype=bool)
+    if STEPPED_BACK in stages.columns:
+        is_own |= stages[STEPPED_BACK].notna().to_numpy()
+    is_asked = ~is_own & looks_at.knows(stages)
+    is_own[is_asked] = own_stages(policy, stages[is_asked])
+    return is_own
+
+
+def not_its_own(policy: Any, looks_at: Covariates, logs: Logs, is_of_policy: Bool[np.ndarray, " n"]) -> str:
+    """Say that a log is of no service of the policy; "" where it may be.
+
+    Parameters
+    ----------
+    policy
+        A policy of named actions.
+    looks_at
+        Its covariates.
+    logs
+        The log.
+    is_of_policy
+        Which of its trajectories are said to be the policy's.
+    """
+    is_asked = np.isin(logs.stages["trajectory"], logs.trajectory_ids[is_of_policy])
+    stages: Any = logs.stages[is_asked & logs.stages["action"].notna().to_numpy()]
+    if not len(stages):
+        return ""
+    is_own = own_actions(policy, looks_at, stages)
+    is_other = ~is_own
+    if "probability" in stages.columns:
+        is_other &= stages["probability"].to_numpy(dtype=float, na_value=1.0) > HALF
+    if is_other.mean() <= HALF + ERRORS * 0.5 / np.sqrt(len(stages)):
+        return ""
+    return (
+        f"Only {is_own.mean():.0%} of the actions are the policy's: this log is not of its service, and is not judged "
+        "by its promise"
+    )
+
+
+def unknown_categories(looks_at: Covariates, logs: Logs) -> tuple[str, ...]:
+    """Name each category that the log never showed, and how often it is there."""
+    found = []
+    for name in looks_at.columns:
+        if name not in looks_at.categories:
+            continue
+        values: Any = logs.stages[name].astype(object).map(str)
+        counts = values[~values.isin(looks_at.categories[name])].value_counts()
+        found += [
+            f"Covariate {name} is {category!r} in {counted(int(count), 'stage')}, which the log that was learned from "
+            "never showed: there the policy steps back."
+            f"{_other_spelling(category, looks_at.categories[name])}"
+            for category, count in counts.items()
+        ]
+    return tuple(found)

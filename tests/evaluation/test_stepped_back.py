@@ -1,0 +1,64 @@
+"""A log of the service, with a category that the policy never saw: its rule decided there, or the log is refused."""
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from halfseen.errors import LogError
+from halfseen.evaluation import evaluate
+from halfseen.evaluation.stepped_back import with_its_rule
+from halfseen.learning import CensoredQLearner
+from halfseen.logs import Logs
+
+
+def cell(num, seed, decide=None, new=(), has_reason=True):
+    """One stage: A suits red, B blue; where green comes, the rule takes A."""
+    rng = np.random.default_rng(seed)
+    colour = rng.choice(["blue", "red"], num)
+    stages = pd.DataFrame({"trajectory": range(num), "stage": 1, "elapsed_s": 1.0, "colour": colour})
+    own = rng.choice(["A", "B"], num) if decide is None else decide(stages, 1)
+    is_drawn = rng.random(num) < 0.4
+    action = np.where(is_drawn, rng.choice(["A", "B"], num), own)
+    stages["probability"] = 0.5 if decide is None else np.where(action == own, 0.8, 0.2)
+    stages["action"] = action.astype(object)
+    stages["stepped_back"] = pd.Series([None] * num, dtype=object)
+    at = list(new)
+    stages.loc[at, ["colour", "action"]] = ["green", "A"]
+    stages.loc[at, "probability"] = 1.0
+    stages.loc[at, "stepped_back"] = "out-of-range" if has_reason else None
+    suits = (stages["action"] == "A") == (stages["colour"] == "red")
+    stages["reward"] = (rng.random(num) < np.where(suits, 0.9, 0.2)).astype(float)
+    return Logs(stages, pd.DataFrame({"trajectory": range(num), "end_s": 1.0, "ending": "finished"}))
+
+
+@pytest.fixture(scope="module")
+def policy():
+    return CensoredQLearner.of_paper(1, ["A", "B"], ["colour"], reg=1e-3).fit(cell(300, 0)).policy_
+
+
+def test_where_the_policy_stepped_back_what_was_done_counts_as_its_own(policy):
+    logs = cell(200, 1, policy.decide, [7, 90])
+    together, known, (note,) = with_its_rule(policy, logs)
+    taken = together.probabilities(known.stages, 1)
+    np.testing.assert_array_equal(taken[[7, 90]], [[1.0, 0.0], [1.0, 0.0]])
+    others = known.stages.drop(index=[7, 90])
+    np.testing.assert_array_equal(taken[others.index], policy.probabilities(others, 1))
+    assert note.startswith("in 2 stages colour is 'green', which the policy does not know")
+    found, without = (
+        evaluate(policy, one, against="logging")
+        for one in (logs, logs.select([name for name in logs.trajectory_ids if name not in (7, 90)]))
+    )
+    assert found.notes[0] == note
+    assert found.doubly_robust.value == pytest.approx(without.doubly_robust.value, abs=0.02)
+    assert found.doubly_robust.standard_error < 1.2 * without.doubly_robust.standard_error
+
+
+def test_what_nobody_stepped_back_from_is_refused(policy):
+    logs = cell(200, 1, policy.decide, [7], has_reason=False)
+    with pytest.raises(LogError, match=r"trajectory 7, stage 1: covariate 'colour' is 'green'.*give one of these"):
+        evaluate(policy, logs)
+
+
+def test_a_log_of_known_states_stays_as_it_is(policy):
+    logs = cell(60, 1, policy.decide)
+    assert with_its_rule(policy, logs) == (policy, logs, ())
