@@ -1,4 +1,4 @@
-"""The pipeline of all experiments, from a logging policy to the values of learned ones: play → cut → encode → treat → learn → evaluate.
+"""The pipeline from a logging policy to a learned one: play → cut → encode → treat → learn → evaluate.
 
 *With laws*, by default, it learns as the product does from tables: laws are fitted to the log, and eq. 3 on the
 weighted log checks them. *Without*, it is linear eq. 3 alone, which is reported for comparison and by which treatments
