@@ -118,7 +118,7 @@ def holm(p_values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 def adjusted(table: pd.DataFrame, alpha: float) -> pd.DataFrame:
-    """Add p_holm and supported to a table of tests, and put its columns in reading order."""
+    """Add p_holm and supported to a table of tests, and move the columns of the test to the end."""
     table = table.assign(p_holm=holm(table["p_value"].to_numpy(dtype=float)))
     table = table.assign(supported=(table["p_holm"] < alpha).astype("boolean").mask(table["p_holm"].isna()))
     return table.loc[:, [*table.columns.drop(TESTED), *TESTED]]

@@ -84,7 +84,7 @@ class Section(NamedTuple):
     """The report of an experiment.
 
     `sentences` are claims with estimate and test, the most important first; `num_leading` of them appear at the head of
-    the report. `opening` is its first figure, given by at most one section; the title is the sentence beside it.
+    the report. `opening` is the report's first figure, in at most one section; its title is the sentence beside it.
     """
 
     heading: str
