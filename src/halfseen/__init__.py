@@ -1,8 +1,9 @@
 """halfseen learns when to pick, when to look and when to stop, from cut logs and half-hidden views.
 
-The folders are the way that data takes: ``scene`` → ``perception`` → ``world`` → ``logs`` → ``censoring`` →
-``learning`` → ``tables`` (a task) | ``planners`` → ``policies`` → ``evaluation`` → ``study`` | ``report`` → ``cli``.
-Importing this package loads none of them; it only tells Gymnasium, where that is installed, of ``halfseen/Cups-v0``.
+The packages follow the data: ``scene`` → ``perception`` → ``world`` → ``logs`` → ``censoring`` → ``learning`` →
+``tables`` (a task) | ``planners`` → ``policies`` → ``evaluation`` → ``study`` | ``report`` → ``cli``.
+
+Importing this package loads none of them. It only registers ``halfseen/Cups-v0`` with Gymnasium, where installed.
 """
 
 import halfseen.gym_registration  # noqa: F401

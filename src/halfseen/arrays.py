@@ -1,23 +1,23 @@
 """Axis letters, array types and records of arrays, defined once.
 
-Axis letters, as they stand in shapes all over the package:
+Axis letters in the shapes of all packages:
 
 ========  ==========================================================================================================
-``*B``    any number of axes in front, for members of a batch; none for a single one
+``*B``    any number of leading batch axes; none for a single member
 ``N``     objects of a scene, padded to the largest scene of a batch; padding is masked and may hold anything
 ``K``     robots at one table
-``T``     stages of a trajectory (a trajectory, an episode), at most; the horizon
+``T``     stages of a trajectory (an episode), at most; the horizon
 ``A``     actions of a table
 ``n``     rows: trajectories or observations
-``m``     rows asked about: query times, states to decide
+``m``     query rows: query times, states to decide
 ``F``     features of one verb
 ``H W``   rows and columns of a depth image [px]
 ========  ==========================================================================================================
 
 Shapes are executed: the test run checks every annotated signature (`jaxtyping` with `beartype`).
 
-What the world, the planners and the features of tables compute is written once, against the library of the arrays that
-come in: NumPy, or JAX where somebody hands in arrays of JAX (the extra ``jax``). Nothing is written in place.
+The world, the planners and the features of tables are written once, for the array library of their inputs: NumPy, or
+JAX (the extra ``jax``). Nothing is modified in place.
 """
 
 import sys
@@ -39,11 +39,11 @@ Hides: TypeAlias = Float[np.ndarray, "N N"]
 PerObject: TypeAlias = Float[np.ndarray, " N"]
 ObjectMask: TypeAlias = Bool[np.ndarray, " N"]
 Array: TypeAlias = Any
-"""An array of NumPy's, or of JAX's; a scalar of NumPy's where there is no axis."""
+"""A NumPy or JAX array; a NumPy scalar where there is no axis."""
 Number: TypeAlias = float | int | Any
-"""A plain number, or what JAX makes of it inside a compiled call."""
+"""A plain number, or its JAX tracer inside a compiled call."""
 Which: TypeAlias = Int[Array, "*B"]
-"""Number of a verb, an object or a robot, for each table of a batch."""
+"""Index of a verb, an object or a robot, for each table of a batch."""
 Flags: TypeAlias = Bool[Array, "*B"]
 Amounts: TypeAlias = Float[Array, "*B"]
 
@@ -51,9 +51,9 @@ Tree = TypeVar("Tree")
 
 
 def library_of(*values: Any) -> Any:
-    """Where the functions for some arrays are: ``jax.numpy`` if one of them is JAX's, ``numpy`` for others.
+    """Return the array module for some arrays: ``jax.numpy`` if one of them is a JAX array, otherwise ``numpy``.
 
-    JAX takes half a second to load, so this does not: without it there are no arrays of its own.
+    JAX takes half a second to import, so this never imports it: if it is not loaded, no JAX arrays exist.
     """
     jax = sys.modules.get("jax")
     if jax is None or not any(isinstance(value, jax.Array) for value in values):
@@ -68,7 +68,7 @@ _RECORDS: list[type] = []
 def record(cls: type[Tree]) -> type[Tree]:
     """Make a class a frozen dataclass whose fields are arrays, numbers or other records.
 
-    To JAX, once it is asked for (`known_to_jax`), it is a pytree; fields with the metadata ``static`` are not traced.
+    Once JAX is loaded (`known_to_jax`), it is a pytree; fields with the metadata ``static`` are not traced.
     """
     found: Any = dataclass(frozen=True)(cls)
     _RECORDS.append(found)
@@ -83,7 +83,7 @@ _known: list[bool] = []
 
 
 def known_to_jax() -> Any:
-    """Load JAX, tell it of all records, and give it."""
+    """Load JAX, register all records with it, and return it."""
     import jax
 
     if not _known:
@@ -103,7 +103,7 @@ def _register(cls: Any) -> None:
         return tuple(getattr(one, name) for name in names), tuple(getattr(one, name) for name in static)
 
     def remade(of_static: tuple[Any, ...], parts: Any) -> Any:
-        # Not by calling it: what JAX puts in place of arrays, None among it, is nothing to be checked.
+        # Bypass the constructor: the placeholders that JAX puts in place of arrays, such as None, fail its checks.
         one = object.__new__(cls)
         for name, value in zip((*names, *static), (*parts, *of_static), strict=True):
             object.__setattr__(one, name, value)
@@ -113,7 +113,7 @@ def _register(cls: Any) -> None:
 
 
 def mapped(change: Callable[..., Any], tree: Tree, *others: Any) -> Tree:
-    """Change each array of a record, a tuple or a dict of such, by those at its place in others; None stays None."""
+    """Map each array of a record, tuple or dict, together with the arrays at its place in `others`; None stays None."""
     found: Any = tree
     if tree is None:
         return found
@@ -130,7 +130,7 @@ def mapped(change: Callable[..., Any], tree: Tree, *others: Any) -> Tree:
 
 
 def chosen(is_new: Bool[Any, "*B"], new: Tree, old: Tree) -> Tree:
-    """Take each member of a batch from one of two records."""
+    """Select each member of a batch from one of two records."""
     xp = library_of(is_new)
 
     def choose(one: Any, other: Any) -> Any:
@@ -142,13 +142,13 @@ def chosen(is_new: Bool[Any, "*B"], new: Tree, old: Tree) -> Tree:
 
 
 def _up_to(values: Any, num_axes: int) -> Any:
-    """The same with axes of length 1 behind, up to a number of axes."""
+    """Append axes of length 1, up to a number of axes."""
     values = library_of(values).asarray(values)
     return values.reshape(values.shape + (1,) * max(num_axes - values.ndim, 0))
 
 
 def at(values: Any, index: Any) -> Any:
-    """``values[..., index]`` for each member of a batch, an index each."""
+    """``values[..., index]`` for each member of a batch, with one index per member."""
     xp = library_of(values, index)
     if values.ndim == 2 and np.ndim(index) == 1:
         return values[np.arange(len(values)), index]
@@ -157,17 +157,17 @@ def at(values: Any, index: Any) -> Any:
 
 
 def first_last(values: Any) -> Any:
-    """The first axis behind all others; no number is moved in memory."""
+    """Move the first axis to the end, as a view."""
     return values.transpose(*range(1, values.ndim), 0)
 
 
 def stacked(trees: list[Tree], axis: int = 0) -> Tree:
-    """Stack records of one kind."""
+    """Stack records of one type."""
     return mapped(lambda *leaves: library_of(*leaves).stack(leaves, axis=axis), *trees)
 
 
 def expit(log_odds: Float[Any, "*S"]) -> Float[Any, "*S"]:
-    """1 / (1 + e⁻ˣ), which overflows nowhere."""
+    """1 / (1 + e⁻ˣ), without overflow."""
     return 0.5 + 0.5 * library_of(log_odds).tanh(0.5 * log_odds)
 
 

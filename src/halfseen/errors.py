@@ -1,4 +1,4 @@
-"""What can go wrong, as one tree of exceptions.
+"""Exceptions, as one tree.
 
 ::
 
@@ -11,7 +11,7 @@
     │   └── OutOfRangeError    a state beyond what the logs of the policy showed
     ├── PositivityError        a weight that the data do not identify; names the trajectory, the stage and the time
     ├── SceneError             a scene whose numbers contradict one another
-    ├── WorkerError            who should make the work cannot: nobody at the address, other versions, no memory
+    ├── WorkerError            workers are unavailable: nothing answers at the address, wrong versions, no memory
     └── ArgumentError          a value that an option or parameter cannot take
 
 Every message says what is wrong, where, the value, and the remedy. Warnings are `HalfseenWarning`.
@@ -24,7 +24,7 @@ from difflib import get_close_matches
 
 
 class HalfseenError(Exception):
-    """Base of all errors that a user of halfseen can cause and mend."""
+    """Base of all errors that a user of halfseen can cause and fix."""
 
 
 class CloudError(HalfseenError):
@@ -60,7 +60,7 @@ class SceneError(HalfseenError):
 
 
 class WorkerError(HalfseenError):
-    """Those who should make the work cannot: nobody answers, other versions are there, or they are lost."""
+    """Workers are unavailable: nothing answers, versions differ, or the workers were lost."""
 
 
 class ArgumentError(HalfseenError, ValueError):
@@ -72,13 +72,13 @@ class HalfseenWarning(UserWarning):
 
 
 def warn(source: object, trouble: str) -> None:
-    """Warn of what is read otherwise than somebody may think, with the folder or file that it is in."""
+    """Warn that input is read in a way that may surprise the user, naming the folder or file that it is in."""
     warnings.warn(f"{source}: {trouble}", HalfseenWarning, stacklevel=3)
 
 
 @contextmanager
 def within(source: object) -> Iterator[None]:
-    """Put the folder or file that something comes from before what is wrong with it."""
+    """Prefix errors with the folder or file that they come from."""
     try:
         yield
     except HalfseenError as error:
@@ -87,7 +87,7 @@ def within(source: object) -> Iterator[None]:
 
 @contextmanager
 def noted() -> Iterator[list[str]]:
-    """Keep the warnings that are meant for users, and show none; the list holds them at the end of the block."""
+    """Collect the warnings for users instead of showing them; the list is complete at the end of the block."""
     notes: list[str] = []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", HalfseenWarning)
@@ -96,21 +96,21 @@ def noted() -> Iterator[list[str]]:
 
 
 def closest(given: object, known: Iterable[object]) -> str | None:
-    """Name the one of `known` that is most like `given`, capitals aside; None if none is much like it."""
+    """Return the member of `known` closest to `given`, ignoring case; None if none is close."""
     names = {str(name).lower(): str(name) for name in known}
     close = get_close_matches(str(given).lower(), names, n=1)
     return names[close[0]] if close else None
 
 
 def did_you_mean(given: object, known: Iterable[object]) -> str:
-    """Ask whether another name was meant: an end for a message, empty if there is none like it.
+    """Ask whether another name was meant, as the end of a message; empty if no name is close.
 
     Parameters
     ----------
     given
         What was typed.
     known
-        The names that there are.
+        The valid names.
     """
     name = closest(given, known)
     return "" if name is None else f"; did you mean {name!r}?"

@@ -1,4 +1,4 @@
-"""Parameters of an estimator as scikit-learn reads them, without its import, which takes longer than most verbs."""
+"""Estimator parameters as in scikit-learn, without importing it, which takes longer than most verbs."""
 
 from inspect import signature
 from typing import Any, TypeVar
@@ -9,18 +9,18 @@ Its = TypeVar("Its", bound="Estimator")
 
 
 class Estimator:
-    """What scikit-learn's ``BaseEstimator`` gives its parameters: `sklearn.base.clone` and searches work.
+    """The parameter interface of scikit-learn's ``BaseEstimator``: `sklearn.base.clone` and searches work.
 
-    Every argument of ``__init__`` is kept, as it was given, in the attribute of its name.
+    Every argument of ``__init__`` is kept unchanged in the attribute of the same name.
     """
 
     def get_params(self, deep: bool = True) -> dict[str, Any]:
-        """Give the parameters by name.
+        """Return the parameters by name.
 
         Parameters
         ----------
         deep
-            Whether parameters of parameters count, too; here none has any.
+            Whether to include parameters of parameters; there are none here.
         """
         return {name: getattr(self, name) for name in self._defaults()}
 
@@ -30,7 +30,7 @@ class Estimator:
         Raises
         ------
         ArgumentError
-            There is no parameter of such a name.
+            There is no parameter of that name.
         """
         known = self._defaults()
         for name, value in params.items():
@@ -41,7 +41,7 @@ class Estimator:
         return self
 
     def unfitted(self: Its) -> Its:
-        """Make another with the same parameters, as `sklearn.base.clone` does."""
+        """Return an unfitted estimator with the same parameters, as `sklearn.base.clone` does."""
         return type(self)(**self.get_params())
 
     def __repr__(self) -> str:
@@ -53,14 +53,14 @@ class Estimator:
         return f"{type(self).__name__}({', '.join(parameters)})"
 
     def __sklearn_tags__(self) -> Any:
-        """What scikit-learn asks of an estimator, if it is there to ask."""
+        """Return the tags that scikit-learn requires, if it is installed."""
         from sklearn.base import BaseEstimator
 
         return BaseEstimator().__sklearn_tags__()
 
     @classmethod
     def _defaults(cls) -> dict[str, Any]:
-        # A class without parameters of its own has those of object.
+        # A class without an __init__ of its own inherits that of object.
         if cls.__init__ is object.__init__:
             return {}
         parameters = signature(cls.__init__).parameters
@@ -73,14 +73,14 @@ def check_fitted(estimator: object, attribute: str) -> None:
     Parameters
     ----------
     estimator
-        Which.
+        The estimator.
     attribute
-        What it has once it is fitted.
+        Name of an attribute that exists once it is fitted.
 
     Raises
     ------
     sklearn.exceptions.NotFittedError
-        It has not.
+        It is not fitted.
     """
     if not hasattr(estimator, attribute):
         from sklearn.exceptions import NotFittedError

@@ -1,8 +1,8 @@
-"""What all figures share: colours, figures as bytes, and what several of them draw alike.
+"""Shared parts of all figures: colours, rendering to bytes, and common drawing functions.
 
-Lines can be told apart by colour-blind eyes (Okabe and Ito, 2008). In every figure what was learned is blue, heuristics
-and logging policies are grey, planners are green. Of treatments and models that are no policies, the default is blue,
-and others are neither grey nor green. The same numbers give the same bytes, whatever the user's own style is.
+Lines are distinguishable by colour-blind readers (Okabe and Ito, 2008). In every figure learned policies are blue,
+heuristics and logging policies grey, and planners green. Among treatments and models that are not policies, the default
+is blue, and the others are neither grey nor green. The same numbers give the same bytes, whatever the user's style.
 """
 
 import io
@@ -34,7 +34,7 @@ ORANGE, SKY, BLACK = "#E69F00", "#56B4E9", "#000000"
 LINES = (BLUE, RED, GREEN, PINK, ORANGE, SKY, BLACK)
 OURS, THEIRS, ALARM = BLUE, SOFT, RED
 PLANNER, PEER = "#00795c", "#3fa98a"
-"""Planners that know the true laws, and those with laws from the logs."""
+"""Planners that know the true laws, and planners with laws estimated from the logs."""
 HUES = {"learned": OURS, "heuristics": THEIRS, "planners": PLANNER}
 MARKERS = "os^Dvp"
 BAND_OPACITY = 0.16
@@ -42,11 +42,11 @@ _LEARNED_SHADES = LinearSegmentedColormap.from_list("learned", ["#002c4d", BLUE,
 _GREYS = ("#333333", "#6b6b6b", "#a0a0a0", "#c6c6c6", "#e6e6e6")
 _BLUES = ("#dfeefa", "#b3d7f3", "#7fbbe8", "#0068a8", "#003a5f")
 GAINS = LinearSegmentedColormap.from_list("gains", [*_GREYS, *_BLUES])
-"""From where heuristics earn more to where the learned policy earns more, in ten steps; white words on the outer 4."""
+"""From heuristics earning more to the learned policy earning more, in ten steps; white text on the outer 4."""
 
 POINTS = 9.5
 MOST_MARKERS = 3000
-"""A line of more markers becomes a picture within the drawing, which stays small however long the log."""
+"""A line with more markers is rasterized within the drawing, which keeps it small for a log of any length."""
 DOTS_PER_INCH = {"png": 200, "svg": 150}
 METADATA: dict[str, dict[str, None]] = {
     "png": {"Software": None},
@@ -54,7 +54,7 @@ METADATA: dict[str, dict[str, None]] = {
 }
 STYLE: Any = {
     "svg.hashsalt": "halfseen",
-    # Words stay words: they can be searched and read aloud, and a browser has letters that DejaVu lacks.
+    # Text stays text: it can be searched and read aloud, and browsers have glyphs that DejaVu lacks.
     "svg.fonttype": "none",
     "text.parse_math": False,
     "font.family": ["DejaVu Sans", "sans-serif"],
@@ -72,17 +72,17 @@ TITLE_TOP, TITLE_POINTS, TITLE_CHARS = 0.98, 11.5, 92
 PANEL_TITLE: dict[str, Any] = {"loc": "left", "fontsize": 9.0, "pad": 8.0}
 LABEL_GAP_INCHES = 0.175
 LEGEND_ENTRY_INCHES = 4.8 * POINTS / 72
-"""What an entry of a legend takes beside its words."""
+"""Width of a legend entry beyond its text."""
 
 
 def learned_shades(num: int) -> Any:
-    """Blues for so many ordered values of what was learned, the darkest first."""
+    """Blues for `num` ordered values of a learned quantity, the darkest first."""
     return _LEARNED_SHADES(np.linspace(0.0, 1.0, num))
 
 
 @contextmanager
 def style() -> Iterator[None]:
-    """Draw alike whatever the user's own style is, and leave that as it was."""
+    """Draw in one style whatever the user's own, and restore that afterwards."""
     with matplotlib.rc_context():
         matplotlib.rcdefaults()
         matplotlib.rcParams.update(STYLE)
@@ -90,7 +90,7 @@ def style() -> Iterator[None]:
 
 
 def drawn(figure_of: Callable[[], Figure], kind: str) -> bytes:
-    """Draw a figure of a kind, ``"svg"`` or ``"png"``."""
+    """Render a figure as ``"svg"`` or ``"png"``."""
     buffer = io.BytesIO()
     with style(), warnings.catch_warnings():
         warnings.filterwarnings("ignore", message="Glyph .* missing from font")
@@ -104,12 +104,12 @@ def drawn(figure_of: Callable[[], Figure], kind: str) -> bytes:
 
 
 def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Markup:
-    """Draw a figure as an SVG element that stands in a page beside others: `prefix` makes every id unique."""
+    """Render a figure as an SVG element for a page with others: `prefix` makes every id unique."""
     text = drawn(figure_of, "svg").decode()
     text = text[text.index("<svg") :]
     text = re.sub(r'\s(?:xmlns(?::xlink)?|version)="[^"]*"', "", text)
     text = re.sub(r"<!--.*?-->\s*", "", text, flags=re.DOTALL).replace("xlink:href", "href")
-    # A page's style sheet reaches all of the page, so this one is bound to its figure.
+    # A style sheet applies to the whole page, so this one is scoped to its figure.
     text = text.replace("*{stroke-linejoin", f"#{prefix} *{{stroke-linejoin", 1)
     text = re.sub(r'\bid="', f'id="{prefix}-', text)
     text = re.sub(r'(href="#|url\(#)', rf"\g<1>{prefix}-", text)
@@ -120,7 +120,7 @@ def inline_svg(figure_of: Callable[[], Figure], prefix: str, title: str) -> Mark
 
 
 def fitted(text: str, inches: float, most_lines: int = 2, **font: Any) -> str:
-    """Break a text into lines that are no wider than so many inches; what does not fit ends with an ellipsis."""
+    """Break a text into lines no wider than `inches`; text that does not fit ends with an ellipsis."""
     for num_chars in range(len(text), 0, -1):
         lines = textwrap.wrap(text, num_chars) if num_chars < len(text) else [text]
         if len(lines) > most_lines:
@@ -136,14 +136,14 @@ def _width_inches(text: str, **font: Any) -> float:
 
 
 def legend_columns(labels: Sequence[str], inches: float, most: int) -> int:
-    """In how many columns a legend is no wider than so many inches."""
+    """Number of columns with which a legend is no wider than `inches`."""
     widths = [_width_inches(label) + LEGEND_ENTRY_INCHES for label in labels]
     nums = range(min(most, len(labels)), 1, -1)
     return next((num for num in nums if sum(map(max, np.array_split(widths, num))) <= inches), 1)
 
 
 def write_title(figure: Figure, title: str) -> float:
-    """Write the title in lines of even length; return the height of its lower end as a share of the figure's."""
+    """Write the title in lines of even length; return the height of its lower edge as a fraction of the figure's."""
     if not title:
         return 1.0
     width = round(TITLE_CHARS * figure.get_size_inches()[0] / WIDTH_INCHES)
@@ -155,19 +155,19 @@ def write_title(figure: Figure, title: str) -> float:
 
 
 def write_above(axes: Axes, text: str, points: float, weight: str = "bold") -> None:
-    """Write so many points above the left end of a panel."""
+    """Write a text `points` above the left end of a panel."""
     place: Any = {"xycoords": "axes fraction", "textcoords": "offset points", "xytext": (0.0, points)}
     axes.annotate(text, (0.0, 1.0), fontweight=weight, **place)
 
 
 def write_legend(figure: Figure, named: Mapping[str, Any], top: float, **options: Any) -> None:
-    """Explain curves, which are given by name, above the panels, in one line unless `ncols` says otherwise."""
+    """Write a legend for curves, given by name, above the panels, in one line unless `ncols` is given."""
     place: Any = {"loc": "upper left", "bbox_to_anchor": (0.05, top), "ncols": len(named), "frameon": False}
     figure.legend(list(named.values()), list(named), **(place | options))
 
 
 def named_curves(*panels: Axes) -> dict[str, Any]:
-    """What stands in a legend of these panels, by name."""
+    """Legend handles of these panels, by name."""
     found = {}
     for axes in panels:
         found |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))
@@ -175,13 +175,13 @@ def named_curves(*panels: Axes) -> dict[str, Any]:
 
 
 def draw_grid(axes: Axes) -> None:
-    """Draw faint lines at the heights of the ticks, behind all else."""
+    """Draw faint lines at the heights of the ticks, behind everything else."""
     axes.grid(axis="y", color=FAINT, linewidth=0.6, zorder=0)
     axes.set_axisbelow(True)
 
 
 def mark_sizes(axes: Axes, sizes: Sequence[int]) -> None:
-    """Mark these sizes, and no others, on a logarithmic axis."""
+    """Put ticks at these sizes only, on a logarithmic axis."""
     axes.set_xscale("log")
     axes.xaxis.set_major_locator(FixedLocator([float(size) for size in sizes]))
     axes.xaxis.set_minor_locator(NullLocator())
@@ -190,12 +190,12 @@ def mark_sizes(axes: Axes, sizes: Sequence[int]) -> None:
 
 
 def draw_zero(axes: Axes, colour: str = INK, width: float = 1.0) -> None:
-    """Draw a line at 0, with which differences are compared."""
+    """Draw the reference line of differences at 0."""
     axes.axhline(0.0, color=colour, linewidth=width, zorder=1.5)
 
 
 def dodged(across: Any, place: int, num: int, factor: float) -> Float[np.ndarray, " k"]:
-    """Places of one of `num` curves along a logarithmic axis, where they stand side by side."""
+    """Positions of one of `num` curves drawn side by side along a logarithmic axis."""
     return np.asarray(across, dtype=float) * factor ** (place - (num - 1) / 2)
 
 
@@ -208,7 +208,7 @@ def draw_curve(axes: Axes, across: Any, estimates: Any, **options: Any) -> None:
 
 
 def draw_bars(axes: Axes, across: Any, estimates: Any, **options: Any) -> None:
-    """Draw markers with intervals as bars: bands that lie on one another would hide one another."""
+    """Draw markers with intervals as error bars: overlapping bands would hide one another."""
     mean, low, high = np.asarray(estimates, dtype=float).T
     usual = {"elinewidth": 1.4, "linewidth": 0.8, "capsize": 2.5, "zorder": 2.5}
     axes.errorbar(np.asarray(across, dtype=float), mean, np.stack([mean - low, high - mean]), **{**usual, **options})
@@ -225,7 +225,7 @@ class EndLabel:
 
 
 def write_end_labels(axes: Axes, labels: Sequence[EndLabel]) -> None:
-    """Name lines at the right edge, moved apart as little as needed and tied to their ends."""
+    """Name lines at the right edge, moved apart as little as needed, with connectors to their ends."""
     low, high = axes.get_ylim()
     figure: Any = axes.figure
     height_inches = figure.get_size_inches()[1] * axes.get_position().height
@@ -240,9 +240,9 @@ def write_end_labels(axes: Axes, labels: Sequence[EndLabel]) -> None:
 
 
 def spread(heights: Sequence[float], gap: float, low: float, high: float) -> list[float]:
-    """Move heights at least `gap` apart, in their order, with the least squared moves, and within [low, high].
+    """Move heights at least `gap` apart, in order and within [low, high], with the smallest sum of squared moves.
 
-    The nearest values that nowhere fall are those of isotonic regression [BarlowEtAl1972]_.
+    The nearest non-decreasing values are those of isotonic regression [BarlowEtAl1972]_.
     """
     if not len(heights):
         return []

@@ -1,7 +1,7 @@
-"""Tells Gymnasium of the tables; ``import halfseen`` does it, before or after ``import gymnasium``.
+"""Register the tables with Gymnasium; ``import halfseen`` does so, before or after ``import gymnasium``.
 
-It loads not the world, which loads when a table is made, nor Gymnasium: importing that takes longer than all
-else here, so where it is not loaded yet, it is told once it is.
+It loads neither the world, which is loaded when a table is made, nor Gymnasium, whose import takes longer than all else
+here. If Gymnasium is not loaded yet, the tables are registered once it is.
 """
 
 import sys
@@ -19,7 +19,7 @@ _ENTRY_POINTS = {
 def register() -> None:
     """Register ``halfseen/Cups-v0`` and ``halfseen/TeamCups-v0``; registering twice changes nothing.
 
-    There is no time limit to be wrapped around them: the horizon is the table's own end.
+    There is no time-limit wrapper: the horizon is part of the table.
     """
     from gymnasium.envs import registration
 
@@ -29,7 +29,7 @@ def register() -> None:
 
 
 class _RegisterAfterImport:
-    """A finder on `sys.meta_path`: lets Gymnasium be found as ever, and registers once its module has run."""
+    """A finder on `sys.meta_path` that leaves Gymnasium's import unchanged and registers once its module has run."""
 
     def find_spec(self, fullname: str, trajectory: Any = None, target: Any = None) -> Any:
         if fullname != "gymnasium":

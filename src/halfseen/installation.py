@@ -1,4 +1,4 @@
-"""How this halfseen was installed, and what adds an extra to it."""
+"""How this halfseen was installed, and the command that adds an extra."""
 
 import json
 import shlex
@@ -12,7 +12,7 @@ from halfseen.errors import ArgumentError
 
 
 def command_for(extra: str) -> str:
-    """Say what to type so that an extra is there, too, for the Python that runs this.
+    """Return the command that installs an extra for the running Python.
 
     Parameters
     ----------
@@ -22,8 +22,8 @@ def command_for(extra: str) -> str:
     Returns
     -------
     str
-        ``pip install 'halfseen[NAME]'``, which adds to what is installed already, or ``pip install -e 'CLONE[NAME]'``.
-        A pip that is not the first on the trajectory is called as a module of this Python.
+        ``pip install 'halfseen[NAME]'``, which adds to the present installation, or ``pip install -e 'CLONE[NAME]'``.
+        A pip that is not the first on the PATH is called as a module of this Python.
     """
     clone = _clone()
     what = shlex.quote(f"{clone or 'halfseen'}[{extra}]")
@@ -31,7 +31,7 @@ def command_for(extra: str) -> str:
 
 
 def extra(module: str, name: str) -> ModuleType:
-    """Import a module of the optional library that halfseen's extra of a name brings.
+    """Import a module of the optional library that an extra of halfseen installs.
 
     Raises
     ------
@@ -45,14 +45,14 @@ def extra(module: str, name: str) -> ModuleType:
 
 
 def _pip() -> str:
-    """Name the pip that installs for this Python."""
+    """Return the pip command that installs for this Python."""
     found = shutil.which("pip")
     is_ours = found is not None and Path(found).parent == Path(sys.executable).parent
     return "pip" if is_ours else f"{shlex.quote(sys.executable)} -m pip"
 
 
 def _clone() -> Path | None:
-    """Folder of the clone that runs here; None for a wheel."""
+    """Folder of the clone that is running; None for a wheel."""
     try:
         record = metadata.distribution("halfseen").read_text("direct_url.json")
     except metadata.PackageNotFoundError:
@@ -61,7 +61,7 @@ def _clone() -> Path | None:
     origin = json.loads(record or "{}")
     if not origin.get("dir_info", {}).get("editable"):
         return None
-    # It loads all of HTTP, which nobody who is not told what to install need wait for.
+    # It loads all of HTTP, which only this message needs.
     from urllib.parse import urlsplit
     from urllib.request import url2pathname
 

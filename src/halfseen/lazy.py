@@ -1,4 +1,4 @@
-"""Names that load their module on first use, so that importing a package stays instant."""
+"""Names that load their module on first use, so that importing a package is fast."""
 
 from collections.abc import Callable, Mapping
 from importlib import import_module

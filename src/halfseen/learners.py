@@ -1,4 +1,4 @@
-"""The names of `halfseen.learning`, where other programs look for them."""
+"""The names of `halfseen.learning`, at the place where other programs look for them."""
 
 from typing import Any
 

@@ -1,7 +1,7 @@
-"""How far long work has come: a bar with the time left on a terminal; elsewhere a line a minute, or nothing.
+"""Progress of long work: a bar with the time left on a terminal; elsewhere a line per minute, or nothing.
 
-All of it goes to stderr, so that results are the same bytes whatever is shown. The command line says by `telling` what
-is to be shown where there is no terminal; anyone who calls the library sees bars on a terminal, and nothing elsewhere.
+All of it goes to stderr, so that results are the same bytes whatever is shown. The command line uses `telling` to
+choose the output where there is no terminal. Library calls show bars on a terminal, and nothing elsewhere.
 """
 
 import sys
@@ -15,18 +15,18 @@ from threading import Event, Thread
 from typing import Any
 
 TICK_S = 0.25
-"""Between two drawings of a bar [s]."""
+"""Interval between two drawings of a bar [s]."""
 DELAY_S = 1.0
-"""What is over sooner shows no bar [s]."""
+"""Work that ends sooner shows no bar [s]."""
 LINE_S = 60.0
-"""Between two lines [s]."""
+"""Interval between two lines [s]."""
 _FORM = "{desc} {percentage:3.0f}%|{bar}| {elapsed}{postfix}"
 _FORM_OF_UNITS = "{desc} {percentage:3.0f}%|{bar}| {n_fmt}/{total_fmt} {unit} {elapsed}{postfix}"
 _FORM_WITHOUT_END = "{desc} {n_fmt} {unit} {elapsed}"
 
 
 class Telling(Enum):
-    """What is shown."""
+    """What progress shows."""
 
     BARS = "bars on a terminal"
     LINES = "bars on a terminal, a line a minute elsewhere"
@@ -38,7 +38,7 @@ _telling: ContextVar[Telling] = ContextVar("telling", default=Telling.BARS)
 
 @contextmanager
 def telling(what: Telling) -> Iterator[None]:
-    """Say what progress shows inside of the block."""
+    """Set what progress shows within the block."""
     before = _telling.set(what)
     try:
         yield
@@ -47,18 +47,18 @@ def telling(what: Telling) -> Iterator[None]:
 
 
 class Progress:
-    """How far one piece of work has come, between entering and leaving a ``with`` block.
+    """Progress of one piece of work, between entering and leaving a ``with`` block.
 
-    Parts of the work that show their own progress add a bar below on a terminal, and nothing elsewhere.
+    Nested pieces of work add a bar below on a terminal, and nothing elsewhere.
 
     Parameters
     ----------
     total
-        All that there is to do, in any unit; None where nobody knows.
+        Total amount of work, in any unit; None if unknown.
     what
-        What is done, or done first.
+        Name of the work, or of its first step.
     unit
-        Of `total`, to be shown; none if its numbers tell nothing.
+        Unit of `total`, to be shown; none if its numbers mean nothing to a user.
     """
 
     def __init__(self, total: float | int | None, what: str, unit: str = "") -> None:
@@ -83,33 +83,33 @@ class Progress:
 
     @property
     def done(self) -> float:
-        """How much of the total is done."""
+        """Amount of work done."""
         return self._marks[-1]
 
     def update(self, by: float | int = 1) -> None:
-        """Note that so much more is done."""
+        """Add to the amount done."""
         self.reach(self.done + by)
 
     def reach(self, done: float | int) -> None:
-        """Note how much is done altogether."""
+        """Set the amount done."""
         if done > self.done:
             self._marks_s.append(self._elapsed_s())
             self._marks.append(float(done))
 
     def begin(self, what: str, by: float | int = 1) -> None:
-        """End a step, which was so much of the total, and begin the one of this name."""
+        """End a step, which was `by` of the total, and begin the step of this name."""
         self.update(by)
         self.what = what
 
     def left_s(self) -> float | None:
-        """Time left [s], by how fast it went in the latter half of the time so far; None where that tells nothing."""
+        """Time left [s], by the speed over the latter half of the time so far; None if that cannot be estimated."""
         return None if self.total is None else time_left_s(self.total, self._marks_s, self._marks, self._elapsed_s())
 
     def _elapsed_s(self) -> float:
         return time.monotonic() - self._begin_s
 
     def _draw(self, terminal: Any) -> None:
-        """Keep a bar up to date, so that it runs on while a step takes its time."""
+        """Keep a bar up to date, so that it moves during a long step."""
         if self._is_over.wait(DELAY_S):
             return
         from tqdm import tqdm
@@ -130,7 +130,7 @@ class Progress:
             print(self.line(), file=file, flush=True)
 
     def line(self) -> str:
-        """How far it has come, in words."""
+        """The progress in words."""
         left_s, so_far = self.left_s(), f"{in_words(self._elapsed_s())} so far"
         count = f"{self.done:g}" if self.total is None else f"{self.done:g} of {self.total:g}"
         share = "" if not self.total else f", {min(self.done / self.total, 1.0):.0%}"
@@ -140,19 +140,19 @@ class Progress:
 
 
 def time_left_s(total: float | int, marks_s: list[float], marks: list[float], now_s: float) -> float | None:
-    """Time left [s], by how fast the work went in the latter half of the time up to the last mark.
+    """Time left [s], by the speed over the latter half of the time up to the last mark.
 
-    What was kept of an earlier run is read back at once, and so says nothing about the rest. Where a step drags on
-    beyond that, half of what was left is taken to be done by now.
+    Results kept from an earlier run are read back at once, and so say nothing about the rest. If a step takes longer
+    than that, half of the remaining work is assumed done.
 
     Parameters
     ----------
     total
-        All that there is to do.
+        Total amount of work.
     marks_s, marks
-        When [s] how much was done, from (0, 0) on.
+        Times [s] and the amounts done at them, from (0, 0) on.
     now_s
-        Since the beginning [s].
+        Time since the beginning [s].
 
     Returns
     -------
@@ -168,7 +168,7 @@ def time_left_s(total: float | int, marks_s: list[float], marks: list[float], no
 
 
 def in_words(time_s: float) -> str:
-    """Write a time [s] as anyone who waits wants to know it."""
+    """Write a time [s] to the precision that is useful to someone waiting."""
     if time_s < 60:
         return f"{time_s:.0f} s"
     minutes = round(time_s / 60)

@@ -1,8 +1,8 @@
-"""The one door for bytes: what comes in is a regular file of bounded size, and what is in it is nested boundedly.
+"""The one entry for bytes: input must be a regular file of bounded size, with bounded nesting.
 
-Whatever is refused here is refused before it is read, as an `OSError` with its file, or as a `ValueError` without one;
-a reader puts its own words around either. Where a file is meant to be so large, the environment variable
-``HALFSEEN_LARGEST_MB`` says how large one may be, packed or unpacked.
+Input is refused before it is read, with an `OSError` that names the file, or a `ValueError` without one; each reader
+wraps either in its own message. The environment variable ``HALFSEEN_LARGEST_MB`` overrides the largest size of a file,
+packed or unpacked.
 """
 
 import json
@@ -27,20 +27,20 @@ from halfseen.errors import HalfseenError, LogError
 LARGEST_MB = "HALFSEEN_LARGEST_MB"
 """Environment variable that overrides every bound below [MB]."""
 WORDS, CLOUD, NUMBERS, TABLE = 32 * 10**6, 10**9, 4 * 10**9, 64 * 10**9
-"""Most bytes of a file of words (settings, labels, rules), of a cloud, of stored numbers, and of a table of a log."""
+"""Most bytes of a text file (settings, labels, rules), of a cloud, of stored numbers, and of a table of a log."""
 UNPACKED = 16 * 10**9
-"""Most bytes that anything may take once it is unpacked."""
+"""Most bytes of anything once unpacked."""
 ALWAYS_UNPACKED, LARGEST_RATIO = 256 * 10**6, 200
-"""Bytes that anything may take unpacked; above, no more than this many times what it takes packed."""
+"""Unpacked bytes that are always allowed; above that, at most this many times the packed size."""
 MOST_LEVELS = 64
-"""Of lists and objects in one another."""
+"""Deepest nesting of lists and objects."""
 
 _OF_PROGRAMMERS = re.compile(
     r"object has no|object of type|not (iterable|subscriptable|callable|supported between)|unhashable|NoneType|"
     r"index out of (range|bounds)|unsupported operand|broadcast|\d validation errors? for|to unpack|"
     r"positional argument|<(class|function|module) |must be (real number|str)|[Aa]ssert"
 )
-"""Words of libraries to those who call them wrongly, as with what is in a broken file."""
+"""Messages that libraries address to programmers, although the cause is a broken file."""
 
 _KINDS = (
     (stat.S_ISDIR, "a folder"),
@@ -56,27 +56,27 @@ _HEADERS: dict[tuple[int, int], Callable[..., Any]] = {
 
 
 def check_file(path: Path, most_bytes: int = WORDS) -> int:
-    """Refuse what is no regular file, once links are followed, or is larger than it may be; give its size [B].
+    """Refuse a path that is no regular file, after following links, or a file that is too large; return its size [B].
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     most_bytes
-        How large it may be [B].
+        Largest allowed size [B].
 
     Raises
     ------
     OSError
-        It is refused, is not there, or cannot be asked for.
+        The file is refused or missing, or its status cannot be read.
     """
     return _checked(path.stat(), path, most_bytes)
 
 
 def opened(path: Path, most_bytes: int = WORDS) -> BufferedReader:
-    """Open a regular file that is no larger than it may be; the errors are those of `check_file`.
+    """Open a regular file of at most `most_bytes`; errors as in `check_file`.
 
-    What was opened is asked again, as another file may have taken its place since; a pipe is not waited for.
+    The opened file is checked again, as another may have taken its place since; opening a pipe does not block.
     """
     check_file(path, most_bytes)
     file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb")
@@ -89,18 +89,18 @@ def opened(path: Path, most_bytes: int = WORDS) -> BufferedReader:
 
 
 def opened_text(path: Path, most_bytes: int = WORDS) -> TextIOWrapper:
-    """Open a regular file of UTF-8, whose line ends stay, for `csv`; the errors are those of `check_file`."""
+    """Open a regular UTF-8 file for `csv`, with its line ends unchanged; errors as in `check_file`."""
     return TextIOWrapper(opened(path, most_bytes), encoding="utf-8-sig", newline="")
 
 
 def read_bytes(path: Path, most_bytes: int = WORDS) -> bytes:
-    """Read a regular file that is no larger than it may be; the errors are those of `check_file`.
+    """Read a regular file of at most `most_bytes`; errors as in `check_file`.
 
-    A file that grows meanwhile is refused, too.
+    A file that grows in the meantime is refused, too.
     """
     with opened(path, most_bytes) as file:
         num_bytes = os.fstat(file.fileno()).st_size
-        # As much as is asked for is taken of memory at once.
+        # A read allocates all of the requested size at once.
         content = file.read(num_bytes + 1)
     if len(content) > num_bytes:
         raise OSError(EINVAL, "it grows while it is read; wait until it is written", str(path))
@@ -108,17 +108,17 @@ def read_bytes(path: Path, most_bytes: int = WORDS) -> bytes:
 
 
 def read_text(path: Path, most_bytes: int = WORDS) -> str:
-    """Read a regular file of UTF-8, marked or not; the errors are those of `check_file`, and UnicodeDecodeError."""
+    """Read a regular UTF-8 file, with or without a BOM; errors as in `check_file`, and UnicodeDecodeError."""
     return read_bytes(path, most_bytes).decode("utf-8-sig")
 
 
 def json_of(text: str | bytes) -> Any:
-    """Read JSON whose numbers are finite and have 64 bits, and which is nested no deeper than `MOST_LEVELS`.
+    """Read JSON with finite numbers of at most 64 bits, nested no deeper than `MOST_LEVELS`.
 
     Raises
     ------
     ValueError
-        It is no such JSON.
+        The text is not such JSON.
     """
     read = _parsed(lambda: json.loads(text, parse_constant=_refuse_constant, parse_int=_whole, parse_float=_number))
     check_levels(read)
@@ -126,12 +126,12 @@ def json_of(text: str | bytes) -> Any:
 
 
 def toml_of(text: str) -> dict[str, Any]:
-    """Read TOML that is nested no deeper than `MOST_LEVELS`.
+    """Read TOML nested no deeper than `MOST_LEVELS`.
 
     Raises
     ------
     ValueError
-        It is no such TOML.
+        The text is not such TOML.
     """
     read = _parsed(lambda: tomllib.loads(text))
     check_levels(read)
@@ -144,7 +144,7 @@ def check_levels(value: Any) -> None:
     Raises
     ------
     ValueError
-        They are.
+        They are nested deeper.
     """
     level: list[Any] = [value]
     for _ in range(MOST_LEVELS + 1):
@@ -158,17 +158,17 @@ def check_levels(value: Any) -> None:
 
 
 def check_unpacked(packed_bytes: int, unpacked_bytes: int) -> None:
-    """Refuse what would take far more memory than its size tells.
+    """Refuse content that would take far more memory than its packed size suggests.
 
     Parameters
     ----------
     packed_bytes, unpacked_bytes
-        What it takes, and what it would [B].
+        Sizes before and after unpacking [B].
 
     Raises
     ------
     OSError
-        It would take more than `UNPACKED`, or more than `LARGEST_RATIO` times what it takes now.
+        The unpacked size is above `UNPACKED`, or above `LARGEST_RATIO` times the packed size.
     """
     asked = max(ALWAYS_UNPACKED, min(UNPACKED, LARGEST_RATIO * packed_bytes))
     if unpacked_bytes > _most(asked):
@@ -176,23 +176,23 @@ def check_unpacked(packed_bytes: int, unpacked_bytes: int) -> None:
 
 
 def read_arrays(path: Path, names: Collection[str] | None = None, most_bytes: int = NUMBERS) -> dict[str, np.ndarray]:
-    """Read arrays of an ``.npz`` file; sizes are checked against what its members and their headers state.
+    """Read arrays of an ``.npz`` file; sizes are checked against those that its members and their headers state.
 
     Parameters
     ----------
     path
-        Of the file.
+        Path of the file.
     names
-        Which arrays are read of those that are there; None for all.
+        Arrays to read, of those present; None for all.
     most_bytes
-        How large the file may be [B].
+        Largest allowed size of the file [B].
 
     Raises
     ------
     OSError
         As in `check_file`; or the arrays would take far more than the file does.
     ValueError
-        It is no such file, is cut short, or holds objects.
+        The file is not an ``.npz`` file, is truncated, or holds objects.
     """
     try:
         with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
@@ -206,7 +206,7 @@ def read_arrays(path: Path, names: Collection[str] | None = None, most_bytes: in
 
 
 def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
-    """Name the arrays of an ``.npz`` file; the errors are those of `read_arrays`."""
+    """Return the names of the arrays of an ``.npz`` file; errors as in `read_arrays`."""
     try:
         with opened(path, most_bytes) as file, zipfile.ZipFile(file) as archive:
             return [name.removesuffix(".npy") for name in archive.namelist()]
@@ -215,12 +215,12 @@ def names_in_archive(path: Path, most_bytes: int = NUMBERS) -> list[str]:
 
 
 def reason_of(error: Exception) -> str:
-    """Say in one short line why something could not be read.
+    """Say in one short line why input could not be read.
 
     Parameters
     ----------
     error
-        What was raised, here or by another's library.
+        The exception, raised here or by another library.
     """
     words = getattr(error, "strerror", None) or str(error)
     line = (words.splitlines() or [type(error).__name__])[0][:200]
@@ -237,12 +237,12 @@ def refused(
     missing: str | None = None,
     passed: tuple[type[Exception], ...] = (HalfseenError, MemoryError),
 ) -> Iterator[None]:
-    """Refuse what a library cannot read: with a broken file it raises nearly anything.
+    """Refuse input that a library cannot read; on a broken file a library may raise nearly anything.
 
     Raises
     ------
     LogError
-        Anything was raised but what is `passed`; `missing` is said of a file that is not there.
+        Any exception was raised except those in `passed`; `missing` is the message for a missing file.
     """
     try:
         yield

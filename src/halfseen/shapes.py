@@ -1,7 +1,7 @@
 """Types of arrays in signatures, with their shapes.
 
-They are jaxtyping's where it is loaded, as test runs do, which check every shape, and for type checkers. Nothing else
-needs them, and loading them takes as long as all of NumPy: elsewhere ``Float[np.ndarray, "n T"]`` is ``np.ndarray``.
+They are jaxtyping's if it is loaded, as in test runs, which check every shape, and for type checkers. Nothing else
+needs them, and loading them takes as long as loading NumPy: otherwise ``Float[np.ndarray, "n T"]`` is ``np.ndarray``.
 """
 
 import sys

@@ -1,7 +1,7 @@
-"""Names that differ in spelling alone.
+"""Names that differ only in spelling.
 
-Spelling is capitals, separators, or how Unicode composes a letter. Signs, digits apart and decimal points count: ``-x``
-is not ``+x``, nor ``2.5`` ``25``, nor ``slot 1 2`` ``slot 12``.
+Spelling is capitals, separators, and how Unicode composes a letter. Signs, spaces between digits and decimal points are
+significant: ``-x`` is not ``+x``, ``2.5`` is not ``25``, and ``slot 1 2`` is not ``slot 12``.
 """
 
 import re
@@ -21,7 +21,7 @@ _SEPARATORS = re.compile(
 
 
 def folded(name: str) -> str:
-    """Take from a name what is only spelling."""
+    """Remove from a name what is only spelling."""
     text = DASHES.sub("-", composed(composed(name).casefold()))
     return re.sub(r"[\s_]+", " ", _SEPARATORS.sub("", text)) or text
 
@@ -32,7 +32,7 @@ def composed(name: str) -> str:
 
 
 def alike(names: Iterable[object]) -> list[list[str]]:
-    """Group those of some names that differ only in their spelling; each group has two or more, in order."""
+    """Group the names that differ only in spelling; each group has two or more, in order."""
     groups: dict[str, list[str]] = {}
     for name in sorted(set(map(str, names))):
         groups.setdefault(folded(name), []).append(name)
@@ -40,6 +40,6 @@ def alike(names: Iterable[object]) -> list[list[str]]:
 
 
 def spelled_out(names: list[str]) -> list[str]:
-    """Write names so that one sees how they differ: by their code points where Unicode composes one otherwise."""
+    """Write names so that their difference is visible: by code points where only the Unicode composition differs."""
     same = len(set(map(composed, names))) < len(names)
     return [ascii(name) if same else repr(name) for name in names]

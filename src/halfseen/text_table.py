@@ -1,10 +1,10 @@
-"""Tables in plain text, as results print them."""
+"""Plain-text tables for printed results."""
 
 from collections.abc import Collection, Sequence
 
 
 def aligned(rows: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
-    """Pad cells to the width of their column: those of the columns in `left` to the left, others to the right."""
+    """Pad cells to the width of their column: left-aligned in the columns `left`, right-aligned in the others."""
     widths = [max(len(cell) for cell in column) for column in zip(*rows, strict=True)]
     return [
         "  ".join(

@@ -1,4 +1,4 @@
-"""How numbers, lists and claims are written for people: in figures, tables and sentences alike."""
+"""How numbers, lists and claims are written in figures, tables and sentences."""
 
 import math
 from collections.abc import Sequence
@@ -18,7 +18,7 @@ _IN_WORDS = {"1/2": "half", "1/3": "a third", "2/3": "two thirds", "1/4": "a qua
 
 
 def amount(value: float | None, decimals: int = 2) -> str:
-    """Write a number with so many decimals and a true minus sign; a dash where there is none.
+    """Write a number with `decimals` decimals and a true minus sign; a dash if there is none.
 
     Examples
     --------
@@ -32,7 +32,7 @@ def amount(value: float | None, decimals: int = 2) -> str:
 
 
 def significant(value: float | None, num_digits: int = 3) -> str:
-    """Write a number with so many significant digits; a dash where there is none.
+    """Write a number with `num_digits` significant digits; a dash if there is none.
 
     Examples
     --------
@@ -47,7 +47,7 @@ def significant(value: float | None, num_digits: int = 3) -> str:
 
 
 def interval(low: float, high: float, decimals: int = 2) -> str:
-    """Write an interval: ``0.12 to 0.34``; a dash where there is none."""
+    """Write an interval: ``0.12 to 0.34``; a dash if there is none."""
     if not (math.isfinite(low) and math.isfinite(high)):
         return MISSING
     return f"{amount(low, decimals)} to {amount(high, decimals)}"
@@ -59,7 +59,7 @@ def estimated(value: float, low: float, high: float, decimals: int = 2) -> str:
 
 
 def with_interval(value: float, low: float, high: float) -> tuple[str, str]:
-    """Write a value and its interval alike, with as many decimals as the width of the interval makes worthwhile.
+    """Write a value and its interval with the same number of decimals, chosen by the width of the interval.
 
     Examples
     --------
@@ -74,7 +74,7 @@ def with_interval(value: float, low: float, high: float) -> tuple[str, str]:
 
 
 def percent(share: float | None) -> str:
-    """Write a proportion in per cent, in one piece; a dash where there is none.
+    """Write a proportion in per cent, with no line break; a dash if there is none.
 
     Examples
     --------
@@ -91,7 +91,7 @@ def percent(share: float | None) -> str:
 
 
 def share(value: float) -> str:
-    """Write a proportion as a fraction where it is one: ``1/6``, ``37 %``, ``none``."""
+    """Write a proportion as a simple fraction if it is one: ``1/6``, ``37 %``, ``none``."""
     if value == 0:
         return "none"
     fraction = Fraction(value).limit_denominator(_LARGEST_DENOMINATOR)
@@ -99,7 +99,7 @@ def share(value: float) -> str:
 
 
 def share_in_words(value: float) -> str:
-    """Write a proportion as running text does: ``half``, ``a third``; otherwise as `share`."""
+    """Write a proportion as in running text: ``half``, ``a third``; otherwise as `share`."""
     return _IN_WORDS.get(share(value), share(value))
 
 
@@ -118,7 +118,7 @@ def p_value(value: float) -> str:
 
 
 def with_unit(number: str, unit: str | None) -> str:
-    """A number and its unit, in one piece; the number alone where nobody has said the unit.
+    """Write a number and its unit with no line break; the number alone if the unit is unknown.
 
     Examples
     --------
@@ -129,7 +129,7 @@ def with_unit(number: str, unit: str | None) -> str:
 
 
 def labelled(quantity: str, unit: str | None) -> str:
-    """A quantity with its unit in brackets, as axes and heads of tables have it.
+    """Write a quantity with its unit in brackets, as on axes and in table heads.
 
     Examples
     --------
@@ -140,7 +140,7 @@ def labelled(quantity: str, unit: str | None) -> str:
 
 
 def listed(parts: Sequence[str], word: str = "and") -> str:
-    """Join parts as a sentence does.
+    """Join parts as in a sentence.
 
     Examples
     --------
@@ -167,35 +167,35 @@ def plural(noun: str) -> str:
 
 
 def as_sentence(words: str) -> str:
-    """Begin with a capital, and end with a full stop unless there is an end."""
+    """Capitalise the first letter, and add a full stop unless the sentence has an end."""
     return capitalised(words) + ("" if words.endswith(("?", ".", "!")) else ".")
 
 
 def capitalised(words: str) -> str:
-    """Begin with a capital."""
+    """Capitalise the first letter."""
     return words[:1].upper() + words[1:]
 
 
 @dataclass(frozen=True)
 class Claim:
-    """That one thing is better than another, what was found of it, and what a test says.
+    """A claim that one thing is better than another, with its estimate and test.
 
     Parameters
     ----------
     subject, rival
-        What is compared.
+        The things compared.
     asserted, denied
         The claim as a verb, and its denial: ``earns more than``, ``does not earn more than``.
     gain
-        Paired difference, above 0 where it speaks for the claim.
+        Paired difference, above 0 where it supports the claim.
     p_value
-        One-sided, adjusted for the number of claims that are tested together; None where the 95 % interval decides.
+        One-sided, adjusted for the number of claims tested together; None where the 95 % interval decides.
     alpha
         Level of the test.
     note
-        What the two earned, for the bracket of the sentence.
+        What the two earned, for the brackets of the sentence.
     decimals
-        With which the gain is written.
+        Number of decimals of the gain.
     """
 
     subject: str
@@ -218,18 +218,18 @@ class Claim:
 
     @property
     def found(self) -> str:
-        """The verb that the verdict leaves: that of the claim, its denial, or neither."""
+        """The verb that follows from the verdict: that of the claim, its denial, or neither."""
         verbs = {SUPPORTED: self.asserted, NOT_SUPPORTED: self.denied}
         return verbs.get(self.verdict, "shows no significant difference from")
 
     @property
     def title(self) -> str:
-        """What was found, as a statement; the first words of a figure."""
+        """The finding as a statement; the first words of a figure."""
         return f"{self.subject} {self.found} {self.rival}"
 
     @property
     def numbers(self) -> str:
-        """The gain with its 95 % interval, and the p-value where there was a test."""
+        """The gain with its 95 % interval, and the p-value if there was a test."""
         low_high = interval(self.gain.low, self.gain.high, self.decimals)
         parts = [self.note] if self.note else []
         parts.append(f"difference {amount(self.gain.value, self.decimals)}, 95 % interval {low_high}")
@@ -240,5 +240,5 @@ class Claim:
 
     @property
     def sentence(self) -> str:
-        """The template: claim, verdict, estimate, test."""
+        """The sentence: claim, verdict, estimate, test."""
         return f"{self.subject} {self.asserted} {self.rival}: {self.verdict} ({self.numbers})."

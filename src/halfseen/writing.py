@@ -1,8 +1,8 @@
-"""A file or a folder that is there whole or not at all: written under a name of its own, then renamed; and locks.
+"""Atomic writes of files and folders, by writing under a temporary name and renaming; and locks.
 
-The kernel gives a lock back when its process ends, however it ends. On Windows a lock keeps others from reading what is
-locked, and is never shared: there a byte far behind the end stands for the file, and anyone who asks for a shared lock
-holds it alone.
+The kernel releases a lock when its process ends, however it ends. On Windows a lock keeps others from reading the
+locked bytes, and is never shared: there the lock is on a byte far behind the end of the file, and a shared lock is
+exclusive.
 """
 
 import os
@@ -18,18 +18,18 @@ from pathlib import Path
 from halfseen.errors import ArgumentError
 
 LOCK = ".lock"
-"""File by which a folder is held."""
+"""File by which a folder is locked."""
 FAR_BYTE = 2**30
-"""Place of the byte that stands for a file on Windows [B]."""
+"""Offset of the byte that is locked on Windows [B]."""
 
 
 def write_file(target: Path, content: str | bytes) -> None:
-    """Write a file, in place of what is there; missing parents are made, and a link goes on pointing where it did.
+    """Write a file, replacing what is there; missing parents are made, and a link keeps its target.
 
     Raises
     ------
     ArgumentError
-        The file cannot be written there, or a device or the like is in its place.
+        The file cannot be written, or its place is taken by something like a device.
     """
     target = Path(os.path.realpath(target))
     fresh = _beside(target, "new")
@@ -49,23 +49,23 @@ def write_file(target: Path, content: str | bytes) -> None:
 
 @contextmanager
 def placed(target: Path, *, overwrite: bool = False, marker: str | None = None, kind: str = "logs") -> Iterator[Path]:
-    """Give an empty folder to write into, and put it at `target` once all went well.
+    """Provide an empty folder to write into, and move it to `target` if the block succeeds.
 
     Parameters
     ----------
     target
-        Where the folder goes; missing parents are made.
+        Final place of the folder; missing parents are made.
     overwrite
-        Replace what is there, if it holds `marker`.
+        Replace an existing folder, if it holds `marker`.
     marker
         A file that every folder of this kind holds.
     kind
-        What such a folder holds, for the message.
+        The content of such a folder, for the message.
 
     Raises
     ------
     ArgumentError
-        Something is there already, or has come in the meantime, and is not to be replaced, or the folder cannot be
+        Something is there already, or has appeared in the meantime, and may not be replaced, or the folder cannot be
         written.
     """
     refuse_taken(target, overwrite, marker, kind)
@@ -84,12 +84,12 @@ def placed(target: Path, *, overwrite: bool = False, marker: str | None = None, 
 
 
 def refuse_taken(target: Path, overwrite: bool, marker: str | None, kind: str) -> None:
-    """Refuse a target where something is that is not to be replaced; to be called before long work, too.
+    """Refuse a target that exists and may not be replaced; to be called before long work, too.
 
     Raises
     ------
     ArgumentError
-        It is there and `overwrite` is False, or it does not hold `marker`.
+        It exists and `overwrite` is False, or it does not hold `marker`.
     """
     try:
         is_there = target.exists() or target.is_symlink()
@@ -106,12 +106,12 @@ def refuse_taken(target: Path, overwrite: bool, marker: str | None, kind: str) -
 
 
 def refuse_unwritable(target: Path) -> None:
-    """Refuse a folder that could not be made or written; to be called before long work.
+    """Refuse a folder that cannot be made or written; to be called before long work.
 
     Raises
     ------
     ArgumentError
-        What is nearest to it is no folder, or one that this user may not write.
+        The nearest existing parent is no folder, or this user may not write to it.
     """
     place = target.absolute()
     try:
@@ -124,14 +124,14 @@ def refuse_unwritable(target: Path) -> None:
 
 
 def is_locked(descriptor: int, *, is_shared: bool = False) -> bool:
-    """Take the lock of a file, if no other process or descriptor has it; closing the descriptor gives it back.
+    """Take the lock of a file unless another process or descriptor has it; closing the descriptor releases it.
 
     Parameters
     ----------
     descriptor
-        Of the file.
+        Descriptor of the file.
     is_shared
-        Whether others may have it at the same time.
+        Whether others may hold the lock at the same time.
 
     Returns
     -------
@@ -165,21 +165,21 @@ def is_locked(descriptor: int, *, is_shared: bool = False) -> bool:
 
 @contextmanager
 def held_alone(folder: Path, what: str) -> Iterator[None]:
-    """Hold a folder, so that no other process that asks for it writes into it in the meantime; it is made if missing.
+    """Lock a folder against other processes that call this; a missing folder is made.
 
-    The kernel gives it back when this process ends, however it ends.
+    The kernel releases the lock when this process ends, however it ends.
 
     Parameters
     ----------
     folder
-        Which.
+        The folder.
     what
-        What writes there, for the message.
+        The name of the writer, for the message.
 
     Raises
     ------
     ArgumentError
-        Another process holds it, or it cannot be written.
+        Another process holds the lock, or the folder cannot be written.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -198,7 +198,7 @@ def held_alone(folder: Path, what: str) -> Iterator[None]:
 
 
 def left_aside(target: Path) -> Path | None:
-    """Find what stood at `target` when `placed` was killed between its two renames; None if it was not."""
+    """Find what stood at `target` if `placed` was killed between its two renames; otherwise None."""
     aside = sorted(target.absolute().parent.glob(f".{escape(target.name)}.*.old"))
     return aside[-1] if aside else None
 
@@ -216,9 +216,9 @@ def _unwritable(target: Path, error: OSError) -> ArgumentError:
 
 
 def _put(fresh: Path, target: Path) -> None:
-    """Put a folder where nothing is: to rename never takes the place of what has come in the meantime.
+    """Move a folder to a free place: a rename never replaces anything that has appeared in the meantime.
 
-    An empty folder alone gives way, which loses nothing.
+    Only an empty folder is replaced, which loses nothing.
     """
     try:
         fresh.rename(target)
@@ -231,7 +231,7 @@ def _put(fresh: Path, target: Path) -> None:
 
 
 def _swap(fresh: Path, target: Path, refuse: Callable[[], None]) -> None:
-    """Put `fresh` in the place of `target`, unless that is to be refused; what was there comes back if that fails."""
+    """Replace `target` by `fresh`, unless refused; the old folder is restored on failure."""
     refuse()
     old = _beside(target, "old")
     target.rename(old)

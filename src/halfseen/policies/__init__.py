@@ -1,11 +1,11 @@
-"""Policies at work: kept in folders, asked for decisions, and what they do.
+"""Stored policies, their decisions, and what they would do in the states of a log.
 
-Read down: `folder` (policies on disk) → `decision` (the port: what is asked, what is answered, and how sure Q is) →
-`ranges` (what lies outside the logs) → `named_decider`, `table_decider` (policies behind the port, and why) →
-`history`, `table_observation` (a cloud → what is decided from; loaded for tables alone) → `observations` (policies and
-files → deciders and what they decide from) → `shares` (what a policy does in the states of a log) → `learner_choice`
-(which learner suits a log). `rule_table`, `rule_files`: rules of thumb as policies of named actions, and in the place
-of one.
+Read down: `folder` (policies on disk) → `decision` (the interface: question, answer, and how sure Q is) → `ranges`
+(what lies outside the logs) → `named_decider`, `table_decider` (policies behind the interface, and their reasons) →
+`history`, `table_observation` (from a point cloud to an observation; loaded for tables only) → `observations` (from
+policies and files to deciders and observations) → `shares` (what a policy does in the states of a log) →
+`learner_choice` (the learner that suits a log). `rule_table` and `rule_files` hold rules of thumb, as policies of named
+actions and as fallbacks of a policy.
 """
 
 from typing import TYPE_CHECKING

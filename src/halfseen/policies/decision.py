@@ -1,22 +1,22 @@
-"""The port: whatever decides is asked for a `Decision`; and how sure that is, by action.
+"""The interface of all deciders: they return a `Decision`, with the certainty of each action's Q.
 
-A policy that was learned with pessimism holds M, and M = c·R with c its standard errors (*pessimism*) and R a root of
+A policy learned with pessimism holds M. M = c·R, where c is its number of standard errors (*pessimism*) and R a root of
 the covariance of each block's coefficients. So with x = (1, φ(S, a)) and k the block of action a,
 
-    Q_a = Q̂_a + (Rₖᵀ x_a)ᵀ z_k,    z_k ~ N(0, I),
+    Q_a = Q̂_a + (Rₖᵀ x_a)ᵀ z_k,    z_k ~ N(0, I).
 
-where blocks share no rows and so no z: actions of one block err together, those of different blocks independently.
-That is the error of one regression. Q̂ also rests on those of the m − 1 stages that are still to come, on average,
-whose errors are taken to be as large:
+Blocks share no rows and so no z: errors are correlated within a block and independent between blocks. This is the error
+of one regression. Q̂ also rests on the regressions of the m − 1 later stages, on average, whose errors are assumed to
+be as large:
 
-- *An interval* is Q̂ ± 1.96 √(m²‖Rₖᵀ x_a‖² + ℓ²). Regressions that share rows may all err the same way, and then their
-  errors add up; larger than that sum a standard error cannot be. ℓ is an error of Q that no larger log mends: Q may not
-  be of the form that was fitted. It was chosen on tables of three cups over five steps, whose exact Q is known.
-- *The chance of being best* comes from draws with √(m + ℓ²/s²)·z, s² the mean of ‖Rₖᵀ x_a‖² over the actions, as if the
-  errors of stages were independent: what actions have in common is no reason to doubt which is better.
+- *An interval* is Q̂ ± 1.96 √(m²‖Rₖᵀ x_a‖² + ℓ²). Regressions that share rows may all err in the same direction, so
+  their standard errors are added, which is an upper bound. ℓ is a model error of Q that no larger log removes: Q may
+  not have the fitted form. It was chosen on tables of three cups over five steps, whose exact Q is known.
+- *The chance of being best* comes from draws with √(m + ℓ²/s²)·z, where s² is the mean of ‖Rₖᵀ x_a‖² over the actions,
+  as if the errors of stages were independent: an error common to all actions does not change which is best.
 
-*What this does not know:* what was chosen because it looked best, that Q was learned with caution, and causes that the
-log does not hold. ``benchmarks/calibration.py`` says how often all this holds of small tables, where Q is known.
+*Not covered:* the selection of the best-looking action, the pessimism of the learned Q, and confounders missing from
+the log. ``benchmarks/calibration.py`` measures the coverage on small tables, where Q is known.
 """
 
 from collections.abc import Mapping, Sequence
@@ -33,25 +33,25 @@ from halfseen.shapes import Bool, Float, Int
 
 @dataclass(frozen=True)
 class Decision:
-    """What to do, and why.
+    """An action, with the reasons for it.
 
     Parameters
     ----------
     action
-        What to do, by name; on a table such as ``"LIFT 2"``.
+        The action, by name; on a table such as ``"LIFT 2"``.
     q_values
-        What the policy goes by: Q of each action by name, with pessimism lowered by its margin [reward]; None where it
-        is not possible. Empty where the policy values nothing.
+        The values that are compared: Q of each action by name, less its margin for pessimism [reward]; None if it is
+        impossible. Empty if the policy has no values.
     reason
-        Why it is best, in one sentence.
+        Why the action is best, in one sentence.
     warnings
-        What is doubtful, the gravest first.
+        Doubts about the decision, the gravest first.
     intervals
-        95 % interval of Q itself, by name of each possible action [reward]; empty where nobody knows it.
+        95 % confidence interval of Q itself, by name of each possible action [reward]; empty if unknown.
     chance_best
-        Probability that no action is better, by name of each possible action; empty where nobody knows it.
+        Probability that no action is better, by name of each possible action; empty if unknown.
     filled
-        Covariates that were missing, and were filled in; `warnings` say by what.
+        Missing covariates that were filled in; `warnings` give the values.
     """
 
     action: Any
@@ -65,7 +65,7 @@ class Decision:
 
 @runtime_checkable
 class Decider(Protocol):
-    """Decides from what is observed: a `NamedObservation`, or where a table's trajectory stands (`Present`)."""
+    """Decides from an observation: a `NamedObservation`, or the present state of a table's trajectory (`Present`)."""
 
     def decide(self, observation: Any) -> Decision:
         """Decide once.
@@ -73,26 +73,26 @@ class Decider(Protocol):
         Raises
         ------
         HalfseenError
-            The observation is not one that the policy can decide from.
+            The policy cannot decide from this observation.
         """
         ...
 
 
 SAME_VALUE = 1e-5
-"""Values that differ by less are tied [reward]: more than float32 can tell apart."""
+"""Values that differ by less are tied [reward]; float32 cannot distinguish them."""
 _LIKELIER = 0.05
-"""By which another action must be likelier the best before the reason tells of it."""
+"""Difference in the chance of being best from which the reason mentions another action."""
 
 
 def next_best(q: Float[np.ndarray, " A"], best: int) -> int | None:
-    """Find the best of the other actions; None where nothing else is possible."""
+    """Find the best of the other actions; None if no other is possible."""
     others = np.where(np.arange(len(q)) == best, -np.inf, q)
     other = int(np.argmax(others))
     return other if np.isfinite(others[other]) else None
 
 
 def lead(names: Sequence[str], q: Float[np.ndarray, " A"], best: int, chance_best: Mapping[str, float]) -> str:
-    """Say what the best action is worth more than the next best, and how sure that is."""
+    """Say by how much the best action leads the next best, and how sure that is."""
     other = next_best(q, best)
     if other is None:
         return f"{names[best]}: nothing else is possible"
@@ -113,35 +113,35 @@ def _how_sure(best: str, chance_best: Mapping[str, float]) -> str:
 
 
 def values_by_name(names: Sequence[str], q: Float[np.ndarray, " A"]) -> dict[str, float | None]:
-    """Q of each action by name; None where it is not possible."""
+    """Q of each action by name; None if it is impossible."""
     return {name: float(value) if isfinite(value) else None for name, value in zip(names, q, strict=True)}
 
 
 LEVEL = 0.95
-"""Probability with which an interval is to hold."""
+"""Nominal coverage of an interval."""
 
 NUM_DRAWS = 20_000
-"""Of which a chance of being best is the share: it errs by 0.004 at most, by one standard error."""
+"""Number of draws for a chance of being best: its standard error is at most 0.004."""
 
 SEED = 0
 
 LASTING_ERROR = 0.2
-"""ℓ in standard deviations of what a stage pays."""
+"""ℓ in standard deviations of the reward of a stage."""
 
 
 @dataclass(frozen=True)
 class QError:
-    """What is known of the errors of a learned Q, besides its margin.
+    """Errors of a learned Q, besides its margin.
 
     Parameters
     ----------
     pessimism
-        c, the standard errors that the margin is; above 0.
+        c, the number of standard errors in the margin; above 0.
     stages_left
-        By stage, how many there are from it to the end of a trajectory, on average; for stages that are not there, all
-        that the horizon leaves.
+        For each stage, the mean number of stages from it to the end of a trajectory; for stages that are not listed,
+        all that the horizon leaves.
     lasting
-        Error of Q that no log takes away, as a standard deviation [reward].
+        ℓ, the error of Q that no larger log removes, as a standard deviation [reward].
     """
 
     pessimism: float
@@ -149,23 +149,23 @@ class QError:
     lasting: float = 0.0
 
     def stages_from(self, stage: int, horizon: int) -> float:
-        """Stages from one to the end of a trajectory, on average."""
+        """Mean number of stages from one to the end of a trajectory."""
         known = self.stages_left
         return float(known[stage - 1]) if stage <= len(known) else float(horizon - stage + 1)
 
 
 class Certainty(NamedTuple):
-    """What is known of Q, by action."""
+    """Certainty of Q, by action."""
 
     low: Float[np.ndarray, " A"]
-    """Least value that the interval holds [reward]; −∞ where the action is impossible."""
+    """Lower end of the interval [reward]; −∞ if the action is impossible."""
     high: Float[np.ndarray, " A"]
-    """Largest value [reward]; −∞ where the action is impossible."""
+    """Upper end [reward]; −∞ if the action is impossible."""
     chance_best: Float[np.ndarray, " A"]
     """Probability that no action is better; 0 where the action is impossible."""
 
     def by_name(self, names: Sequence[str]) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
-        """Intervals and chances of the possible actions, as a `Decision` holds them."""
+        """Intervals and chances of the possible actions, in the form of a `Decision`."""
         possible = [(name, k) for k, name in enumerate(names) if np.isfinite(self.low[k])]
         intervals = {name: (float(self.low[k]), float(self.high[k])) for name, k in possible}
         return intervals, {name: float(self.chance_best[k]) for name, k in possible}
@@ -179,28 +179,28 @@ def certainty(
     stages_left: float = 1.0,
     lasting: float = 0.0,
 ) -> Certainty:
-    """Tell how sure Q̂ of one state is.
+    """Return the certainty of Q in one state.
 
     Parameters
     ----------
     q
-        Q̂ of each action, without any margin [reward]; anything where it is impossible.
+        Q̂ of each action, without any margin [reward]; arbitrary where impossible.
     deviations
-        Rₖᵀ (1, φ(S, a)) of each action: its length is the standard error of this stage's regression [reward].
+        Rₖᵀ (1, φ(S, a)) of each action; its norm is the standard error of this stage's regression [reward].
     block_of_action
         Block of coefficients of each action.
     is_possible
-        Which actions there are to choose from; at least one.
+        Which actions are possible; at least one.
     stages_left
-        m, stages from this one to the end of a trajectory, on average; 1 where this is the last.
+        m, the mean number of stages from this one to the end of a trajectory; 1 if this is the last.
     lasting
-        ℓ, the error of Q that no log takes away, as a standard deviation [reward].
+        ℓ, the error of Q that no larger log removes, as a standard deviation [reward].
 
     Returns
     -------
     Certainty
-        Intervals hold with 95 %. A chance is a share of 20,000 draws from a fixed seed; actions that are equally good
-        in a draw are all the best there, so that chances sum to 1 or more.
+        Intervals have 95 % nominal coverage. A chance is a proportion of 20,000 draws from a fixed seed; actions tied
+        for the best in a draw all count, so chances sum to 1 or more.
 
     Examples
     --------
@@ -225,27 +225,27 @@ def certainty(
 
 
 def reach(error: Float[np.ndarray, "*S"], stages_left: float, lasting: float) -> Float[np.ndarray, "*S"]:
-    """Half the width of the interval of Q, given standard errors of this stage's regression [reward]."""
+    """Half-width of the interval of Q, given standard errors of this stage's regression [reward]."""
     return np.asarray(NormalDist().inv_cdf((1.0 + LEVEL) / 2.0) * np.hypot(stages_left * error, lasting))
 
 
 def _draws(
     q: Float[np.ndarray, " A"], deviations: Float[np.ndarray, "A F"], block_of_action: Int[np.ndarray, " A"]
 ) -> Float[np.ndarray, "B A"]:
-    """Draws of all actions together, block by block in their order."""
+    """Draws for all actions jointly, block by block in order."""
     is_of = [block_of_action == block for block in np.unique(block_of_action)]
-    # As many normal numbers as there are actions do, however many features a block has.
+    # One normal number per action suffices, however many features a block has.
     roots = [np.linalg.qr(deviations[these].T, mode="r") for these in is_of]
-    # By action first, which makes the largest of each draw as fast to find as that of whole columns.
+    # Actions are the first axis: the maximum of each draw is then as fast to find as that of whole columns.
     draws = np.empty((len(q), NUM_DRAWS)).T
     for these, root, normal in zip(is_of, roots, _normals(tuple(map(len, roots))), strict=True):
-        # A product of one number each is no matter for a matrix product.
+        # A block of width 1 needs no matrix product.
         draws[:, these] = q[these] + (normal * root if len(root) == 1 else normal @ root)
     return draws
 
 
 @lru_cache(maxsize=8)
 def _normals(widths: tuple[int, ...]) -> list[Float[np.ndarray, "B _"]]:
-    """Standard normal numbers for blocks of these widths, from the fixed seed; a server wants the same ones often."""
+    """Standard normal numbers for blocks of these widths, from the fixed seed; cached for servers."""
     rng = np.random.default_rng(SEED)
     return [rng.standard_normal((NUM_DRAWS, width)) for width in widths]

@@ -1,4 +1,4 @@
-"""From what a camera sees now, and what was logged of the trajectory so far, to the state that a policy decides in."""
+"""The present state of a trajectory, from the camera's view and the log of the trajectory so far."""
 
 from collections.abc import Sequence
 from types import SimpleNamespace
@@ -20,21 +20,21 @@ from halfseen.world.logs import states_of
 from halfseen.world.scene import Scene
 
 DIFFERS = 0.3
-"""If who hides whom changes by this much, objects may stand in another order than before."""
+"""Change in occlusion between objects from which their order may have changed."""
 
 
 class Identities(NamedTuple):
-    """What each object that is on the table now was in the history.
+    """Matches the objects on the table now to those of the history.
 
-    The objects of the cloud come first, in its order; after them those that it does not show.
+    The objects of the cloud come first, in its order, followed by those that the cloud does not show.
     """
 
     was: Int[np.ndarray, " k"]
-    """Rank of each in the history; −1 where it is new."""
+    """Rank of each in the history; −1 if it is new."""
     is_washed: bool
     """Whether the object of a last WASH is gone."""
     notes: tuple[str, ...]
-    """What is doubtful."""
+    """Doubts about the match."""
 
 
 def by_place(
@@ -45,28 +45,28 @@ def by_place(
     washed: int | None,
     racked: int | None = None,
 ) -> Identities:
-    """Find the objects of a history again where they were, or near.
+    """Match the objects of a history to those of the cloud by position.
 
-    As a robot remembers them (`halfseen.cell.memory`): what is not seen any more stays on the table, hidden, unless it
-    was washed; what is seen and was not there before is new.
+    As in a robot's memory (`halfseen.cell.memory`), an object that is no longer visible stays on the table, hidden,
+    unless it was washed. A visible object at a new position is new.
 
     Parameters
     ----------
     kept
         Ranks of the objects of the history that are on the table.
     names, was_m
-        Of all objects of the history: the names, and where they were [m].
+        For all objects of the history: their names and positions [m].
     now_m
-        Where the objects of the cloud are, in the same frame [m].
+        Positions of the objects of the cloud, in the same frame [m].
     washed
-        Rank of the object of a WASH of which nobody wrote down whether it held; None if there was none.
+        Rank of the object of a WASH with unknown outcome; None if there was none.
     racked
-        Rank of the object of a WASH that held just now, not among those kept; None if there was none.
+        Rank of the object of a WASH that has just held, not among those kept; None if there was none.
 
     Raises
     ------
     PolicyError
-        Nothing is where anything was.
+        No object is at a known position.
     """
     found = matched(was_m[kept], now_m)
     number_of = dict(zip(kept.tolist(), found.now.tolist(), strict=True))
@@ -112,17 +112,17 @@ def by_place(
 def by_order(
     kept: Int[np.ndarray, " k"], hides_before: Float[np.ndarray, "n n"], hides_now: Hides, washed: int | None
 ) -> Identities:
-    """Take the objects of a history for those of the cloud one after the other: it does not tell where they were.
+    """Match the objects of a history to those of the cloud by order, as the history has no positions.
 
     Parameters
     ----------
     kept
         Ranks of the objects of the history that are on the table.
     hides_before, hides_now
-        Who hides whom in the history, all of its objects, and in the cloud.
+        Occlusion between objects in the history, for all of its objects, and in the cloud.
     washed
-        Rank of the object of a WASH of which nobody wrote down whether it held: it did if the cloud shows one object
-        less. None if there was none.
+        Rank of the object of a WASH with unknown outcome: it held if the cloud shows one object less. None if there
+        was none.
 
     Raises
     ------
@@ -157,33 +157,33 @@ def present_state(
     places_m: Points | None = None,
     held: bool | None = None,
 ) -> Present:
-    """State of a table whose trajectory is the last of a log.
+    """State of a table in the last trajectory of a log.
 
-    The log knows a table as it was when its last stage began. Where that stage has an action, it is taken as carried
-    out. Where nobody knows whether it held, a WASH did if its object is gone, and a LIFT is not counted.
+    The log describes the table at the beginning of its last stage. If that stage has an action, it is taken as carried
+    out. If its outcome is unknown, a WASH held if its object is gone, and a LIFT is not counted.
 
     Parameters
     ----------
     scene
-        What the cloud shows now.
+        The scene in the cloud now.
     horizon
         T of the policy.
     history
-        The trajectory so far is its last one. Where its objects have `PLACE_COLUMNS`, they are found again by where
-        they were; else they are taken in their order, and a note says so.
+        Log whose last trajectory is the one so far. Objects with `PLACE_COLUMNS` are matched by position; otherwise
+        they are matched by order, and a note says so.
     dirty_share
         P(DIRTY) of an object before any label; in (0, 1).
     places_m
-        Where the objects of the scene are, in the frame of the history's places [m]; None if nobody knows.
+        Positions of the objects of the scene, in the frame of the history's positions [m]; None if unknown.
     held
-        Whether the last action held; None if nobody knows, or nothing was done.
+        Whether the last action held; None if unknown, or if there was none.
 
     Raises
     ------
     LogError
-        The log breaks a rule of tables, or its last trajectory is over.
+        The log breaks a rule of tables, or its last trajectory has ended.
     PolicyError
-        The cloud shows other objects than the history, or no step is left.
+        The objects of the cloud do not match the history, or no step is left.
     """
     trajectory = history if history.num_trajectories == 1 else history.select(history.trajectory_ids[-1:])
     last, done = _last_table(trajectory, horizon), _last_action(trajectory)
@@ -276,7 +276,7 @@ def _attempts(last: Any, was: Int[np.ndarray, " k"]) -> list[Tried]:
 
 
 def _hides(last: Any, was: Int[np.ndarray, " k"], scene: Scene) -> Hides:
-    """Who hides whom: as the cloud shows it, and where it does not show both, as it was."""
+    """Occlusion between objects: from the cloud if it shows both, otherwise from the history."""
     both = (was >= 0)[:, None] & (was >= 0)
     hides = np.where(both, last.hides[np.ix_(was, was)], 0.0).astype(np.float64)
     hides[: scene.num_objects, : scene.num_objects] = scene.hides
@@ -284,9 +284,9 @@ def _hides(last: Any, was: Int[np.ndarray, " k"], scene: Scene) -> Hides:
 
 
 def _known(last: Any, was: Int[np.ndarray, " k"], fresh: Known) -> Known:
-    """What the history knows of each object; of those that it lacks, what is known at first.
+    """What the history knows of each object; for objects not in it, the initial knowledge.
 
-    How well an object can be gripped is told by the cloud where it shows it.
+    Ease of grip comes from the cloud for objects that it shows.
     """
     is_new, is_seen = was < 0, np.arange(len(was)) < len(fresh.grip)
 

@@ -1,4 +1,4 @@
-"""Which learner suits a log: of a team or a table where it has objects, else of the actions seen at each stage."""
+"""The learner that suits a log: of a team or a table if it has objects, otherwise of the actions at each stage."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,12 +13,12 @@ from halfseen.logs import Logs, LogStream
 from halfseen.logs.stream import parts_of
 
 TABLE_HORIZON = 10
-"""Stages that a trajectory on a table may have, unless the log has longer ones."""
+"""Largest number of stages of a trajectory on a table, unless the log has longer ones."""
 
 
 @dataclass(frozen=True)
 class LearnerChoice:
-    """What is to be learned, and what the user should know of it; of a team, for how many robots."""
+    """A learner, with notes for the user; for a team, also its number of robots."""
 
     learner: CensoredQLearner
     notes: tuple[str, ...] = ()
@@ -42,20 +42,20 @@ def learner_for(
     logs
         The log.
     covariates
-        Columns of the stages to look at, which makes the actions named ones; None for a table where the log has
-        objects, else for all that hold numbers, or text of few categories. Where they were missing comes with them.
+        Columns of the stages to look at, which makes the actions named ones. None means a table if the log has objects,
+        otherwise all columns of numbers, or of text with few categories. Flags of missing values are added.
     horizon
-        Stages after which a trajectory ends by itself; None for those of the longest trajectory, on a table at least
-        10. Of a team, decisions of each robot; None for what the log says.
+        Stages after which a trajectory ends by itself; None for the longest trajectory's, on a table at least 10. For a
+        team, decisions of each robot; None for the log's own number.
     grasp
-        What tells the probability of a grasp on a table: ``"auto"``, by the log (as None does); ``"laplace"``, the
-        rule of succession; ``"beta"``, a Beta regression.
+        Model of the probability of a grasp on a table: ``"auto"`` (or None), chosen by the log; ``"laplace"``, the rule
+        of succession; ``"beta"``, a Beta regression.
     has_laws
-        Whether laws fitted to a log of one robot's tables help to learn.
+        Whether to learn with laws, fitted to a log of one robot's tables.
     prior_law
-        World with the laws about which they are fitted; None for none.
+        World whose laws are the prior of the fit; None for none.
     parameters
-        The others of `CensoredQLearner`.
+        Further parameters of `CensoredQLearner`.
 
     Raises
     ------
@@ -64,8 +64,7 @@ def learner_for(
     """
     longest = logs.horizon
     if logs.has_objects and covariates is None:
-        # Named actions need nothing of the world, which takes longer to load than to learn from some hundred
-        # trajectories.
+        # Named actions do not load the world, which takes longer than learning from some hundred trajectories.
         from halfseen.world.log_checks import robots_in
 
         num_robots = robots_in(logs)
@@ -100,7 +99,7 @@ def learner_for(
 def _of_team(
     logs: Logs | LogStream, num_robots: int, horizon: int | None, grasp: str | None, parameters: dict[str, Any]
 ) -> LearnerChoice:
-    """Learn one Q for all robots, for as many decisions of each as the log says that it had."""
+    """Learn one Q for all robots, with as many decisions of each as the log states."""
     if grasp == "beta":
         raise ArgumentError("--grasp is beta, and the log is of a team, which takes auto or laplace; name one of them")
     from halfseen.world.log_checks import most_decisions
@@ -122,7 +121,7 @@ def _grasp_named(name: str | None) -> Any:
 
 
 def actions_by_stage(logs: Logs | LogStream, horizon: int) -> dict[int, list[Any]]:
-    """Names of the actions seen at each stage; all of them where none was."""
+    """Names of the actions seen at each stage; all actions for a stage without any."""
     frames = [logs.stages] if isinstance(logs, Logs) else logs.stage_columns("stage", "action")
     seen: dict[int, set[Any]] = {}
     for frame in frames:

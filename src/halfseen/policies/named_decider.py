@@ -1,4 +1,4 @@
-"""Decisions of a policy of named actions: from the covariates of one stage, and why."""
+"""Decisions of policies of named actions, from the covariates of one stage, and their reasons."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -32,14 +32,13 @@ class NamedObservation:
     Parameters
     ----------
     row
-        One row, with the covariates of the policy among its columns; or their values by name.
+        A frame of one row, with the covariates of the policy among its columns; or their values by name.
     stage
         The stage to decide, from 1.
     last
-        Covariates of the stage before in the same trajectory, filled in, for the rule ``"last"``; None where there is
-        none.
+        Covariates of the previous stage of the trajectory, filled in, for the rule ``"last"``; None if there is none.
     filled
-        What was missing and is filled in already: in one sentence for each covariate, what stands for it.
+        Covariates already filled in, each with a sentence that gives the replacement.
     """
 
     row: Frame | Mapping[str, Any]
@@ -57,15 +56,15 @@ class NamedDecider:
     policy
         The policy.
     ranges
-        What the logs showed where it was learned.
+        What the training logs showed of each covariate.
     extrapolates
-        Whether to decide where a covariate lies far outside these ranges, too.
+        Whether to decide even if a covariate lies far outside these ranges.
     q_error
-        What is known of the errors of its Q; None if nothing.
+        Errors of its Q; None if unknown.
     stays_within
-        Whether to refuse whatever lies outside these ranges by more than their margins.
+        Whether to refuse covariates outside these ranges by more than their margins.
     margins
-        By stage, how far outside these ranges something may lie by chance.
+        By stage, how far outside these ranges a covariate may lie by chance.
     """
 
     policy: DiscretePolicy
@@ -76,16 +75,16 @@ class NamedDecider:
     margins: Callable[[int], Margins] = no_margins
 
     def decide(self, observation: NamedObservation) -> Decision:
-        """Take the possible action with the largest Q, with pessimism less its margin.
+        """Take the possible action with the largest Q, less its margin for pessimism.
 
         Raises
         ------
         ArgumentError
             There is no such stage.
         LogError
-            A covariate is missing, no finite number, null or of an unknown category.
+            A covariate is missing, not finite, null or of an unknown category.
         OutOfRangeError
-            A covariate lies far outside what the logs showed, and it is not to be extrapolated.
+            A covariate lies far outside the logs, and extrapolation is not allowed.
         """
         policy, row, filled = self.policy, observation.row, observation.filled
         if policy.filling is not None:
@@ -103,7 +102,7 @@ class NamedDecider:
     def decide_known(
         self, values: Mapping[str, Any], stage: int, filled: Mapping[str, str] = MappingProxyType({})
     ) -> Decision:
-        """Decide as `decide` does, and faster, from covariates that `looks_at` knows all of.
+        """Decide like `decide`, but faster, from values of all covariates in `looks_at`.
 
         Parameters
         ----------
@@ -112,14 +111,14 @@ class NamedDecider:
         stage
             The stage to decide, from 1.
         filled
-            As `NamedObservation` has it.
+            As in `NamedObservation`.
 
         Raises
         ------
         ArgumentError
             There is no such stage.
         OutOfRangeError
-            As `decide`.
+            As for `decide`.
         """
         policy = self.policy
         valued = policy.valued(policy.looks_at.encode_known([values]), stage)
@@ -145,7 +144,7 @@ class NamedDecider:
     def _certainty(
         self, valued: Valued, stage: int, names: list[str]
     ) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
-        """How sure Q is, by name; nothing where nobody knows."""
+        """Certainty of Q, by name; empty if unknown."""
         policy = self.policy
         if policy.margin is None or self.q_error is None:
             return {}, {}
@@ -165,23 +164,23 @@ def flat_reason(
 ) -> str:
     """Say why the best action of a policy of named actions is best.
 
-    The covariate that is told of is the one without which the action would lead by least: were it in the middle of
-    what the log showed, the category that it showed most often, or, of what is 0 or 1, the other of the two.
+    The reason names the covariate whose replacement reduces the action's lead most. Its replacement is the middle of
+    its range in the log, its most frequent category, or, for 0 and 1, the other of the two.
 
     Parameters
     ----------
     policy
         A policy.
     row
-        The covariates of one state: numbers, and text of categories that the policy knows.
+        The covariates of one state: numbers, and text of known categories.
     stage
         The stage, from 1.
     ranges
-        What the log showed of each covariate; None if no trajectory came so far.
+        Range of each covariate in the log; None if no trajectory reached this stage.
     chance_best
-        Probability that no action is better, by name; nothing where nobody knows it.
+        Probability that no action is better, by name; empty if unknown.
     """
-    # What is true or false may be changed to a number.
+    # A boolean may be replaced by a number.
     instead = {} if ranges is None else {name: _instead(ranges[name], row[name]) for name in policy.covariates}
     rows = [row, *({**row, name: value} for name, value in instead.items())]
     each = policy.valued(policy.looks_at.encode_known(rows), stage).scores
@@ -203,7 +202,7 @@ def flat_reason(
 
 
 def _instead(seen: Range, value: Any) -> float | str:
-    """What a covariate might have been: of 0 and 1 the other; among whole numbers a whole number."""
+    """Replacement of a covariate: the other of 0 and 1; a whole number among whole numbers."""
     if _is_switch(seen, value):
         return 1.0 - float(value)
     middle = middle_of(seen)
@@ -229,30 +228,30 @@ STATE_FILES = (".json", ".csv")
 def completed(
     policy: DiscretePolicy, state: Mapping[str, Any], last: Mapping[str, Any] | None = None
 ) -> tuple[Mapping[str, Any], dict[str, str]]:
-    """Fill in what a state lacks, as far as the policy has rules for that, and say what was; see `NamedObservation`."""
+    """Fill in missing covariates by the policy's rules, and say which; see `NamedObservation`."""
     return (state, {}) if policy.filling is None else policy.filling.of_state(state, policy.covariates, last)
 
 
 def known_covariates(policy: DiscretePolicy, state: Mapping[str, Any], where: str) -> dict[str, float | str]:
-    """Take what a policy looks at from a state in memory, as `NamedDecider.decide_known` does.
+    """Extract a policy's covariates from a state in memory, for `NamedDecider.decide_known`.
 
     Parameters
     ----------
     policy
         A policy of named actions.
     state
-        Covariates by name, and whatever else there is.
+        Covariates by name, and possibly other items.
     where
-        Where it comes from, for messages.
+        Source of the state, for messages.
 
     Raises
     ------
     PolicyError
-        A covariate is missing, no finite number, null or of an unknown category.
+        A covariate is missing, not finite, null or of an unknown category.
     """
     looks_at, texts = policy.looks_at, policy.categories
     if not all(name in state and looks_at.is_known(name, state[name]) for name in policy.covariates):
-        # What is not plain is looked at as if it stood in a file.
+        # Values of other types are treated as if read from a file.
         row = _row(state, where)
         _check_row(row, policy, where)
         state = {name: row[name].iloc[0] for name in policy.covariates}
@@ -260,12 +259,12 @@ def known_covariates(policy: DiscretePolicy, state: Mapping[str, Any], where: st
 
 
 def checked_stage(stage: Any, horizon: int, where: str) -> int:
-    """Take a stage as a number.
+    """Convert a stage to a number.
 
     Raises
     ------
     PolicyError
-        The policy knows no such stage.
+        The policy has no such stage.
     """
     if isinstance(stage, bool) or not (hasattr(stage, "__index__") and 1 <= int(stage) <= horizon):
         raise PolicyError(f"{where}: stage is {stage}; it is a whole number from 1 to the policy's horizon, {horizon}")
@@ -273,12 +272,12 @@ def checked_stage(stage: Any, horizon: int, where: str) -> int:
 
 
 def covariates_in_words(policy: DiscretePolicy) -> str:
-    """What the policy looks at."""
+    """The covariates of the policy, in words."""
     return ", ".join(policy.covariates) or "no covariates"
 
 
 def _check_row(row: Frame, policy: DiscretePolicy, where: str) -> None:
-    """Refuse a row without what the policy looks at."""
+    """Refuse a row that lacks a covariate of the policy."""
     missing = [name for name in policy.covariates if name not in row.columns]
     if missing:
         raise PolicyError(

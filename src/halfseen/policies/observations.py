@@ -1,4 +1,4 @@
-"""From a policy in a folder, or one in memory, to what decides by it; and from files to what it decides from."""
+"""Deciders from policies, stored or in memory; and observations from files."""
 
 from collections.abc import Callable, Collection
 from io import BytesIO
@@ -37,32 +37,32 @@ def decider_of(
     stays_within: bool = False,
     margins: Callable[[int], Margins] = no_margins,
 ) -> Decider:
-    """Put a policy behind the port.
+    """Make a decider of a policy.
 
     Parameters
     ----------
     policy
-        A `StoredPolicy`, which knows all that follows but how far to go outside its ranges; a `DiscretePolicy`; or any
+        A `StoredPolicy`, which implies all other arguments except how far to extrapolate; a `DiscretePolicy`; or any
         `halfseen.world.Policy`: learned, a planner or a heuristic.
     ranges
-        What the logs showed where it was learned.
+        Ranges of the training logs.
     extrapolates
-        True to decide, with a warning, even where something lies far outside these ranges; else that is refused.
+        True to decide, with a warning, even if a value lies far outside these ranges; otherwise that is refused.
     q_error
-        What is known of the errors of its Q; None if nothing, and then nobody knows how sure a decision is.
+        Errors of its Q; if None, the certainty of a decision is unknown.
     least_rewards
-        Of each verb of a table, the least that it paid in the logs [reward]; None if nobody knows.
+        The least reward of each verb of a table in the logs [reward]; None if unknown.
     stays_within
-        Of named actions: True to refuse whatever lies outside these ranges by more than their margins.
+        For named actions: True to refuse values outside these ranges by more than their margins.
     margins
-        By stage, how far outside something may lie by chance; nothing for ranges of one's own.
+        By stage, how far outside a value may lie by chance; none for custom ranges.
 
     Raises
     ------
     ArgumentError
-        It is none of these.
+        The policy is none of these.
     PolicyError
-        It decides for a team.
+        The policy decides for a team.
     """
     if isinstance(policy, StoredPolicy):
         refuse_team(policy, UNDECIDED)
@@ -89,28 +89,28 @@ def read_observation(
     labels: Path | None = None,
     law: "SeenLaw | None" = None,
 ) -> "NamedObservation | Present":
-    """Read what a policy decides from.
+    """Read the observation that a policy decides from.
 
     Parameters
     ----------
     stored
         The policy.
     file
-        For tables a point cloud; for named actions covariates as .json or .csv, one state.
+        For tables a point cloud; for named actions the covariates of one state, as .json or .csv.
     history
         For tables, a folder of logs whose last trajectory is the one so far.
     stage
-        The stage to decide, from 1; None for what the file or the history says, or 1.
+        The stage to decide, from 1; None for that of the file or the history, or 1.
     labels
-        For tables, what looks dirty, as `halfseen.perception.read_labels` takes it; None for what the colours of the
-        cloud tell, if it has some.
+        For tables, which objects look dirty, in the format of `halfseen.perception.read_labels`; None for the colours
+        of the cloud, if it has any.
     law
-        For tables, what a cell's law tells of labels and grips; None for the assumed law of labels.
+        For tables, a cell's law of labels and grips; None for the assumed law of labels.
 
     Returns
     -------
     NamedObservation or Present
-        What the decider of the policy takes.
+        The observation for the policy's decider.
 
     Raises
     ------
@@ -118,7 +118,7 @@ def read_observation(
         A file cannot be read, or does not fit the policy.
     """
     if stored.is_table:
-        # Clouds take libraries that covariates do not.
+        # Clouds need libraries that covariates do not.
         from halfseen.policies.table_observation import read_table
 
         return read_table(stored, file, history, stage, labels, law).present
@@ -129,7 +129,7 @@ def read_observation(
 
 
 def _read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None) -> NamedObservation:
-    """Read the covariates of one stage, as `read_observation` does."""
+    """Read the covariates of one stage, as for `read_observation`."""
     policy = stored.policy
     if file.suffix not in STATE_FILES:
         raise PolicyError(
@@ -149,7 +149,7 @@ def _read_covariates(stored: StoredPolicy, file: Path, stage: int | None = None)
 
 
 def _cell(value: Any, categories: Collection[str] | None) -> Any:
-    """An empty cell of text is null, unless it is a category."""
+    """Convert an empty cell of text to null, unless it is a category."""
     return None if categories is not None and value == "" and value not in categories else value
 
 

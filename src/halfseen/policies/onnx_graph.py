@@ -1,12 +1,12 @@
-"""What ONNX graphs of policies are written with, the parts that all of them have, and that of named actions.
+"""ONNX graphs of policies: the builder, the parts common to all, and the graph of named actions.
 
-Each function is the line of `KernelMap`, `halfseen.learning.behaviour` or `DiscretePolicy.valued` that it is named
-after.
+Each function corresponds to the line of `KernelMap`, `halfseen.learning.behaviour` or `DiscretePolicy.valued` of the
+same name.
 
-Inputs of a policy of named actions are the covariates of n states as numbers, in double precision, in the order of
-`Covariates.names`, and the stage, from 1; outputs are what the policy goes by, −∞ where an action is not possible, and
-the number of the best action. The metadata of the model name actions and covariates; text among these is an indicator
-of each category but the first.
+The inputs of a policy of named actions are the covariates of n states as numbers, in double precision, in the order of
+`Covariates.names`, and the stage, from 1. The outputs are the values that are compared, −∞ for an impossible action,
+and the index of the best action. The model's metadata name actions and covariates; a text covariate is encoded by an
+indicator of each category but the first.
 """
 
 from typing import Any
@@ -23,12 +23,12 @@ _OF = {np.float64: TensorProto.DOUBLE, np.float32: TensorProto.FLOAT}
 
 
 class Graph:
-    """Nodes and constants, written down as they are asked for.
+    """Nodes and constants, added as they are used.
 
     Parameters
     ----------
     precision
-        ``np.float32`` or ``np.float64``, of all its numbers.
+        ``np.float32`` or ``np.float64``, for all its numbers.
     """
 
     def __init__(self, precision: type) -> None:
@@ -37,7 +37,7 @@ class Graph:
         self.constants: list[Any] = []
 
     def constant(self, value: Any) -> str:
-        """Name an array; numbers are of the precision of the graph, and counts of 64 bits."""
+        """Add an array, and return its name; floats get the precision of the graph, and integers 64 bits."""
         array = np.asarray(value)
         kinds = {"f": self.precision, "i": np.int64}
         array = array.astype(kinds.get(array.dtype.kind, array.dtype))
@@ -46,18 +46,18 @@ class Graph:
         return name
 
     def __call__(self, operator: str, *inputs: Any, to: str | None = None, **attributes: Any) -> str:
-        """Write down an operator, and give the name of what comes out."""
+        """Add an operator, and return the name of its output."""
         names = [one if isinstance(one, str) else self.constant(one) for one in inputs]
         name = to or f"n{len(self.nodes)}"
         self.nodes.append(helper.make_node(operator, names, [name], **attributes))
         return name
 
     def as_number(self, value: str) -> str:
-        """Truths, or counts, as numbers."""
+        """Convert booleans or integers to floats."""
         return self._cast(value, _OF[self.precision])
 
     def as_count(self, value: str) -> str:
-        """Numbers as counts of 64 bits."""
+        """Convert floats to 64-bit integers."""
         return self._cast(value, TensorProto.INT64)
 
     def _cast(self, value: str, kind: int) -> str:
@@ -70,7 +70,7 @@ class Graph:
         return self("ReduceSum", value, np.array([axis]), keepdims=int(keeps))
 
     def model(self, inputs: list[Any], outputs: list[Any]) -> Any:
-        """Make a model of the graph."""
+        """Return the graph as a model."""
         made = helper.make_graph(self.nodes, "policy", inputs, outputs, self.constants)
         return helper.make_model(made, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
 
@@ -92,7 +92,7 @@ def kernel_features(graph: Graph, features: str, psi: KernelMap) -> str:
 
 
 def excess_propensity(graph: Graph, utility: str, possible: str) -> str:
-    """How far the log's own choice is from chance towards each action; actions are the last axis."""
+    """Excess of the log's propensity over chance, for each action; actions are the last axis."""
     odds = graph("Softmax", graph("Where", possible, utility, np.float64(-np.inf)), axis=-1)
     num_possible = graph.total(graph.as_number(possible), -1, keeps=True)
     chance = graph("Div", np.float64(1.0), graph("Max", num_possible, np.float64(2.0)))
@@ -103,7 +103,7 @@ def excess_propensity(graph: Graph, utility: str, possible: str) -> str:
 def choose(
     graph: Graph, possible: str, scores: str, margins: str | None, utility: str | None, behaviour_weight: float = 0.0
 ) -> None:
-    """Lower the scores by margins, less where the log does the same, and take the best; actions are the last axis."""
+    """Subtract margins from the scores, smaller ones for actions common in the log, and take the best; actions last."""
     nothing = np.float64(-np.inf)
     if margins is not None:
         if utility is not None:
@@ -120,7 +120,7 @@ COVARIATES, STAGE = "covariates", "stage"
 
 
 def discrete_graph(policy: DiscretePolicy) -> tuple[Any, dict[str, Any]]:
-    """Write a policy of named actions as an ONNX model, and what is to be known of it."""
+    """Convert a policy of named actions to an ONNX model, and return its metadata."""
     graph = Graph(np.float64)
     at = graph("Sub", STAGE, np.int64(1))
     possible = graph("Gather", policy.is_possible, at)

@@ -1,9 +1,9 @@
-"""A policy as an ONNX model, for controllers without Python; its metadata say what it takes and gives, in JSON.
+"""Policies as ONNX models, for controllers without Python; the metadata describe inputs and outputs in JSON.
 
-Of tables it is the formulas of `halfseen.tables.features`, operator by operator. Inputs are the fields of `TableState`,
-for a fixed number of objects; those of objects that are not there are 0 and False. Outputs are what the policy goes by
-for each action, −∞ where it is not possible, and the number of the best one. Each function is the one of `features`,
-`GraspTable` or `LinearTablePolicy` that it is named after.
+A table policy is converted from the formulas of `halfseen.tables.features`, operator by operator. The inputs are the
+fields of `TableState`, for a fixed number of objects; fields of absent objects are 0 and False. The outputs are the
+compared values of each action, −∞ if it is impossible, and the index of the best action. Each function corresponds to
+the one of `features`, `GraspTable` or `LinearTablePolicy` of the same name.
 """
 
 import json
@@ -29,28 +29,28 @@ from halfseen.world.state import Layout, TableState, initial_state
 
 
 def onnx_model(stored: StoredPolicy, num_objects: int | None = None) -> bytes:
-    """Write a policy as an ONNX model.
+    """Convert a policy to an ONNX model.
 
     Parameters
     ----------
     stored
         A policy of named actions, or of tables for one robot.
     num_objects
-        Most objects that a table has; None for as many as the log showed, and for a policy of named actions.
+        Largest number of objects on a table; None for the log's largest, and for a policy of named actions.
 
     Raises
     ------
     PolicyError
-        It is of another kind.
+        The policy is of another kind.
     ArgumentError
-        It holds what ONNX cannot, or `num_objects` is not for it.
+        The policy holds what ONNX cannot express, or `num_objects` does not apply to it.
     """
     policy = stored.policy
     if isinstance(policy, DiscretePolicy):
         if num_objects is not None:
             raise ArgumentError("a number of objects is for policies of tables, and this one is not: leave it out")
         model, properties = discrete_graph(policy)
-        # What fills in covariates and their flags is for the controller to do, before the model is asked.
+        # The controller itself fills in missing covariates and their flags, before it runs the model.
         properties |= {} if policy.filling is None else {"missing": asdict(policy.filling)}
     elif isinstance(policy, LinearTablePolicy) and stored.is_table:
         model, properties = table_graph(policy, stored.horizon, num_objects or _most_objects(stored))
@@ -75,27 +75,27 @@ def _most_objects(stored: StoredPolicy) -> int:
 
 
 class _State(NamedTuple):
-    """What is worked out of a state before its features."""
+    """Quantities computed from a state before its features."""
 
     is_dirty: str
     in_sight: str
     laid_bare: str
-    """[j, i], how much more of j would be without i."""
+    """[j, i], how much more of j would be visible without i."""
     successes: str
     failures: str
 
 
 def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tuple[Any, dict[str, Any]]:
-    """Write a policy of tables as an ONNX model, and what is to be known of it.
+    """Convert a table policy to an ONNX model, and return its metadata.
 
     Parameters
     ----------
     policy
         The policy.
     horizon
-        Number T of stages that a trajectory may have.
+        Largest number T of stages of a trajectory.
     num_objects
-        Most objects that a table has.
+        Largest number of objects on a table.
 
     Raises
     ------
@@ -123,7 +123,7 @@ def table_graph(policy: LinearTablePolicy, horizon: int, num_objects: int) -> tu
 
 
 def table_inputs(state: TableState) -> dict[str, np.ndarray]:
-    """Give the fields of a state as the inputs of the model."""
+    """Return the fields of a state as inputs of the model."""
     return {name: np.asarray(value) for name, value in vars(state).items() if value is not None}
 
 
@@ -136,7 +136,7 @@ def _inputs(horizon: int, num_objects: int) -> list[Any]:
 
 
 def _features(graph: Graph, num_objects: int, grasp: Any) -> str:
-    """φ of every action, a row each."""
+    """φ of every action, one per row."""
     state = _state(graph, num_objects)
     columns = _columns(graph, state, _ease(graph, state) if grasp is None else _probability(graph, grasp, state))
     summed = [
@@ -154,7 +154,7 @@ def _features(graph: Graph, num_objects: int, grasp: Any) -> str:
 
 
 def _state(graph: Graph, num_objects: int) -> _State:
-    """Counts of attempts, and who is in sight."""
+    """Counts of attempts, and which objects are in sight."""
     in_column = graph("Unsqueeze", "is_on_table", np.array([0]))
     seen = graph("Max", graph("Sub", np.float32(1.0), "hides"), np.float32(LEAST_IN_SIGHT))
     left = graph("Where", in_column, seen, np.float32(1.0))
@@ -170,7 +170,7 @@ def _state(graph: Graph, num_objects: int) -> _State:
 
 
 def _ease(graph: Graph, state: _State) -> str:
-    """In sight, times the rule of succession."""
+    """Share in sight, times the rule of succession."""
     odds = graph("Add", np.float32(LIKELY_ODDS), graph("Exp", graph("Neg", "grip")))
     likelier = graph("Div", np.float32(1.0 + LIKELY_ODDS), odds)
     held = graph("Add", np.float32(1.0), state.successes)
@@ -179,7 +179,7 @@ def _ease(graph: Graph, state: _State) -> str:
 
 
 def _probability(graph: Graph, grasp: Any, state: _State) -> str:
-    """Read a table of P(held)."""
+    """Look up P(held) in a table."""
     if not isinstance(grasp, GraspTable):
         raise ArgumentError(f"grasp is a {type(grasp).__name__}, no table of numbers, and ONNX can hold no other")
     num_cells, most = grasp.probabilities.shape[0] - 1, grasp.probabilities.shape[-1] - 1
@@ -206,7 +206,7 @@ def _index(graph: Graph, value: str) -> str:
 
 
 class _Columns(NamedTuple):
-    """What the features are made of, as `halfseen.tables.features.table_columns` finds it."""
+    """The columns that features are made of, as in `halfseen.tables.features.table_columns`."""
 
     table: list[str]
     idle: str

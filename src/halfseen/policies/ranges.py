@@ -1,8 +1,9 @@
-"""What lies outside what the logs showed: there Q is extrapolated, and far outside it says nothing.
+"""Values outside the ranges of the logs: Q is extrapolated there, and is meaningless far outside.
 
-The next of n independent values lies outside the n before in 2 of n + 1 cases, and with many covariates nearly every
-state does in one of them. A margin leaves room for that: beyond the largest of n by excess · ln(2 d / (n CHANCE)) for d
-ranges, with the mean excess of the ⌈√n⌉ largest over the next one, as tails are about exponential [Weissman1978]_.
+The last of n + 1 independent values lies outside the range of the others in 2 of n + 1 cases, so with many covariates
+nearly every state lies outside in one of them. A margin allows for that: it reaches beyond the largest of n values by
+excess · ln(2 d / (n CHANCE)) for d ranges, where excess is the mean excess of the ⌈√n⌉ largest over the next one, as
+tails are roughly exponential [Weissman1978]_.
 """
 
 from collections.abc import Callable, Mapping
@@ -15,33 +16,33 @@ from halfseen.errors import OutOfRangeError
 from halfseen.shapes import Float
 
 Range = tuple[float, float] | Mapping[str, int]
-"""Least and largest value of what is a number; of text, how many states showed each category."""
+"""Least and largest value of a number; for text, the number of states of each category."""
 
 Ranges = Mapping[str, Range]
-"""What the logs showed of each thing that a policy looks at."""
+"""Ranges in the logs of the quantities that a policy looks at."""
 
 RangesOfStage = Callable[[int], Ranges | None]
-"""Ranges that the logs showed where Q of a stage was learned; None if no trajectory came so far."""
+"""Ranges in the logs where Q of a stage was learned; None if no trajectory reached it."""
 
 Margins = Mapping[str, tuple[float, float]]
-"""How far below and above its range what is a number may lie by chance."""
+"""How far below and above its range a number may lie by chance."""
 
 Values = Mapping[str, Mapping[str, Any]]
-"""For each name of a range, whose value, and which."""
+"""For each name of a range, the values, by what each belongs to."""
 
 FARTHEST = 1.0
-"""Ranges beyond its own end, as wide as itself, from which on a value is far outside."""
+"""A value is far outside if it is beyond an end of its range by this many widths of the range."""
 
 CHANCE = 0.01
-"""Of a trajectory of the logs' own cell, that it leaves the margin of any range, by either end."""
+"""Probability that a trajectory of the logs' own cell leaves the margin of any range, at either end."""
 
 LARGEST = float(np.finfo(np.float64).max)
-"""Of a margin."""
+"""Upper bound of a margin."""
 
 NO_MARGINS: Margins = MappingProxyType({})
 
 ROUNDING = 1e-6
-"""Relative error of what is worked out in single precision, as the states of tables are."""
+"""Relative error of values computed in single precision, such as states of tables."""
 NO_TRAJECTORY = "no trajectory of the logs came to this stage"
 
 
@@ -51,24 +52,24 @@ def everything(stage: int) -> Ranges:
 
 
 def no_margins(stage: int) -> Margins:
-    """Nothing outside is taken for chance."""
+    """No value outside a range is attributed to chance."""
     return NO_MARGINS
 
 
 def most_with_margin(num_ranges: int) -> int:
-    """From so many trajectories on no range has a margin."""
+    """Number of trajectories from which on no range has a margin."""
     return int(np.ceil(2.0 * num_ranges / CHANCE))
 
 
 def margin(largest: Float[np.ndarray, " n"], num_ranges: int) -> float:
-    """How far beyond the largest of n values the next may lie by chance; 0 where ties make that unlikely.
+    """How far beyond the largest of n values the next may lie by chance; 0 if ties make that unlikely.
 
     Parameters
     ----------
     largest
         The largest value of each trajectory.
     num_ranges
-        How many ranges share `CHANCE`.
+        Number of ranges that share `CHANCE`.
 
     Examples
     --------
@@ -86,7 +87,7 @@ def margin(largest: Float[np.ndarray, " n"], num_ranges: int) -> float:
 
 
 def middle_of(seen: Range) -> float | str:
-    """Middle of a range, or the category that most states showed."""
+    """Middle of a range, or the most frequent category."""
     return max(seen, key=seen.__getitem__) if isinstance(seen, Mapping) else sum(seen) / 2.0
 
 
@@ -96,11 +97,11 @@ def beyond(ranges: Ranges | None, values: Values, rounding: float = 0.0) -> tupl
     Parameters
     ----------
     ranges
-        What the logs showed.
+        Ranges of the logs.
     values
-        For each name of a range, whose value, and which.
+        For each name of a range, the values, by what each belongs to.
     rounding
-        Relative error of the values; what is given is compared as it is.
+        Relative error of the values; measured values are compared exactly.
     """
     found = [NO_TRAJECTORY] if ranges is None else []
     for name, seen in (ranges or {}).items():
@@ -110,21 +111,21 @@ def beyond(ranges: Ranges | None, values: Values, rounding: float = 0.0) -> tupl
 
 
 def refuse_outside(ranges: Ranges | None, values: Values, margins: Margins = NO_MARGINS) -> None:
-    """Refuse what lies outside by more than its margin; of what has none, at all.
+    """Refuse values that lie outside by more than their margin; without a margin, any value outside.
 
     Parameters
     ----------
     ranges
-        What the logs showed.
+        Ranges of the logs.
     values
-        For each name of a range, whose value, and which.
+        For each name of a range, the values, by what each belongs to.
     margins
-        Of ranges of numbers.
+        Margins of ranges of numbers.
 
     Raises
     ------
     OutOfRangeError
-        Something does; it is named with its value and what it might have been.
+        A value does; it is named, with the allowed values.
     """
     if ranges is None:
         raise OutOfRangeError(NO_TRAJECTORY)
@@ -139,21 +140,21 @@ def refuse_outside(ranges: Ranges | None, values: Values, margins: Margins = NO_
 
 
 def refuse_far(ranges: Ranges | None, values: Values) -> None:
-    """Refuse what lies so far outside that Q says nothing of it: more than a whole range beyond an end of the range.
+    """Refuse values so far outside that Q is meaningless: beyond an end of the range by more than its width.
 
-    The range of what never varied is taken to be as wide as its value is large, and 1 at least.
+    A quantity that never varied is given a width of its absolute value, and at least 1.
 
     Parameters
     ----------
     ranges
-        What the logs showed.
+        Ranges of the logs.
     values
-        For each name of a range, whose value, and which.
+        For each name of a range, the values, by what each belongs to.
 
     Raises
     ------
     OutOfRangeError
-        Something is; it is named with its value, the range and the remedy.
+        A value is; it is named, with its range and the remedy.
     """
     for name, seen in (ranges or {}).items():
         far = [] if isinstance(seen, Mapping) else [one for one in values[name].items() if _is_far(seen, one[1])]
@@ -187,7 +188,7 @@ def _beyond(seen: Range, value: Any, where: str = "outside the logs") -> str:
 
 
 def _distinct(value: float, seen: tuple[float, float]) -> tuple[str, tuple[str, str]]:
-    """Write a value and a range with as many digits as show on which side of it the value lies."""
+    """Write a value and a range with enough digits to show on which side of it the value lies."""
     for digits in range(3, 18):
         is_value, low, high = (f"{each:.{digits}g}" for each in (value, *seen))
         if not float(low) <= float(is_value) <= float(high):

@@ -1,6 +1,6 @@
-"""Rules of thumb in files: each row asks for conditions and names an action, and the first that matches wins.
+"""Rules of thumb in files: each row has conditions and an action, and the first row that matches wins.
 
-As CSV, an empty cell asks nothing::
+In a CSV file, an empty cell is no condition::
 
     stage,weight_kg,shine,action
     > 2,,,hand over
@@ -8,7 +8,7 @@ As CSV, an empty cell asks nothing::
     ,,> 0.5,suction
     ,,,soft
 
-As TOML the same is::
+The same rule in TOML::
 
     [[rule]]
     when = { stage = "> 2" }
@@ -18,16 +18,16 @@ As TOML the same is::
     action = "soft"
 
 A condition is a value, or ``<``, ``<=``, ``>``, ``>=``, ``=`` or ``!=`` and a value; several are joined by ``and``. The
-last row asks nothing, so every state matches one.
+last row has no conditions, so every state matches a row.
 
-A table of what to explore has a column ``probability``, the share of the decisions in which an action is tried. There
-each row that matches has its say, so several actions may be tried in one state::
+A table of exploration also has a column ``probability``, the share of the decisions in which an action is tried. There
+every matching row counts, so several actions may be tried in one state::
 
     stage,clutter,action,probability
     <= 1.5,<= 0.5,look,0.39
     <= 1.5,,shake,0.19
 
-A rule decides in a policy's place, else what the policy's log did most often in that stage (`FallBack`).
+A rule is the fallback of a policy; failing that, the log's most frequent action in that stage is (`FallBack`).
 """
 
 import csv
@@ -54,16 +54,16 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
     Parameters
     ----------
     path
-        The file; its ending says which of the two it is.
+        The file; its extension determines the format.
     horizon
         Number T of stages.
     names
-        Actions as the log has them: an action that is written like one of these is that one, number or not.
+        Actions in the log: an action that is written like one of these is that action, number or not.
 
     Raises
     ------
     ArgumentError
-        The file cannot be read, or is no rule; file and row are named.
+        The file cannot be read, or is no rule; the message names file and row.
     """
     path, known = Path(path), {str(name): name for name in names}
     if path.suffix.lower() not in _READERS:
@@ -77,13 +77,13 @@ def read_rule_table(path: str | Path, horizon: int, names: Sequence[Hashable] = 
 
 
 def named_in(kind: str, name: Any, known: Sequence[Any]) -> str:
-    """Say that something is not among those that are known."""
+    """Say that a name is not among the known ones."""
     there = list(map(str, known))
     return f"there is no {kind} {name}; there are {', '.join(there)}{did_you_mean(str(name), there)}"
 
 
 Entries = list[tuple[dict[str, Any], Any]]
-"""What each row asks of which column, and its action."""
+"""The conditions of each row by column, and its action."""
 
 
 def _csv_entries(path: Path, also: str | None = None) -> Entries:
@@ -152,26 +152,26 @@ def _number_or_text(written: str) -> float | str:
 
 PROBABILITY = "probability"
 MOST_EXPLORED = 0.9
-"""Share of the decisions of a state that may be drawn; the rest is left to the policy."""
+"""Largest share of the decisions of a state that may be drawn; the rest is left to the policy."""
 
 
 @dataclass(frozen=True)
 class ExplorationTable:
-    """Tries actions by chance where its rows match.
+    """Draws actions for exploration where its rows match.
 
     Parameters
     ----------
     rows
         Conditions and actions.
     probability
-        With which each row's action is drawn.
+        Probability with which each row's action is drawn.
     """
 
     rows: tuple[RuleRow, ...]
     probability: tuple[float, ...]
 
     def shares(self, covariates: Mapping[str, Any], stage: int) -> dict[str, float]:
-        """Probability with which each action is drawn in a state; the policy decides in the rest."""
+        """Probability with which each action is drawn in a state; otherwise the policy decides."""
         drawn = dict[str, float]()
         for row, share in zip(self.rows, self.probability, strict=True):
             if str(row.action) not in drawn and row.matches_state(covariates, stage):
@@ -183,22 +183,22 @@ class ExplorationTable:
 def read_exploration(
     path: str | Path, actions: Sequence[Any], columns: Sequence[str], texts: Collection[str] = ()
 ) -> ExplorationTable:
-    """Read a table from a CSV file.
+    """Read a table of exploration from a CSV file.
 
     Parameters
     ----------
     path
         The file.
     actions, columns
-        That the policy may take, and that it looks at.
+        Actions that the policy may take, and columns that it looks at.
     texts
-        Those of the columns that hold text.
+        Columns that hold text.
 
     Raises
     ------
     ArgumentError
-        The file cannot be read or is no such table, names an action or a column that the policy does not know, or a
-        probability is none; file and row are named.
+        The file cannot be read or is no such table, names an action or a column unknown to the policy, or has an
+        invalid probability; the message names file and row.
     """
     path = Path(path)
     try:
@@ -238,7 +238,7 @@ def _share(number: int, text: str) -> float:
 
 
 def as_csv(conditions: Sequence[Mapping[str, str]], actions: Sequence[str], shares: Sequence[float]) -> str:
-    """Write rows down as `read_exploration` reads them."""
+    """Write rows in the format of `read_exploration`."""
     columns = list(dict.fromkeys(name for one in conditions for name in one))
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -249,23 +249,23 @@ def as_csv(conditions: Sequence[Mapping[str, str]], actions: Sequence[str], shar
 
 
 FINISH = "FINISH"
-"""What ends a trajectory of tables, and is always possible."""
+"""The action that ends a trajectory of tables; always possible."""
 
 
 @dataclass(frozen=True, eq=False)
 class FallBack:
-    """Names an action in any state, whatever is known of it.
+    """Returns an action in any state, even if covariates are missing.
 
     Parameters
     ----------
     usual
-        The usual action of each stage; beyond them that of the last goes on.
+        The usual action of each stage; later stages use the last one.
     says
-        Where `usual` comes from, in words.
+        Source of `usual`, in words.
     rule
-        What is asked first; None for nothing.
+        The rule to try first; None for none.
     rule_name
-        What it is called.
+        Name of the rule.
     """
 
     usual: tuple[Hashable, ...]
@@ -274,7 +274,7 @@ class FallBack:
     rule_name: str = ""
 
     def action(self, covariates: Mapping[str, Any], stage: int) -> tuple[Any, str]:
-        """Name the action in a state, and what named it; a rule that fails in it is passed over."""
+        """Return the action in a state, and its source; a rule that fails in the state is skipped."""
         usual = self.usual[min(stage, len(self.usual)) - 1]
         if self.rule is None:
             return usual, self.says
@@ -290,7 +290,7 @@ def rule_of(stored: StoredPolicy, file: Path) -> "RuleTable":
     Raises
     ------
     ArgumentError
-        The policy is of tables, the file is no rule, or it names an action that the policy does not know.
+        The policy is of tables, the file is no rule, or it names an action unknown to the policy.
     """
     if stored.is_table:
         raise ArgumentError(f"{file}: the policy is of tables of objects, and rules are of named actions; leave it out")
@@ -302,19 +302,19 @@ def rule_of(stored: StoredPolicy, file: Path) -> "RuleTable":
 
 
 def fall_back_of(stored: StoredPolicy, file: Path | None = None) -> FallBack | None:
-    """Find what decides in a policy's place; None where a folder of before does not say what its log did.
+    """Find the fallback of a policy; None for an older folder without the log's actions.
 
     Parameters
     ----------
     stored
         The policy.
     file
-        A rule as .csv or .toml, which is asked first; None for the log's usual actions alone.
+        A rule as .csv or .toml, which is tried first; None for the log's usual actions alone.
 
     Raises
     ------
     ArgumentError
-        As `rule_of`.
+        As for `rule_of`.
     """
     if stored.is_table:
         if file is not None:
@@ -330,7 +330,7 @@ def fall_back_of(stored: StoredPolicy, file: Path | None = None) -> FallBack | N
 
 
 def usual_actions(stored: StoredPolicy) -> tuple[Hashable, ...]:
-    """By stage, the possible action that the log of a policy of named actions took most often; empty if unknown."""
+    """For each stage, the possible action most frequent in the log of a policy of named actions; empty if unknown."""
     usual: list[Hashable] = []
     counts = [*stored.record.get("actions_taken", ())][: stored.horizon]
     for possible, taken in zip(stored.policy.actions_by_stage.values(), counts, strict=False):

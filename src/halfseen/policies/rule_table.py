@@ -26,7 +26,7 @@ COMPARISONS: dict[str, Callable[[Any, Any], Any]] = {
 
 @dataclass(frozen=True)
 class Condition:
-    """What a row asks of one column.
+    """A condition on one column.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Condition:
     sign
         ``<``, ``<=``, ``>``, ``>=``, ``=`` or ``!=``.
     value
-        What the column is compared with; a number, or a text for ``=`` and ``!=``.
+        The value to compare with; a number, or a text for ``=`` and ``!=``.
     """
 
     column: str
@@ -43,13 +43,13 @@ class Condition:
     value: float | str
 
     def holds(self, frame: pd.DataFrame, stage: int) -> Bool[np.ndarray, " m"]:
-        """Whether it holds, for each row of covariates.
+        """Whether the condition holds, for each row of covariates.
 
         Raises
         ------
         ArgumentError
-            There is no such column, it is no covariate (what an action paid is not known before it), or it holds texts
-            where numbers are asked for, or the other way round.
+            The column is missing, is no covariate (the reward of an action is not known before it), or holds text where
+            numbers are needed, or the reverse.
         LogError
             A covariate is null.
         """
@@ -57,12 +57,12 @@ class Condition:
         return np.asarray(COMPARISONS[self.sign](given, self.value), dtype=bool)
 
     def holds_in(self, values: Mapping[str, Any], stage: int) -> bool:
-        """Whether it holds in one state, by the names of its covariates; faster than `holds`.
+        """Whether the condition holds in one state, given by covariate name; faster than `holds`.
 
         Raises
         ------
         ArgumentError
-            There is no such covariate, or it is text where a number is asked for, or the other way round.
+            The covariate is missing, or is text where a number is needed, or the reverse.
         """
         given = stage if self.column == STAGE else values.get(self.column)
         if given is None or isinstance(given, str) != isinstance(self.value, str):
@@ -95,12 +95,12 @@ class Condition:
 
 @dataclass(frozen=True)
 class RuleRow:
-    """An action, and what has to hold for it.
+    """An action, and the conditions for it.
 
     Parameters
     ----------
     conditions
-        All of them; none for what always holds.
+        The conditions, all of which must hold; none for a row that always matches.
     action
         Name of the action.
     """
@@ -125,7 +125,7 @@ class RuleTable:
     Parameters
     ----------
     rows
-        In the order in which they are tried; the last, and no other, asks nothing.
+        Rows in the order in which they are tried; the last, and no other, has no conditions.
     horizon
         Number T of stages.
 
@@ -159,7 +159,7 @@ class RuleTable:
 
     @property
     def actions(self) -> tuple[Hashable, ...]:
-        """Names, in the order in which they first appear."""
+        """Names, in order of first appearance."""
         return tuple(dict.fromkeys(row.action for row in self.rows))
 
     def action(self, values: Mapping[str, Any], stage: int) -> Hashable:
@@ -168,7 +168,7 @@ class RuleTable:
         Raises
         ------
         ArgumentError
-            As `Condition.holds_in`.
+            As for `Condition.holds_in`.
         """
         return next(row.action for row in self.rows if row.matches_state(values, stage))
 
@@ -185,14 +185,15 @@ Decide = Callable[[pd.DataFrame, int], Any]
 
 @dataclass(frozen=True)
 class Rule:
-    """Takes the action that a function names (a `NamedActionPolicy`).
+    """Takes the action returned by a function (a `NamedActionPolicy`).
 
     Parameters
     ----------
     decide
-        Given the covariates of some states, one a row, and their stage (from 1), it names an action for each row.
+        Returns the name of an action for each row, given the covariates of states, one per row, and their stage, from
+        1.
     actions
-        Names that it may give.
+        Names that it may return.
     horizon
         Number T of stages.
 
@@ -211,12 +212,12 @@ class Rule:
     horizon: int
 
     def probabilities(self, frame: pd.DataFrame, stage: int) -> Float[np.ndarray, "m A"]:
-        """1 for the action that the function names.
+        """1 for the action returned by the function.
 
         Raises
         ------
         ArgumentError
-            It does not name one of the actions for each row.
+            The function does not return one of the actions for each row.
         """
         taken = np.asarray(self.decide(frame, stage), dtype=object)
         if taken.shape != (len(frame),):

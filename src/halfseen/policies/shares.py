@@ -20,15 +20,15 @@ def action_shares(policy: Any, task: Task, parts: Iterable[Logs]) -> pd.DataFram
     policy
         A policy.
     task
-        What it decides.
+        The task of the policy.
     parts
-        A log that fits it, whole or in parts.
+        A log of this task, whole or in parts.
 
     Returns
     -------
     DataFrame
-        One row a stage (the index): ``num_states``; ``as_logged``, the proportion of the states with a known action in
-        which the policy takes that one (NaN without such states); and ``shares``, for each action its proportion.
+        One row per stage (the index): ``num_states``; ``as_logged``, the proportion of states with a known action in
+        which the policy takes that action (NaN without such states); and ``shares``, the proportion of each action.
     """
     found: Any = pd.concat([_counted(policy, task, part) for part in parts]).groupby("stage").sum()
     names = list(task.block_names)
@@ -36,7 +36,7 @@ def action_shares(policy: Any, task: Task, parts: Iterable[Logs]) -> pd.DataFram
     return pd.DataFrame(
         {
             "num_states": found["num_states"],
-            # NaN, and no warning, where no action is known.
+            # NaN, and no warning, if no action is known.
             "as_logged": found["num_as_logged"] / found["num_known"].where(found["num_known"] > 0),
             "shares": [dict(zip(names, row, strict=True)) for row in taken],
         }
@@ -44,7 +44,7 @@ def action_shares(policy: Any, task: Task, parts: Iterable[Logs]) -> pd.DataFram
 
 
 def _counted(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
-    """Count in a part of a log, by stage, states, known actions, those that the policy takes, and what it takes."""
+    """Count, by stage of a part of a log, the states, known actions, agreements with the policy, and its actions."""
     at, horizon = stage_places(logs), horizon_of(policy)
     taken = task.target_probabilities(policy, logs, horizon)[at].argmax(axis=1)
     encoded = task.encode(logs, horizon)
@@ -62,12 +62,12 @@ def _counted(policy: Any, task: Task, logs: Logs) -> pd.DataFrame:
 
 
 def horizon_of(policy: Any) -> int:
-    """Stages that a learned policy is for."""
+    """Horizon of a learned policy."""
     return int(getattr(policy, "horizon", None) or policy.coefficients.shape[-3])
 
 
 def own_stages(policy: Any, rows: Any) -> Bool[np.ndarray, " m"]:
-    """In which stages, rows of a log, the policy would have done the same; in none beyond its horizon."""
+    """Rows of a log in which the policy would have taken the same action; none beyond its horizon."""
     is_own, stages = np.zeros(len(rows), dtype=bool), rows["stage"].to_numpy()
     for stage in np.unique(stages[stages <= policy.horizon]).tolist():
         at = np.flatnonzero(stages == stage)

@@ -1,4 +1,4 @@
-"""Decisions at a table: of a learned policy, a planner or a heuristic."""
+"""Decisions at a table, by a learned policy, a planner or a heuristic."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -20,7 +20,7 @@ from halfseen.world.random import Key, key_of
 from halfseen.world.state import TableState
 
 UNBOUNDED = ("num_objects",)
-"""Of the ranges, what may grow without bound in what Q looks at: shares, chances and rates of success cannot."""
+"""Ranges whose quantities are unbounded in what Q looks at; shares, chances and success rates are bounded."""
 
 
 @dataclass(frozen=True)
@@ -32,15 +32,15 @@ class TableDecider:
     policy
         The policy.
     ranges
-        What the logs showed where it was learned; nothing is outside for a policy that was not.
+        Ranges of the training logs; a policy that was not learned has none.
     seed
-        Of a policy that draws, such as a planner; the same seed gives the same decision.
+        Seed of a policy that draws, such as a planner; the same seed gives the same decision.
     extrapolates
-        Whether to decide where there are far more or fewer objects than in the logs, too.
+        Whether to decide even with far more or fewer objects than in the logs.
     q_error
-        What is known of the errors of a learned Q; None if nothing.
+        Errors of a learned Q; None if unknown.
     least_rewards
-        Of each verb, the least that it paid in the logs [reward]; empty if nobody knows. A planner knows its own.
+        The least reward of each verb in the logs [reward]; empty if unknown. A planner knows its own.
     """
 
     policy: Policy
@@ -51,22 +51,22 @@ class TableDecider:
     least_rewards: Mapping[str, float] = field(default_factory=dict)
 
     def decide(self, observation: Present) -> Decision:
-        """Decide where the trajectory stands now.
+        """Decide in the present state of the trajectory.
 
         Raises
         ------
         PolicyError
-            Far more or fewer objects are there than the logs showed, and Q is not to be extrapolated.
+            There are far more or fewer objects than in the logs, and extrapolation is not allowed.
         """
         return self.decide_with(observation, key_of(self.seed))
 
     def decide_with(self, observation: Present, key: Key) -> Decision:
-        """Decide with a key of one's own, such as that of a decision to be told again.
+        """Decide with a given key, such as that of a decision to be reproduced.
 
         Raises
         ------
         PolicyError
-            As `decide`.
+            As for `decide`.
         """
         state, names = observation.state, ActionSpace(observation.state.num_objects).names
         ranges, values = self.ranges(observation.stage), observed_values(state)
@@ -89,7 +89,7 @@ class TableDecider:
     def _valued(
         self, observation: Present, key: Key, names: tuple[str, ...]
     ) -> tuple[Float[np.ndarray, " A"], dict[str, tuple[float, float]], dict[str, float]]:
-        """What the policy goes by, and how sure Q is, by name; nothing where nobody knows."""
+        """The compared values, and the certainty of Q, by name; empty if unknown."""
         policy: Any = self.policy
         state, stage = observation.state, observation.stage
         if not (isinstance(policy, LinearTablePolicy) and policy.margin is not None and self.q_error):
@@ -109,7 +109,7 @@ class TableDecider:
 
 
 def observed_values(state: TableState) -> dict[str, dict[str, float]]:
-    """What the ranges of a policy of tables are of, and whose value each is."""
+    """Values for the ranges of a table policy, by what each belongs to."""
     tried = np.asarray(state.attempt_object)[:, None] == np.arange(state.num_objects)
     each = {
         "occlusion": 1.0 - np.prod(1.0 - np.asarray(state.hides, dtype=np.float64), axis=1),
@@ -132,11 +132,11 @@ def table_reason(
     Parameters
     ----------
     explanation
-        What there is to be said of the table.
+        Facts about the table that explain an action.
     q
         Q of each action; −∞ where impossible.
     chance_best
-        Probability that no action is better, by name; nothing where nobody knows it.
+        Probability that no action is better, by name; empty if unknown.
 
     Examples
     --------
@@ -150,7 +150,7 @@ WASH 0, it is half hidden (0.50), and nothing is known yet of whether it is dirt
     names, best = ActionSpace(len(explanation.is_there)).names, int(np.argmax(q))
     own = action_reason(explanation, best)
     clauses, other = [lead(names, q, best, chance_best or {}), own], next_best(q, best)
-    # What a wrong WASH costs is told once.
+    # The cost of a wrong WASH is stated once.
     free = replace(explanation, worst_wash=None)
     rest = explanation if action_reason(free, best) == own else free
     if other is not None and (against := action_reason(rest, other)) != own:

@@ -1,4 +1,4 @@
-"""From a cloud of a table, and its history, to what a policy decides from."""
+"""Observations of tables, from a point cloud and the history of the table."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -19,30 +19,30 @@ from halfseen.world.seeing import AssumedSeeing, KnownSeeing
 if TYPE_CHECKING:
     from halfseen.logs import Logs
 else:
-    Logs = Any  # A table that is seen for the first time has none.
+    Logs = Any  # A table without a history has none.
 
 
 @runtime_checkable
 class SeenLaw(Protocol):
-    """What a law of a cell tells of a view."""
+    """A cell's law of views."""
 
     @property
     def seeing(self) -> KnownSeeing:
-        """What labels tell."""
+        """The law of labels."""
         ...
 
     def scene(self, view: View) -> Scene:
-        """What is seen of a table, grips included."""
+        """The scene in a view, grips included."""
         ...
 
 
 class Past(NamedTuple):
-    """The trajectory so far of a table that is seen again."""
+    """The trajectory so far of a table that was seen before."""
 
     logs: Logs
-    """It is the last one of these."""
+    """Logs whose last trajectory it is."""
     held: bool | None = None
-    """Whether its last action held; None if nobody knows."""
+    """Whether its last action held; None if unknown."""
     folder: Path | None = None
     """Where the logs were read, for messages; None if nowhere."""
 
@@ -51,11 +51,11 @@ class TableSeen(NamedTuple):
     """A table in front of the camera."""
 
     present: Present
-    """Where its trajectory stands; where not all are cups, the first note says so."""
+    """The present state of its trajectory; if not all objects are cups, the first note says so."""
     view: View
-    """What the camera sees."""
+    """The view of the camera."""
     other_things: str
-    """That not all on it are cups; nothing where all may be."""
+    """A note that not all objects are cups; empty if all may be."""
 
 
 def read_table(
@@ -66,14 +66,14 @@ def read_table(
     labels: Path | None = None,
     law: SeenLaw | None = None,
 ) -> TableSeen:
-    """See the table, and put it where the trajectory stands by a folder of logs.
+    """Perceive the table, and place it in its trajectory by a folder of logs.
 
     Parameters
     ----------
     stored
         A policy of tables.
     file, history, stage, labels, law
-        As `read_observation` takes them.
+        As for `read_observation`.
 
     Raises
     ------
@@ -96,16 +96,16 @@ def see_table(
     labels: Path | None = None,
     law: SeenLaw | None = None,
 ) -> TableSeen:
-    """See the table, and put it where the trajectory stands.
+    """Perceive the table, and place it in its trajectory.
 
     Parameters
     ----------
     stored
         A policy of tables.
     file, stage, labels, law
-        As `read_observation` takes them.
+        As for `read_observation`.
     past
-        The trajectory so far; None where it begins.
+        The trajectory so far; None at its beginning.
 
     Raises
     ------
@@ -151,7 +151,7 @@ def _present(stored: StoredPolicy, view: View, scene: Scene, past: Past | None, 
 
 
 def _seen(before: Present, after: Present, said: str) -> str:
-    """Say what labels told, and how much they count."""
+    """Say what labels showed, and their weight."""
     if not before.is_labelled:
         return f"{said}; {chances_in_words(after)}."
     but = f", but for what is new to it: {', '.join(map(str, before.new))}" if before.new else ""

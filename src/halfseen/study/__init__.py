@@ -1,8 +1,8 @@
 """The study: one runner, one pipeline, and an experiment for each question.
 
-Read down: `setting` → `policies` (who takes part, and how long each decides) → `pipeline` (play → cut → treat → learn →
-evaluate) → `experiment` (what an experiment is, and its words) → `compare`, `figures` (tidy tables, paired tests,
-points with intervals) → `experiments` (the questions) → `runner` (what is done is kept) → `report`.
+Read down: `setting` → `policies` (the contenders, and their decision times) → `pipeline` (play → cut → treat → learn →
+evaluate) → `experiment` (the interface of experiments, and their texts) → `compare`, `figures` (tidy tables, paired
+tests, points with intervals) → `experiments` (the questions) → `runner` (resumable runs) → `report`.
 """
 
 from typing import TYPE_CHECKING

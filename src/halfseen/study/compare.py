@@ -1,4 +1,4 @@
-"""Rows of tidy tables: means with Student's t, the paired test of two policies, and how both are written."""
+"""Tidy tables: means with Student's t, the paired test of two policies, and how both are written."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
@@ -14,14 +14,14 @@ from halfseen.wording import INCONCLUSIVE, MISSING, NOT_SUPPORTED, SUPPORTED, es
 
 LEVEL = 0.95
 MEAN = ("mean_reward", "se", "low", "high")
-"""Columns of a mean reward: value, standard error, ends of the interval."""
+"""Columns of a mean reward: value, standard error, ends of the confidence interval."""
 EFFECT = ("effect", "effect_low", "effect_high")
 """Columns of a paired difference, ours − other, in tables of tests."""
 TESTED = ["p_value", "p_holm", "effect", "supported", "effect_low", "effect_high"]
 
 
 def where(table: Any, **values: Any) -> pd.DataFrame:
-    """Rows of a data frame that have these values, in their order; None stands for what is missing."""
+    """Rows of a data frame with these values, in order; None matches missing values."""
     kept = table
     for name, value in values.items():
         kept = kept[kept[name].isna() if value is None else (kept[name] == value).fillna(False)]
@@ -29,17 +29,17 @@ def where(table: Any, **values: Any) -> pd.DataFrame:
 
 
 def records(table: Any, **values: Any) -> list[Row]:
-    """Rows that have these values, as dictionaries."""
+    """Rows with these values, as dictionaries."""
     return [{str(name): value for name, value in row.items()} for row in where(table, **values).to_dict("records")]
 
 
 def row_of(table: Any, **values: Any) -> Row:
-    """The first row that has these values."""
+    """The first row with these values."""
     return records(table, **values)[0]
 
 
 def stacked(repetitions: Sequence[Mapping[str, Any]], name: str, *measures: str) -> list[Row]:
-    """Rows of this name, which all repetitions have alike, with arrays over repetitions for what was measured."""
+    """Rows of this name, the same in all repetitions, with arrays over repetitions for the measures."""
     return [
         rows[0] | {measure: np.array([row[measure] for row in rows]) for measure in measures}
         for rows in zip(*(piece[name] for piece in repetitions), strict=True)
@@ -47,7 +47,7 @@ def stacked(repetitions: Sequence[Mapping[str, Any]], name: str, *measures: str)
 
 
 def four(name: str) -> tuple[str, str, str, str]:
-    """Columns of an estimate: value, standard error, and ends of the interval."""
+    """Columns of an estimate: value, standard error, and ends of the confidence interval."""
     return name, f"{name}_se", f"{name}_low", f"{name}_high"
 
 
@@ -57,7 +57,7 @@ def three(name: str) -> list[str]:
 
 
 def over_repetitions(values: Float[np.ndarray, " R"]) -> Estimate:
-    """Mean over repetitions with its 95 % interval."""
+    """Mean over repetitions with its 95 % confidence interval."""
     return estimate_of(np.asarray(values, dtype=np.float64), len(values), LEVEL)
 
 
@@ -97,7 +97,7 @@ def signed_rank_test(
     effect = over_repetitions(difference)
     if not np.any(difference):
         return PairedTest(1.0, effect)
-    # The normal approximation, with its correction for ties: block means of a few dozen repetitions do tie.
+    # Normal approximation with tie correction: block means of a few dozen repetitions do tie.
     test: Any = stats.wilcoxon(difference, alternative=alternative, method="approx")
     return PairedTest(float(test.pvalue), effect)
 
@@ -108,7 +108,7 @@ def better(ours: Float[np.ndarray, " R"], other: Float[np.ndarray, " R"], measur
 
 
 def holm(p_values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Holm's step-down adjustment of p-values [Holm1979]_; what was not tested (NaN) stays so and does not count."""
+    """Holm's step-down adjustment of p-values [Holm1979]_; NaN (not tested) stays NaN and does not count."""
     tested = np.flatnonzero(np.isfinite(p_values))
     order = tested[np.argsort(p_values[tested])]
     scaled = p_values[order] * np.arange(len(order), 0, -1)
@@ -118,37 +118,37 @@ def holm(p_values: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
 
 
 def adjusted(table: pd.DataFrame, alpha: float) -> pd.DataFrame:
-    """Add p_holm and supported to a table of tests, in the order in which such tables are read."""
+    """Add p_holm and supported to a table of tests, and move the columns of the test to the end."""
     table = table.assign(p_holm=holm(table["p_value"].to_numpy(dtype=float)))
     table = table.assign(supported=(table["p_holm"] < alpha).astype("boolean").mask(table["p_holm"].isna()))
     return table.loc[:, [*table.columns.drop(TESTED), *TESTED]]
 
 
 def is_reward(measure: str) -> bool:
-    """Say whether more of a measure is better: times and scores are better the smaller they are."""
+    """Whether larger values of a measure are better; for times and scores smaller ones are."""
     return measure.endswith("reward")
 
 
 def learned_from(num_trajectories: int, cut_share: float) -> str:
-    """Say what was learned from."""
+    """Describe the log that a policy was learned from."""
     cut = "none of them cut" if cut_share == 0 else f"of which about {share_in_words(cut_share)} were cut"
     return f"learned from {num_trajectories} logged trajectories, {cut},"
 
 
 def estimated_in(row: Row, names: Sequence[str], decimals: int = 2) -> str:
-    """Write a value and its interval, which stand in these columns of a row."""
+    """Write a value and its interval from these columns of a row."""
     return estimated(*(row[name] for name in names), decimals=decimals)
 
 
 def gain_in(row: Row) -> Estimate:
-    """The effect in a row of a table of tests, above 0 where ours is better."""
+    """The effect in a row of a table of tests, above 0 if ours is better."""
     value, low, high = (float(row[name]) for name in EFFECT)
     value, low, high = (value, low, high) if is_reward(row["measure"]) else (-value, -high, -low)
     return Estimate(value, low, high, float("nan"), float("nan"))
 
 
 def verdict_of(row: Row) -> str:
-    """Verdict on a row of a table of tests; a dash where there was no test."""
+    """Verdict on a row of a table of tests; a dash if there was no test."""
     if pd.isna(row["supported"]):
         return MISSING
     if row["supported"]:

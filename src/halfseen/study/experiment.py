@@ -1,7 +1,7 @@
-"""What an experiment is: a frozen configuration that repeats, tabulates, draws and says what it claims.
+"""The interface of experiments: a frozen configuration that repeats, tabulates, draws and states its claims.
 
-A repetition is a pure function of the configuration, the setting, what was prepared once and its number; all four can
-be pickled, and what it returns is plain numbers. So repetitions may run in any order, in any process, on any machine.
+A repetition is a pure function of the configuration, the setting, the prepared results and its index. All four can be
+pickled, and the result is plain numbers. So repetitions may run in any order, in any process, on any machine.
 """
 
 import tomllib
@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 from halfseen import wording
 from halfseen.study.setting import Setting
 
-PieceOf = Mapping[str, Any]  # plain numbers, as they are kept between runs
+PieceOf = Mapping[str, Any]  # plain numbers, in the form kept between runs
 
 
 CUT_KIND_NAMES = {
@@ -25,11 +25,11 @@ CUT_KIND_NAMES = {
     "occlusion": "cuts where much is hidden",
     "attempt": "the operator's hand",
 }
-"""Kind of cut → name for people."""
+"""Kind of cut → its name in text."""
 
 
 class Pieces(NamedTuple):
-    """All that an experiment brought; `measured` are times on this machine, empty where nothing is measured."""
+    """All results of an experiment; `measured` are times on this machine, empty if nothing is measured."""
 
     prepared: PieceOf
     measured: PieceOf
@@ -41,9 +41,9 @@ Tables = dict[str, pd.DataFrame]  # tables by the name of their file
 
 
 class Drawing(NamedTuple):
-    """A figure and what stands beside it.
+    """A figure and its labels.
 
-    `name` is that of its files, `title` says what it shows in one sentence, and `draw` draws it under a title, or under
+    `name` is that of its files, `title` states its finding in one sentence, and `draw` draws it with a title, or with
     none if that is empty.
     """
 
@@ -55,7 +55,7 @@ class Drawing(NamedTuple):
 
 
 class Listing(NamedTuple):
-    """A table for people; `groups` are rows by the heading over them, which may be empty."""
+    """A table for readers; `groups` are rows by the heading over them, which may be empty."""
 
     label: str
     caption: str
@@ -73,7 +73,7 @@ class Listing(NamedTuple):
         heading: Callable[[Row], str] = lambda row: "",
         is_folded: bool = True,
     ) -> "Listing":
-        """Write rows, of each the cells that stand under the names of the header, and the heading over it."""
+        """Build a table from rows: `cells` writes the text of each column, and `heading` that over each row."""
         groups: dict[str, list[tuple[str, ...]]] = {}
         for row in rows:
             groups.setdefault(heading(row), []).append(tuple(cell(row) for cell in cells.values()))
@@ -81,10 +81,10 @@ class Listing(NamedTuple):
 
 
 class Section(NamedTuple):
-    """What an experiment says.
+    """The report of an experiment.
 
-    `sentences` are claims with estimate and test, the most important first; `num_leading` of them stand at the head of
-    the report. It opens with `opening`, of one section at most, whose title is the sentence beside it.
+    `sentences` are claims with estimate and test, the most important first; `num_leading` of them appear at the head of
+    the report. `opening` is the report's first figure, in at most one section; its title is the sentence beside it.
     """
 
     heading: str
@@ -115,19 +115,20 @@ def words(experiment: str, text: str, **facts: Any) -> str:
 class Experiment(Protocol):
     """One question of the study.
 
-    One that also measures times on this machine has ``measure(setting)``; nothing but these times depends on them.
+    An experiment that also measures times on this machine has ``measure(setting)``; only these times depend on the
+    machine.
     """
 
     name: ClassVar[str]
-    """Under which it is chosen and its pieces are kept."""
+    """Name by which it is chosen and its pieces are kept."""
 
     @property
     def most_repetitions(self) -> int | None:
-        """Repetitions at most; None: as many as the setting has."""
+        """Largest number of repetitions; None for as many as the setting has."""
         ...
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Find out once what all repetitions need."""
+        """Compute once what all repetitions need."""
         ...
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
@@ -139,5 +140,5 @@ class Experiment(Protocol):
         ...
 
     def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say what was found, from the tables alone."""
+        """Report the findings, from the tables alone."""
         ...

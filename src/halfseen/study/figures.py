@@ -1,4 +1,4 @@
-"""Figures of points with intervals: panels, series side by side, policies as lines across, and their names."""
+"""Figures of points with intervals: panels, series side by side, policies as level lines, and their names."""
 
 import textwrap
 from collections.abc import Callable, Mapping, Sequence
@@ -21,7 +21,7 @@ Looks = Mapping[str, dict[str, Any]]  # colour, marker and name of each series
 
 
 def looks(colours: Mapping[str, str], names: Mapping[str, str]) -> dict[str, dict[str, Any]]:
-    """Colour, marker and name of each series, by what it is."""
+    """Colour, marker and name of each series, by its key."""
     return {
         each: {"color": colour, "marker": marker, "label": names[each]}
         for marker, (each, colour) in zip(MARKERS, colours.items(), strict=False)
@@ -31,9 +31,9 @@ def looks(colours: Mapping[str, str], names: Mapping[str, str]) -> dict[str, dic
 def panels(
     title: str, size: tuple[float, float], shape: tuple[int, int], below: float, share: tuple[Any, Any], **grid: float
 ) -> tuple[Figure, float, Any]:
-    """Make a figure of panels that begin `below` its title, which ends at the height that is returned.
+    """Make a figure of panels that begin `below` its title, and return the height at which the title ends.
 
-    `share` says which panels share their axes, as Matplotlib's `sharex` and `sharey`.
+    `share` is Matplotlib's `sharex` and `sharey`.
     """
     figure = Figure(figsize=size)
     top = write_title(figure, title)
@@ -44,14 +44,14 @@ def panels(
 def two_panels(
     figure: Figure, top: float, left: float, width: float, foot: float, gap: float, lower_share: float
 ) -> tuple[Axes, Axes]:
-    """Make a panel above another that takes a share of the height; what is at the right is left for names."""
+    """Make two panels, the lower with a share of the height; the space at the right is left for names."""
     middle = foot + lower_share * (top - foot - gap)
     upper = figure.add_axes((left, middle + gap, width, top - middle - gap))
     return upper, figure.add_axes((left, foot, width, middle - foot), sharex=upper)
 
 
 def name_panel(axes: Axes, title: str, across: str = "") -> None:
-    """Write what a panel shows above it, and what its axis is below."""
+    """Write the title of a panel above it, and the label of its horizontal axis."""
     axes.set_title(title, **pages.PANEL_TITLE)
     if across:
         axes.set_xlabel(across)
@@ -66,7 +66,7 @@ def draw_series(
     dodge: float,
     draw: Callable[..., None] = draw_bars,
 ) -> None:
-    """Draw series, side by side along a logarithmic axis; `by` names the column of the series and of the axis."""
+    """Draw series side by side along a logarithmic axis; `by` names the columns of the series and of the axis."""
     name, across = by
     for k, (value, look) in enumerate(series.items()):
         rows = where(table, **{name: value})
@@ -74,13 +74,13 @@ def draw_series(
 
 
 def write_names(figure: Figure, top: float, names: Mapping[str, str], *of: Axes, **options: Any) -> None:
-    """Explain the series of panels, in the order of their names."""
+    """Write a legend of the series of panels, in the order of their names."""
     known = pages.named_curves(*of)
     pages.write_legend(figure, {name: known[name] for name in names.values() if name in known}, top, **options)
 
 
 def draw_level(axes: Axes, who: Contender, value: float, is_bold: bool, more: str = "") -> EndLabel:
-    """Draw what a policy is worth as a line across; the optimum has a name alone, as it is an end of the axis."""
+    """Draw the value of a policy as a level line; the optimum has a name only, as it is an end of the axis."""
     if who.kind != Kind.OPTIMUM:
         dashes, width = (0, who.dashes), 1.5 if is_bold else 0.9
         axes.axhline(value, color=who.colour, linestyle=dashes, linewidth=width, zorder=1.2)
@@ -96,7 +96,7 @@ def draw_by_cut_share(
     dodge: float,
     more: str = "",
 ) -> list[EndLabel]:
-    """Draw what was learned by size of the log, a curve for each proportion of cut trajectories."""
+    """Draw learned policies by size of the log, with a curve for each proportion of cut trajectories."""
     labels, num = [], len(cut_shares)
     for k, (cut_share, colour) in enumerate(zip(cut_shares, learned_shades(num), strict=True)):
         rows = where(table, policy=LEARNED.name, cut_share=cut_share)
@@ -111,7 +111,7 @@ def draw_by_cut_share(
 def finish_by_size(
     axes: Axes, name: str, sizes: Sequence[int], margins: tuple[float, float], labels: Sequence[EndLabel]
 ) -> None:
-    """Mark the sizes of logs, name a panel, and write the names of all lines at its right."""
+    """Mark the sizes of logs, title a panel, and write the names of all lines at its right."""
     pages.mark_sizes(axes, sizes)
     axes.set_xlim(min(sizes) / margins[0], max(sizes) * margins[1])
     name_panel(axes, name)
@@ -119,7 +119,7 @@ def finish_by_size(
 
 
 def draw_named_bars(points: pd.DataFrame, colours: Sequence[str], across: str, title: str) -> Figure:
-    """Draw values with their intervals, the columns of `INTERVAL`, as bars from 0 on, by name."""
+    """Draw values with their intervals, the columns of `INTERVAL`, as bars from 0, by name."""
     lines = textwrap.wrap(title, 62)
     figure = Figure(figsize=(7.2, 0.75 + 0.55 * len(points) + 0.26 * len(lines)), layout="constrained")
     axes = figure.add_subplot()

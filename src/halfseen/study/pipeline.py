@@ -1,29 +1,28 @@
-"""The one way from a policy to a policy: play → cut → encode → treat → learn → evaluate.
+"""The pipeline from a logging policy to a learned one: play → cut → encode → treat → learn → evaluate.
 
-*With laws*, by default, as the product learns of tables: laws are fitted to the log, and eq. 3 on the weighted log
-judges them. *Without*, linear eq. 3 alone: what is learned beside, and what treatments of cuts are compared by, as
-these are treatments of eq. 3:
+*With laws*, by default, it learns as the product does from tables: laws are fitted to the log, and eq. 3 on the
+weighted log checks them. *Without*, it is linear eq. 3 alone, which is reported for comparison and by which treatments
+of cuts are compared, as they are treatments of eq. 3:
 
 ``imputed``
-    Every begun stage, with an imputed target where it was cut, and Q at its lower confidence bound: what the product
-    does where nothing is said.
+    Every begun stage, with an imputed target where it was cut, and Q at its lower confidence bound: the default of the
+    product.
 ``weighted``
     Every completed stage, weighted by 1/Ĝ(U⁻): the paper's.
 ``unweighted``
-    Every completed stage alike.
+    Every completed stage, with equal weights.
 ``dropped``
-    Only trajectories that finished, all their stages alike.
+    Only trajectories that finished, all their stages with equal weights.
 ``failures``
-    Every completed stage alike, and the stage in which the cut fell counts as a failed attempt that ended the
-    trajectory: WASH costs what a failure costs, LIFT the time until the cut, and the dirty objects left are paid for as
-    at every end.
+    Every completed stage, with equal weights, and the stage of the cut as a failed attempt that ended the trajectory:
+    WASH costs what a failure costs, LIFT the time until the cut, and the dirty objects left cost as at every end.
 
-What tells the probability of a grasp in the features of linear eq. 3 is chosen by each log's attempts, alike for all
-treatments of the log: so they differ in what they make of cuts alone.
+The grasp model in the features of linear eq. 3 is chosen by each log's attempts, the same for all treatments of the
+log: so they differ only in their treatment of cuts.
 
-*Rewards by a control variate* (`halfseen.planners.control`), where the world has laws of known probabilities: what a
-policy's decisions fall short of V°, plus what V° is worth in the mean of many tables that are not played. Policies
-differ by the former alone.
+*Rewards by a control variate* (`halfseen.planners.control`), if the world has laws of known probabilities: the loss of
+a policy's decisions relative to V°, plus the mean of V° over many tables that are not played. Policies differ only in
+the former.
 """
 
 from collections.abc import Iterable, Sequence
@@ -71,24 +70,24 @@ from halfseen.world.state import Layout
 from halfseen.world.table_world import NUM_PILOT_TRAJECTORIES
 
 PILOT, LOGS, EVALUATION, HELD_OUT, SELECTION, STARTS = range(6)
-"""What random keys are for; other experiments' worlds draw from `purpose` on."""
-CUT_KIND: CutKind = "independent"  # how logs are cut where an experiment does not compare kinds of cuts
+"""Purposes of random keys; worlds of other experiments draw from `purpose` on."""
+CUT_KIND: CutKind = "independent"  # how logs are cut, unless an experiment compares kinds of cuts
 TREATMENTS = ("imputed", "weighted", "unweighted", "dropped", "failures")
 CENSORING = {"imputed": "auto", "weighted": "kaplan-meier"}
-"""Treatment → what the learner is told of cuts; nothing where it is not here."""
+"""Treatment → the learner's model of cuts; none for treatments not listed."""
 
 Grasp = GraspModel | Literal["auto"] | None
-"""What tells the probability of a grasp: a model; None for the rule of succession; ``"auto"``, chosen by the log."""
+"""Source of the probability of a grasp: a model; None for the rule of succession; ``"auto"``, chosen by the log."""
 
 
 @lru_cache(maxsize=64)
 def random_key(seed: int, purpose: int, index: int = 0) -> Key:
-    """Key of one purpose of a repetition."""
+    """Random key of one purpose of a repetition."""
     return random.fold_in(random.fold_in(random.key_of(seed), purpose), index)
 
 
 class Played(NamedTuple):
-    """What a policy earned on single episodes."""
+    """Rewards and robot times of a policy on single episodes."""
 
     reward: Float[np.ndarray, "*B"]
     robot_s: Float[np.ndarray, "*B"]
@@ -104,7 +103,7 @@ class Played(NamedTuple):
 
 @dataclass(frozen=True)
 class Source:
-    """Where the trajectories of repetition `index` come from: a world, its tables, and the seed of the study."""
+    """Source of the trajectories of repetition `index`: a world, its tables, and the seed of the study."""
 
     world: WorldConfig
     layouts: Layout
@@ -121,7 +120,7 @@ class Source:
         return random_key(self.seed, purpose, self.index)
 
     def play(self, num_trajectories: int, purpose: int = LOGS) -> Episodes:
-        """Trajectories of the logging policy that nothing cut."""
+        """Uncut trajectories of the logging policy."""
         return play(self.world, self.layouts, logging_policy(self.world), self.key(purpose), num_trajectories)
 
     def cut(self, episodes: Episodes, rate: float, kind: CutKind) -> CutEpisodes:
@@ -137,11 +136,11 @@ class Source:
         return self.play(NUM_PILOT_TRAJECTORIES, PILOT)
 
     def logged(self, episodes: Episodes, grasp: Grasp = AUTO, *, laws: bool = True) -> "LoggedTrajectories":
-        """Take episodes to learn from, as `LoggedTrajectories` has it."""
+        """Prepare episodes for learning, as `LoggedTrajectories`."""
         return LoggedTrajectories(self, episodes, grasp, laws)
 
     def evaluate(self, policy: Policy, num_episodes: int, purpose: int = EVALUATION) -> Played:
-        """Play a policy on the episodes of a purpose that all policies share."""
+        """Play a policy on the episodes of a purpose, which all policies share."""
         return self.evaluate_each([policy], num_episodes, purpose)[0]
 
     def evaluate_each(self, policies: Sequence[Policy], num_episodes: int, purpose: int = EVALUATION) -> list[Played]:
@@ -150,7 +149,7 @@ class Source:
         return [Played(*(np.asarray(of, dtype=np.float64) for of in (one.reward, one.robot_s))) for one in each]
 
     def decision_times_ms(self, contenders: Iterable[Contender], num_states: int, laws: bool) -> dict[str, float]:
-        """Median decision times [ms], on one state of each of many trajectories, early and late ones in turn.
+        """Median decision times [ms], on one state of each of many trajectories, alternately early and late ones.
 
         `laws` are those of the learned policy.
         """
@@ -161,7 +160,7 @@ class Source:
         return {name: float(np.median(values)) for name, values in decision_times_ms(timed, states).items()}
 
     def start_value(self, num_tables: int) -> float:
-        """Mean of V° of so many tables as they are set, none of which is played."""
+        """Mean of V° over this number of initial tables, none of which is played."""
         values = start_values(self.world, self.layouts, random_key(self.seed, STARTS), np.arange(num_tables))
         return float(values.mean())
 
@@ -174,13 +173,13 @@ class Source:
 
 
 def log_of(cuts: CutEpisodes, world: WorldConfig) -> Logs:
-    """Episodes as a log, from which attempts and laws are read; of the world, the share of dirty objects counts."""
-    # What tables are called tells nothing of laws; nor does the cause of a cut.
+    """Episodes as a log, to read attempts and laws from; of the world, only the share of dirty objects matters."""
+    # The names of tables do not affect laws; nor does the cause of a cut.
     return to_logs(cuts, CUT_KIND, (Scene(np.zeros((1, 1))),), world.dirty_share)
 
 
 def treated(cuts: CutEpisodes, encoded: Encoded, treatment: str, world: WorldConfig) -> TrajectoryArrays:
-    """A log as a learner sees it under one of `TREATMENTS`: as reading back its `Logs` gives it, without writing it."""
+    """A log as a learner sees it under one of `TREATMENTS`; equal to reading back its `Logs`, without writing it."""
     if treatment not in TREATMENTS:
         raise ArgumentError(f"treatment is {treatment!r}; it is one of {', '.join(TREATMENTS)}")
     clocks = StageClocks(
@@ -217,10 +216,10 @@ def _failure_reward(cuts: CutEpisodes, world: WorldConfig) -> Float[np.ndarray, 
 
 
 class Learned(NamedTuple):
-    """What was learned from a log.
+    """The result of learning from a log.
 
-    `weights` are effective sample size and largest of the weights of eq. 3, `linear` is what linear eq. 3 learns
-    without laws, and `assisted` says with what laws, and what the policy is built on; None where it is `linear`.
+    `weights` are the effective sample size and largest weight of eq. 3, `linear` is the policy of linear eq. 3 without
+    laws, and `assisted` holds the policy with laws and its basis; None if it is `linear`.
     """
 
     policy: Policy
@@ -230,16 +229,16 @@ class Learned(NamedTuple):
 
     @property
     def basis(self) -> str:
-        """What the policy is built on."""
+        """The basis of the policy."""
         return LINEAR if self.assisted is None else self.assisted.basis
 
 
 @dataclass(frozen=True)
 class LoggedTrajectories:
-    """Trajectories of a source that are learned from, however they are cut and treated.
+    """Trajectories of a source to learn from, for all cuts and treatments.
 
-    `grasp` tells the probability of a grasp in the features. With `laws`, which are for weighted logs alone, laws are
-    fitted; without them eq. 3 is linear.
+    `grasp` is the source of the probability of a grasp in the features. With `laws`, which are for weighted logs only,
+    laws are fitted; without them eq. 3 is linear.
     """
 
     source: Source
@@ -249,7 +248,7 @@ class LoggedTrajectories:
 
     @cached_property
     def encoded(self) -> Encoded:
-        """All trajectories as the learner sees them where no log has its own model of grasps."""
+        """All trajectories as the learner sees them, unless a log has its own grasp model."""
         action, is_taken = (np.asarray(leaf) for leaf in (self.episodes.action, self.episodes.is_taken))
         grasp = None if isinstance(self.grasp, str) else self.grasp
         return encoded_states(self.episodes.states, action, is_taken, grasp)
@@ -259,7 +258,7 @@ class LoggedTrajectories:
         return treated(cuts, self.encoded, treatment, self.source.world)
 
     def learn(self, logs: Sequence[tuple[CutEpisodes, str]], sizes: Sequence[int]) -> list[Learned]:
-        """Learn from the first trajectories of logs, each under its treatment; at each size from all."""
+        """Learn from the first trajectories of logs, each under its treatment; at each size from all logs."""
         treatments: dict[int, list[int]] = {}
         for number, (cuts, treatment) in enumerate(logs):
             if self.laws and treatment != "weighted":
@@ -270,7 +269,7 @@ class LoggedTrajectories:
             cuts = logs[numbers[0]][0]
             tried, evidence = pd.DataFrame({"trajectory": []}), None
             if isinstance(self.grasp, str) or self.laws:
-                # A log is written and read once; its first trajectories tell a part of that.
+                # A log is written and read once; its prefixes are subsets of that.
                 log = log_of(cuts, self.source.world)
                 tried = attempts(log, cuts.is_begun.shape[1])
                 evidence = evidence_of(log, self.source.world) if self.laws else None
@@ -293,7 +292,7 @@ class LoggedTrajectories:
     def _learn_from(
         self, trajectories: TrajectoryArrays, model: QModel, evidence: Evidence | None, tried: pd.DataFrame
     ) -> Learned:
-        """Linear eq. 3, and where there is evidence of laws, what `TableLearner` learns with the help of them."""
+        """Linear eq. 3, and with evidence of laws also the policy of `TableLearner`, which they assist."""
         rows = model.transitions(trajectories)
         linear = model.policy(model.fit(rows))
         found = weight_diagnostics(np.asarray(rows.weight))
@@ -316,7 +315,7 @@ class LoggedTrajectories:
     def _seen_by(
         self, cuts: CutEpisodes, tried: pd.DataFrame, num_trajectories: int
     ) -> tuple[GraspModel | None, Encoded]:
-        """What tells the probability of a grasp, by what the first of a log tried, and what the learner sees by it."""
+        """The grasp model chosen by the attempts of the first trajectories, and the trajectories encoded with it."""
         common = mapped(lambda leaf: leaf[:num_trajectories], self.encoded)
         if not isinstance(self.grasp, str):
             return self.grasp, common
@@ -330,7 +329,7 @@ class LoggedTrajectories:
         return grasp, common._replace(features=features)
 
     def model(self, treatment: str, grasp: GraspModel | None = None) -> QModel:
-        """How the product's own learner fits Q under a treatment, without laws."""
+        """The product's model of Q under a treatment, without laws."""
         source = self.source
         return CensoredQLearner.for_table(
             source.world.horizon,
@@ -342,9 +341,9 @@ class LoggedTrajectories:
 
 
 def episodes_in_turn(index: int, num_episodes: int, num_all: int) -> list[int]:
-    """Which of a repetition's episodes a slow policy plays: each repetition goes on with the next.
+    """Episodes of a repetition that a slow policy plays: each repetition continues where the last ended.
 
-    Episode i is of table i modulo their number: so all tables are met alike.
+    Episode i is of table i modulo the number of tables, so all tables are played equally often.
     """
     num_played = min(num_episodes, num_all)
     first = index * num_played if num_played < num_all else 0

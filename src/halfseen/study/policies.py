@@ -1,4 +1,4 @@
-"""Who takes part: each policy's name, how people call it, its kind, how it is made, and how long it takes to decide."""
+"""The contenders: each policy's name, label and kind, how it is made, and how long it takes to decide."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -25,13 +25,13 @@ from halfseen.world.state import TableState
 BEST = ("best_heuristic", "best_planner")
 """Roles of the heuristic and the planner that were the strongest on episodes of their own."""
 LOG_RANDOM_SHARE = 0.5
-"""Probability with which a logged action was drawn uniformly at random; else it is the strongest heuristic's."""
-MOST_TIMED_S = 0.25  # time that is spent on timing one policy, but for its last decision [s]
+"""Probability that a logged action was drawn uniformly at random; otherwise it is the strongest heuristic's."""
+MOST_TIMED_S = 0.25  # limit for timing one policy, except for its last decision [s]
 FEWEST_TIMED = 3
 
 
 class Kind(StrEnum):
-    """What a policy goes by."""
+    """The kind of a policy."""
 
     LEARNED = "learned"
     HEURISTIC = "heuristic"
@@ -49,14 +49,14 @@ COLOURS = {
     Kind.LINEAR: ORANGE,
     Kind.OPTIMUM: INK,
 }
-DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}  # lines of planners; others are dashed evenly
+DASHES = {Kind.PLANNER: (5.0, 1.5, 1.0, 1.5)}  # lines of planners; others have even dashes
 
 
 @dataclass(frozen=True)
 class Contender:
-    """A policy that takes part, by its name in tables and its label for people.
+    """A policy that takes part, with its name in tables and its label in text.
 
-    `make` makes it for a world; None where it is learned or known only by its value.
+    `make` makes it for a world; None if it is learned or known only by its value.
     """
 
     name: str
@@ -66,16 +66,16 @@ class Contender:
 
     @property
     def colour(self) -> str:
-        """Of its kind."""
+        """Colour of its kind."""
         return COLOURS[self.kind]
 
     @property
     def dashes(self) -> tuple[float, ...]:
-        """Of its kind."""
+        """Dashes of its kind."""
         return DASHES.get(self.kind, (4.0, 2.0))
 
     def policy(self, world: WorldConfig) -> Policy:
-        """Make it for a world."""
+        """Make the policy for a world."""
         assert self.make is not None, f"{self.name} is not made for a world"
         return self.make(world)
 
@@ -102,11 +102,11 @@ HEURISTICS = (
     _heuristic("greedy-penalty", "greedy, counting the penalty"),
     _heuristic("history-penalty", "history, counting the penalty"),
 )
-STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]  # whom the logging policy follows
+STRONGEST_RULE = by_name(*HEURISTICS)["history-penalty"]  # followed by the logging policy
 
 
 def planner(num_simulations: int) -> Contender:
-    """A planner that looks to the end of a trajectory with so many simulations a decision."""
+    """A planner that looks to the end of a trajectory, with `num_simulations` per decision."""
 
     def make(world: WorldConfig) -> POMDPPolicy:
         return POMDPPolicy(world, planning_horizon=world.horizon, num_simulations=num_simulations)
@@ -123,7 +123,7 @@ def fitted_planner(num_simulations: int) -> Contender:
 
 
 def horizon_planner(horizon: int, num_simulations: int) -> Contender:
-    """A planner that looks so many steps ahead."""
+    """A planner that looks `horizon` steps ahead."""
     label = f"POMDP planner, {horizon} {'step' if horizon == 1 else 'steps'} ahead"
     make = partial(POMDPPolicy, planning_horizon=horizon, num_simulations=num_simulations)
     return Contender(f"planner-{horizon}-ahead", label, Kind.PLANNER, make)
@@ -135,7 +135,7 @@ def logging_policy(world: WorldConfig) -> ExploringPolicy:
 
 
 def timed_policy(who: Contender, world: WorldConfig, laws: bool) -> Policy:
-    """A policy that decides as fast as a contender: what was learned, or what laws are, changes nothing in that.
+    """A policy with the decision time of a contender, which does not depend on the log or the laws.
 
     `laws` are those of the learned policy.
     """
@@ -151,8 +151,8 @@ def decision_times_ms(
 ) -> dict[str, Float[np.ndarray, " S"]]:
     """Time of a decision of each policy, in one thread [ms].
 
-    Each decides once on each state, the policies in turn, so that what slows the machine slows them alike; a policy
-    stops once `MOST_TIMED_S` are spent on it.
+    Each decides once on each state, the policies in turn, so that anything that slows the machine affects all alike. A
+    policy stops after `MOST_TIMED_S`.
     """
     key = random.key_of(0)
     times: dict[str, list[float]] = {name: [] for name in policies}

@@ -1,4 +1,4 @@
-"""The report: one page that opens with the answer and stands alone, without scripts or anything to load."""
+"""The report: one self-contained page that opens with the answer, without scripts or external resources."""
 
 import base64
 from collections.abc import Mapping, Sequence
@@ -20,26 +20,26 @@ from halfseen.view.templates import rendered
 from halfseen.wording import INCONCLUSIVE, NOT_SUPPORTED, SUPPORTED, as_sentence, percent, share
 from halfseen.world.scene import Scene
 
-# Smaller proportions are within what perception errs.
+# Smaller proportions are within the error of perception.
 SMALLEST_HIDDEN_SHARE = 0.02
 
 
 @dataclass(frozen=True)
 class StudyResults:
-    """What a study found; all that it writes is made from this alone.
+    """The findings of a study; all files are made from this alone.
 
     Parameters
     ----------
     setting
-        What was shared.
+        The shared setting.
     experiments
-        What was run.
+        The experiments that were run.
     tables
-        Of each experiment, what it found.
+        The tables of each experiment, by its name.
     sections
-        What each says, by its name.
+        The section of each experiment, by its name.
     versions
-        Of the packages that the numbers depend on.
+        Versions of the packages that the numbers depend on.
     """
 
     setting: Setting
@@ -50,13 +50,13 @@ class StudyResults:
 
     @property
     def answer(self) -> list[str]:
-        """The leading sentences of all sections, and where the laws come from."""
+        """The leading sentences of all sections, and the source of the laws."""
         leading = (section.sentences[: section.num_leading] for section in self.sections.values())
         return [*(sentence for sentences in leading for sentence in sentences), law_sentence(self.setting)]
 
 
 def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
-    """Write the page; `pictures` are PNG of scenes by name, and a scene without one is described in words alone."""
+    """Write the page; `pictures` are PNG of scenes by name, and a scene without one is described in words only."""
     setting, experiments = results.setting, results.experiments
     names = [scene.name for scene in setting.scenes]
     for name in pictures:
@@ -87,12 +87,12 @@ def report_of(results: StudyResults, pictures: Mapping[str, bytes]) -> str:
 
 
 def inline(drawing: Drawing) -> Markup:
-    """A figure as it stands in the page, where its title is beside it."""
+    """A figure in the form for the page, where its title is beside it."""
     return inline_svg(partial(drawing.draw, ""), f"f-{drawing.name}", drawing.title)
 
 
 def parameters(config: Any, before: str = "") -> list[tuple[str, str]]:
-    """Name and value of everything that a dataclass holds, and of the dataclasses in it."""
+    """Name and value of all fields of a dataclass, and of the dataclasses in it."""
     found = []
     for field in fields(config) if is_dataclass(config) else ():
         value, name = getattr(config, field.name), f"{before}{field.name}"

@@ -1,6 +1,6 @@
-"""The study from end to end: prepare once, repeat what is missing, tabulate, write tables, figures and the report.
+"""Runs of the study: prepare once, make missing repetitions, tabulate, write tables, figures and the report.
 
-What is done stays done: one file a piece, whole or not there, so that a killed study goes on.
+Finished work is kept: each piece is one file, written atomically, so that a killed study can be resumed.
 """
 
 import hashlib
@@ -30,12 +30,12 @@ from halfseen.writing import held_alone, write_file
 FINGERPRINT = "design.json"
 PREPARED = "prepared"
 TABULATING = 0.1
-"""What measuring and tabulating an experiment take, where its repetitions take 1: about as long for each of them."""
+"""Time for measuring and tabulating an experiment, relative to its repetitions; about the same for each of them."""
 MOST_AT_ONCE = 8  # repetitions that a worker makes in a row: short ones together take a few seconds
 
 
 def as_json(value: Any) -> str:
-    """The same bytes for the same value; NaN is refused."""
+    """Serialise a value; the same value gives the same bytes, and NaN is refused."""
     plain = json.dumps(
         value, indent=1, sort_keys=True, allow_nan=False, default=lambda array: np.asarray(array).tolist()
     )
@@ -43,10 +43,10 @@ def as_json(value: Any) -> str:
 
 
 class Store:
-    """The folder where an experiment keeps its pieces; those of another `fingerprint` are never mixed in.
+    """The folder where an experiment keeps its pieces; pieces of another `fingerprint` are never mixed in.
 
-    A piece is kept with a digest of itself and of the study that it belongs to: one that was changed, or that another
-    study wrote into the same folder meanwhile, is refused and not believed.
+    A piece is kept with a digest of itself and of its study. A piece that was changed, or that another study wrote into
+    the same folder in the meantime, is refused.
     """
 
     def __init__(self, folder: Path, fingerprint: dict[str, Any], is_resumed: bool) -> None:
@@ -87,7 +87,7 @@ class Store:
         Raises
         ------
         ArgumentError
-            It cannot be read, was changed, or is of another study.
+            The piece cannot be read, was changed, or is of another study.
         """
         path = self._file(name)
         try:
@@ -102,7 +102,7 @@ class Store:
         return kept["piece"]
 
     def kept(self, name: str, make: Callable[[], Any]) -> Any:
-        """Read a piece, which is made if it is not there; what was made is returned as it will be read."""
+        """Read a piece, and make it first if it is missing; a new piece is returned as it would be read."""
         if not self.has(name):
             self.keep(name, make())
         return self.read(name)
@@ -116,7 +116,7 @@ class Store:
 
 def store_of(experiment: Experiment, setting: Setting, folder: Path, is_resumed: bool) -> Store:
     """Open the store of an experiment; more repetitions add pieces and change none."""
-    # Of the law the numbers count, and not where it lies.
+    # The fingerprint has the numbers of the law, not its location.
     fixed = asdict(setting) | {"law": setting.law is not None, "repetitions": None}
     design = design_of(experiment) | {"most_repetitions": None}
     fingerprint = {"design": design, "setting": fixed, "versions": versions()}
@@ -129,23 +129,23 @@ def design_of(experiment: Experiment) -> dict[str, Any]:
 
 
 def repetition(index: int) -> str:
-    """Name of the piece that a repetition is."""
+    """Name of the piece of a repetition."""
     return f"repetition-{index:05d}"
 
 
 class Run(NamedTuple):
-    """An experiment, where it keeps its pieces, and the number of its repetitions."""
+    """An experiment with its store and its number of repetitions."""
 
     experiment: Experiment
     store: Store
     num: int
 
     def missing(self) -> list[int]:
-        """Repetitions that are to be made."""
+        """Repetitions that are still to be made."""
         return [index for index in range(self.num) if not self.store.has(repetition(index))]
 
     def tabulated(self, setting: Setting) -> Tables:
-        """Make the tables from the pieces that are kept; a resumed study has the times that the killed one measured."""
+        """Make the tables from the stored pieces; a resumed study keeps the times measured before it was killed."""
         repetitions = [self.store.read(repetition(index)) for index in range(self.num)]
         measure = getattr(self.experiment, "measure", None)
         measured = {} if measure is None else self.store.kept("measured", lambda: measure(setting))
@@ -155,14 +155,14 @@ class Run(NamedTuple):
 def run_all(
     experiments: Sequence[Experiment], setting: Setting, stores: Sequence[Store], workers: Workers
 ) -> list[Tables]:
-    """Run experiments, whose repetitions workers make.
+    """Run experiments, with repetitions made by workers.
 
-    Times are measured while nothing else runs: after that, when what is timed has been compiled.
+    Times are measured while nothing else runs: at the end, when the timed code has been compiled.
     """
     most = setting.repetitions
     nums = [min(most, each.most_repetitions or most) for each in experiments]
     runs = [Run(*each) for each in zip(experiments, stores, nums, strict=True)]
-    # Those of few repetitions, which are long, come first, so that all workers end together.
+    # Experiments with few repetitions, which are long, come first, so that all workers end together.
     in_order = sorted(runs, key=lambda run: run.num)
     with Progress(len(runs) * (1 + TABULATING), "study, prepare") as bar:
         with workers.ready() as pool:
@@ -189,19 +189,19 @@ def run_all(
 def _repeated(
     setting: Setting, ready: Sequence[tuple[Experiment, PieceOf]], some: tuple[int, Sequence[int]]
 ) -> list[PieceOf]:
-    """Make some repetitions of one of the experiments; who makes them changes nothing in them."""
+    """Make some repetitions of one of the experiments; the worker does not affect the results."""
     experiment, prepared = ready[some[0]]
     return [experiment.repeat(setting, prepared, index) for index in some[1]]
 
 
 def in_rows(indices: Sequence[int], num_workers: int) -> list[Sequence[int]]:
-    """Divide repetitions into rows for one worker each: long ones where there are many, so that all end together."""
+    """Divide repetitions into batches for one worker each: larger ones if there are many, so that all end together."""
     length = max(1, min(MOST_AT_ONCE, len(indices) // (8 * num_workers)))
     return [indices[begin : begin + length] for begin in range(0, len(indices), length)]
 
 
 def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS) -> tuple[Experiment, ...]:
-    """Experiments of these names; all if there are none."""
+    """Experiments of these names; all if no names are given."""
     known = {each.name: each for each in experiments}
     for name in names:
         if name not in known:
@@ -211,7 +211,7 @@ def chosen(names: Sequence[str], experiments: Sequence[Experiment] = EXPERIMENTS
 
 
 def without_laws(experiments: Sequence[Any]) -> tuple[Experiment, ...]:
-    """The same experiments, where what is learned is linear eq. 3 without laws."""
+    """The same experiments with linear eq. 3, without laws, as the learned policy."""
     return tuple(replace(each, laws=False) if hasattr(each, "laws") else each for each in experiments)
 
 
@@ -224,30 +224,30 @@ def run_study(
     workers: Workers = Workers(),  # noqa: B008 - frozen
     pictures: Mapping[str, bytes] | None = None,
 ) -> StudyResults:
-    """Run experiments and write all that they make into a folder.
+    """Run experiments and write all results to a folder.
 
     Parameters
     ----------
     setting
-        What they share.
+        The shared setting.
     folder
-        Where to write: report.html, tables as .csv, figures as .svg and .png, study.json; and ``progress/``, from which
-        a killed study is resumed.
+        Destination: report.html, tables as .csv, figures as .svg and .png, study.json; and ``progress/``, from which a
+        killed study is resumed.
     experiments
-        Which.
+        The experiments to run.
     is_resumed
-        Go on where a killed study stopped.
+        Continue a killed study.
     workers
-        Who makes the repetitions; by default a process a core.
+        The workers for the repetitions; by default one process per core.
     pictures
         PNG of each scene by its name, for the report.
 
     Raises
     ------
     ArgumentError
-        The folder cannot be written, another study writes into it, or it holds another one that is to be resumed.
+        The folder cannot be written, another study writes to it, or `is_resumed` and it holds another study.
     WorkerError
-        The workers cannot do it.
+        The workers are unavailable.
     """
     with held_alone(folder / "progress", "study"):
         stores = [store_of(each, setting, folder, is_resumed) for each in experiments]
@@ -259,7 +259,7 @@ def run_study(
 
 
 def write_results(results: StudyResults, pictures: Mapping[str, bytes], folder: Path) -> None:
-    """Write tables, figures and report, each whole or not at all."""
+    """Write tables, figures and report, each atomically."""
     for tables in results.tables:
         for name, table in tables.items():
             write_file(folder / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"))

@@ -1,4 +1,4 @@
-"""What all experiments share: tables as perception saw them, the world and its laws, repetitions and the seed."""
+"""The setting of all experiments: tables as perceived, the world and its laws, repetitions and the seed."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -23,27 +23,27 @@ DEFAULT_REPETITIONS = 40
 
 @dataclass(frozen=True)
 class Setting:
-    """What all experiments share.
+    """The setting of all experiments.
 
     Parameters
     ----------
     scenes
-        The tables, as perception saw them.
+        The tables, as perceived.
     repetitions
-        Fresh logs, each with a fresh block of evaluation episodes that all policies share; some experiments make do
-        with fewer.
+        Number of fresh logs, each with a fresh block of evaluation episodes that all policies share; some experiments
+        use fewer.
     seed
-        Everything follows from it, but for measured times.
+        Determines all results except measured times.
     alpha
-        Level of the tests.
+        Significance level of the tests.
     world
-        The numbers of the world.
+        Parameters of the world.
     law
-        Folder of the law that the world has, with the attempts that it was estimated from; None where the world's laws
-        are assumed.
+        Folder of the law of the world, with the attempts that it was estimated from; None if the world's laws are
+        assumed.
     grips
-        Grip offsets, quantiles of those that objects of the physical cell have; objects of random tables draw theirs
-        from them. None where all offsets are 0.
+        Grip offsets, as quantiles over objects of the physical cell; objects of random tables draw theirs from them.
+        None if all offsets are 0.
     """
 
     scenes: tuple[Scene, ...]
@@ -65,14 +65,14 @@ class Setting:
 
 
 def under(setting: Setting, folder: Path | None) -> tuple[Setting, Law | None]:
-    """Put a study under the law in a folder, if any.
+    """Apply the law in a folder, if any, to a study.
 
     Parameters
     ----------
     setting
-        Of the study; its rewards and horizon stay.
+        Setting of the study; its rewards and horizon are kept.
     folder
-        As `halfseen cell calibrate` writes it; None for the laws that are assumed.
+        A folder written by `halfseen cell calibrate`; None for the assumed laws.
 
     Raises
     ------
@@ -86,7 +86,7 @@ def under(setting: Setting, folder: Path | None) -> tuple[Setting, Law | None]:
 
 
 def law_sentence(setting: Setting) -> str:
-    """Say where the laws of the study's world come from."""
+    """State the source of the laws of the study's world."""
     if setting.law is not None:
         fit = read_law(setting.law).law.grasp
         return (
@@ -106,14 +106,14 @@ def law_sentence(setting: Setting) -> str:
 def look_at(
     paths: Sequence[Path], law: Law | None = None, workers: Workers = ALONE
 ) -> tuple[tuple[Scene, ...], dict[str, bytes]]:
-    """Perceive every cloud: scenes, named after their files, and what was seen, as PNG by the name of the scene.
+    """Perceive every cloud: scenes, named after their files, and pictures of them, as PNG by the name of the scene.
 
-    Under a law of a cell, what is seen of an object says how well it can be gripped.
+    Under a law of a cell, the visible part of an object determines its ease of grip.
 
     Raises
     ------
     ArgumentError
-        Two clouds have one name, by which scenes are told apart.
+        Two clouds have the same name, which must be unique among scenes.
     CloudError
         A cloud cannot be read, or shows no table.
     """

@@ -1,9 +1,9 @@
-"""What people look at: the report of a log and a policy, pictures of decisions, and runs stage by stage, also in 3-D.
+"""Displays: reports of a log and a policy, pictures of decisions, and runs stage by stage, also in 3-D.
 
-The report: `log_findings` and `policy_findings` (numbers) → `findings` → `words`, `log_figures`,
-`policy_figures` (the same, to be read) → `page`. Decisions: `decision_picture`. Runs: `shapes` (solids, shadows, what
-they hide) → `stage_view` (one stage, whatever it comes from) → `stages`, `cell_watch` (where stages come from); two
-back ends draw a stage: `recording` (pictures; and stages in a folder) and `viewer` (3-D, a page or a file).
+Reports: `log_findings` and `policy_findings` (numbers) → `findings` → `words`, `log_figures`, `policy_figures` (text
+and figures) → `page`. Decisions: `decision_picture`. Runs: `shapes` (solids, shadows, occlusion) → `stage_view` (one
+stage, independent of its source) → `stages`, `cell_watch` (sources of stages); two back ends draw a stage: `recording`
+(pictures, and stages in a folder) and `viewer` (3-D, a page or a file).
 """
 
 from typing import TYPE_CHECKING

@@ -1,6 +1,6 @@
 """A table in the physical cell, stage by stage as it is cleared."""
 
-# MuJoCo's names come from compiled modules without stubs, which pyright cannot look into.
+# MuJoCo's names come from compiled modules without stubs, which pyright cannot analyse.
 # pyright: reportAttributeAccessIssue=false
 
 from collections.abc import Callable, Sequence
@@ -29,19 +29,19 @@ from halfseen.world import random
 from halfseen.world.actions import ActionSpace
 from halfseen.world.policy import ExploringPolicy, Policy
 
-MOST_STAGES = 100  # so many are kept of a long run: each holds its cloud
+MOST_STAGES = 100  # the last stages kept of a long run: each holds its cloud
 _BETWEEN_MOMENTS_S = 0.4
 _NUM_AROUND, _NUM_UP = 20, 5
 _ARMS, _WOOD = ((150, 158, 168), (214, 160, 96), (120, 170, 150)), (196, 170, 132)
-"""Colours of the first arm, the second, and so on in turn; and of furniture."""
-_OF_THE_ROOM_M = 1.0  # what reaches farther from its middle is a wall or a floor, which the cloud shows [m]
+"""Colours of the arms, used in turn, and of furniture."""
+_OF_THE_ROOM_M = 1.0  # bodies that reach farther from their centre are walls or floors, which the cloud shows [m]
 _KINDS = mujoco.mjtGeom
 
 
 class TablesWatch:
-    """Follows tables, one after another, as `CellWatch` does.
+    """Follows tables, one after another, each by a `CellWatch`.
 
-    `watched` are the last `MOST_STAGES` stages, None at first; `on_change` is called with it whenever it changes.
+    `watched` holds the last `MOST_STAGES` stages, None at first; `on_change` is called with it whenever it changes.
     """
 
     def __init__(self, policy: Policy, horizon: int) -> None:
@@ -50,7 +50,7 @@ class TablesWatch:
         self.watched: Watched | None = None
 
     def follow(self, index: int, cell: Workcell) -> "CellWatch":
-        """Follow the table with a number; its cell is given before anything happens."""
+        """Follow the table of this number; to be called before anything happens in its cell."""
         before = () if self.watched is None else self.watched.stages
 
         def changed() -> None:
@@ -64,28 +64,28 @@ class TablesWatch:
 
 
 class CellWatch:
-    """Follows a table: give `decided` to `halfseen.cell.play`, and call `ended` with what it gives back.
+    """Follows a table: pass `decided` to `halfseen.cell.play`, and call `ended` with its result.
 
-    It looks and changes nothing: a table that is watched goes as one that is not. It is a
-    `halfseen.cell.live_cell.Watch`, and adds itself to the cell.
+    It only observes: watching a table does not change its run. It is a `halfseen.cell.live_cell.Watch`, and adds itself
+    to the cell.
 
     Parameters
     ----------
     cell
         The cell, before its first look.
     policy
-        Who decides.
+        The policy that decides.
     horizon
-        T of it [stages].
+        Horizon T of the policy [stages].
     name
-        Of the table.
+        Name of the table.
     on_change
-        Called whenever there is a new stage, or more is known of the last.
+        Called on every new stage, and when more is known about the last one.
 
     Attributes
     ----------
     stages
-        So far.
+        The stages so far.
     parts
         Bodies of the cell: of the arm, its hand, the table and the rack; not the cups.
     """
@@ -107,7 +107,7 @@ class CellWatch:
         cell.cell.watches.append(self)
 
     def __call__(self, live: LiveCell) -> None:
-        """Keep where the arm is, if it is time."""
+        """Record the pose of the arm at regular intervals."""
         if live.time_s >= self._next_s:
             self._poses.append(_poses(live, self._geoms))
             self._next_s = live.time_s + _BETWEEN_MOMENTS_S
@@ -124,7 +124,7 @@ class CellWatch:
         self._on_change()
 
     def ended(self, run: Run) -> None:
-        """Tell what came of it."""
+        """Add the outcome."""
         self._tell_what_was_learned()
         self._events.append("the table came to its own end" if run.cause is None else f"cut: {run.cause}")
         self._events.append(
@@ -137,7 +137,7 @@ class CellWatch:
         self._on_change()
 
     def _complete(self) -> None:
-        """Add to the last stage what came after its decision."""
+        """Add to the last stage what happened after its decision."""
         if self.stages and self._poses:
             planned = self._cell.planned[self._arm]
             hand = None if planned is None or planned is self._old_plan else _hand(self._cell, self._arm, planned)
@@ -172,7 +172,7 @@ class CellWatch:
         )
 
     def _tell_what_was_learned(self) -> None:
-        """Tell of attempts, objects and labels that are new since it was asked last."""
+        """Add events for new attempts, objects and labels since the last call."""
         new, looks = [], {"dirty": [], "clean": []}
         for number, known in enumerate(self._cell.memory.objects):
             num_trials, num_glances = self._num_known.get(number, (0, 0))
@@ -197,12 +197,12 @@ def _listed(numbers: Sequence[int]) -> str:
 
 
 def explained(policy: Policy, moment: Moment) -> tuple[tuple[Option, ...], str]:
-    """Say what a policy valued when it decided, and why it did.
+    """Say how a policy valued its actions, and why it decided as it did.
 
     Returns
     -------
     tuple
-        Its options, best first, none where it values nothing; and the reason in one sentence.
+        Its options, best first, none if the policy has no values; and the reason in one sentence.
     """
     state, name = moment.state, ActionSpace(moment.state.num_objects).names[moment.action]
     explanation = action_reason(TableExplanation.of(state), moment.action)
@@ -225,7 +225,7 @@ def _hand(cell: Workcell, arm: int, planned: Plan) -> Hand:
 
 
 def _shown_geoms(cell: LiveCell) -> list[int]:
-    """Numbers of the geoms that are shown: of robots and furniture."""
+    """Indices of the geoms that are shown: those of robots and furniture."""
     model = cell.model
     return [
         geom
@@ -246,7 +246,7 @@ def _part(cell: LiveCell, geom: int) -> Part:
 
 
 def _poses(cell: LiveCell, geoms: Sequence[int]) -> Float[np.ndarray, "parts 7"]:
-    """Where geoms are now: place [m] and quaternion (w, x, y, z)."""
+    """Present poses of geoms: position [m] and quaternion (w, x, y, z)."""
     poses = np.zeros((len(geoms), 7))
     for row, geom in zip(poses, geoms, strict=True):
         row[:3] = cell.data.geom_xpos[geom]
@@ -255,7 +255,7 @@ def _poses(cell: LiveCell, geoms: Sequence[int]) -> Float[np.ndarray, "parts 7"]
 
 
 def _points(model: mujoco.MjModel, geom: int) -> Points:
-    """Points whose convex hull is a geom, or holds it."""
+    """Points whose convex hull is a geom, or contains it."""
     kind, size = model.geom_type[geom], model.geom_size[geom]
     if kind == _KINDS.mjGEOM_MESH:
         mesh = model.mesh(model.geom_dataid[geom])

@@ -1,8 +1,8 @@
-"""A decision as a picture: what the camera sees, the chosen object and what is done to it, what each action is worth.
+"""Pictures of decisions: the camera's view, the chosen object and action, and the value of each action.
 
-Beside the table stand bars of what the policy goes by, with the interval of Q and the chance of each action of being
-best; below stands the reason. A policy of named actions has the bars alone. Letters are large beside the width, so that
-the picture is legible where it is 400 pixels wide.
+Beside the table, bars show the compared values, with the interval of Q and each action's chance of being best; the
+reason stands below. A policy of named actions has the bars only. Text is large relative to the width, so that the
+picture is legible at a width of 400 pixels.
 """
 
 import os
@@ -25,18 +25,18 @@ from halfseen.writing import write_file
 
 MOST_BARS = 8
 
-LIKELY = 0.05  # chance of being the best from which an action has a bar, whatever it is worth
+LIKELY = 0.05  # chance of being best from which an action has a bar, whatever its value
 
 WIDTH_INCHES = 7.2
 HEAD_INCHES, FOOT_INCHES = 0.5, 0.7
 LINE_INCHES, LETTER_SIZE, NUM_LETTERS = 0.215, 11.0, 84
 BAR_INCHES, LEAST_BARS_INCHES = 0.36, 1.2
 SHARE_OF_VIEW = 0.5
-BADGE_SHARE = 0.05  # radius of the badge with the glyph, of the width that is shown
+BADGE_SHARE = 0.05  # radius of the badge with the glyph, as a fraction of the shown width
 ROOM, LEAST_SHOWN = 1.35, 0.4
-"""Of the image, so much more than the objects take is shown, and at least this share."""
+"""Extent shown, relative to that of the objects; and least fraction of the image that is shown."""
 
-Glyph = Callable[[Axes, float, float, float], None]  # draws what is done: axes, middle (right, down), radius
+Glyph = Callable[[Axes, float, float, float], None]  # draws an action: axes, centre (right, down), radius
 
 
 def draw_decision(
@@ -47,16 +47,16 @@ def draw_decision(
     Parameters
     ----------
     path
-        Where to; its ending says which of the two. The file appears whole or not at all, and missing parents are made.
+        Destination; its extension determines the format. The file is written atomically, and missing parents are made.
     view
-        What the camera saw, for tables; None for named actions.
+        The camera's view, for tables; None for named actions.
     stage, horizon
-        The stage that was decided, from 1, and how many a trajectory may have.
+        The stage of the decision, from 1, and the largest number of stages of a trajectory.
 
     Raises
     ------
     ArgumentError
-        The file cannot be written there.
+        The file cannot be written.
     """
     kind = Path(path).suffix.lower().removeprefix(".")
     write_file(Path(path), drawn(lambda: _figure(decision, view, stage, horizon), kind))
@@ -88,7 +88,7 @@ def _figure(decision: Decision, view: View | None, stage: int, horizon: int) -> 
 
 
 def _shown(decision: Decision) -> list[str]:
-    """Actions by name, the best first: those that may well be the best, and as many others as there is room for."""
+    """Actions by name, the best first: those with a fair chance of being best, and as many others as fit."""
     known = {name: q for name, q in decision.q_values.items() if q is not None}
     ranked = sorted(known, key=lambda name: -known[name])
     likely = [name for name in ranked[1:] if decision.chance_best.get(name, 0.0) >= LIKELY]
@@ -97,7 +97,7 @@ def _shown(decision: Decision) -> list[str]:
 
 
 def _draw_table(axes: Axes, view: View, action: str) -> None:
-    """The cloud's picture, cut to what stands on the table, with the chosen object outlined."""
+    """The image of the cloud, cropped to the objects on the table, with the chosen object outlined."""
     draw_view(axes, view, LETTER_SIZE - 1.0, has_shares=False)
     left, right, top, bottom = _cut(view)
     axes.set_xlim(left, right)
@@ -105,7 +105,7 @@ def _draw_table(axes: Axes, view: View, action: str) -> None:
     radius = BADGE_SHARE * (right - left)
     verb, _, target = action.partition(" ")
     corner = right - 1.3 * radius, top + 1.3 * radius
-    # What a history knows of without its being seen has no outline.
+    # Objects that are known only from the history have no outline.
     if target and int(target) < len(view.objects):
         silhouette = view.silhouettes[int(target)]
         for width, colour in ((6.0, "white"), (3.2, ALARM)):
@@ -117,7 +117,7 @@ def _draw_table(axes: Axes, view: View, action: str) -> None:
 
 
 def _cut(view: View) -> tuple[float, float, float, float]:
-    """Left, right, top and bottom of what is shown [px]: all objects with room around, in the shape of the image."""
+    """Left, right, top and bottom of the crop [px]: all objects with a margin, at the aspect ratio of the image."""
     num_rows, num_columns = view.labels.shape
     is_object = (view.labels >= 0) | view.silhouettes.any(axis=0)
     rows, columns = np.flatnonzero(is_object.any(axis=1)), np.flatnonzero(is_object.any(axis=0))
@@ -132,7 +132,7 @@ def _cut(view: View) -> tuple[float, float, float, float]:
 def _badge_place(
     view: View, silhouette: np.ndarray, radius: float, cut: tuple[float, float, float, float]
 ) -> tuple[float, float]:
-    """A place beside the chosen object (column, row) at which the badge covers least of what stands there [px]."""
+    """A position beside the chosen object (column, row) at which the badge covers the least of other objects [px]."""
     left, right, top, bottom = cut
     rows, columns = np.nonzero(silhouette)
     middle = columns.mean(), rows.mean()
@@ -173,7 +173,7 @@ def _flag(axes: Axes, column: float, row: float, radius: float) -> None:
 
 
 GLYPHS: dict[str, Glyph] = {"WASH": _drop, "LIFT": _arrow_up, "FINISH": _flag}
-"""A verb without one has an empty badge."""
+"""Glyph of each verb; others have an empty badge."""
 
 
 def _draw_bars(axes: Axes, decision: Decision, shown: Sequence[str]) -> None:
@@ -181,7 +181,7 @@ def _draw_bars(axes: Axes, decision: Decision, shown: Sequence[str]) -> None:
     ends = np.array([decision.intervals.get(name, (q, q)) for name, q in zip(shown, values, strict=True)])
     low, high = min(values.min(), ends.min()), max(values.max(), ends.max())
     room = 0.08 * (high - low) or 0.1 * max(1.0, abs(high))
-    # Where all are far from 0, bars from 0 on would all look alike.
+    # If all values are far from 0, bars from 0 would look alike.
     from_zero = bool(low - 3.0 * (high - low) <= 0.0 <= high + 3.0 * (high - low))
     left, right = (min(low, 0.0), max(high, 0.0)) if from_zero else (low - room, high)
     axes.set_xlim(left - (room if left < 0.0 and from_zero else 0.0), right + room)

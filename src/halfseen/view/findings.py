@@ -1,4 +1,4 @@
-"""All that the report tells of a log, and of the policy that is judged by it, as numbers."""
+"""The numbers behind the report of a log, and of the policy that is evaluated on it."""
 
 import platform
 from collections.abc import Callable, Mapping
@@ -32,17 +32,17 @@ from halfseen.view.policy_findings import (
 from halfseen.workers import ALONE, Workers
 
 ASKED = {"censoring_covariates": "covariates", "truncate_at": "truncate_at"}
-"""Name on the page → name in the specification of the cuts, where it has one."""
+"""Name on the page → name in the specification of the cuts, if any."""
 LIBRARIES = ("matplotlib", "numpy", "pandas", "scikit-learn", "scipy")
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyFindings:
-    """What is known of a policy, by a log.
+    """Findings about a policy, from a log.
 
-    `choices` are what it would do in the states of the log, `curves` Q along its covariates with `band` around it, and
-    `maps` what it does over two of them (neither for tables, which have a `table_map`). `model` says how its value was
-    judged, and `is_own_log` whether it was learned from this very log.
+    `choices` are its actions in the states of the log, `curves` Q along its covariates with `band` around it, and
+    `maps` its actions over two covariates (both empty for tables, which have a `table_map`). `model` describes how its
+    value was estimated, and `is_own_log` is whether it was learned from this very log.
     """
 
     record: Mapping[str, Any]
@@ -58,7 +58,7 @@ class PolicyFindings:
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What is known of a log, and of a policy if there is one."""
+    """Findings about a log, and about a policy if there is one."""
 
     log: Mapping[str, Any]
     positivity: PositivityReport
@@ -72,11 +72,11 @@ class Findings:
 
     @property
     def unit(self) -> str | None:
-        """What rewards are counted in; None if nobody has said."""
+        """Unit of the rewards; None if unknown."""
         return self.log["reward_unit"]
 
     def as_dict(self) -> dict[str, Any]:
-        """All numbers but those of single trajectories, ready for JSON: null for what is no number."""
+        """Return all numbers except those of single trajectories, ready for JSON, with null for missing numbers."""
         numbers, policy = {}, self.policy
         if policy is not None:
             value = policy.evaluation
@@ -104,11 +104,11 @@ def find(
     workers: Workers = ALONE,
     **chosen: Any,
 ) -> Findings:
-    """Find out all that the page tells of a log and of the policy that is judged by it, if there is one.
+    """Compute the findings of the page about a log, and about the policy to evaluate on it, if there is one.
 
-    `against` is what the policy has to beat (see `evaluate`). `chosen` are parameters of the evaluation that are not to
-    be the policy's own (`specification_of`); bootstrap bands around Q come from `num_replicates` draws of trajectories.
-    Where it takes long, `workers` judge and learn again.
+    `against` names the baselines of the policy (see `evaluate`). `chosen` are parameters of the evaluation that
+    override the policy's own (`specification_of`); bootstrap bands around Q come from `num_replicates` draws of
+    trajectories. `workers` do the slow parts of the evaluation and of learning again.
     """
     digest, judged = log_digest(logs), None
     with noted() as of_library:

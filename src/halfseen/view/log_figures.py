@@ -1,4 +1,4 @@
-"""Figures of a log: trajectories along time, and how long they were watched; and one colour for each action."""
+"""Figures of a log: trajectories over time, and their follow-up; and a colour for each action."""
 
 from collections.abc import Iterable, Sequence
 from typing import Any
@@ -18,17 +18,17 @@ from halfseen.wording import counted
 OTHERS, OTHERS_COLOUR = "other actions", figures.SOFT
 UNKNOWN_COLOUR = "#b9b9b9"
 THICKEST_INCHES, MOST_INCHES, FEWEST_INCHES = 0.16, 4.6, 0.5
-GAP_ROWS = 0.02  # room between two ways to end, as a share of all rows
+GAP_ROWS = 0.02  # gap between two kinds of ending, as a fraction of all rows
 CAUSE_MARKERS = "XvD^*"
 LEGEND_COLUMNS, LEGEND_INCHES = 4, NARROW_INCHES - 0.2
 LINE_INCHES = 0.235
-MARGIN = 0.235  # of the width, for the names of the ways to end
+MARGIN = 0.235  # fraction of the width for the names of the kinds of ending
 NAME_INCHES, NAME_LINE_INCHES = MARGIN * NARROW_INCHES - 0.15, 0.17
 UNFINISHED_OPACITY = 0.4
 
 
 def action_colours(actions: Sequence[str]) -> dict[str, str]:
-    """Colours of actions in the order of their importance; those that are too many for the palette are `OTHERS`.
+    """Colours of actions in order of importance; actions beyond the palette are `OTHERS`.
 
     Examples
     --------
@@ -43,13 +43,13 @@ def action_colours(actions: Sequence[str]) -> dict[str, str]:
 
 
 def names_shown(actions: Iterable[str], colours: dict[str, str]) -> list[str]:
-    """What a legend of these actions names, in the order of the colours."""
+    """Names in the legend of these actions, in the order of the colours."""
     shown = {action if action in colours else OTHERS for action in actions}
     return [name for name in colours if name in shown]
 
 
 def draw_timeline(shown: Timeline, colours: dict[str, str]) -> Figure:
-    """Draw a line of stages for each row, with a marker for how it ended; the ways to end lie below each other."""
+    """Draw a line of stages for each row, with a marker for its ending; rows are grouped by kind of ending."""
     stages: Any = shown.stages
     num_rows = shown.num_rows
     actions = names_shown(set(stages["action"]) - {UNKNOWN_ACTION}, colours)
@@ -89,7 +89,7 @@ def draw_timeline(shown: Timeline, colours: dict[str, str]) -> Figure:
 
 
 def _places(shown: Timeline, names: Sequence[str], rows_inches: float) -> tuple[list[np.ndarray], float, float, float]:
-    """Heights of the rows of each way to end, with room for its name; top, bottom and height in inches of them all."""
+    """Heights of the rows of each kind of ending, with room for its name; top, bottom and total height [inches]."""
     gap = GAP_ROWS * shown.num_rows + 0.4
     row_inches = rows_inches / (shown.num_rows + (len(names) - 1) * gap + 0.5)
     halves = [NAME_LINE_INCHES * (name.count("\n") + 1) / 2 / row_inches for name in names]
@@ -106,7 +106,7 @@ def _places(shown: Timeline, names: Sequence[str], rows_inches: float) -> tuple[
 
 
 def _draw_stages(axes: Axes, shown: Timeline, place: np.ndarray, colours: dict[str, str]) -> None:
-    """One collection a colour, and a picture within the drawing where they are many."""
+    """Draw one collection per colour, rasterized if there are many stages."""
     stages: Any = shown.stages
     for (action, is_completed), own in stages.groupby(["action", "is_completed"], sort=False):
         top = place[own["row"]] - 0.42
@@ -120,7 +120,7 @@ def _draw_stages(axes: Axes, shown: Timeline, place: np.ndarray, colours: dict[s
 
 
 def _markers(groups: Sequence[EndingRows]) -> list[dict[str, Any]]:
-    """A stroke where a trajectory finished, and a shape of its own for each cause of a cut."""
+    """A stroke for trajectories that finished, and a shape of its own for each cause of a cut."""
     shapes = iter(CAUSE_MARKERS)
     stroke: dict[str, Any] = {"marker": "|", "color": INK, "mew": 1.3}
     cut: dict[str, Any] = {"color": INK, "mew": 0.5, "mec": "white"}
@@ -128,7 +128,7 @@ def _markers(groups: Sequence[EndingRows]) -> list[dict[str, Any]]:
 
 
 def draw_follow_up(shown: FollowUp) -> Figure:
-    """Draw Ĝ, below it the ends of trajectories, and below these the numbers still watched."""
+    """Draw Ĝ, below it the ends of trajectories, and below these the numbers still under observation."""
     names = [fitted(f"{name} ({len(ends_s):,})", NAME_INCHES, most_lines=3) for name, ends_s in shown.ends_s.items()]
     num_rows, num_lines = len(names), max(name.count("\n") + 1 for name in names)
     heights = [2.5, (0.24 if num_lines == 1 else NAME_LINE_INCHES * num_lines + 0.06) * num_rows + 0.1]

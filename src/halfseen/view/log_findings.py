@@ -1,4 +1,4 @@
-"""What a log holds, what looks wrong in it, and what its weights rest on."""
+"""The content of a log, its problems, and the support of its importance weights."""
 
 from dataclasses import asdict, dataclass
 from typing import Any, NamedTuple
@@ -15,14 +15,14 @@ from halfseen.logs.grouping import by_action, by_cause, by_robot, by_stage
 from halfseen.shapes import Float, Int
 
 NUM_RISK_TIMES = 7
-MOST_CAUSES = 5  # rarer causes are one kind of ending
+MOST_CAUSES = 5  # rarer causes are merged into one kind of ending
 FINISHED = "finished"
-MOST_ROWS = 160  # trajectories in a timeline, at most
+MOST_ROWS = 160  # largest number of trajectories in a timeline
 UNKNOWN_ACTION = "not recorded"
 
 
 def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
-    """Collect what there is to say of a log, ready for JSON; times in seconds."""
+    """Collect the findings about a log, ready for JSON; times in seconds."""
     summary, objects = logs.summary(), logs.objects
     weights = stage_weights(logs.elapsed_s(), logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
     stages = [weight_diagnostics(column) for column in weights.T]
@@ -64,12 +64,12 @@ def log_findings(logs: Logs, positivity: PositivityReport) -> dict[str, Any]:
 
 
 def positivity_of(logs: Logs) -> PositivityReport:
-    """Report what the weights of the trajectories of a log rest on, by Kaplan–Meier."""
+    """Report on the positivity of the weights of the trajectories of a log, by Kaplan–Meier."""
     return positivity_report(logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
 
 
 def _finishes(logs: Logs) -> dict[str, Any]:
-    """When and in which stages trajectories finished; None where none did."""
+    """Times and stages at which trajectories finished; None if none did."""
     ends_s = logs.end_s[logs.is_finished]
     last: Any = logs.stages.groupby("trajectory")["stage"].max().reindex(logs.trajectory_ids)[logs.is_finished]
     names = ("earliest_s", "median_s", "latest_s", "first_stage", "last_stage")
@@ -80,7 +80,7 @@ def _finishes(logs: Logs) -> dict[str, Any]:
 
 
 def endings(logs: Logs) -> dict[str, RowMask]:
-    """Which trajectories ended in each way: finished if any did, then by causes, the most frequent first."""
+    """Trajectories by kind of ending: finished if any did, then by cause, the most frequent first."""
     causes = [row["cause"] for row in by_cause(logs)]
     named = causes if len(causes) <= MOST_CAUSES else causes[: MOST_CAUSES - 1]
     cause = logs.trajectories["cause"].astype(str).to_numpy()
@@ -93,11 +93,11 @@ def endings(logs: Logs) -> dict[str, RowMask]:
 
 @dataclass(frozen=True, eq=False)
 class FollowUp:
-    """How long trajectories were watched, by Kaplan–Meier with the cuts for events.
+    """How long trajectories were under observation, by Kaplan–Meier with cuts as events.
 
-    Ĝ is `survival` from each of `time_s` on, where it steps, from 0 to the last observed end [s]. `ends_s` are those of
-    the trajectories that finished, and of those that each cause cut, the most frequent first. At round times [s],
-    `num_watched` trajectories were still watched just before.
+    Ĝ is `survival` from each of `time_s` on, where it steps, from 0 to the last observed end [s]. `ends_s` are the ends
+    of the trajectories that finished, and of those cut by each cause, the most frequent first. `num_watched`
+    trajectories were still under observation just before each of some round times [s].
     """
 
     time_s: Float[np.ndarray, " k"]
@@ -108,7 +108,7 @@ class FollowUp:
 
 
 def follow_up(logs: Logs) -> FollowUp:
-    """Say how long the trajectories of a log were watched."""
+    """Compute how long the trajectories of a log were under observation."""
     curve = KaplanMeier().fit(logs.end_s, logs.is_finished)
     risk_time_s = _round_times(curve.last_time_)
     return FollowUp(
@@ -121,7 +121,7 @@ def follow_up(logs: Logs) -> FollowUp:
 
 
 def _round_times(last_s: float) -> Float[np.ndarray, " r"]:
-    """Some round times from 0 on that do not go beyond the last end."""
+    """Some round times from 0 on, up to the last end."""
     step = last_s / (NUM_RISK_TIMES - 1)
     scale = 10.0 ** np.floor(np.log10(step))
     step = next(factor * scale for factor in (1.0, 2.0, 2.5, 5.0, 10.0) if factor * scale >= step)
@@ -129,7 +129,7 @@ def _round_times(last_s: float) -> Float[np.ndarray, " r"]:
 
 
 class EndingRows(NamedTuple):
-    """How many trajectories ended in one way, and how many of them a timeline shows."""
+    """Numbers of trajectories with one kind of ending, in all and in a timeline."""
 
     name: str
     num_trajectories: int
@@ -138,10 +138,10 @@ class EndingRows(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Timeline:
-    """Trajectories along time, a row each, by how they ended and then by length; of many, rows that stand for all.
+    """Trajectories over time, one row each, by kind of ending and then by length; of many, an evenly spaced sample.
 
-    `endings` are the ways to end in the order of the rows, `end_s` the ends of the rows [s], and `stages` what was done
-    when: row, begin_s, until_s [s], action, is_completed.
+    `endings` are the kinds of ending in the order of the rows, `end_s` the ends of the rows [s], and `stages` the
+    stages of the rows: row, begin_s, until_s [s], action, is_completed.
     """
 
     num_trajectories: int
@@ -151,12 +151,12 @@ class Timeline:
 
     @property
     def num_rows(self) -> int:
-        """Trajectories that are shown."""
+        """Number of trajectories shown."""
         return len(self.end_s)
 
 
 def timeline(logs: Logs) -> Timeline:
-    """Lay out the trajectories of a log; where they are many, evenly spaced ones of each way to end."""
+    """Lay out the trajectories of a log; of many, evenly spaced ones of each kind of ending."""
     groups, picked = [], []
     for name, is_own in endings(logs).items():
         trajectories = np.flatnonzero(is_own)
@@ -172,7 +172,7 @@ def timeline(logs: Logs) -> Timeline:
 
 
 def _stages_of(logs: Logs, trajectories: Int[np.ndarray, " r"]) -> pd.DataFrame:
-    """Stages of these trajectories, with the row of each, and when it began and was completed or cut [s]."""
+    """Stages of these trajectories, with the row of each, and its times of beginning and of completion or cut [s]."""
     row = pd.Series(np.arange(len(trajectories)), index=logs.trajectory_ids[trajectories])
     stages: Any = logs.stages[logs.stages["trajectory"].isin(list(row.index))]
     own = stages["trajectory"].map(row).to_numpy()

@@ -1,4 +1,4 @@
-"""The page of a policy in service: the answer, the course of what it earns, and that of the evidence for a change."""
+"""The page of a policy in service: the answer, its rewards over time, and the evidence for a change over time."""
 
 from functools import partial
 from typing import Any
@@ -20,13 +20,13 @@ SMALLEST_P = 1e-12
 
 
 def monitor_page(found: Monitored, unit: str | None, command: str) -> str:
-    """Write the page, which tells the command that makes it again."""
+    """Write the page, including the command that makes it again."""
     content = {"mark": MARK, "found": found, "figures": figures_of(found, unit), "command": command}
     return rendered("halfseen.view", "monitor.html.j2", content, counted=counted, significant=significant)
 
 
 def figures_of(found: Monitored, unit: str | None) -> dict[str, Markup]:
-    """Draw the course of what is earned, where that is known, and that of the evidence for a change, by title."""
+    """Draw the rewards over time, if known, and the evidence for a change over time, by title."""
     figures = {}
     if found.course is not None and found.outcomes is not None:
         title = "What a trajectory earns so far, with bounds that hold at all times, beside what was promised"

@@ -1,4 +1,4 @@
-"""The report as a page: findings in, HTML out; it stands alone, without scripts or anything to load."""
+"""The report as an HTML page of findings; it is self-contained, without scripts or external resources."""
 
 from collections.abc import Callable
 from functools import partial
@@ -25,18 +25,18 @@ from halfseen.writing import refuse_unwritable, write_file
 MARK = '<meta name="generator" content="halfseen report">'
 MARKED_CHARS = 1000
 MOST_ROWS = 30
-Drawing = tuple[str, list[Callable[[], Figure]]]  # what a figure shows, and its panels
+Drawing = tuple[str, list[Callable[[], Figure]]]  # the title of a figure, and its panels
 
 
 def page_of(findings: Findings, command: str) -> str:
-    """Write the page, which tells the command that makes it again."""
+    """Write the page, including the command that makes it again."""
     functions = (significant, with_interval, percent, listed, counted, as_sentence, labelled)
     named = {each.__name__: each for each in functions}
     return rendered("halfseen.view", "page.html.j2", {"mark": MARK, **_content(findings, command)}, **named)
 
 
 def check_page_target(file: Path, overwrite: bool) -> None:
-    """Refuse a file that the page cannot be written to or that is no such page; call it before long work."""
+    """Refuse a file that cannot be written, or that exists and is no such page; to be called before long work."""
     refuse_unwritable(file.parent)
     try:
         if not (file.exists() or file.is_symlink()):
@@ -50,19 +50,19 @@ def check_page_target(file: Path, overwrite: bool) -> None:
 
 
 def write_page(page: str, file: Path, *, overwrite: bool = False) -> None:
-    """Write the page so that it appears whole or not at all.
+    """Write the page atomically.
 
     Raises
     ------
     ArgumentError
-        The file is there already, is no page of this kind, or cannot be written.
+        The file exists, is no page of this kind, or cannot be written.
     """
     check_page_target(file, overwrite)
     write_file(file, page)
 
 
 def _content(findings: Findings, command: str) -> dict[str, Any]:
-    """Everything that the template names."""
+    """All variables of the template."""
     policy, log, positivity = findings.policy, findings.log, findings.log["positivity"]["text"]
     actions = [] if policy is None else [str(name) for name in policy.record["schema"]["actions"]]
     shown = [name for name in findings.timeline.stages["action"] if name != UNKNOWN_ACTION]
@@ -93,7 +93,7 @@ def _content(findings: Findings, command: str) -> dict[str, Any]:
 
 
 def _log_drawings(findings: Findings, colours: dict[str, str], verdict: str) -> dict[str, Drawing]:
-    """Figures of the log that have something to show, in the order of the page."""
+    """Figures of the log that are not empty, in the order of the page."""
     log, timeline, shown, positivity = findings.log, findings.timeline, findings.follow_up, findings.positivity
     drawings: dict[str, Drawing] = {
         "timeline": (words.timeline_title(timeline, log), [partial(draw_timeline, timeline, colours)]),
@@ -151,7 +151,7 @@ def _of_policy(policy: PolicyFindings, unit: str | None, colours: dict[str, str]
 
 
 def _value_rows(policy: PolicyFindings) -> list[dict[str, Any]]:
-    """What each policy earns: a trajectory, of today's, and in an hour."""
+    """Value of each policy: per trajectory, relative to the logging policy, and per hour."""
     evaluation = policy.evaluation
     shares, hourly = words.shares_of(evaluation), evaluation.per_hour
     own, ours, share = None, None, None
@@ -187,7 +187,7 @@ def _value_row(
 
 
 def _left_out(policy: PolicyFindings, colours: dict[str, str]) -> str:
-    """Say what of Q is not drawn."""
+    """Say which parts of Q are not drawn."""
     schema, curves = policy.record["schema"], policy.curves
     covariates, actions = schema.get("covariates", ()), schema["actions"]
     drawn = {

@@ -1,4 +1,4 @@
-"""Figures of a policy: what it earns, what it chooses in the states of a log, what an action is worth, and maps."""
+"""Figures of a policy: its value, its actions in the states of a log, the values of actions, and maps."""
 
 from itertools import pairwise
 from typing import Any
@@ -17,13 +17,13 @@ from halfseen.view.policy_findings import PolicyMap, QCurve, TableMap
 from halfseen.view.words import gains_of, values_of
 from halfseen.wording import labelled, with_interval
 
-BOUND_SPANS = 1.0  # how far beyond the other intervals that of importance sampling is drawn, in their span
+BOUND_SPANS = 1.0  # how far beyond the other intervals that of importance sampling is drawn, in their spans
 VERDICT_COLOURS = {"better": OURS, "not better": figures.ALARM, "inconclusive": figures.SOFT}
 
 MOST_CHOICES = 9
 NUM_COLUMNS = {1: 1, 2: 2, 3: 3, 4: 2, 5: 3, 6: 3, 7: 4, 8: 4, 9: 3}
-"""By number of panels: so many that at most one cell is left, which the legend then has."""
-FEW_STATES = 20  # below so many, markers are hollow and lines thin
+"""Number of columns by number of panels: at most one cell is left over, which the legend takes."""
+FEW_STATES = 20  # with fewer states, markers are hollow and lines thin
 LARGEST, SMALLEST = 90.0, 7.0  # areas of markers [pt²]
 MOST_TICKS = 8
 LEGEND_COLUMNS = 5
@@ -37,7 +37,7 @@ Rows = list[dict[str, Any]]
 
 
 def draw_values(evaluation: Evaluation) -> Figure:
-    """Draw what the policies earn, and below it the differences with a line at 0."""
+    """Draw the values of the policies, and below them the differences with a line at 0."""
     theirs, gains = values_of(evaluation), gains_of(evaluation)
     # Names of differences take up to three lines.
     figure = Figure(figsize=(NARROW_INCHES, 2.45 + 0.625 * len(theirs) + 0.85 * len(gains)))
@@ -65,7 +65,7 @@ def draw_values(evaluation: Evaluation) -> Figure:
 
 
 def _limits(core: list[Estimate], others: list[Estimate]) -> tuple[float, float]:
-    """Show all of `core`; of `others`, what lies near."""
+    """Show all of `core`, and of `others` the nearby part."""
     low, high = min(one.low for one in core), max(one.high for one in core)
     if not others:
         low, high = min(low, 0.0), max(high, 0.0)
@@ -104,7 +104,7 @@ def _forest(axes: Axes, rows: dict[str, tuple[Estimate, str, bool]], limits: tup
 
 
 def drawn_actions(choices: Rows) -> list[str]:
-    """Name the actions that have a panel: of those that the policy or the log takes at all, the most frequent."""
+    """Name the actions that have a panel: the most frequent of those that the policy or the log takes."""
     total = {
         name: sum(row["num_states"] * max(row["policy"][name], row["logged"][name] or 0.0) for row in choices)
         for name in choices[0]["policy"]
@@ -163,7 +163,7 @@ def _draw_action(axes: Axes, choices: Rows, name: str) -> None:
 
 
 def _mark_stages(panels: Any, choices: Rows, num_panels: int) -> None:
-    """Write below each stage how many states it has, under the lowest panel of each column."""
+    """Write the number of states below each stage, under the lowest panel of each column."""
     count = {row["stage"]: row["num_states"] for row in choices}
     stages = list(count)
     shown = MaxNLocator(MOST_TICKS, integer=True, min_n_ticks=1).tick_values(stages[0], stages[-1])
@@ -178,7 +178,7 @@ def _mark_stages(panels: Any, choices: Rows, num_panels: int) -> None:
 
 
 def draw_curves(curves: list[QCurve], colours: dict[str, str], unit: str | None = None) -> Figure:
-    """Draw Q along each covariate, others at their medians, with a band where there is one."""
+    """Draw Q along each covariate, with the others at their medians and a band if there is one."""
     stages = sorted({curve.stage for curve in curves})
     names = list(dict.fromkeys(curve.covariate for curve in curves))
     valued = {name for curve in curves for name in curve.q}
@@ -210,9 +210,9 @@ def draw_curves(curves: list[QCurve], colours: dict[str, str], unit: str | None 
 
 
 def draw_map(shown: PolicyMap, colours: dict[str, str]) -> Figure:
-    """Draw what the policy would do in one stage, hatched where the log has few states; dots are what was done.
+    """Draw the policy's actions in one stage, hatched where the log has few states; dots are the logged actions.
 
-    Of two covariates it is a map; of one it is a strip, above a row of dots for each action.
+    Two covariates give a map; one gives a strip, above a row of dots for each action.
     """
     done = set(shown.done)
     rows = [name for name in (*colours, *(one for one in shown.names if one not in colours)) if name in done]
@@ -260,7 +260,7 @@ def _draw_areas(axes: Axes, shown: PolicyMap, colours: dict[str, str], up: tuple
 
 
 def draw_table_map(shown: TableMap, verb: str) -> Figure:
-    """Draw how often a policy of tables would take a verb, by object; cells of too few objects are hatched."""
+    """Draw how often a table policy would take a verb, by object; cells of too few objects are hatched."""
     figure = Figure(figsize=(3.7, 3.2), layout="constrained")
     axes = figure.subplots()
     axes.set_facecolor("white")

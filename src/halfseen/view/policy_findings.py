@@ -1,6 +1,6 @@
-"""What a policy looks at, what it would do in the states of a log where another one decided, and maps of that.
+"""The actions of a policy in the states of a log that another policy made, Q along covariates, and maps of actions.
 
-Maps are over two covariates, or of objects, beside where the log has states.
+Maps are over two covariates, or of objects, and mark where the log has states.
 """
 
 from dataclasses import dataclass
@@ -27,23 +27,23 @@ from halfseen.workers import ALONE, Workers
 from halfseen.world.actions import TARGETED, ActionSpace
 
 MOST_STAGES, MOST_COVARIATES = 3, 4
-FEWEST_STATES = 10  # a stage of fewer has no curves and no map
+FEWEST_STATES = 10  # a stage with fewer states has no curves and no map
 NUM_POINTS = 41
 MIDDLE = (0.05, 0.95)  # Q is shown between these quantiles of a covariate: beyond, it rests on few states
 SAME_COEFFICIENTS = 1e-6
 BAND_LEVEL = 0.95
 Band = Literal["bootstrap", "regression"]
-"""What bands around Q are: what is learned from resampled trajectories, or by standard errors in its folder."""
+"""Source of bands around Q: learning from resampled trajectories, or the standard errors in the policy's folder."""
 
 
 def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]]:
-    """Tell for each stage of a log what was done there, and what the policy would do in the same states.
+    """Describe, for each stage of a log, the logged actions and those of the policy in the same states.
 
     Returns
     -------
     list of dict
-        stage, num_states; as_logged, the proportion of the states with a known action in which the policy takes that
-        one (None without such states); policy and logged, for each action its proportion.
+        stage, num_states; as_logged, the proportion of states with a known action in which the policy takes that action
+        (None without such states); policy and logged, the proportion of each action.
     """
     frame: Any = logs.stages[["stage", "action"]].dropna().astype({"action": str})
     logged = {stage: names.value_counts(normalize=True) for stage, names in frame.groupby("stage")["action"]}
@@ -62,7 +62,7 @@ def choices(stored: StoredPolicy, task: Task, logs: Logs) -> list[dict[str, Any]
 
 
 def middle_of(policy: DiscretePolicy, states: pd.DataFrame) -> dict[str, Any]:
-    """Median of each covariate of numbers, and the commonest category of each of text, the first of those equal."""
+    """Median of each numeric covariate, and most frequent category of each text covariate, the first of those tied."""
     return {
         name: states[name].astype(str).mode()[0] if name in policy.categories else float(states[name].median())
         for name in policy.covariates
@@ -71,11 +71,11 @@ def middle_of(policy: DiscretePolicy, states: pd.DataFrame) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class QCurve:
-    """Q of the actions of one stage along one covariate of numbers; others at their medians or commonest categories.
+    """Q of the actions of one stage along one numeric covariate, with the others at their medians or modes.
 
-    `q` is Q of each possible action at the values of a covariate; `low` and `high` are 95 % bands around it, where
-    there are any: the central 95 % of what it is when trajectories are resampled (bootstrap), or those of the errors of
-    the regression, as `halfseen.policies.decision` has them.
+    `q` is Q of each possible action at the values of the covariate. `low` and `high` are 95 % bands around it, if there
+    are any: from resampled trajectories (bootstrap), the central 95 % of Q; or from the errors of the regression, as in
+    `halfseen.policies.decision`.
     """
 
     stage: int
@@ -87,7 +87,7 @@ class QCurve:
 
     @property
     def sway(self) -> float:
-        """How far the covariate moves the actions against one another."""
+        """How much the covariate changes the actions' values relative to one another."""
         q = np.array(list(self.q.values()))
         return float(np.ptp(q - q.mean(axis=0), axis=1).max())
 
@@ -101,18 +101,18 @@ def q_curves(
     is_own_log: bool = True,
     workers: Workers = ALONE,
 ) -> tuple[list[QCurve], Band | None]:
-    """Follow Q of named actions along every covariate of numbers that varies, in the first stages; none for tables.
+    """Compute Q of named actions along every numeric covariate that varies, in the first stages; none for tables.
 
     Parameters
     ----------
     is_own_log
-        Whether the policy may have been learned from this very log, so that resampling it tells of its errors.
+        Whether the policy may have been learned from this very log, so that resampling it shows its errors.
 
     Returns
     -------
     curves : list of QCurve
     band
-        What their bands are; None where there are none.
+        Kind of their bands; None if there are none.
     """
     policy = stored.policy
     if not isinstance(policy, DiscretePolicy):
@@ -130,7 +130,7 @@ def q_curves(
 
 
 def telling(curves: list[QCurve]) -> list[str]:
-    """Covariates by how far they move the actions against one another, the farthest first."""
+    """Covariates by how much they change the actions' values relative to one another, the most influential first."""
     sway = dict.fromkeys((curve.covariate for curve in curves), 0.0)
     for curve in curves:
         sway[curve.covariate] += curve.sway
@@ -138,7 +138,7 @@ def telling(curves: list[QCurve]) -> list[str]:
 
 
 def _ends(values: Any) -> Float[np.ndarray, " 2"]:
-    """Between which Q is shown."""
+    """Ends of the range in which Q is shown."""
     return np.quantile(values.astype(float), MIDDLE)
 
 
@@ -159,7 +159,7 @@ def _curve(stored: StoredPolicy, replicates: Any, states: pd.DataFrame, stage: i
 def _regression_bands(
     stored: StoredPolicy, at: pd.DataFrame, stage: int
 ) -> tuple[Float[np.ndarray, "k A"], Float[np.ndarray, "k A"]] | None:
-    """The intervals of `halfseen act`, from the margin in the policy's folder; None where it has none."""
+    """The intervals of `halfseen act`, from the margin in the policy's folder; None without one."""
     known, policy = stored.q_error, stored.policy
     if known is None:
         return None
@@ -170,7 +170,7 @@ def _regression_bands(
 
 
 def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int, workers: Workers) -> Any:
-    """Learn again from trajectories resampled (bootstrap); None where this log does not give this policy."""
+    """Learn again from resampled trajectories (bootstrap); None if this log does not reproduce the policy."""
     learned, policy = stored.record["learner"], stored.policy
     if learned.get("censoring") not in CENSORING_CHOICES:
         return None
@@ -192,23 +192,23 @@ def _replicates(stored: StoredPolicy, logs: Logs, num_replicates: int, seed: int
 
 
 NUM_CELLS, NUM_TABLE_CELLS = 90, 10  # along each axis: of a map of states, and of one of objects
-SHOWN = (0.01, 0.99)  # a map reaches from one of these quantiles of a covariate to the other
+SHOWN = (0.01, 0.99)  # a map extends between these quantiles of a covariate
 NEAR, FEWEST_NEAR = 0.5, 5
-"""A place has support where so many logged states lie within this distance, in standard deviations."""
-LEAST_SUPPORTED = 0.05  # of a map: less is not drawn
+"""A place has support if at least this many logged states lie within this distance, in standard deviations."""
+LEAST_SUPPORTED = 0.05  # a map with a smaller supported fraction is not drawn
 MOST_DOTS = 300
-FEWEST_OBJECTS = 20  # a cell of fewer is not coloured
+FEWEST_OBJECTS = 20  # a cell with fewer objects is not coloured
 NEEDED = {"location", "log_odds", "occlusion"}
 ON_TABLE = "TABLE"
 
 
 @dataclass(frozen=True, eq=False)
 class PolicyMap:
-    """What a policy would do in one stage over one or two covariates; everything else stands in the `middle`.
+    """A policy's actions in one stage over one or two covariates; the others are fixed at the `middle`.
 
-    `taken` names the action at each place, up by across (`up` is None for a strip), and `is_supported` says where the
-    log has states enough. `dots` are covariates of logged states, evenly spaced ones where there are many, and `done`
-    is what was done there.
+    `taken` names the action at each place, up by across (`up` is None for a strip), and `is_supported` marks places
+    with enough states in the log. `dots` are covariates of logged states, evenly spaced ones if there are many, and
+    `done` are their logged actions.
     """
 
     stage: int
@@ -223,17 +223,17 @@ class PolicyMap:
 
     @property
     def names(self) -> list[str]:
-        """Every action that is taken or was, by name."""
+        """Names of all actions in `taken` and `done`."""
         return list(dict.fromkeys([*map(str, np.unique(self.taken)), *map(str, self.done)]))
 
 
 def policy_maps(policy: DiscretePolicy, logs: Logs, telling: list[str]) -> list[PolicyMap]:
-    """Draw up the maps of the first stages.
+    """Compute the maps of the first stages.
 
     Parameters
     ----------
     telling
-        Covariates of numbers, those that sway the choice most first.
+        Numeric covariates, the most influential first.
     """
     stages = range(1, min(MOST_STAGES, logs.horizon, policy.horizon) + 1)
     frame: Any = logs.stages
@@ -277,12 +277,12 @@ def _map_of(policy: DiscretePolicy, states: pd.DataFrame, stage: int, telling: l
 def supported(
     across: Float[np.ndarray, " k"], up: Float[np.ndarray, " j"] | None, states: Float[np.ndarray, "n d"]
 ) -> Bool[np.ndarray, "j k"]:
-    """Whether enough logged states lie near each place of a grid, each covariate by its standard deviation."""
+    """Whether enough logged states lie near each place of a grid, each covariate in its standard deviations."""
     x, y = (states / states.std(axis=0)).T if up is not None else (states[:, 0] / states.std(), np.zeros(len(states)))
     heights = np.zeros(1) if up is None else up / states[:, 1].std()
     num_near = np.zeros((len(heights), len(across)), dtype=np.int64)
     for column, place in enumerate(across / states[:, 0].std()):
-        # In a column of places those near a state are the ones between two heights.
+        # In a column of places, those near a state lie between two heights.
         squared = NEAR**2 - (x - place) ** 2
         reach, middle = np.sqrt(squared[squared >= 0.0]), y[squared >= 0.0]
         begun = np.searchsorted(np.sort(middle - reach), heights, side="right")
@@ -292,10 +292,10 @@ def supported(
 
 @dataclass(frozen=True, eq=False)
 class TableMap:
-    """Of the objects on the tables of a log, by how dirty they seem and how much of them is hidden.
+    """The objects on the tables of a log, by probability of being dirty and by hidden share.
 
-    Cells have edges in the probability of being dirty and in the hidden share; an object counts once in every state.
-    `share` is, by verb, that of the objects to which the policy would do it next; NaN where there are too few.
+    Cells have edges in both; an object counts once in every state. `share` is, by verb, the proportion of objects to
+    which the policy would apply it next; NaN for too few objects.
     """
 
     chance_edges: Float[np.ndarray, " c"]
@@ -305,7 +305,7 @@ class TableMap:
 
 
 def table_map(policy: Any, task: Task, logs: Logs) -> TableMap | None:
-    """Count what a policy would do to the objects of a log; None where the log does not say how they stand."""
+    """Count a policy's verbs for the objects of a log; None if the log does not describe them."""
     if logs.objects is None or not set(logs.objects.columns) >= NEEDED:
         return None
     objects = _with_verbs(policy, task, logs)
@@ -343,6 +343,6 @@ def _with_verbs(policy: Any, task: Task, logs: Logs) -> Any:
 
 
 def _edges(values: Float[np.ndarray, " n"]) -> Float[np.ndarray, " k"]:
-    """Of cells of equal width, over what there is."""
+    """Edges of cells of equal width, over the range of the values."""
     low, high = float(values.min()), float(values.max())
     return np.linspace(low, high if high > low else low + 1.0, NUM_TABLE_CELLS + 1)

@@ -1,11 +1,11 @@
-"""Runs in files: stages in a folder, and a run as an animated picture, drawn without a viewer. Reading runs no code.
+"""Runs in files: a folder of stages, and an animated picture drawn without a viewer. Reading runs no code.
 
 ::
 
     recording/
       recording.json      format, source, number of stages
       parts.npz           bodies of the cell
-      stage-0001.npz …    arrays of a stage, and its words as JSON
+      stage-0001.npz …    arrays of a stage, and its text as JSON
 """
 
 import io
@@ -42,7 +42,7 @@ from halfseen.view.stage_view import (
 )
 from halfseen.writing import placed, write_file
 
-MARKER = "recording.json"  # every recording holds it
+MARKER = "recording.json"  # present in every recording
 _FORMAT = 1
 _PARTS = "parts.npz"
 _STAGE = "stage-{:04d}.npz"
@@ -58,14 +58,14 @@ def write_recording(watched: Watched, folder: str | os.PathLike[str], *, overwri
     watched
         The run.
     folder
-        Where to.
+        Destination.
     overwrite
-        Replace a recording that is there.
+        Replace an existing recording.
 
     Raises
     ------
     ArgumentError
-        Something is there already and is not to be replaced, or the folder cannot be written.
+        Something is there already and may not be replaced, or the folder cannot be written.
     """
     with placed(Path(folder), overwrite=overwrite, marker=MARKER, kind="recording") as fresh:
         head = {"format": _FORMAT, "source": watched.source, "num_stages": len(watched.stages)}
@@ -81,12 +81,12 @@ def read_recording(folder: str | os.PathLike[str]) -> Watched:
     Parameters
     ----------
     folder
-        Where `write_recording` wrote it.
+        A folder written by `write_recording`.
 
     Raises
     ------
     ArgumentError
-        It is no recording, of a later format, or broken.
+        The folder is no recording, of a later format, or damaged.
     """
     folder = Path(folder)
     try:
@@ -188,7 +188,7 @@ _FOCAL_PX = 0.75 * _WIDTH_PX
 _NEAREST_M = 0.05
 _MOMENT_MS, _STAGE_MS = 300, 1800
 _NUM_COLOURS = 96
-_EVERY = 5  # every so manyth moment is drawn
+_EVERY = 5  # every fifth moment is drawn
 _WORDS = (40, 40, 45, 255)
 
 Colour = tuple[int, int, int, int]
@@ -211,7 +211,7 @@ def write_gif(watched: Watched, file: str | os.PathLike[str]) -> None:
         pictures += [_picture(lens, behind, stage, watched.parts, moment) for moment in moments]
         held_ms += [*[_MOMENT_MS] * (len(moments) - 1), _STAGE_MS]
     content = io.BytesIO()
-    # One palette for all, so that what stands still is stored once.
+    # One palette for all frames, so that what does not move is stored once.
     palette = pictures[len(pictures) // 2].quantize(_NUM_COLOURS, Image.Quantize.MAXCOVERAGE)
     reduced = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
     reduced[0].save(content, "GIF", save_all=True, append_images=reduced[1:], duration=held_ms, loop=0, optimize=True)
@@ -219,7 +219,7 @@ def write_gif(watched: Watched, file: str | os.PathLike[str]) -> None:
 
 
 class _Lens:
-    """A pinhole camera that looks from a place at another."""
+    """A pinhole camera at a position, pointed at another."""
 
     def __init__(self, from_m: Vector, at_m: Vector) -> None:
         ahead = (at_m - from_m) / np.linalg.norm(at_m - from_m)
@@ -228,19 +228,19 @@ class _Lens:
         self._from_m, self._axes = from_m, np.stack([right, np.cross(ahead, right), ahead])
 
     def seen(self, points_m: Points) -> tuple[Pixels, Float[np.ndarray, " n"]]:
-        """Where points are in the picture [px], and how far ahead [m]."""
+        """Coordinates of points in the picture [px], and their depth [m]."""
         camera_m = (points_m - self._from_m) @ self._axes.T
         ahead_m = np.maximum(camera_m[:, 2], 1e-3)
         middle_px = np.array([0.5 * _WIDTH_PX, 0.7 * _HEIGHT_PX])
         return middle_px + _FOCAL_PX * camera_m[:, :2] / ahead_m[:, None], camera_m[:, 2]
 
     def pixels(self, points_m: Points) -> list[tuple[float, float]]:
-        """Where points are in the picture [px], for a pen."""
+        """Coordinates of points in the picture [px], for a pen."""
         return [(x, y) for x, y in self.seen(points_m)[0].tolist()]
 
 
 def _with_points(lens: _Lens, stage: StageView) -> UInt8[np.ndarray, "H W 3"]:
-    """The cloud: the nearest point of each pixel, and of the pixels beside it."""
+    """Draw the cloud: the nearest point of each pixel, and of the adjacent pixels."""
     picture = np.full((_HEIGHT_PX, _WIDTH_PX, 3), 255, dtype=np.uint8)
     pixels, ahead_m = lens.seen(stage.points_m)
     order = np.argsort(-ahead_m, kind="stable")
@@ -255,7 +255,7 @@ def _with_points(lens: _Lens, stage: StageView) -> UInt8[np.ndarray, "H W 3"]:
 def _picture(
     lens: _Lens, behind: UInt8[np.ndarray, "H W 3"], stage: StageView, parts: tuple[Part, ...], moment: int
 ) -> Image.Image:
-    """Draw a moment: what lies behind first."""
+    """Draw a moment, from back to front."""
     whole = Image.new("RGB", (_WIDTH_PX, _HEIGHT_PX + _CAPTION_PX), (255, 255, 255))
     whole.paste(Image.fromarray(behind))
     pen, font = ImageDraw.Draw(whole, "RGBA"), ImageFont.load_default(13)
@@ -282,7 +282,7 @@ def _picture(
 
 
 def _fitting(words: str, font: "ImageFont.FreeTypeFont | ImageFont.ImageFont") -> str:
-    """As much of a sentence as is as wide as the picture."""
+    """The beginning of a sentence, as wide as the picture."""
     kept, end = words, ""
     while font.getlength(kept + end) > _WIDTH_PX - 2 * _MARGIN_PX:
         kept, end = kept.rsplit(" ", 1)[0] if end else kept, " …"
@@ -296,7 +296,7 @@ def _placed(part: Part, pose: Float[np.ndarray, " 7"]) -> Mesh:
 
 
 def _fill(pen: ImageDraw.ImageDraw, lens: _Lens, mesh: Mesh | None, colour: Colour) -> None:
-    """Fill the outline of a convex solid, if there is one: that of its corners in the picture."""
+    """Fill the silhouette of a convex solid, if there is one: the hull of its corners in the picture."""
     if mesh is None:
         return
     pixels, ahead_m = lens.seen(mesh.vertices_m)

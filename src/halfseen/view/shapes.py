@@ -1,7 +1,7 @@
-"""Convex solids as meshes: their shadows behind the camera's light, and what they hide of one another.
+"""Convex solids as meshes: their shadows as seen from the camera, and the occlusion between them.
 
-A camera sees what no solid stands before, as a lamp in its place would light it. What a convex solid K hides from an
-eye e is {e + t (k − e) : k ∈ K, t > 1}, which is convex, too.
+A camera sees the points that a lamp in its place would light. The points that a convex solid K hides from an eye e are
+{e + t (k − e) : k ∈ K, t > 1}, which is convex, too.
 """
 
 from collections.abc import Sequence
@@ -15,34 +15,34 @@ from halfseen.perception.clouds import Vector
 from halfseen.shapes import Bool, Float, Int
 
 LONGEST_SHADOW_M = 0.6
-"""What lies farther behind a solid that stands as high as the eye is not drawn as its shadow [m]."""
+"""Shadows are cut at this distance behind solids that reach the height of the eye [m]."""
 _NUM_SAMPLES = 600
 
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """A convex solid: its corners [m], and three of them for each triangle, counter-clockwise as seen from outside."""
+    """A convex solid: corners [m], and three corner indices per triangle, counter-clockwise as seen from outside."""
 
     vertices_m: Float[np.ndarray, "V 3"]
     faces: Int[np.ndarray, "triangles 3"]
 
     def moved(self, to_from_here: Float[np.ndarray, "4 4"]) -> "Mesh":
-        """Carry the solid into another frame."""
+        """Transform the solid into another frame."""
         return Mesh(moved(self.vertices_m, to_from_here), self.faces)
 
 
 def moved(points_m: Points, to_from_here: Float[np.ndarray, "4 4"]) -> Points:
-    """Carry points into another frame, by the transform of homogeneous points [m]."""
+    """Transform points into another frame, by a transform of homogeneous points [m]."""
     return points_m @ to_from_here[:3, :3].T + to_from_here[:3, 3]
 
 
 def convex_mesh(points_m: Points) -> Mesh:
-    """Make the convex hull of points a mesh.
+    """Return the convex hull of points as a mesh.
 
     Parameters
     ----------
     points_m
-        At least four points [m]; where they lie in a plane, the hull is as thin as rounding makes it.
+        At least four points [m]; of coplanar points, the hull is as thin as rounding makes it.
     """
     try:
         hull = ConvexHull(points_m)
@@ -55,19 +55,19 @@ def convex_mesh(points_m: Points) -> Mesh:
 
 
 def _normals(corners: Float[np.ndarray, "f 3 3"]) -> Float[np.ndarray, "f 3"]:
-    """Of triangles, by their corners; twice as long as their area."""
+    """Normals of triangles, from their corners; each is twice as long as the triangle's area."""
     return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def shadow(solid: Mesh, eye_m: Vector) -> Mesh:
-    """Give a solid and what it hides from an eye, down to the table.
+    """Return a solid together with its shadow, down to the table.
 
     Parameters
     ----------
     solid
-        In coordinates of the table, whose plane is at height 0.
+        The solid, in coordinates of the table, whose plane is at height 0.
     eye_m
-        Where the camera is, above the table [m].
+        Position of the camera, above the table [m].
     """
     ray_m = solid.vertices_m - eye_m
     with np.errstate(divide="ignore"):
@@ -77,14 +77,14 @@ def shadow(solid: Mesh, eye_m: Vector) -> Mesh:
 
 
 def is_behind(points_m: Points, solid: Mesh, eye_m: Vector) -> Bool[np.ndarray, " n"]:
-    """Which points an eye does not see because a solid is in the way.
+    """Whether a solid hides points from an eye.
 
     Parameters
     ----------
     points_m
         The points [m].
     eye_m
-        Where the camera is [m].
+        Position of the camera [m].
     """
     corners = solid.vertices_m[solid.faces]
     outward = _normals(corners)
@@ -99,12 +99,12 @@ def is_behind(points_m: Points, solid: Mesh, eye_m: Vector) -> Bool[np.ndarray, 
 
 
 def revealed_by(index: int, solids: Sequence[Mesh], eye_m: Vector) -> Points:
-    """Points of other solids that the camera would see if this one were lifted, and does not see now [m].
+    """Points of other solids that lifting this one would reveal to the camera [m].
 
     Parameters
     ----------
     eye_m
-        Where the camera is [m].
+        Position of the camera [m].
     """
     found = [np.zeros((0, 3))]
     for other, solid in enumerate(solids):
@@ -120,7 +120,7 @@ def revealed_by(index: int, solids: Sequence[Mesh], eye_m: Vector) -> Points:
 
 
 def _facing(solid: Mesh, eye_m: Vector) -> Points:
-    """Points spread over the sides of a solid that face the camera."""
+    """Points spread over the faces of a solid that face the camera."""
     corners = solid.vertices_m[solid.faces]
     normals = _normals(corners)
     is_facing = np.einsum("fd,fd->f", normals, eye_m - corners[:, 0]) > 0

@@ -1,7 +1,7 @@
-"""One stage as it is shown: plain data, whatever it comes from and whatever draws it; and the same in words, as HTML.
+"""The data of one stage for display, independent of its source and of the renderer; and the stage as HTML.
 
-Two back ends draw it: `recording` as pictures, `viewer` in 3-D. Places are in one frame for all stages of a run, whose
-third axis points up [m].
+Two back ends draw it: `recording` as pictures, `viewer` in 3-D. Positions are in one frame for all stages of a run,
+whose third axis points up [m].
 """
 
 from dataclasses import dataclass, field
@@ -17,14 +17,14 @@ from halfseen.view.shapes import Mesh
 
 Colour = tuple[int, int, int]
 Poses = Float[np.ndarray, "moments parts 7"]
-"""Place [m] and quaternion (w, x, y, z) of each part at each moment."""
+"""Position [m] and quaternion (w, x, y, z) of each part at each moment."""
 
 _CLEAN, _UNSURE, _DIRTY = (86, 180, 233), (225, 225, 225), (213, 94, 0)
 SHADOW, ARROW, GHOST, HAND = (40, 40, 60), (20, 20, 20), (0, 158, 115), (204, 121, 167)
-"""Colours that can be told apart by colour-blind eyes (Okabe and Ito 2008)."""
+"""Colours that colour-blind readers can distinguish (Okabe and Ito 2008)."""
 _FINGER_M, _RAISED_M = 0.06, 0.08
-"""How long fingers are drawn, and how high above the middles of objects arrows are [m]."""
-_SMALLEST_SHARE = 0.02  # hiding less of an object is not told
+"""Length of drawn fingers, and height of arrows above the centres of objects [m]."""
+_SMALLEST_SHARE = 0.02  # smaller occlusions have no arrow
 _TURN = np.deg2rad(40.0)
 _STYLE = "border-collapse:collapse;width:100%;font-size:0.85em;margin:0.4em 0 0.8em"
 _CELL = "padding:0.15em 0.4em;text-align:{align};border-bottom:1px solid rgba(128,128,128,0.25)"
@@ -32,24 +32,24 @@ _CELL = "padding:0.15em 0.4em;text-align:{align};border-bottom:1px solid rgba(12
 
 @dataclass(frozen=True, eq=False)
 class Shown:
-    """An object.
+    """An object of a stage.
 
     Parameters
     ----------
     number
-        By which decisions call it.
+        Its number in decisions.
     is_dirty
-        P(DIRTY) by all that was seen.
+        P(DIRTY) given all observations.
     occlusion
         Hidden share of its silhouette.
     middle_m
-        Middle of it [m].
+        Its centre [m].
     solid
-        What completes it; None where the last look does not show it.
+        Its completed shape; None if the last look does not show it.
     shadow
-        The solid and what it hides from the camera; None without a solid.
+        The solid and its shadow as seen from the camera; None without a solid.
     revealed_m
-        Points of others that a LIFT of it would bring into view [m].
+        Points of other objects that a LIFT of it would reveal [m].
     """
 
     number: int
@@ -63,18 +63,18 @@ class Shown:
 
 @dataclass(frozen=True)
 class Option:
-    """An action that was possible.
+    """A possible action.
 
     Parameters
     ----------
     name
-        Such as ``"LIFT 2"``.
+        Name, such as ``"LIFT 2"``.
     value
         Its Q [reward].
     low, high
-        95 % interval of it, where one is known.
+        95 % confidence interval of Q, if known.
     chance_best
-        Probability that it is the best, where one is known.
+        Probability that it is the best, if known.
     """
 
     name: str
@@ -91,13 +91,13 @@ class Hand:
     Parameters
     ----------
     way_m
-        Where the point between the pads goes, until the object is lifted [m].
+        Path of the point between the pads, until the object is lifted [m].
     at_m
-        Where the hand is to close [m].
+        Position at which the hand is to close [m].
     axes
-        Columns are the hand's axes: across the fingers, along which they close, and out of the palm.
+        The hand's axes as columns: across the fingers, the closing direction, and out of the palm.
     opening_m
-        Between the pads while it comes [m].
+        Distance between the pads on approach [m].
     """
 
     way_m: Points
@@ -107,7 +107,7 @@ class Hand:
 
     @property
     def lines_m(self) -> Float[np.ndarray, "lines 2 3"]:
-        """The hand where it is to close, as lines: two fingers, and the palm between them."""
+        """The hand at its closing position, as lines: two fingers, and the palm between them."""
         aside, back = 0.5 * self.opening_m * self.axes[:, 1], -_FINGER_M * self.axes[:, 2]
         tips = [self.at_m - aside, self.at_m + aside]
         roots, palm = [tip + back for tip in tips], self.at_m + back
@@ -116,7 +116,7 @@ class Hand:
 
 
 class Arrow(NamedTuple):
-    """That one object hides a share of another; from above the one to above the other [m]."""
+    """Marks that one object hides a share of another; from above the one to above the other [m]."""
 
     hider: Shown
     hidden: Shown
@@ -126,16 +126,16 @@ class Arrow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """A rigid body of the cell: of the arm, of the table.
+    """A rigid body of the cell, such as a link of the arm or the table.
 
     Parameters
     ----------
     solid
-        In its own frame.
+        Its shape, in its own frame.
     colour
         Red, green and blue, in [0, 255].
     is_robot
-        Whether it is of a robot; else of what the cloud shows, too.
+        Whether it belongs to a robot; the cloud shows the other parts, too.
     """
 
     solid: Mesh
@@ -145,32 +145,32 @@ class Part:
 
 @dataclass(frozen=True, eq=False)
 class StageView:
-    """What was seen, decided and done in one stage.
+    """The observations, decision and events of one stage.
 
     Parameters
     ----------
     title
-        Which stage it is.
+        Title of the stage.
     points_m, colours
         The cloud, and red, green and blue of each point.
     eye_m
-        Where the camera is [m].
+        Position of the camera [m].
     objects
-        What is known to stand on the table.
+        The objects known to be on the table.
     hides
         ``hides[i, j]`` is the share of ``objects[i]`` that ``objects[j]`` alone hides.
     options
-        Actions, best first; none where the policy values nothing.
+        Actions, best first; none if the policy has no values.
     action
-        What is done; empty where nothing was decided.
+        The action; empty if there was no decision.
     reason
-        Why, in one sentence.
+        Reason for the action, in one sentence.
     notes
-        What is doubtful.
+        Doubts about the decision.
     events
-        What was seen, tried and cut so far, a sentence each.
+        Observations, attempts and cuts so far, one sentence each.
     poses
-        Of the parts of the cell, moment by moment; of no moment where there is no cell.
+        Poses of the parts of the cell, by moment; no moments without a cell.
     hand
         The planned grasp.
     """
@@ -191,13 +191,13 @@ class StageView:
 
     @property
     def target(self) -> int | None:
-        """Number of the object that the action is about; None if it is about none."""
+        """Number of the object of the action; None if it has none."""
         *_, last = self.action.split() or [""]
         return int(last) if last.isdigit() else None
 
     @property
     def arrows(self) -> list[Arrow]:
-        """Who hides whom."""
+        """Occlusions between objects."""
         objects, raised_m = self.objects, np.array([0.0, 0.0, _RAISED_M])
         return [
             Arrow(
@@ -211,13 +211,13 @@ class StageView:
 
     @property
     def revealed_m(self) -> Points:
-        """What a LIFT of the target would reveal; of every object that hides, where the action has no target [m]."""
+        """What a LIFT of the target would reveal; without a target, of every object that hides another [m]."""
         lifted = [each for each in self.objects if each.number == self.target] or list(self.objects)
         return np.concatenate([np.zeros((0, 3)), *(each.revealed_m for each in lifted)])
 
     @property
     def viewpoint(self) -> tuple[Vector, Vector]:
-        """Where to look from and at, so that shadows are seen from aside [m]."""
+        """A viewpoint to the side, which shows shadows, and the point to look at [m]."""
         middles_m = np.array([shown.middle_m for shown in self.objects] or [self.points_m.mean(axis=0)])
         middle_m = middles_m.mean(axis=0)
         x_m, y_m, z_m = self.eye_m - middle_m
@@ -228,14 +228,14 @@ class StageView:
 
 @dataclass(frozen=True, eq=False)
 class Watched:
-    """A run: its stages in their order, and the cell that it ran in.
+    """A run: its stages in order, and the cell that it ran in.
 
     Parameters
     ----------
     source
-        Where it comes from, in words.
+        Source of the run, in words.
     stages
-        At least one.
+        The stages, at least one.
     parts
         Bodies of the cell, in the order of `StageView.poses`; none without a cell.
     """
@@ -246,7 +246,7 @@ class Watched:
 
 
 def dirty_colour(is_dirty: float) -> Colour:
-    """Colour of P(DIRTY): blue where clean, grey where unsure, orange where dirty.
+    """Colour of P(DIRTY): blue for clean, grey for unsure, orange for dirty.
 
     Examples
     --------
@@ -259,7 +259,7 @@ def dirty_colour(is_dirty: float) -> Colour:
 
 
 def stage_html(stage: StageView) -> str:
-    """Write a stage in HTML that asks for nothing: reason, actions with their values, objects, events."""
+    """Write a stage as static HTML: reason, actions with their values, objects, events."""
     parts = [f"<p><strong>{escape(stage.title)}</strong></p>"]
     if stage.reason:
         parts.append(f"<p>{escape(stage.reason)}</p>")
@@ -275,7 +275,7 @@ def stage_html(stage: StageView) -> str:
 
 
 def _options(stage: StageView) -> str:
-    """Actions by their values, with intervals and chances where some are known."""
+    """Actions by value, with intervals and chances if some are known."""
     columns = {
         "action": [escape(option.name) for option in stage.options],
         "value": [f"{option.value:+.2f}" for option in stage.options],

@@ -1,6 +1,6 @@
-"""Where stages come from: one cloud with a policy, or a trajectory of a log with the cloud of each stage.
+"""Sources of stages: one cloud with a policy, or a trajectory of a log with the cloud of each stage.
 
-`halfseen convert --clouds` keeps such clouds beside a bag.
+`halfseen convert --clouds` saves the clouds of a bag for this purpose.
 """
 
 import os
@@ -45,20 +45,20 @@ def watched_cloud(
     horizon: int,
     look: FirstLook | None = None,
 ) -> Watched:
-    """Show what a camera sees and what a policy decides there.
+    """Show the camera's view and the policy's decision on it.
 
     Parameters
     ----------
     cloud, view
-        What the camera returned, and what was perceived in it.
+        The camera's point cloud, and the objects perceived in it.
     now
-        Where the trajectory stands, its first objects those of the view; None without a policy.
+        Present state of the trajectory, whose first objects are those of the view; None without a policy.
     decision
-        What was decided; None without a policy.
+        The decision; None without a policy.
     horizon
-        T of the policy [stages].
+        Horizon T of the policy [stages].
     look
-        Without a policy: what this look tells of dirt; None for what the colours tell.
+        Without a policy: the evidence of dirt in this look; None for that of the colours.
     """
     title = "what is seen" if now is None else f"stage {now.stage} of {horizon}"
     if now is None or decision is None:
@@ -75,18 +75,18 @@ def watched_logs(logs: Logs, clouds: Path, number: int, stored: StoredPolicy | N
     Parameters
     ----------
     logs
-        The log; its stages name the files of their clouds.
+        The log; its stages name their cloud files.
     clouds
-        Folder with these files.
+        Folder of these files.
     number
-        Which trajectory, from 1.
+        Number of the trajectory, from 1.
     stored
-        A policy of tables, to be asked at each stage; None for what the log says alone.
+        A table policy, to decide at each stage; None to show the log only.
 
     Raises
     ------
     HalfseenError
-        There is no such trajectory, no cloud of a stage, or the policy is of other things.
+        There is no such trajectory, a stage has no cloud, or the policy has no tables.
     """
     if not 1 <= number <= logs.num_trajectories:
         raise ArgumentError(
@@ -144,7 +144,7 @@ def _done(row: dict[str, Any]) -> str:
 
 
 def _chances(trajectory: Logs, stage: Any, view: View, cloud: Cloud) -> list[float]:
-    """P(DIRTY) of each object of a view, as the log has it; by the colours of this look where it says nothing."""
+    """P(DIRTY) of each object of a view, from the log; without an entry there, from the colours of this look."""
     chances = first_look(view, cloud).chances
     if trajectory.objects is None or "log_odds" not in trajectory.objects.columns:
         return chances
@@ -161,7 +161,7 @@ def _chances(trajectory: Logs, stage: Any, view: View, cloud: Cloud) -> list[flo
 
 
 def _decisions(trajectory: Logs, stored: StoredPolicy | None) -> Sequence[Decision | None]:
-    """What a policy would do at each stage."""
+    """Decisions of a policy at each stage."""
     stages = range(trajectory.horizon)
     if stored is None:
         return [None for _ in stages]
@@ -181,7 +181,7 @@ def _seen_stage(
     decision: Decision | None = None,
     events: Sequence[str] = (),
 ) -> StageView:
-    """Show one look, in coordinates of its table; `is_dirty` may go on after the objects of the view."""
+    """Show one look, in coordinates of its table; `is_dirty` may include objects beyond those of the view."""
     known = [
         Known(seen.id, float(is_dirty[seen.id]), seen.occlusion, seen.solid.middle_m, seen.solid)
         for seen in view.objects
@@ -207,7 +207,7 @@ def _seen_stage(
 
 
 def options_of(decision: Decision) -> tuple[Option, ...]:
-    """Actions that have a value, best first, with how sure that is where it is known."""
+    """Actions with a value, best first, with their certainty if known."""
     known = [
         Option(name, q, *decision.intervals.get(name, (None, None)), decision.chance_best.get(name))
         for name, q in decision.q_values.items()
@@ -217,10 +217,10 @@ def options_of(decision: Decision) -> tuple[Option, ...]:
 
 
 class Known(NamedTuple):
-    """What is known of an object, seen now or not; places are in coordinates of the table.
+    """What is known of an object, whether visible or not; positions are in coordinates of the table.
 
-    `number` is that by which decisions call it, `middle_m` where it was last seen [m], and `solid` None where it is not
-    in view.
+    `number` is its number in decisions, `middle_m` its centre when last seen [m], and `solid` is None if it is not in
+    view.
     """
 
     number: int
@@ -231,14 +231,14 @@ class Known(NamedTuple):
 
 
 def shown_objects(known: Sequence[Known], eye_m: Vector, frame_from_table: Transform) -> tuple[Shown, ...]:
-    """Give objects the shapes in which they are shown.
+    """Give objects their displayed shapes.
 
     Parameters
     ----------
     eye_m
-        Where the camera is, in coordinates of the table [m].
+        Position of the camera, in coordinates of the table [m].
     frame_from_table
-        Takes homogeneous points of the table to where they are shown.
+        Transform of homogeneous points from the table's frame to the display frame.
     """
     solids = {each.number: convex_mesh(each.solid.outline_m()) for each in known if each.solid is not None}
     there, shown = list(solids.values()), []
@@ -253,17 +253,17 @@ def shown_objects(known: Sequence[Known], eye_m: Vector, frame_from_table: Trans
 
 
 def eye_over_table(view: View, cloud: Cloud) -> Vector:
-    """Where the camera is, in coordinates of the table [m]."""
+    """Position of the camera, in coordinates of the table [m]."""
     return moved(np.asarray(cloud.eye_m, dtype=np.float64)[None], np.linalg.inv(view.cloud_from_table))[0]
 
 
 def coloured_points(cloud: Cloud, frame_from_cloud: Transform) -> tuple[Points, Colours]:
-    """Give what returned, and its colours; grey by height where the cloud has none.
+    """Return the points of a cloud and their colours; grey by height for a cloud without colours.
 
     Parameters
     ----------
     frame_from_cloud
-        Takes homogeneous points of the cloud to where they are shown.
+        Transform of homogeneous points from the cloud's frame to the display frame.
     """
     is_return = np.isfinite(cloud.points_m).all(axis=1)
     points_m = moved(cloud.points_m[is_return], frame_from_cloud).astype(np.float32)

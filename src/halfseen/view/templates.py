@@ -1,4 +1,4 @@
-"""Pages from their templates, with one style sheet for all."""
+"""Rendering of page templates, with one style sheet for all."""
 
 from functools import cache
 from importlib.resources import files
@@ -8,7 +8,7 @@ import jinja2
 
 
 def text_of(package: str, name: str) -> str:
-    """Read a file that comes with a package."""
+    """Read a data file of a package."""
     return files(package).joinpath(name).read_text(encoding="utf-8")
 
 
@@ -22,5 +22,5 @@ def template(package: str, name: str) -> jinja2.Template:
 
 
 def rendered(package: str, name: str, content: dict[str, Any], **functions: Any) -> str:
-    """Fill a template of a package, which may call `functions`; the style sheet of all pages is its `css`."""
+    """Render a template of a package, which may call `functions`; its variable `css` is the common style sheet."""
     return template(package, name).render(content, css=text_of("halfseen.view", "page.css"), **functions)

@@ -1,7 +1,7 @@
-"""A run in 3-D: its scene, one file that opens without a server, and a page that is served to this machine alone.
+"""Runs in 3-D: as a scene, as one file that opens without a server, and as a page served to this machine only.
 
-The viewer is viser. MuJoCo's own draws a model, so that each of 300,000 points would be a geom; its controls lie in the
-canvas, where no narrow screen can rearrange them; and it needs its server.
+The viewer is viser. MuJoCo's own viewer is no alternative: each of 300,000 points would be a geom, its controls are in
+the canvas, which does not adapt to narrow screens, and it needs its server.
 """
 
 import contextlib
@@ -37,7 +37,7 @@ LAYERS = {
     "cell": "arm and table",
     "grasp": "planned grasp",
 }
-"""Names of the layers, and what they show, in words."""
+"""Names of the layers, and their content in words."""
 
 _POINT_M = 0.0022
 _CAMERA = (30, 30, 30)
@@ -49,12 +49,12 @@ _MOMENT_S, _STAGE_S = 0.2, 3.0
 
 
 class Scene:
-    """Draws stages into a scene of the viewer, one in place of another, in layers that can be hidden."""
+    """Draws stages into a scene of the viewer, each replacing the last, in layers that can be hidden."""
 
     def __init__(self, scene: "SceneApi") -> None:
         self._scene: Any = scene
         scene.configure_default_lights(cast_shadow=False)
-        # The viewer's picture of the surroundings takes most of the time of a renderer without a GPU.
+        # The viewer's environment map takes most of the time of a renderer without a GPU.
         scene.configure_environment_map(None)
         scene.add_light_ambient("/light", intensity=2.2)
         self.layers = {name: scene.add_frame(f"/{name}", show_axes=False) for name in LAYERS}
@@ -63,7 +63,7 @@ class Scene:
         self._parts: tuple[Part, ...] = ()
 
     def show(self, stage: StageView, parts: tuple[Part, ...]) -> None:
-        """Draw a stage, and the bodies of the cell where it has poses."""
+        """Draw a stage, and the bodies of the cell if it has poses."""
         for handle in self._drawn:
             handle.remove()
         self._drawn = [
@@ -82,7 +82,7 @@ class Scene:
         self.place(stage.poses, 0)
 
     def place(self, poses: Poses, moment: int) -> None:
-        """Put the bodies of the cell where they are at a moment."""
+        """Move the bodies of the cell to their poses at a moment."""
         for handle, pose in zip(self._bodies, poses[moment] if len(poses) else [], strict=True):
             handle.position, handle.wxyz = tuple(pose[:3].tolist()), tuple(pose[3:].tolist())
 
@@ -111,7 +111,7 @@ class Scene:
         yield self._scene.add_label(f"/shapes/{name}_name", words, position=above, anchor="bottom-center")
 
     def _relations(self, stage: StageView) -> Iterator[Any]:
-        """Who hides whom, what a LIFT would reveal, and the planned grasp."""
+        """Occlusions, what a LIFT would reveal, and the planned grasp."""
         for arrow in stage.arrows:
             radius_m = _THINNEST_M + (_THICKEST_M - _THINNEST_M) * arrow.share
             yield self._scene.add_arrows(
@@ -135,32 +135,32 @@ class Scene:
 
 
 def look_from_aside(server: "ViserServer", watched: Watched) -> None:
-    """Look at a run from where shadows are seen from aside."""
+    """Place the camera to the side, where shadows are visible."""
     camera: Any = server.initial_camera
     camera.position, camera.look_at = (tuple(place_m.tolist()) for place_m in watched.stages[0].viewpoint)
 
 
 def local_server(port: int) -> "ViserServer":
-    """Start a server of the viewer that only this machine reaches; raises what `Page` does."""
+    """Start a server of the viewer that only this machine reaches; raises the errors of `Page`."""
     try:
         import viser
     except ImportError as error:
         raise ArgumentError(f"the viewer is not installed ({error}); run: {command_for('watch')}") from error
 
     class _OfThisMachine(viser.ViserServer):
-        """A server that nobody else can look at: the viewer's own can be shared by way of a public one."""
+        """A server that cannot be shared: the viewer's own can be, through a public server."""
 
         def request_share_url(self, verbose: bool = True) -> None:
             """Share nothing."""
 
         def stop(self) -> None:
-            """Serve no longer, without a word on standard output."""
+            """Stop serving, without output."""
             with contextlib.redirect_stdout(io.StringIO()):
                 super().stop()
 
     with contextlib.redirect_stdout(io.StringIO()):
         server = _OfThisMachine(host=HERE, port=port, label="halfseen watch", verbose=False)
-    # The viewer goes on to the next port where one is taken.
+    # The viewer would use the next port if this one is taken.
     if port and server.get_port() != port:
         server.stop()
         raise ArgumentError(f"--port is {port}, and something else is served there; choose another port, or 0 for any")
@@ -168,7 +168,7 @@ def local_server(port: int) -> "ViserServer":
 
 
 def write_html(watched: Watched, file: str | os.PathLike[str]) -> None:
-    """Write a run as one page that opens in a browser without a server, and asks for nothing.
+    """Write a run as one page that opens in a browser without a server or network access.
 
     Raises
     ------
@@ -190,7 +190,7 @@ def write_html(watched: Watched, file: str | os.PathLike[str]) -> None:
 
 
 def _played(server: "ViserServer", watched: Watched) -> tuple[list[float], str]:
-    """When each stage begins in the viewer's recording [s], and the viewer with its recording."""
+    """Start of each stage in the viewer's recording [s], and the viewer with its recording."""
     look_from_aside(server, watched)
     scene, is_still = Scene(server.scene), len(watched.stages) == 1 and len(watched.stages[0].poses) < 2
     recorded = server.get_scene_serializer()
@@ -209,7 +209,7 @@ def _played(server: "ViserServer", watched: Watched) -> tuple[list[float], str]:
 
 
 def _script(value: Any) -> str:
-    """A value for a script of the page: no text in it ends the script."""
+    """A value for a script of the page, escaped so that its text cannot end the script."""
     return json.dumps(value).replace("</", "<\\/").replace("<!--", "<\\!--")
 
 
@@ -218,7 +218,7 @@ _EMPTY = '<div class="halfseen-stage" style="padding:0 0.75em"><p>looking …</p
 
 
 class Page:
-    """A page at `url` until it is closed: a stage in 3-D, its reasons beside it, a slider over the stages.
+    """A page at `url` until it is closed: a stage in 3-D, its reasons beside it, and a slider over the stages.
 
     Raises
     ------
@@ -237,18 +237,18 @@ class Page:
         self._add_controls()
 
     def close(self) -> None:
-        """Serve no longer."""
+        """Stop serving."""
         self._stop.set()
         self._server.stop()
 
     def wait(self) -> None:
-        """Serve until somebody interrupts."""
+        """Serve until interrupted."""
         with contextlib.suppress(KeyboardInterrupt):
             while not self._stop.wait(3600):
                 pass
 
     def show(self, watched: Watched) -> None:
-        """Show a run; one that grew stays where it was, or goes on to its newest stage if it was at the last."""
+        """Show a run; if the same run grew, keep the stage shown, or follow the newest stage if the last was shown."""
         with self._lock:
             num_before = 0 if self._watched is None else len(self._watched.stages)
             was_last = self._index + 1 >= num_before
@@ -262,7 +262,7 @@ class Page:
             self.go_to(num_stages - 1 if num_before and was_last else min(self._index, num_stages - 1))
 
     def go_to(self, index: int) -> None:
-        """Show the stage with this number, from 0; the nearest if there is none."""
+        """Show the stage of this number, from 0; the nearest if there is none."""
         with self._lock:
             if self._watched is None:
                 return
@@ -308,7 +308,7 @@ class Page:
             threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        """Play from the stage that is shown; from the first if that is the last."""
+        """Play from the stage shown; from the first if that is the last."""
         assert self._watched is not None, "what is played is there"
         if self._index + 1 == len(self._watched.stages) > 1:
             self.go_to(0)
@@ -324,9 +324,9 @@ class Page:
             self.go_to(index + 1)
 
     def _moved(self, poses: Poses, index: int) -> bool:
-        """Move the arm through a stage, or wait; False if the page was closed or paused meanwhile.
+        """Move the arm through a stage, or wait; False if the page was closed or paused in the meantime.
 
-        It ends early where somebody goes to another stage.
+        It ends early if the user goes to another stage.
         """
         if len(poses) < 2:
             return not self._stop.wait(_LIVE_STAGE_S) and self._is_playing

@@ -1,4 +1,4 @@
-"""What each section of the report says first: plain sentences from the numbers."""
+"""The leading sentences of each section of the report, from the numbers."""
 
 import re
 from collections.abc import Mapping
@@ -37,23 +37,23 @@ FEWEST_WATCHED = 10
 
 
 def values_of(evaluation: Evaluation) -> dict[str, Estimate]:
-    """What each baseline earns, by the name that the page gives it; the logging policy comes first."""
+    """Value of each baseline, by its name on the page; the logging policy comes first."""
     known = {_short(each.baseline): each.value for each in evaluation.comparisons if each.value is not None}
     return {"logging policy": evaluation.logging, **known}
 
 
 def shares_of(evaluation: Evaluation) -> dict[str, Estimate | None]:
-    """What each baseline earns as a multiple of what the logging policy does; None where that is not known."""
+    """Value of each baseline as a multiple of the logging policy's; None if unknown."""
     shares = {_short(each.baseline): each.share for each in evaluation.comparisons if each.value is not None}
     today = next((each.share for each in evaluation.comparisons if each.value == evaluation.logging), None)
     if today is None and evaluation.share is not None:
-        # Of what is known to be above 0, it is itself.
+        # The ratio of the logging policy's value to itself is 1, if the value is known to be above 0.
         today = Estimate(1.0, 1.0, 1.0, 0.0, evaluation.logging.effective_sample_size)
     return {"logging policy": today, **shares}
 
 
 def gains_of(evaluation: Evaluation) -> dict[str, tuple[Estimate, Verdict]]:
-    """How much more the learned policy earns than each baseline, with the verdict on that."""
+    """Gain of the learned policy over each baseline, with the verdict on it."""
     gains: dict[str, tuple[Estimate, Verdict]] = {
         f"learned − {_short(each.baseline)}": (each.difference, each.verdict)
         for each in evaluation.comparisons
@@ -67,25 +67,25 @@ def _short(name: str) -> str:
 
 
 def answer(evaluation: Evaluation) -> tuple[str, str]:
-    """The verdict and why; and what to do about it, if there is something."""
+    """The verdict and its reason; and a recommendation, if there is one."""
     baselines = "the logging policy"
     if evaluation.comparisons and evaluation.verdict == "better":
         baselines = listed([each.baseline for each in evaluation.comparisons])
     elif evaluation.comparisons:
         baselines = deciding(evaluation.comparisons).baseline
     why, _, remedy = evaluation.reason.partition("; ")
-    # Who was just named need not be named again.
+    # A policy that was just named is not named again.
     said = f"{VERDICTS[evaluation.verdict].format(baselines)}: {why.replace(f' than {baselines}', '', 1)}."
     return _with_minus(said), _with_minus(as_sentence(remedy)) if remedy else ""
 
 
 def _with_minus(words: str) -> str:
-    """Numbers below 0 as figures and tables write them."""
+    """Write negative numbers as in figures and tables."""
     return re.sub(r"(?<![\w.])-(?=\d)", "−", words)
 
 
 def standing(evaluation: Evaluation) -> str:
-    """What the policy earns, in per cent of what is earned today, and in an hour; "" where only the value is known."""
+    """Value of the policy, in per cent of the present value, and per hour; "" if only its value is known."""
     share, unit, hourly = evaluation.share, evaluation.reward_unit, evaluation.per_hour
     parts = []
     if share is not None:
@@ -103,24 +103,24 @@ def standing(evaluation: Evaluation) -> str:
 
 
 def is_believed(evaluation: Evaluation) -> bool:
-    """Whether enough trajectories follow the policy for its value to be told in other units, too."""
+    """Whether enough trajectories follow the policy to report its value in other units, too."""
     return evaluation.doubly_robust.effective_sample_size >= FEWEST_TRAJECTORIES
 
 
 def in_percent(share: Estimate) -> tuple[str, str]:
-    """A share and its interval, in whole per cent; that of what is certain is empty."""
+    """A proportion and its interval, in whole per cent; a certain value has an empty interval."""
     within = f"{amount(100 * share.low, 0)} to {amount(100 * share.high, 0)}\u00a0%" if share.low < share.high else ""
     return f"{amount(100 * share.value, 0)}\u00a0%", within
 
 
 def why_no_hours(evaluation: Evaluation) -> str:
-    """Why nothing is said of an hour, if so."""
+    """Why there is no value per hour, if so."""
     hourly = evaluation.per_hour
     return "" if hourly is None or hourly.why_unknown is None else f"Nothing is said of an hour: {hourly.why_unknown}."
 
 
 def duration_words(evaluation: Evaluation) -> str:
-    """How long a trajectory takes, by the two policies."""
+    """How long a trajectory takes under the two policies."""
     hourly = evaluation.per_hour
     if hourly is None or hourly.policy is None or hourly.logging is None:
         return ""
@@ -137,7 +137,7 @@ def _seconds(rate: Rate) -> str:
 
 
 def log_answer(findings: Findings) -> tuple[str, str, str]:
-    """Of a log alone: whether all is well with it, in one word and its class; and what it holds, in a sentence."""
+    """For a log without a policy: its state in one word, with its class; and its content, in a sentence."""
     log, is_sound, doubts = findings.log, findings.positivity.is_sound, len(findings.log["data_warnings"])
     if log["num_cut"]:
         weights = f"what was seen {'can stand' if is_sound else 'stands badly'} for what the cuts took away"
@@ -151,7 +151,7 @@ def log_answer(findings: Findings) -> tuple[str, str, str]:
 
 
 def _held(log: Mapping[str, Any]) -> str:
-    """How many trajectories there are, and how many of them what cut."""
+    """Number of trajectories, and the proportion cut, with the main cause."""
     held, is_one = counted(log["num_trajectories"], "trajectory"), log["num_trajectories"] == 1
     if not log["num_cut"]:
         return f"{held}, which was not cut" if is_one else f"{held}, none of them cut"
@@ -163,14 +163,14 @@ def _held(log: Mapping[str, Any]) -> str:
 
 
 def answer_of(findings: Findings) -> str:
-    """The sentence that the page opens with, for a terminal."""
+    """The opening sentence of the page, for a terminal."""
     if findings.policy is not None:
         return findings.policy.evaluation.sentence
     return log_answer(findings)[2].replace("\u00a0", " ")
 
 
 def notes(findings: Findings) -> list[str]:
-    """What to keep in mind before anything else."""
+    """Caveats for the whole page."""
     first, policy = [], findings.policy
     if policy is not None and policy.is_own_log:
         first = [
@@ -184,13 +184,13 @@ def notes(findings: Findings) -> list[str]:
 
 
 def cut_model(policy: PolicyFindings) -> str:
-    """Which model says how likely a trajectory was to be cut."""
+    """The model of the probability that a trajectory is cut."""
     name = str(policy.model["censoring"])
     return f"{CENSORING_WORDS.get(name, name)}, {CLOCK_WORDS[policy.model['censoring_by']]}"
 
 
 def values_title(evaluation: Evaluation) -> str:
-    """What the figure of values shows."""
+    """Title of the figure of values."""
     ours, unit, own = evaluation.doubly_robust, evaluation.reward_unit, significant(evaluation.logging.value)
     if evaluation.verdict == "inconclusive":
         within = with_unit(with_interval(ours.value, ours.low, ours.high)[1], unit)
@@ -203,7 +203,7 @@ def values_title(evaluation: Evaluation) -> str:
 
 
 def timeline_title(shown: Timeline, log: Mapping[str, Any]) -> str:
-    """How long trajectories took that finished, and how long those had run that were cut."""
+    """How long finished trajectories took, and how long cut ones had run."""
     if shown.num_trajectories == 1:
         return f"The one trajectory, {shown.endings[0].name} after {significant(float(shown.end_s[0]))}\u00a0s"
     median_s, cuts = log["finishes"]["median_s"], log["cuts"]
@@ -217,7 +217,7 @@ def timeline_title(shown: Timeline, log: Mapping[str, Any]) -> str:
 
 
 def follow_up_title(shown: FollowUp, log: Mapping[str, Any]) -> str:
-    """What the figure of how long trajectories were watched shows."""
+    """Title of the figure of follow-up."""
     if not log["num_cut"]:
         return "No trajectory was cut: each was watched to its own end"
     enough = np.flatnonzero(shown.num_watched >= FEWEST_WATCHED)[-1:]
@@ -234,7 +234,7 @@ def follow_up_title(shown: FollowUp, log: Mapping[str, Any]) -> str:
 
 
 def choices_title(choices: list[dict[str, Any]]) -> str:
-    """How often the policy would do what was done, and which actions it takes more and less often."""
+    """How often the policy agrees with the log, and which actions it takes more and less often."""
     known = [row for row in choices if row["as_logged"] is not None]
     if not known:
         return "What was done in the states of the log is not known"
@@ -253,7 +253,7 @@ def choices_title(choices: list[dict[str, Any]]) -> str:
 
 
 def curves_title(curves: list[QCurve], is_cautious: bool) -> str:
-    """What the curves show, and what the policy goes by."""
+    """What the curves show, and the values that the policy compares."""
     names = listed(list(dict.fromkeys(curve.covariate for curve in curves)))
     verb = "change" if " and " in names else "changes"
     followed = "the highest line, where the log says enough of it" if is_cautious else "the highest line"
@@ -261,7 +261,7 @@ def curves_title(curves: list[QCurve], is_cautious: bool) -> str:
 
 
 def map_title(maps: list[PolicyMap]) -> str:
-    """Which covariates the choice hangs on, and how much of the first map each action has."""
+    """The covariates that decide the action, and the share of each action in the first map."""
     first, where = maps[0], listed(list(maps[0].covariates))
     share = {name: float(np.mean(first.taken == name)) for name in map(str, np.unique(first.taken))}
     named = sorted(share, key=lambda name: -share[name])
@@ -273,7 +273,7 @@ def map_title(maps: list[PolicyMap]) -> str:
 
 
 def table_map_title(shown: TableMap) -> str:
-    """How dirty the objects seem, and how hidden they are, to which the policy does each thing."""
+    """Dirtiness and occlusion of the objects to which the policy applies each verb."""
     chance, hidden = ((edges[1:] + edges[:-1]) / 2.0 for edges in (shown.chance_edges, shown.hidden_edges))
     parts = []
     for verb, share in shown.share.items():

@@ -1,7 +1,7 @@
-"""Pieces of work, made by processes of this machine or by a cluster: what comes out is the same bytes.
+"""Work split into pieces, made by processes of this machine or by a cluster; the results are the same bytes.
 
-Read down: `workers` (who makes them) → `pool` (the pieces, streamed, and made again where a worker was lost) →
-`engines` (processes of this machine, or a cluster's tasks).
+Read down: `workers` (the choice of workers) → `pool` (streams pieces, and makes those of lost workers again) →
+`engines` (processes of this machine, or tasks of a cluster).
 """
 
 from typing import TYPE_CHECKING
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from halfseen.workers.workers import ALONE, Workers
 
 ENGINES = ("processes", "ray", "dask")
-"""What may run workers, by name."""
+"""The engines that can run workers, by name."""
 
 __all__ = ["ALONE", "ENGINES", "Pool", "Workers"]
 

@@ -1,8 +1,7 @@
-"""What may run workers: processes of this machine, by loky; and tasks of a Ray or Dask cluster, as backends of joblib.
+"""Engines that run workers: loky processes of this machine, and tasks of a Ray or Dask cluster, as joblib backends.
 
-A cluster gives a task to another worker where one is lost. The backends that Ray and joblib bring cannot be used: Ray's
-cannot stream what comes out, and its pool does not outlive the loss of a node; joblib's for Dask waits for ever for a
-task that Dask has given up.
+A cluster reassigns the task of a lost worker. The backends of Ray and joblib are unusable: Ray's cannot stream results,
+and its pool does not survive the loss of a node; joblib's for Dask waits for ever for a task that Dask has given up.
 """
 
 import os
@@ -26,24 +25,24 @@ from halfseen.workers.pool import Engine
 
 RAY, DASK = "halfseen-ray", "halfseen-dask"
 CONNECT_S = 10
-"""How long a cluster has to answer [s]."""
+"""Time within which a cluster must answer [s]."""
 PARENT_S = 0.5
-"""Between two looks whether anyone who asked still lives [s]."""
+"""Interval between two checks that the parent process is alive [s]."""
 MOST_GROWN_BYTES = 2 << 30
-"""By how much a worker may grow before it is replaced by a new one."""
+"""Growth of a worker's memory after which it is replaced."""
 
 
 @contextmanager
 def processes(num: int) -> Iterator[Engine]:
-    """Give so many processes work."""
+    """Run `num` worker processes."""
     options = {"initializer": _begin, "initargs": (os.getpid(),)}
     yield Engine("loky", num, (process_executor.BrokenProcessPool,), "this machine", is_here=True, options=options)
 
 
 def _begin(asker: int) -> None:
-    """Begin as a worker: it ends with the process that asks, however that ended, and keeps what it has loaded."""
+    """Start a worker: it exits with its parent process, however that ended, and keeps what it has loaded."""
     Thread(target=_end_with, args=(asker,), daemon=True).start()
-    # loky takes what a piece keeps for the next one for a leak, and would begin again.
+    # loky takes what a piece keeps for the next one for a leak, and would restart the worker.
     process_executor._MAX_MEMORY_LEAK_SIZE = MOST_GROWN_BYTES
 
 
@@ -55,11 +54,11 @@ def _end_with(asker: int) -> None:
 
 Call = Callable[[], Any]
 Task = Any
-"""What a cluster calls a call that it has begun."""
+"""A cluster's handle of a submitted call."""
 
 
 class TaskBackend(ParallelBackendBase):
-    """Begins a task for every call."""
+    """Submits a task for every call."""
 
     supports_retrieve_callback = True
 
@@ -69,27 +68,27 @@ class TaskBackend(ParallelBackendBase):
 
     @abstractmethod
     def begin(self, call: Call) -> Task:
-        """Begin a call."""
+        """Submit a call."""
 
     @abstractmethod
     def when_over(self, task: Task, tell: Callable[[], None]) -> None:
-        """Have something called once a task is over, well or not."""
+        """Have a function called once a task is over, whether it succeeded or failed."""
 
     @abstractmethod
     def cancel(self, tasks: Collection[Task]) -> None:
-        """Let go of tasks."""
+        """Cancel tasks."""
 
     def effective_n_jobs(self, n_jobs: int) -> int:
-        """As many as are asked for."""
+        """Return the number asked for."""
         return n_jobs
 
     def configure(self, n_jobs: int = 1, parallel: Any = None, **_: Any) -> int:
-        """Get ready."""
+        """Prepare the backend."""
         self.parallel = parallel
         return n_jobs
 
     def submit(self, func: Call, callback: Callable[[Task], None] | None = None) -> Task:
-        """Begin a call, and have `callback` called with its task once it is over."""
+        """Submit a call, and have `callback` called with its task once it is over."""
         task = self.begin(func)
         self._begun.add(task)
 
@@ -103,45 +102,45 @@ class TaskBackend(ParallelBackendBase):
 
     @abstractmethod
     def retrieve_result_callback(self, out: Task) -> Any:
-        """Give what came out of a task that is over, or raise what went wrong."""
+        """Return the result of a finished task, or raise its error."""
 
     def abort_everything(self, ensure_ready: bool = True) -> None:
-        """Let go of what is not over."""
+        """Cancel all unfinished tasks."""
         self.cancel(list(self._begun))
         self._begun.clear()
 
 
 def called(call: Call) -> Any:
-    """Call it, in a worker."""
+    """Make the call, in a worker."""
     return call()
 
 
 def without_halfseen(place: str) -> WorkerError:
-    """What is said of a cluster that cannot read a piece."""
+    """Return the error for a cluster that cannot unpickle a piece."""
     return WorkerError(f"{place} has workers without halfseen; install halfseen {halfseen.__version__} there")
 
 
 class RayTasks(TaskBackend):
-    """A task of Ray for every call."""
+    """Submits a Ray task for every call."""
 
     def begin(self, call: Call) -> Task:
-        """Begin a call."""
+        """Submit a call."""
         import ray
 
         return ray.remote(num_cpus=1)(called).remote(call)
 
     def when_over(self, task: Task, tell: Callable[[], None]) -> None:
-        """Have something called once a task is over."""
+        """Have a function called once a task is over."""
         task.future().add_done_callback(lambda _: tell())
 
     def retrieve_result_callback(self, out: Task) -> Any:
-        """Give what came out of a task that is over."""
+        """Return the result of a finished task."""
         import ray
 
         return ray.get(out)
 
     def cancel(self, tasks: Collection[Task]) -> None:
-        """Let go of tasks."""
+        """Cancel tasks."""
         import ray
 
         for task in tasks:
@@ -150,14 +149,14 @@ class RayTasks(TaskBackend):
 
 @contextmanager
 def on_ray(num: int, address: str | None) -> Iterator[Engine]:
-    """Give work to the cluster at an address; without one, to a cluster of so many processes on this machine.
+    """Use the cluster at an address; without one, start a cluster of `num` processes on this machine.
 
     Raises
     ------
     WorkerError
-        Nobody answers at the address.
+        Nothing answers at the address.
     """
-    # Nothing is reported to anyone.
+    # No usage statistics are sent.
     os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")
     import ray
     from ray.exceptions import NodeDiedError, OutOfMemoryError, RaySystemError, WorkerCrashedError
@@ -167,7 +166,7 @@ def on_ray(num: int, address: str | None) -> Iterator[Engine]:
         _refuse_silent(address)
     try:
         with warnings.catch_warnings():
-            # Ray forks to begin programs of its own at once, which no thread of a compiler has time to hinder.
+            # Ray forks to start its own programs at once, before a compiler thread can interfere.
             warnings.filterwarnings("ignore", "os.fork", RuntimeWarning)
             if address is None:
                 ray.init(num_cpus=num, include_dashboard=False, **quiet)
@@ -190,10 +189,10 @@ def on_ray(num: int, address: str | None) -> Iterator[Engine]:
 
 
 def _refuse_silent(address: str) -> None:
-    """Refuse an address at which no port is open: Ray itself would try for minutes."""
+    """Refuse an address with no open port: Ray itself would try for minutes."""
     host, _, port = address.removeprefix("ray://").rpartition(":")
     if not (host and port.isdecimal()):
-        return  # auto, and what Ray itself refuses
+        return  # auto, and addresses that Ray itself refuses
     try:
         socket.create_connection((host, int(port)), CONNECT_S).close()
     except (OSError, OverflowError) as error:
@@ -212,57 +211,57 @@ def _first_line(error: BaseException) -> str:
 
 
 LOOK_S = 1.0
-"""Between two looks whether there are workers [s]."""
+"""Interval between two checks for workers [s]."""
 EMPTY_S = 20.0
-"""How long there may be none before what was begun counts as lost [s]: Dask itself would wait for ever.
+"""How long there may be no workers before submitted tasks count as lost [s]: Dask itself would wait for ever.
 
-Longer than it takes a cluster of this machine to let go of a worker that closed itself."""
+This is longer than a local cluster takes to drop a worker that closed itself."""
 
 
 class DaskTasks(TaskBackend):
-    """A task of Dask for every call."""
+    """Submits a Dask task for every call."""
 
     def begin(self, call: Call) -> Task:
-        """Begin a call."""
+        """Submit a call."""
         from distributed import get_client
 
         return get_client().submit(called, call, pure=False)
 
     def when_over(self, task: Task, tell: Callable[[], None]) -> None:
-        """Have something called once a task is over."""
+        """Have a function called once a task is over."""
         task.add_done_callback(lambda _: tell())
 
     def retrieve_result_callback(self, out: Task) -> Any:
-        """Give what came out of a task that is over, and have no worker keep it: Dask would make it again if lost."""
+        """Return the result of a finished task, and release it: Dask would compute it again if it were lost."""
         try:
             return out.result()
         finally:
             out.release()
 
     def cancel(self, tasks: Collection[Task]) -> None:
-        """Let go of tasks."""
+        """Cancel tasks."""
         for task in tasks:
             task.cancel()
 
 
 @contextmanager
 def on_dask(num: int, address: str | None) -> Iterator[Engine]:
-    """Give work to the cluster at an address; without one, to a cluster of so many processes on this machine.
+    """Use the cluster at an address; without one, start a cluster of `num` processes on this machine.
 
     Raises
     ------
     WorkerError
-        Nobody answers at the address.
+        Nothing answers at the address.
     """
     from distributed import Client, KilledWorker
     from distributed.client import FutureCancelledError
     from distributed.comm.core import CommClosedError
 
-    # One thread a worker: two that execute compiled code at once can wait for one another for ever.
+    # One thread per worker: two threads that execute compiled code can deadlock.
     here: dict[str, Any] = {"n_workers": num, "threads_per_worker": 1, "dashboard_address": None}
     try:
         with warnings.catch_warnings():
-            # Other versions are reported by the worker that gets it.
+            # The worker that gets the piece reports other versions.
             warnings.simplefilter("ignore")
             client = Client(**here) if address is None else Client(address, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
@@ -279,7 +278,7 @@ def on_dask(num: int, address: str | None) -> Iterator[Engine]:
                 "code needs a process of its own; start workers with --nworkers N --nthreads 1"
             )
         try:
-            # A piece that cannot be read there would never come back.
+            # A piece that cannot be unpickled there would never return.
             client.run(metadata.version, "halfseen")
         except metadata.PackageNotFoundError as error:
             raise without_halfseen(f"the Dask cluster at {address}") from error
@@ -292,9 +291,9 @@ def on_dask(num: int, address: str | None) -> Iterator[Engine]:
 
 @contextmanager
 def _watched(client: Any, num_here: int | None) -> Iterator[None]:
-    """Cancel what a cluster without workers has begun, so that its loss is known; bring back workers of this machine.
+    """Cancel the tasks of a cluster without workers, so that their loss is noticed; restart local workers.
 
-    A worker that closes itself because what it did was taken from it closes its nanny, too, and none comes after it.
+    A worker that closes itself because its task was taken from it closes its nanny, too, and is not replaced.
     """
     from distributed import Future
 

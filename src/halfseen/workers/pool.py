@@ -1,6 +1,6 @@
-"""Pieces go to workers, and what comes out of them streams back; what a lost worker had is made again.
+"""A pool sends pieces to workers and streams the results back; pieces of lost workers are made again.
 
-A worker sees that it is like the machine that asks, makes the piece, and sends back what came out.
+A worker checks that its versions are those of the main process, makes the piece, and returns the result.
 """
 
 import pickle
@@ -24,39 +24,39 @@ Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
 MOST_LOST = 10
-"""Times that workers are lost one after another, while no piece gets done, before it is given up."""
+"""Losses of workers in a row, without a finished piece, after which the pool gives up."""
 
 
 WORTH_S = 20.0
-"""Workers are worth beginning where all that is left would take one process longer [s]."""
+"""Workers are started if the remaining pieces would take one process longer than this [s]."""
 
 _STREAMED: dict[str, Any] = {"batch_size": 1, "pre_dispatch": "2*n_jobs"}
-"""No more pieces are under way than keep all workers busy: memory is bounded, and little is lost with a worker."""
+"""Only enough pieces are in flight to keep all workers busy: this bounds memory, and little is lost with a worker."""
 
 
 class Engine(NamedTuple):
-    """A backend of joblib that is ready for work."""
+    """A joblib backend that is ready for work."""
 
     backend: str
-    """Name by which joblib knows it."""
+    """Its name in joblib."""
     num_workers: int
-    """Pieces that are made at once."""
+    """Number of pieces that are made at once."""
     losses: tuple[type[BaseException], ...]
-    """What it raises when a worker was lost and the engine itself has given up."""
+    """Exceptions that it raises when a worker was lost and the engine itself has given up."""
     place: str
-    """What it is called in messages."""
+    """Its name in messages."""
     is_here: bool
-    """Whether its workers are processes of this machine, with its folders."""
+    """Whether its workers are processes of this machine, with access to its folders."""
     options: Mapping[str, Any] = MappingProxyType({})
-    """What else joblib tells the backend."""
+    """Further options of the joblib backend."""
 
 
 PACKAGES = ("mujoco", "numpy", "pandas", "scipy")
-"""What the numbers depend on, beside halfseen."""
+"""The packages that the results depend on, beside halfseen."""
 
 
 class Outcome(NamedTuple):
-    """What came out of a piece."""
+    """The outcome of a piece."""
 
     number: int
     result: Any
@@ -65,7 +65,7 @@ class Outcome(NamedTuple):
 
 @cache
 def versions() -> Mapping[str, str]:
-    """Versions of the packages that are installed here, by name."""
+    """Versions of the installed packages, by name."""
     found = {"halfseen": halfseen.__version__}
     for name in PACKAGES:
         try:
@@ -76,7 +76,7 @@ def versions() -> Mapping[str, str]:
 
 
 def made(wanted: Mapping[str, str], function: UInt8[np.ndarray, " bytes"], number: int, piece: Any) -> Outcome:
-    """Make a piece, in a worker; errors that a user can mend are sent back as they are."""
+    """Make a piece, in a worker; errors that a user can fix are returned unchanged."""
     try:
         _check_versions(wanted)
         return Outcome(number, result_of(_function(function.tobytes()), piece))
@@ -87,13 +87,13 @@ def made(wanted: Mapping[str, str], function: UInt8[np.ndarray, " bytes"], numbe
 
 
 def result_of(function: Callable[[Any], Any], piece: Any) -> Any:
-    """Make a piece as every worker does: it tells nothing, and matrices use one thread, as sums depend on that."""
+    """Make a piece as a worker does: no progress output, and one thread, as the number of threads changes sums."""
     with telling(Telling.NOTHING), one_thread():
         return function(piece)
 
 
 def _check_versions(wanted: Mapping[str, str]) -> None:
-    """Refuse to work with other versions than those of the process that asks.
+    """Refuse to work with versions other than those of the main process.
 
     Raises
     ------
@@ -113,7 +113,7 @@ def _check_versions(wanted: Mapping[str, str]) -> None:
 
 @lru_cache(maxsize=1)
 def _function(function: bytes) -> Callable[[Any], Any]:
-    # It came from the process that asks, and from nowhere else; what it has worked out serves the next piece.
+    # The pickle comes from the main process and nowhere else; its caches serve the next piece.
     try:
         return pickle.loads(function)
     except ModuleNotFoundError as error:
@@ -123,14 +123,14 @@ def _function(function: bytes) -> Callable[[Any], Any]:
 
 
 class Pool:
-    """Workers that are ready.
+    """A pool of workers that are ready.
 
     Parameters
     ----------
     engine
-        What runs them; None for this process alone.
+        The engine that runs them; None for this process alone.
     begin
-        Begins an engine for a process that is alone, once what is left is worth it; None to leave it alone.
+        Starts an engine once the remaining work is worth it; None to stay with this process alone.
     """
 
     def __init__(self, engine: Engine | None, begin: Callable[[], Engine] | None = None) -> None:
@@ -138,35 +138,35 @@ class Pool:
 
     @property
     def num_workers(self) -> int:
-        """Pieces that are made at once."""
+        """Number of pieces that are made at once."""
         return 1 if self._engine is None else self._engine.num_workers
 
     @property
     def is_here(self) -> bool:
-        """Whether all workers are processes of this machine, with its folders."""
+        """Whether all workers are processes of this machine, with access to its folders."""
         return self._engine is None or self._engine.is_here
 
     def each(self, function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> Iterator[tuple[int, Result]]:
-        """Make pieces, and give each as soon as it is over.
+        """Make pieces, and yield each result as soon as it is ready.
 
         Parameters
         ----------
         function
-            Makes one; it and the pieces can be pickled.
+            Makes one piece; the function and the pieces can be pickled.
         pieces
-            What there is to make.
+            The pieces to make.
 
         Yields
         ------
         tuple of int and Result
-            Number of the piece, from 0 on, and what came out.
+            Index of the piece, from 0, and its result.
 
         Raises
         ------
         HalfseenError
-            What the function raised.
+            The function raised it.
         WorkerError
-            Workers are lost again and again, or have other versions.
+            Workers are lost repeatedly, or have other versions.
         """
         left = dict(enumerate(pieces))
         while left and self._engine is None:
@@ -186,12 +186,12 @@ class Pool:
     def _made_there(
         self, engine: Engine, function: Callable[[Piece], Result], left: dict[int, Piece]
     ) -> Iterator[tuple[int, Result]]:
-        """Have workers make what is left."""
-        # It loads what a process that is alone need not wait for.
+        """Have workers make the remaining pieces."""
+        # This import is slow, and a process alone does not need it.
         import cloudpickle
 
         num_lost, lost = 0, None
-        # As an array, so that joblib hands processes of this machine a large one by its memory, and not by their pipes.
+        # As an array, so that joblib passes a large one to local processes by shared memory, not through their pipes.
         packed = np.frombuffer(cloudpickle.dumps(function), dtype=np.uint8)
         while left:
             try:
@@ -209,7 +209,7 @@ class Pool:
                 ) from lost
 
     def in_order(self, function: Callable[[Piece], Result], pieces: Iterable[Piece]) -> Iterator[Result]:
-        """Make pieces, and give what came out in their order."""
+        """Make pieces, and yield the results in order."""
         waiting: dict[int, Result] = {}
         following = 0
         for number, result in self.each(function, pieces):
@@ -220,10 +220,10 @@ class Pool:
 
 
 def _round(engine: Engine, function: UInt8[np.ndarray, " bytes"], left: Mapping[int, Any]) -> Iterator[tuple[int, Any]]:
-    """Make what is left, until all is made or a worker is lost."""
+    """Make the remaining pieces, until all are made or a worker is lost."""
     from joblib import Parallel, delayed, parallel_config
 
-    # With one job joblib would make the pieces in this process, which a piece then could end.
+    # With one job joblib would make the pieces in this process, which a piece could then kill.
     with parallel_config(engine.backend, n_jobs=max(engine.num_workers, 2), **engine.options):
         parallel: Any = Parallel(return_as="generator_unordered", **_STREAMED)
     wanted = versions()
@@ -235,6 +235,6 @@ def _round(engine: Engine, function: UInt8[np.ndarray, " bytes"], left: Mapping[
             yield number, result
     finally:
         with warnings.catch_warnings():
-            # What an error or a reader who has seen enough cancels is nothing to be warned of.
+            # Cancellation by an error, or by a consumer that stops early, is no cause for a warning.
             warnings.simplefilter("ignore", UserWarning)
             outcomes.close()

@@ -13,9 +13,9 @@ R = TypeVar("R")
 
 
 def in_one_thread(function: Callable[P, R]) -> Callable[P, R]:
-    """Let a function run in `one_thread`: where other programs keep the cores busy, it may take a fiftieth of the time.
+    """Run a function in `one_thread`: if other programs keep the cores busy, it may take a fiftieth of the time.
 
-    And its sums, which depend on the number of threads, are the same on every machine.
+    Its sums, which depend on the number of threads, are then the same on every machine.
     """
 
     @wraps(function)
@@ -33,5 +33,5 @@ def one_thread() -> AbstractContextManager[Any]:
 
 @lru_cache(maxsize=1)
 def _threads(num_modules: int) -> ThreadpoolController:
-    # It lists the libraries that are loaded, which takes longer than a small fit; they are more where modules are.
+    # Listing the loaded libraries takes longer than a small fit; new modules may load more of them.
     return ThreadpoolController()

@@ -1,4 +1,4 @@
-"""Who makes the pieces."""
+"""The choice of workers."""
 
 import os
 from collections.abc import Iterator
@@ -11,27 +11,27 @@ from halfseen.workers.pool import Engine, Pool
 
 
 def num_cores() -> int:
-    """Cores that this process may use."""
+    """Number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 @dataclass(frozen=True)
 class Workers:
-    """Workers, as a user asks for them; who they are changes nothing of what comes out.
+    """Workers, as chosen by the user; the choice does not affect the results.
 
     Parameters
     ----------
     num
-        Processes on this machine; None for one a core. With an address the cluster has its own number.
+        Number of processes on this machine; None for one per core. A cluster with an address has its own number.
     engine
         One of `halfseen.workers.ENGINES`.
     address
-        Of a Ray or Dask cluster; None for one that lives on this machine for as long as the work takes.
+        Address of a Ray or Dask cluster; None for a cluster on this machine that lasts as long as the work.
 
     Raises
     ------
     ArgumentError
-        Of no such engine, or an address for processes of this machine.
+        No such engine, or an address is given for processes of this machine.
     """
 
     num: int | None = None
@@ -50,12 +50,12 @@ class Workers:
 
     @contextmanager
     def ready(self) -> Iterator[Pool]:
-        """Have them ready for the length of a ``with`` block.
+        """Keep them ready within a ``with`` block.
 
         Raises
         ------
         WorkerError
-            Nobody answers at the address.
+            Nothing answers at the address.
         """
         if self.engine == "processes" and self._num == 1:
             yield Pool(None)
@@ -65,12 +65,12 @@ class Workers:
 
     @contextmanager
     def ready_if_worth(self) -> Iterator[Pool]:
-        """Have them ready where there may be little to do: unless they were asked for, they begin once it is worth it.
+        """Keep them ready where there may be little to do: unless chosen by the user, they start once it is worth it.
 
         Raises
         ------
         WorkerError
-            Nobody answers at the address.
+            Nothing answers at the address.
         """
         if self.num is not None or self.engine != "processes" or self._num == 1:
             with self.ready() as pool:

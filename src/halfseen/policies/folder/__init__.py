@@ -1,15 +1,15 @@
-"""Policies on disk: numbers and text, so that loading one runs no code.
+"""Policies on disk, as numbers and text: loading one runs no code.
 
 ::
 
     FOLDER/
-      policy.json          what the policy looks at, what it was learned from and how, what its weights are worth
-      policy.safetensors   its numbers
-      policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
+      policy.json          what the policy looks at, its log and how it was learned, its importance weights
+            policy.safetensors   its numbers
+            policy.sha256        digests of both (``sha256sum -c policy.sha256`` checks them, too)
 
-Read down: `files` (there whole or not at all, no byte changed) → `record` (the schema of policy.json) → `kinds`,
-`table_kinds`, `law_kinds` (what differs between kinds of policies, and their arrays) → `stored` (read) →
-`specification` (how it was learned), `log_facts`, `promised_parts` (what the log was), `writing` (write).
+Read down: `files` (atomic, checked folders) → `record` (the schema of policy.json) → `kinds`, `table_kinds`,
+`law_kinds` (what differs between kinds of policies, and their arrays) → `stored` (reading) → `specification` (how it
+was learned), `log_facts`, `promised_parts` (facts about the log), `writing`.
 """
 
 from typing import TYPE_CHECKING

@@ -1,4 +1,4 @@
-"""A folder of a policy, or of its like, that is there whole or not at all, and in which no byte has changed."""
+"""Atomic writing and checked reading of the folder of a policy, or of a similar object."""
 
 import hashlib
 from collections.abc import Callable, Mapping
@@ -15,23 +15,23 @@ class Kind(NamedTuple):
     """What a folder holds."""
 
     name: str
-    """As its files are called."""
+    """Stem of its file names."""
     maker: str
-    """The command that writes it."""
+    """The command that writes the folder."""
 
     @property
     def record(self) -> str:
-        """File of text."""
+        """The text file."""
         return f"{self.name}.json"
 
     @property
     def arrays(self) -> str:
-        """File of numbers."""
+        """The file of numbers."""
         return f"{self.name}.safetensors"
 
     @property
     def digests(self) -> str:
-        """File of the digests of both."""
+        """The file with the digests of both."""
         return f"{self.name}.sha256"
 
 
@@ -40,12 +40,12 @@ RECORD, ARRAYS, DIGESTS = POLICY.record, POLICY.arrays, POLICY.digests
 
 
 def check_target(folder: Path, overwrite: bool, kind: Kind = POLICY) -> None:
-    """Refuse a folder that cannot be written to; call it before long work.
+    """Refuse a folder that cannot be written to; to be called before long work.
 
     Raises
     ------
     ArgumentError
-        Something is there and shall not be replaced, or is of another kind.
+        The folder exists and may not be replaced, or is of another kind.
     """
     refuse_taken(folder, overwrite, kind.record, kind.name)
 
@@ -59,12 +59,12 @@ def write_files(
     kind: Kind = POLICY,
     beside: Mapping[str, Callable[[Path], None]] = MappingProxyType({}),
 ) -> None:
-    """Write the files beside `folder`, then put them in its place by renaming; `beside` writes what else it holds.
+    """Write the files to a temporary folder, then rename it to `folder`; `beside` writes further files.
 
     Raises
     ------
     ArgumentError
-        The folder is there already, holds something of another kind, or cannot be written.
+        The folder exists, holds something of another kind, or cannot be written.
     """
     with placed(folder, overwrite=overwrite, marker=kind.record, kind=kind.name) as fresh:
         (fresh / kind.arrays).write_bytes(arrays)
@@ -80,7 +80,7 @@ def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:
     Raises
     ------
     PolicyError
-        The folder or a file is missing or cannot be read, or a byte of a file is not what it was.
+        The folder or a file is missing or cannot be read, or a byte of a file has changed.
     """
     if not folder.is_dir():
         raise PolicyError(f"{folder}: there is no such folder; {_remedy(folder, kind)}")
@@ -96,7 +96,7 @@ def read_files(folder: Path, kind: Kind = POLICY) -> tuple[bytes, bytes]:
 
 
 def _remedy(folder: Path, kind: Kind) -> str:
-    """What to do where no folder is."""
+    """Remedy for a missing folder."""
     aside = left_aside(folder)
     if aside is None:
         return f"give the folder that `{kind.maker}` wrote"

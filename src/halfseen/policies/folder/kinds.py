@@ -1,6 +1,6 @@
-"""What differs between kinds of policies in a folder: arrays, whose every shape and number is checked, and a schema.
+"""What differs between kinds of stored policies: their arrays, with checks of every shape and number, and their schema.
 
-The kind of named actions is here, those of tables in `table_kinds` and `law_kinds`, which bring the world.
+The kind of named actions is here; those of tables, which load the world, are in `table_kinds` and `law_kinds`.
 """
 
 from collections.abc import Callable, Container, Mapping
@@ -24,12 +24,12 @@ GRASP = "grasp.chances"
 KERNEL_NAMES = ("centre", "scale", "landmarks", "projection", "gamma")
 TREND = "kernel.trend"
 LARGEST = 1e30
-"""Beyond it products of features and coefficients are no numbers in single precision."""
+"""Beyond it products of features and coefficients overflow in single precision."""
 
 
 @dataclass(frozen=True)
 class PolicyKind:
-    """What differs between the folders of one kind of policy and those of another.
+    """What differs between the folders of different kinds of policies.
 
     Parameters
     ----------
@@ -37,15 +37,15 @@ class PolicyKind:
         Class of the policies.
     schema
         What a policy looks at and chooses from, for policy.json; ``actions`` names the blocks of coefficients, unless
-        ``blocks`` does.
+        ``blocks`` is given.
     arrays_of
-        Names the arrays of a policy.
+        Returns the arrays of a policy by name.
     policy_of
-        Puts a policy together again of a record and arrays; all of it is checked.
+        Rebuilds a policy from a record and arrays, and checks all of it.
     is_flat
-        Whether actions are named ones; else the policy is of tables.
+        Whether actions are named ones; otherwise the policy is of tables.
     has_prior
-        Whether the schema tells what the log did of the prior, of views and of rewards, too.
+        Whether the record also holds the log's prior, how it counts views, and its rewards.
     """
 
     policy_type: type
@@ -57,12 +57,12 @@ class PolicyKind:
 
 
 def linear_arrays(policy: Any) -> dict[str, np.ndarray]:
-    """Name the arrays of a policy and of its kernel, each in the order of its memory.
+    """Return the arrays of a policy and of its kernel by name, each in its memory order.
 
     Raises
     ------
     ArgumentError
-        It is a batch of policies.
+        The policy is a batch of policies.
     """
     shape = np.shape(policy.coefficients)
     if len(shape) != 3:
@@ -75,19 +75,19 @@ def linear_arrays(policy: Any) -> dict[str, np.ndarray]:
 
 
 def kernel_map_of(arrays: Any) -> KernelMap | None:
-    """Put the kernel of a policy together again, if it has one."""
+    """Rebuild the kernel of a policy, if it has one."""
     if "kernel.centre" not in arrays:
         return None
     return KernelMap(**{name: arrays[f"kernel.{name}"] for name in KERNEL_NAMES}, trend=arrays.get(TREND))
 
 
 def laid_out(arrays: Arrays, by_column: Container[str]) -> dict[str, np.ndarray]:
-    """Copy arrays row by row, but those that are named column by column."""
+    """Copy arrays to row-major order, except the named ones, which become column-major."""
     return {name: np.array(array, order="F" if name in by_column else "C") for name, array in arrays.items()}
 
 
 def linear_shapes(arrays: Arrays, horizon: int, num_blocks: int, num_features: int) -> dict[str, tuple[int, ...]]:
-    """Shapes of the arrays of a policy whose Q, or its kernel, looks at so many features.
+    """Shapes of the arrays of a policy whose Q, or its kernel, has this number of features.
 
     Raises
     ------
@@ -113,12 +113,12 @@ def linear_shapes(arrays: Arrays, horizon: int, num_blocks: int, num_features: i
 
 
 def sizes_of(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
-    """Shape of an array with so many axes.
+    """Shape of an array with `ndim` axes.
 
     Raises
     ------
     PolicyError
-        There is none.
+        There is no such array.
     """
     array = arrays.get(name)
     if array is None or array.ndim != ndim:
@@ -128,12 +128,12 @@ def sizes_of(arrays: Arrays, name: str, ndim: int) -> tuple[int, ...]:
 
 
 def check_shapes(arrays: Arrays, wanted: Mapping[str, tuple[int, ...]], dtype: type) -> None:
-    """Refuse arrays that have not these shapes, or hold what is no number.
+    """Refuse arrays of other shapes, or with values that are not finite numbers.
 
     Raises
     ------
     PolicyError
-        The array, what it is and what it should be are named.
+        An array is wrong; it is named, with what it is and what it should be.
     """
     for name in sorted({*wanted, *arrays}):
         if name not in arrays or name not in wanted:
@@ -162,7 +162,7 @@ def _check_numbers(name: str, array: np.ndarray) -> None:
 
 
 class DiscreteSchema(Struct):
-    """Covariates, their categories and what stands for missing ones; actions, and those that each stage allows."""
+    """Covariates, categories and replacements of missing values; actions, and those possible at each stage."""
 
     horizon: Horizon
     covariates: list[str]

@@ -1,4 +1,4 @@
-"""Kinds of policies of tables in a folder that decide by fitted laws: of one robot, and of a team."""
+"""Kinds of stored table policies that decide by fitted laws, of one robot and of a team."""
 
 from collections.abc import Mapping
 from dataclasses import fields
@@ -50,7 +50,7 @@ _FAMILIES: dict[str, dict[str, Any]] = {
     "grasping": {"exponential": AssumedGrasping, "logistic": FittedGrasping},
     "seeing": {"independent": AssumedSeeing, "persistent": PersistentSeeing},
 }
-"""Of laws that a folder can hold, by law and name."""
+"""Laws that a folder can hold, by law and name."""
 _OF_ROBOTS, _CURVES = ("speed", "reward_per_s", "drop_out_rate"), ("views", "sensitivity", "false_alarms")
 
 
@@ -63,7 +63,7 @@ GraspingLaw, SeeingLaw = (Union[tuple(starmap(_family_schema, of.items()))] for 
 
 
 class WorldLaws(Struct):
-    """A world, its laws included, and its robots where there are several."""
+    """A world with its laws, and its robots if there are several."""
 
     horizon: int
     dirty_share: Annotated[float, Meta(gt=0.0, lt=1.0)]
@@ -81,7 +81,7 @@ class WorldLaws(Struct):
 
 
 class LawsSchema(Struct):
-    """What a policy of laws is built on, the verbs that the log told, and the laws."""
+    """The world and laws of a policy, and the verbs that the log supports."""
 
     horizon: Horizon
     basis: str
@@ -98,7 +98,7 @@ class LawsSchema(Struct):
 
 
 class Bounds(Struct):
-    """Between which E of a team is kept, and by how much an action must be better."""
+    """Bounds of E of a team, and the lead that an action must have."""
 
     low: float
     high: float
@@ -156,7 +156,7 @@ def _laws_schema(policy: LawPolicy) -> dict[str, Any]:
 
 
 def _laws_arrays(policy: Any) -> dict[str, np.ndarray]:
-    """E, or the grasp model of a rule; and what mends log-odds."""
+    """E, or the grasp model of a rule; and the corrections of log-odds."""
     parts = {"mending": (policy.mending, _MENDING), "excess": (getattr(policy, "excess", None), _EXCESS)}
     named = {
         f"{part}.{name}": np.asarray(getattr(of, name))

@@ -1,4 +1,4 @@
-"""What policy.json says of the log that a policy was learned from, gathered in one pass over its parts."""
+"""Facts for policy.json about the log of a policy, gathered in one pass over its parts."""
 
 import hashlib
 from collections import Counter
@@ -23,31 +23,32 @@ from halfseen.shapes import Float, Int
 def log_facts(
     parts: Iterable[Logs], kind: PolicyKind, policy: Any, is_by_stage: bool
 ) -> tuple[LogsSummary, str, dict[str, Any], dict[str, Any]]:
-    """Gather what is kept of a log.
+    """Gather the facts that are kept of a log.
 
     Parameters
     ----------
     parts
-        The log, whole or in parts of whole trajectories, in their order.
+        The log, whole or in parts of whole trajectories, in order.
     kind
-        Of the policy.
+        Kind of the policy.
     policy
-        What was learned.
+        The learned policy.
     is_by_stage
         Whether each stage has a Q of its own.
 
     Returns
     -------
     summary : LogsSummary
-        Its counts.
+        Counts of the log.
     sha256 : str
-        Its digest.
+        Digest of the log.
     prior : dict
-        Where the policy's kind tells it: the prior of DIRTY, whether looks were counted, the least each verb paid.
+        For kinds of policies with a prior: the prior of DIRTY, whether looks were counted, the least reward of each
+        verb.
     facts : dict
-        ``seen``, what states looked like; ``stages_left``, the mean number of stages from each to the end of a
-        trajectory; ``reward_spread``, the standard deviation of the rewards of completed stages; ``actions_taken``, by
-        stage, how often each action was taken, empty for tables, whose actions are of objects.
+        ``seen``, the ranges of the states; ``stages_left``, the mean number of stages from each to the end of a
+        trajectory; ``reward_spread``, the standard deviation of the rewards of completed stages; ``actions_taken``, the
+        counts of actions by stage, empty for tables, whose actions refer to objects.
     """
     digest, summary, priors = LogDigest(), SummaryTally(), []
     taken: list[Counter[str]] = []
@@ -76,9 +77,9 @@ def log_facts(
 
 
 def log_digest(logs: Logs) -> str:
-    """Give the SHA-256 of what a log says: names of tables and columns, and every value, row by row.
+    """Return the SHA-256 of the content of a log: names of tables and columns, and every value, row by row.
 
-    The same trajectories have the same, in memory, in parts and from any form on disk.
+    The same trajectories have the same digest, in memory, in parts and from any format on disk.
     """
     digest = LogDigest()
     digest.add(logs)
@@ -92,14 +93,14 @@ class LogDigest:
         self._columns: dict[str, Any] = {}
 
     def add(self, part: Logs) -> None:
-        """Go on with the next part."""
+        """Add the next part."""
         for name, table in part.tables.items():
             for column in table.columns:
                 for k, data in enumerate(_bytes_of(table[column])):
                     self._columns.setdefault(f"{name}.{column}.{k}", hashlib.sha256()).update(data)
 
     def hexdigest(self) -> str:
-        """Give the SHA-256 of the columns' own."""
+        """Return the SHA-256 of the digests of the columns."""
         columns = sorted(self._columns.items())
         return hashlib.sha256("".join(f"{name}:{of.hexdigest()}\n" for name, of in columns).encode()).hexdigest()
 
@@ -118,7 +119,7 @@ def _bytes_of(values: Any) -> Iterator[bytes]:
 
 
 def _number_bytes(values: np.ndarray) -> bytes:
-    # One NaN and one zero, whatever bits they came in.
+    # One NaN and one zero, whatever their bits.
     return np.where(np.isnan(values), np.nan, values + 0.0).astype("<f8").tobytes()
 
 
@@ -141,7 +142,7 @@ def _seen_named(logs: Logs, policy: Any, is_by_stage: bool) -> list[dict[str, An
 
 
 def _extremes(part: Any, policy: Any) -> dict[str, Float[np.ndarray, "n 2"]]:
-    """Of numbers, the least and the largest value of each trajectory, which are independent."""
+    """The minimum and maximum of each number in each trajectory, as trajectories are independent."""
     numbers = [name for name in policy.covariates if name not in policy.categories]
     if not numbers:
         return {}
@@ -150,7 +151,7 @@ def _extremes(part: Any, policy: Any) -> dict[str, Float[np.ndarray, "n 2"]]:
 
 
 def _with_margins(entry: dict[str, Any], num_ranges: int) -> dict[str, Any]:
-    """With margins in the place of extremes."""
+    """Replace extremes by margins."""
     each = entry.pop("extremes")
     sides = {name: (-values[:, 0], values[:, 1]) for name, values in each.items()}
     return entry | {"margins": {name: tuple(margin(side, num_ranges) for side in both) for name, both in sides.items()}}
@@ -180,7 +181,7 @@ def _entry(first: int, last: int, num_states: int, ranges: dict[str, Any]) -> di
 
 
 def _joined(one: dict[str, Any], other: dict[str, Any], num_ranges: int) -> dict[str, Any]:
-    """What two parts of a log have seen of the same stages."""
+    """Merge what two parts of a log show of the same stages."""
     ranges = {name: _wider(seen, other["ranges"][name]) for name, seen in one["ranges"].items()}
     last = max(one["stages"][1], other["stages"][1])
     joined = _entry(one["stages"][0], last, one["num_states"] + other["num_states"], ranges)
@@ -192,7 +193,7 @@ def _joined(one: dict[str, Any], other: dict[str, Any], num_ranges: int) -> dict
 
 def _wider(one: Any, other: Any) -> Any:
     if isinstance(one, dict):
-        # In the order of the categories, as one log alone would have them.
+        # In the order of the categories, as in a log of one part.
         return {name: one.get(name, 0) + other.get(name, 0) for name in sorted({*one, *other})}
     return [min(one[0], other[0]), max(one[1], other[1])]
 
@@ -202,7 +203,7 @@ def _prior(logs: Logs) -> tuple[Any, bool, dict[str, float]]:
 
     done: Any = logs.stages[logs.stages["reward"].notna()]
     least = done.groupby("action", observed=True)["reward"].min()
-    # Where a recorder counted how much of an object has been in view, a second look may be no news.
+    # If a recorder counted how much of an object has been in view, a second look may show nothing new.
     counts_views = logs.objects is not None and "seen" in logs.objects.columns and (logs.objects["seen"] > 0.0).any()
     return prior_facts(logs), bool(counts_views), {str(verb): float(paid) for verb, paid in least.items()}
 
@@ -221,14 +222,14 @@ def _priors_joined(priors: Sequence[tuple[Any, bool, dict[str, float]]]) -> dict
 
 
 def stage_counts(logs: Logs) -> Int[np.ndarray, "2 T"]:
-    """How many trajectories began each stage, and how many completed it; those of parts of a log add up."""
+    """Numbers of trajectories that began and that completed each stage; those of parts of a log add up."""
     stage = logs.stages["stage"].to_numpy(dtype=np.int64)
     is_done = logs.stages["elapsed_s"].notna().to_numpy(dtype=bool)
     return np.stack([np.bincount(each, minlength=logs.horizon + 1)[1:] for each in (stage, stage[is_done])])
 
 
 def actions_taken(logs: Logs) -> list[Counter[str]]:
-    """Count by stage how often each action was taken, by its name; those of parts of a log add up."""
+    """Count how often each action was taken, by stage and name; counts of parts of a log add up."""
     taken: Any = logs.stages[["stage", "action"]].dropna()
     names = taken["action"].map(str).groupby(taken["stage"])
     by_stage = {stage: Counter(of.tolist()) for stage, of in names}
@@ -242,19 +243,19 @@ def _added(one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def stages_left(counts: Int[np.ndarray, "2 T"]) -> list[float]:
-    """Mean number of stages from each to the end, by Kaplan and Meier: what a cut took away is made up for.
+    """Mean number of stages from each to the end, by Kaplan–Meier, which corrects for cuts.
 
-    Of the trajectories that completed a stage, some went on to the next; a cut within a stage tells nothing of that.
-    Over so many stages the errors of Q add up.
+    Only trajectories that completed a stage show whether they went on to the next; a cut within a stage does not. The
+    errors of Q add up over this number of stages.
 
     Parameters
     ----------
     counts
-        Of the whole log, as `stage_counts` gives them.
+        Counts of the whole log, as returned by `stage_counts`.
 
     Examples
     --------
-    Of three trajectories one was cut in stage 1; of the two others one went on.
+    Of three trajectories, one was cut in stage 1; one of the two others went on.
 
     >>> stages = {"trajectory": [0, 1, 1, 2], "stage": [1, 1, 2, 1], "elapsed_s": [1.0, 1.0, 2.0, None]}
     >>> stages["action"] = ["A"] * 4
@@ -295,19 +296,19 @@ def _spread_of(part: Logs) -> _Spread:
 
 
 def sources_of(trajectories: Frame, name: str | None = None) -> list[dict[str, Any]]:
-    """Name the logs that a log is made of, in their order.
+    """List the source logs of a log, in order.
 
     Parameters
     ----------
     trajectories
-        Its table; one that was joined of several folders says which (`halfseen.logs.compact`).
+        Its table of trajectories; if it joins several folders, the table names them (`halfseen.logs.compact`).
     name
-        Of a log that does not say where it comes from.
+        Name of a log that does not state its source.
 
     Returns
     -------
     list of dict
-        ``name``, ``num_trajectories``, and what its ``first`` and ``last`` one are called there.
+        ``name``, ``num_trajectories``, and the original names of its ``first`` and ``last`` one.
     """
     is_joined = RUN in trajectories.columns and RUN_TRAJECTORY in trajectories.columns
     names: Any = trajectories[RUN_TRAJECTORY if is_joined else "trajectory"]

@@ -1,10 +1,10 @@
-"""What a policy keeps of how its cell behaved: rewards and durations of each action, so that both are watched.
+"""How the cell of a log behaved: rewards and durations of each action, kept in the policy for later monitoring.
 
-Of each action, reward and log duration are a ridge regression on the covariates, and, where there are ten stages for
-each, on their products; the covariance of the coefficients is kept, and the distribution of what is left of them, the
-residuals. The range of what a trajectory can bring is added up backwards over stages, as no trajectory was seen to do
-better: M_t = max(most after which one had ended, M_{t+1} + most of the others). Covariates that never changed within a
-trajectory, as a part's weight, are named.
+For each action, reward and log duration are each a ridge regression on the covariates and, with ten stages for each, on
+their products. The covariance of the coefficients and the distribution of the residuals are kept. The range of a
+trajectory's return is bounded by backward recursion over stages, as no trajectory was seen to do better:
+M_t = max(largest reward of a trajectory's last stage, M_{t+1} + largest reward of other stages). Covariates that never
+changed within a trajectory, such as a part's weight, are listed.
 """
 
 from collections.abc import Sequence
@@ -20,26 +20,26 @@ from halfseen.logs import Logs
 from halfseen.shapes import Bool, Float, Int
 
 NUM_KNOTS = 21
-"""Of a distribution function, at most."""
+"""Largest number of knots of a distribution function."""
 RIDGE = 1.0
-"""On standardised covariates, beside as many ones as there are states."""
+"""Ridge penalty on standardised covariates, whose sums of squares are the number of states."""
 MOST_STATES = 200
-"""First states that are kept."""
+"""Largest number of first states that are kept."""
 STATES_PER_TERM = 10
 FEWEST = 10
-"""Stages without which an action is not described."""
+"""Fewest stages for which an action is described."""
 MOST_FEATURES = 200
-"""Where there are more, as of a state that is one of many names, no action is."""
+"""No action is described with more features, as of a state with a covariate of many names."""
 WHATS = ("reward", "duration")
 DECIMALS = 9
 FEWEST_STEPS = 50
-"""From a stage to the next, in which something never changed."""
+"""Fewest steps between stages for a covariate to count as never changing."""
 
 
 def promised_states(logs: Logs, covariates: Sequence[str]) -> list[dict[str, Any]]:
-    """Describe the covariates of each stage of a log: of numbers a distribution function, of names their shares.
+    """Describe the covariates of each stage of a log: numbers by a distribution function, names by their shares.
 
-    Anyone who serves a policy can be told by them when its cell differs from the log.
+    A server of the policy compares its cell with them.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ def promised_states(logs: Logs, covariates: Sequence[str]) -> list[dict[str, Any
 
 
 def distribution_of(values: Any) -> dict[str, list[Any]]:
-    """Describe a column: of numbers a distribution function, of names their shares."""
+    """Describe a column: numbers by a distribution function, names by their shares."""
     if pd.api.types.is_numeric_dtype(values.dtype):
         numbers = np.sort(values.to_numpy(dtype=np.float64))
         knots = np.unique(np.quantile(numbers, np.linspace(0.0, 1.0, NUM_KNOTS), method="lower"))
@@ -76,7 +76,7 @@ def distribution_of(values: Any) -> dict[str, list[Any]]:
 
 
 def below(sorted_numbers: Float[np.ndarray, " n"], knots: Float[np.ndarray, " k"]) -> Float[np.ndarray, " k"]:
-    """Share of numbers, in order, that lie below each knot or at it."""
+    """Share of the sorted numbers that lie at or below each knot."""
     return np.searchsorted(sorted_numbers, knots, side="right") / len(sorted_numbers)
 
 
@@ -88,14 +88,14 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
     logs
         The log.
     policy
-        What was learned from it; of one that takes no named actions, only what a trajectory brings is described.
+        The learned policy; for one without named actions, only the range of a trajectory's return is described.
 
     Returns
     -------
     dict
-        ``brings``: the least and the most that a trajectory brings; ``parts``: for each action and of ``WHATS`` its
-        model; ``first_states``: states that trajectories began with, one a row, as numbers; ``unmoved``: covariates
-        that never changed within a trajectory, and in how many steps.
+        ``brings``: the range of a trajectory's return; ``parts``: the model of each action and each of ``WHATS``;
+        ``first_states``: states at the beginning of trajectories, one a row, as numbers; ``unmoved``: covariates that
+        never changed within a trajectory, and in how many steps.
     """
     least, most = (-_most(logs, -1.0), _most(logs, 1.0))
     if not (isinstance(policy, NamedActionPolicy) and hasattr(policy, "decide")):
@@ -114,7 +114,7 @@ def promised_parts(logs: Logs, policy: Any) -> dict[str, Any]:
 
 
 def moves(logs: Logs, name: str) -> tuple[Int[np.ndarray, " m"], Bool[np.ndarray, " m"]]:
-    """Of each step from a stage to the next, the place of its trajectory, and whether a covariate changed."""
+    """For each step from a stage to the next, the index of its trajectory, and whether a covariate changed."""
     place, values = stage_places(logs)[0], logs.stages[name].to_numpy()
     is_later = place[1:] == place[:-1]
     return place[1:][is_later], np.asarray(values[1:] != values[:-1], dtype=bool)[is_later]
@@ -127,13 +127,13 @@ def _unmoved(logs: Logs, names: Sequence[str]) -> dict[str, Any]:
 
 
 def outcome_rows(logs: Logs) -> Any:
-    """Completed stages with a known action; ``duration`` is the logarithm of theirs [log s]."""
+    """Completed stages with a known action; ``duration`` is its logarithm [log s]."""
     rows: Any = logs.stages.assign(duration=np.log(np.maximum(logs.durations_s(), 1e-9)))
     return rows[rows["elapsed_s"].notna() & rows["action"].notna()].reset_index(drop=True)
 
 
 def expanded(features: Float[np.ndarray, "m F"], most: int) -> Float[np.ndarray, "m P"]:
-    """Add the products of each two features, unless that makes more than `most`."""
+    """Append the products of all pairs of features, unless that makes more than `most`."""
     one, other = np.triu_indices(features.shape[1])
     if len(one) + features.shape[1] > most:
         return features
@@ -141,14 +141,14 @@ def expanded(features: Float[np.ndarray, "m F"], most: int) -> Float[np.ndarray,
 
 
 def expanded_as(part: Any, features: Float[np.ndarray, "m F"]) -> Float[np.ndarray, "m P"]:
-    """Features as the model of a part takes them."""
+    """Features in the form that the model of a part takes."""
     return expanded(features, len(part["coefficients"]) - 1)
 
 
 def residuals(
     part: Any, features: Float[np.ndarray, "m F"], values: Float[np.ndarray, " m"]
 ) -> Float[np.ndarray, " m"]:
-    """What the model of a part leaves of values, rounded, so that equal ones stay equal."""
+    """Residuals of the model of a part, rounded, so that equal ones stay equal."""
     coefficients, features = np.asarray(part["coefficients"]), expanded_as(part, features)
     return np.round(values - coefficients[0] - features @ coefficients[1:], DECIMALS)
 
@@ -156,7 +156,7 @@ def residuals(
 def part_of(
     action: str, what: str, features: Float[np.ndarray, "m F"], values: Float[np.ndarray, " m"]
 ) -> dict[str, Any]:
-    """Describe a part: regress values on features, and keep what is left of them, which `residuals` gives again."""
+    """Describe a part: regress values on features, and keep the distribution of the `residuals`."""
     features = expanded(features, len(features) // STATES_PER_TERM)
     mean, spread = features.mean(axis=0), features.std(axis=0)
     scale = 1.0 / np.where(spread > 0, spread, 1.0)

@@ -1,6 +1,6 @@
-"""policy.json: what a policy looks at, what it was learned from and how, and what its weights are worth.
+"""The schema of policy.json: what a policy looks at, its log and how it was learned, its importance weights.
 
-The classes below are its schema; what differs between kinds of policies is in `kinds` and `table_kinds`.
+What differs between kinds of policies is in `kinds` and `table_kinds`.
 """
 
 import json
@@ -28,7 +28,7 @@ Counts = dict[str, int]
 
 
 class Seen(Struct):
-    """What the states of some stages looked like: ranges of numbers, and counts of the categories of text.
+    """The states of some stages: ranges of numbers, and counts of the categories of text.
 
     Margins are how far below and above its range a number may lie by chance.
     """
@@ -39,7 +39,7 @@ class Seen(Struct):
     margins: dict[str, tuple[Annotated[float, Meta(ge=0.0)], Annotated[float, Meta(ge=0.0)]]] = {}
 
     def __post_init__(self) -> None:
-        # msgspec 0.22 reads past its memory where a tuple is in a union with a dict whose values are bounded.
+        # msgspec 0.22 reads out of bounds if a tuple is in a union with a dict whose values are bounded.
         for name, seen in {"stages": self.stages, **self.ranges}.items():
             if min(seen.values(), default=0) < 1 if isinstance(seen, dict) else seen[0] > seen[1]:
                 shown = seen if isinstance(seen, dict) else list(seen)
@@ -47,7 +47,7 @@ class Seen(Struct):
 
 
 class Verdict(Struct):
-    """Whether what was learned beats what made the logs."""
+    """Whether the learned policy beats the logging policy."""
 
     verdict: str
     reason: str
@@ -55,7 +55,7 @@ class Verdict(Struct):
 
 
 class Distribution(Struct):
-    """A distribution function at rising values, or the shares of names."""
+    """A distribution function at increasing values, or the shares of names."""
 
     values: list[float] | None = None
     below: list[Share] = []
@@ -77,7 +77,7 @@ class PromisedStage(Struct):
 
 
 class PromisedValue(Struct):
-    """What a trajectory is worth."""
+    """The value of a trajectory."""
 
     value: float
     low: float
@@ -90,7 +90,7 @@ class PromisedValue(Struct):
 
 
 class PromisedPart(Struct):
-    """Reward or log duration of an action: linear in the covariates, the offset first, its covariance, residuals."""
+    """Reward or log duration of an action: linear coefficients, the intercept first, their covariance, residuals."""
 
     action: str
     what: Literal["reward", "duration"]
@@ -106,16 +106,16 @@ class PromisedPart(Struct):
 
 
 class Unmoved(Struct):
-    """Covariates that never changed from a stage to the next, and how many such steps there were."""
+    """Covariates that never changed from a stage to the next, and the number of such steps."""
 
     names: list[str]
     num: Annotated[int, Meta(ge=0)]
 
 
 class Promise(Struct):
-    """What states a policy was learned for, what it was said to be worth there, and how its cell behaved.
+    """The states that a policy was learned for, its promised value there, and how its cell behaved.
 
-    Folders of before lack what has a default here.
+    Older folders lack the fields that have a default here.
     """
 
     stages: list[PromisedStage]
@@ -133,7 +133,7 @@ class Promise(Struct):
 
 
 class Record(Struct):
-    """What every policy.json holds; folders of before lack what has a default here."""
+    """Content of every policy.json; older folders lack the fields that have a default here."""
 
     kind: Kind
     schema: dict[str, Any]
@@ -153,7 +153,7 @@ class Record(Struct):
 
 
 def plain(value: Any) -> Any:
-    """Write a value as JSON can: null for a number that it does not have, an object by what it prints."""
+    """Convert a value for JSON: null for a number without a JSON form, the printed form of an object."""
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, (bool, int, float, str)):
@@ -166,17 +166,17 @@ def plain(value: Any) -> Any:
 
 
 def as_json(record: Mapping[str, Any]) -> bytes:
-    """Write a record down; the same record gives the same bytes."""
+    """Serialise a record; the same record gives the same bytes."""
     return (json.dumps(plain(record), indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()
 
 
 def from_json(data: bytes) -> dict[str, Any]:
-    """Read a record, and check that it is one of this version.
+    """Parse a record, and check that it is of this version.
 
     Raises
     ------
     PolicyError
-        It is no JSON, describes no policy, or one of another version.
+        The data are no JSON, or describe no policy, or one of another version.
     """
     try:
         record = json_of(data)
@@ -194,21 +194,21 @@ def from_json(data: bytes) -> dict[str, Any]:
 
 
 def converted(values: Any, kind: type[Of], names: Mapping[str, Collection[str]] = MappingProxyType({})) -> Of:
-    """Take values as JSON has them for those of a schema.
+    """Convert JSON values to those of a schema.
 
     Parameters
     ----------
     values
-        As JSON has them.
+        The JSON values.
     kind
         The schema.
     names
-        By field: the names that it, or what stands in it, may have; a refusal lists them.
+        By field, the names allowed in it; a refusal lists them.
 
     Raises
     ------
     PolicyError
-        They are none; the field, its value and what it should be are named.
+        The values do not fit; the field, its value and the expected form are named.
     """
     try:
         return msgspec.convert(values, kind)
@@ -217,7 +217,7 @@ def converted(values: Any, kind: type[Of], names: Mapping[str, Collection[str]] 
 
 
 def _refusal(values: Any, error: str, names: Mapping[str, Collection[str]]) -> str:
-    """The field and its value before what msgspec says of it; a check of ours names the value itself."""
+    """Prefix msgspec's message with the field and its value; messages of our own checks name the value already."""
     what, _, place = error.partition(" - at ")
     keys = [key or int(number) for key, number in re.findall(r"\.([^.\[\]`]+)|\[(\d+)\]", place.partition("[...]")[0])]
     keys += re.findall("missing required field `(.+)`", what)

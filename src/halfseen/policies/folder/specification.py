@@ -1,4 +1,4 @@
-"""How a policy was learned, in plain numbers and text, and back; and what its record says of it, in words."""
+"""How a policy was learned, as plain numbers and text, and back; and the description of its record in words."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -10,12 +10,12 @@ from halfseen.learning.targets import DoublyRobust, Targets, named_targets
 
 
 def described(model: QModel) -> dict[str, Any]:
-    """Write down the parameters of a learner; a model of one's own by what it prints.
+    """Return the parameters of a learner; custom models as they print.
 
     Parameters
     ----------
     model
-        What was composed of them.
+        The composed learner.
     """
     targets: Any = model.targets
     task: Any = model.task
@@ -40,7 +40,7 @@ def described(model: QModel) -> dict[str, Any]:
 
 
 def targets_of_record(learned: Mapping[str, Any]) -> Targets:
-    """Compose the targets again.
+    """Rebuild the targets.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def targets_of_record(learned: Mapping[str, Any]) -> Targets:
 
 
 def q_space_of_record(learned: Mapping[str, Any]) -> QSpace:
-    """Compose 𝒬 again."""
+    """Rebuild 𝒬."""
     name = learned.get("q_function")
     if name not in ("kernel", "smooth"):
         return q_space_of(name or "linear")
@@ -68,7 +68,7 @@ def q_space_of_record(learned: Mapping[str, Any]) -> QSpace:
 
 
 def reg_of_record(learned: Mapping[str, Any]) -> Any:
-    """Compose λ again, as `CensoredQLearner` takes it."""
+    """Rebuild λ, in the form that `CensoredQLearner` takes."""
     return (
         CrossValidation(learned.get("num_folds") or CrossValidation.num_folds)
         if learned["reg"] == "cv"
@@ -80,11 +80,11 @@ BASES = {
     "model": "one step ahead under laws fitted to the log, and by simulation what that misses",
     "rule": "worth of a WASH; it never LIFTs",
 }
-"""What Q is where laws help, by what the policy is built on."""
+"""Base of Q for policies with laws, by kind of base."""
 
 
 def description(record: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Describe a policy by the record in its folder: rows of a name and a text each."""
+    """Describe a policy by the record in its folder: rows of a name and a text."""
     weights = record["diagnostics"]["weights"]
     size, largest = weights["effective_sample_size"], weights["largest_weight"]
     return [

@@ -1,4 +1,4 @@
-"""Read back what was learned: it decides the same, to the last bit."""
+"""Reading of learned policies; a policy that was read decides identically, to the last bit."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,27 +19,27 @@ if TYPE_CHECKING:
     from halfseen.logs import Logs
     from halfseen.logs.missing import Missing
 else:
-    Logs = Any  # Who reads a policy loads no log.
+    Logs = Any  # Reading a policy loads no log.
 
 TABLE_RANGES = ("num_objects", "occlusion", "log_odds", "num_attempts")
-"""Of a table: objects on it; and of each, its occlusion, its log-odds of DIRTY and its past attempts."""
+"""Ranges of a table: the number of objects; and for each object, occlusion, log-odds of DIRTY and past attempts."""
 UNDECIDED = (
     "which looks at what each robot is at, and that is not given here; ask read_policy(FOLDER).policy.decide of a "
     "halfseen.world.TableState"
 )
-"""What comes of it, where it is to decide."""
+"""End of a refusal to decide: the reason, and what to do instead."""
 
 
 @dataclass(frozen=True, eq=False)
 class StoredPolicy:
-    """A policy that was read from a folder, and what is known of it.
+    """A policy read from a folder, with its record.
 
     Parameters
     ----------
     policy
-        What decides.
+        The policy that decides.
     record
-        What policy.json says: versions, schema, what was seen, the learner's parameters, λ, the log, diagnostics,
+        Content of policy.json: versions, schema, ranges seen, the learner's parameters, λ, the log, diagnostics,
         warnings, the verdict.
     """
 
@@ -53,34 +53,34 @@ class StoredPolicy:
 
     @property
     def num_robots(self) -> int | None:
-        """For how many robots of a team it decides; None for one that decides for a robot by itself."""
+        """Number of robots of a team; None for a policy of a single robot."""
         return self.record["schema"]["num_robots"] if self.record["kind"] in ("team", "team-laws") else None
 
     @property
     def counts_views(self) -> bool:
-        """Whether it learned from logs that count how much of an object has been in view."""
+        """Whether it was learned from logs that count how much of an object has been in view."""
         return self.is_table and self.record["schema"].get("counts_views", False)
 
     @property
     def whom(self) -> str:
-        """For whom it decides."""
+        """The robots that it decides for, in words."""
         if self.num_robots is not None:
             return f"a team of {self.num_robots} robot{'' if self.num_robots == 1 else 's'}"
         return "one robot by itself" if self.is_table else "no table"
 
     @property
     def horizon(self) -> int:
-        """Number T of stages that a trajectory may have."""
+        """Largest number T of stages of a trajectory."""
         return int(self.record["schema"]["horizon"])
 
     @property
     def verdict(self) -> Mapping[str, Any] | None:
-        """Whether what was learned beats what made the logs, as found when it was learned; None if not asked."""
+        """Whether the learned policy beats the logging policy, as found when learning; None if not tested."""
         return self.record.get("verdict")
 
     @property
     def doubts(self) -> tuple[str, ...]:
-        """What is doubtful at every decision: that nothing speaks for the policy, and what looks wrong in its log."""
+        """Doubts about every decision: no evidence for the policy, and problems of its log."""
         lines = [f"its log: {one}" for one in self.record.get("warnings", ())]
         if self.verdict is not None and self.verdict["verdict"] != "better":
             lines.insert(0, f"no evidence that this policy beats the rule that made the logs: {self.verdict['reason']}")
@@ -88,7 +88,7 @@ class StoredPolicy:
 
     @property
     def q_error(self) -> QError | None:
-        """What is known of the errors of Q; None in a folder without a margin."""
+        """The errors of Q; None in a folder without a margin."""
         pessimism = self.record["learner"].get("pessimism")
         if getattr(self.policy, "margin", None) is None or not isinstance(pessimism, int | float) or not pessimism > 0:
             return None
@@ -97,16 +97,16 @@ class StoredPolicy:
 
     @property
     def least_rewards(self) -> dict[str, float]:
-        """Of each verb of a table, the least that it paid in the log [reward]; empty in a folder that does not say."""
+        """The least reward of each verb of a table in the log [reward]; empty in a folder that does not say."""
         return {verb: float(paid) for verb, paid in self.record["schema"].get("least_rewards", {}).items()}
 
     def missing(self, rules: Mapping[str, str] | None = None) -> "Missing":
-        """What stands for null in a log: the same as where it was learned; of other covariates, what rules say."""
+        """Replacements of nulls in a log: those used in learning; for other covariates, those of `rules`."""
         filling = getattr(self.policy, "filling", None)
         return rules if filling is None else {**(rules or {}), **filling.fills}
 
     def ranges(self, stage: int) -> dict[str, Range] | None:
-        """What the log showed of each covariate, where Q of this stage was taught; None if nowhere."""
+        """Range of each covariate in the log, where Q of this stage was fitted; None if it never was."""
         entry = self._seen(stage)
         if entry is None:
             return None
@@ -130,7 +130,7 @@ class StoredPolicy:
 
 
 def sources_in_words(record: Mapping[str, Any]) -> str:
-    """Say which logs a policy was learned from, in one line; "" of a folder of before, which does not."""
+    """Name the logs that a policy was learned from, in one line; "" for an older folder without their names."""
     each = [
         f"{one['num_trajectories']:,} trajectories of {one['name'] or 'a log'} ({one['first']} to {one['last']})"
         for one in record["log"].get("sources", ())
@@ -139,7 +139,7 @@ def sources_in_words(record: Mapping[str, Any]) -> str:
 
 
 def read_policy(folder: str | Path) -> StoredPolicy:
-    """Read a policy that `write_policy` wrote, and check all of it; no code of the folder is run.
+    """Read a policy written by `write_policy`, and check all of it; no code of the folder is run.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def read_policy(folder: str | Path) -> StoredPolicy:
 
 
 def policy_of(record: Mapping[str, Any], arrays: Any) -> Any:
-    """Put a policy together again; all of it is checked."""
+    """Rebuild a policy, and check all of it."""
     kind = kind_named(record["kind"])
     policy = kind.policy_of(record, arrays)
     names = policy.covariates if kind.is_flat else TABLE_RANGES
@@ -185,14 +185,14 @@ def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = 
     stored
         The policy.
     trouble
-        Why it is of no use here, and what to do instead.
+        Why it cannot be used here, and what to do instead.
     folder
-        Where it was read.
+        Where the policy was read.
 
     Raises
     ------
     PolicyError
-        It is one of a team.
+        The policy is of a team.
     """
     if stored.num_robots is not None:
         where = "the policy" if folder is None else f"{folder}: it"
@@ -200,16 +200,16 @@ def refuse_team(stored: StoredPolicy, trouble: str, folder: str | Path | None = 
 
 
 def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
-    """Refuse a log of several robots for a policy of one robot's tables, and one of one robot for a policy of a team.
+    """Refuse a log that does not match the policy: one of several robots for a policy of one, or the reverse.
 
     Raises
     ------
     PolicyError
-        The log is of several robots, or of a team of one; or it is not, and the policy is a team's.
+        The log is of several robots, or of a team of one, and the policy is not a team's; or the reverse.
     """
     if not stored.is_table and stored.num_robots is None:
         return
-    # Policies of named actions do without the world.
+    # Policies of named actions do not load the world.
     from halfseen.world.log_checks import robots_in
 
     if stored.num_robots is not None and not robots_in(logs):
@@ -225,17 +225,17 @@ def refuse_log_of_team(stored: StoredPolicy, logs: Logs) -> None:
 
 
 def kind_named(name: str) -> PolicyKind:
-    """Kind of this name; those of tables bring the world, which takes longer than what the other is asked for."""
+    """Return the kind of this name; kinds of tables load the world, which is slow."""
     return FLAT if name == "flat" else _table_kinds()[name]
 
 
 def kind_name_of(policy: Any) -> str:
-    """Name of the kind that a policy is of.
+    """Return the name of a policy's kind.
 
     Raises
     ------
     ArgumentError
-        It is of none.
+        The policy is of no kind that can be stored.
     """
     kinds = {"flat": FLAT, **_table_kinds()}
     for name, kind in kinds.items():

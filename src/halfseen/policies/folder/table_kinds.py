@@ -1,7 +1,8 @@
-"""Kinds of learned policies of tables in a folder, of one robot and of a team.
+"""Kinds of stored linear table policies, of one robot and of a team.
 
-Such a policy is in single precision, as it decides. One of a team has one block of coefficients for all
-verbs; its horizon is of all robots together, and what each robot learned alone is told by the number of the robot.
+Such a policy is in single precision, as it decides. A team's policy has one block of coefficients for all verbs. Its
+horizon counts the decisions of all robots, and the policy that each robot learned alone is stored under the robot's
+number.
 """
 
 from collections.abc import Mapping
@@ -33,19 +34,19 @@ from halfseen.world.actions import VERB_NAMES, Verb
 from halfseen.world.policy import GraspModel, Policy
 
 TEAM_VERSION = 1
-"""Of `team_features`; a policy that looked at others cannot be read."""
+"""Version of `team_features`; policies with features of another version cannot be read."""
 PER_GRIP, OWN, ALONE, CAUTION = "grasp.per_grip", "own.", "alone", "caution"
-"""Names of arrays; what stands before those of each robot's own grasps, axis K first, and of each robot's policy."""
+"""Names of arrays, and prefixes: of each robot's own grasps, axis K first, and of each robot's own policy."""
 VERBS, TEAM_VERBS = [verb.name for verb in Verb], list(VERB_NAMES)
 
 
 class LinearSchema(Struct):
-    """What a linear policy chooses from; of a team, also for how many robots it is, and what each learned alone."""
+    """What a linear policy chooses from."""
 
     horizon: Horizon
     actions: list[str]
     seen: list[Annotated[list[str], Meta(min_length=1)]] | UnsetType = UNSET
-    """Verbs that have a value, by steps to go; all of them in a folder that does not say."""
+    """Verbs with a value, by steps to go; all verbs in a folder that does not say."""
 
     def __post_init__(self) -> None:
         if self.seen is not UNSET and (
@@ -55,7 +56,7 @@ class LinearSchema(Struct):
 
 
 class TeamSchema(LinearSchema, kw_only=True):
-    """Of a team, also for how many robots it is, and what each learned alone."""
+    """For a team, also its number of robots, and what each learned alone."""
 
     num_robots: int
     alone: list[dict[str, Any]] = []
@@ -72,7 +73,7 @@ class TeamSchema(LinearSchema, kw_only=True):
 
 
 class PriorSchema(Struct):
-    """The prior of DIRTY, whether looks were counted, and the least each verb paid in a log."""
+    """The prior of DIRTY, whether looks were counted, and the least reward of each verb in a log."""
 
     dirty_share: Annotated[float, Meta(gt=0.0, lt=1.0)]
     counts_views: bool = False
@@ -80,12 +81,12 @@ class PriorSchema(Struct):
 
 
 def check_features(schema: Mapping[str, Any], features: Mapping[str, Any], verbs: list[str], versions: Any) -> None:
-    """Refuse a policy that looks at other features, or knows other verbs, than this halfseen.
+    """Refuse a policy with features or verbs other than those of this halfseen.
 
     Raises
     ------
     PolicyError
-        As above.
+        Its features or verbs differ.
     """
     if schema.get("features") != features or schema.get("actions") != verbs:
         raise PolicyError(
@@ -104,14 +105,14 @@ class _Linear(NamedTuple):
     features: dict[str, Any]
 
     def schema_of(self, policy: Any) -> dict[str, Any]:
-        """Horizon, verbs, features, and the verbs that have a value; where none has, all may be taken."""
+        """Horizon, verbs, features, and the verbs with a value; if there are none, all verbs are possible."""
         horizon = len(policy.coefficients)
         rows = np.ones((horizon, len(self.verbs)), dtype=bool) if policy.is_seen is None else np.asarray(policy.is_seen)
         seen = [[self.verbs[k] for k in np.flatnonzero(row)] or self.verbs for row in rows]
         return {"horizon": horizon, "actions": self.verbs, "features": self.features, "seen": seen}
 
     def policy_of(self, schema: dict[str, Any], versions: Any, arrays: Arrays, **others: Any) -> Any:
-        """Put a policy together again."""
+        """Rebuild a policy."""
         check_features(schema, self.features, self.verbs, versions)
         known = converted(schema, self.schema)
         wanted = linear_shapes(arrays, known.horizon, self.num_blocks, self.features["number"])
@@ -145,12 +146,12 @@ _TEAM = _Linear(
 
 
 def grasp_arrays(grasp: GraspModel | None) -> dict[str, np.ndarray]:
-    """Name the arrays of a grasp model; none for the rule of succession.
+    """Return the arrays of a grasp model by name; none for the rule of succession.
 
     Raises
     ------
     ArgumentError
-        It is no table of numbers.
+        The grasp model is no table of numbers.
     """
     if grasp is None:
         return {}
@@ -169,21 +170,21 @@ def grasp_shapes(arrays: Arrays, num_robots: int | None = None) -> dict[str, tup
     Raises
     ------
     PolicyError
-        It has no chances.
+        The grasp model has no chances.
     """
     robots = [num_robots] if num_robots and any(name.startswith(OWN) for name in arrays) else []
     if GRASP not in arrays and not robots:
         return {}
     levels, most, _ = sizes_of(arrays, GRASP, 3)
     shape = (max(levels, 2), max(most, 1), max(most, 1))
-    # Older folders of one robot lack the second.
+    # Older folders of one robot lack the second array.
     wanted: dict[str, tuple[int, ...]] = {GRASP: shape} | ({PER_GRIP: ()} if robots or PER_GRIP in arrays else {})
     own = {f"{OWN}{name}": (*robots, *size) for name, size in wanted.items()} if robots else {}
     return wanted | own
 
 
 def grasp_of(arrays: Any) -> GraspTable | GraspByRobot | None:
-    """Put a grasp model together again; None for the rule of succession."""
+    """Rebuild a grasp model; None for the rule of succession."""
     tables = [
         GraspTable(arrays[f"{of}{GRASP}"], arrays.get(f"{of}{PER_GRIP}", 1.0))
         for of in ("", OWN)
@@ -203,7 +204,7 @@ def _table_policy(record: Mapping[str, Any], arrays: Arrays) -> LinearTablePolic
 
 
 def _each_alone(base: Policy | None) -> tuple[Any, ...]:
-    """What each robot learned alone, which a team improves upon."""
+    """The policies that each robot learned alone, which the team's policy improves upon."""
     if base is None:
         return ()
     if isinstance(base, IndependentPolicies) and all(isinstance(policy, LinearTablePolicy) for policy in base.policies):

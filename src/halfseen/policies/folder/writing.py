@@ -1,4 +1,4 @@
-"""Write what was learned into a folder: its numbers, what it was learned from and how."""
+"""Writing of learned policies to a folder, with their log and how they were learned."""
 
 import platform
 from collections.abc import Mapping
@@ -44,28 +44,28 @@ def write_policy(
     learner
         Fitted to `logs`.
     logs
-        What it was learned from; only its ranges, counts and digest are kept.
+        The log that it was learned from; only its ranges, counts and digest are kept.
     folder
-        Where to; missing parents are made.
+        Destination; missing parents are made.
     overwrite
-        Replace a policy that is already there.
+        Replace an existing policy.
     verdict
-        On what was learned, such as `halfseen.evaluation.HeldOutVerdict.as_dict` gives; kept with it.
+        Verdict on the policy, such as from `halfseen.evaluation.HeldOutVerdict.as_dict`, to be stored with it.
     origin
-        What else is known of the log (see `record_of`).
+        Further facts about the log (see `record_of`).
 
     Raises
     ------
     ArgumentError
-        The folder exists or cannot be written, or the policy holds what no folder can: a grasp model of one's own,
-        or actions that are neither whole numbers nor text.
+        The folder exists or cannot be written, or the policy holds what cannot be stored: a custom grasp model, or
+        actions that are neither whole numbers nor text.
     PolicyError
         A number of the policy is not finite.
     """
     check_fitted(learner, "policy_")
     check_target(Path(folder), overwrite)
     arrays = kind_named(kind_name_of(learner.policy_)).arrays_of(learner.policy_)
-    # A product rounds by the order of its matrix in memory, and so may differ in its last bit.
+    # The memory order of a matrix affects the rounding of a product, and so the last bit.
     by_column = [name for name, each in arrays.items() if each.flags.f_contiguous and not each.flags.c_contiguous]
     text = as_json({**record_of(learner, logs, verdict, origin), "column_major": sorted(by_column)})
     policy_of(from_json(text), arrays)
@@ -85,12 +85,12 @@ def record_of(
     learner
         Fitted to `logs`.
     logs
-        What it was learned from.
+        The log that it was learned from.
     verdict
-        On what was learned, if there is one: at least ``verdict``, ``reason`` and ``sentence``.
+        Verdict on the policy, if there is one: at least ``verdict``, ``reason`` and ``sentence``.
     origin
-        What else is known of the log: its ``name``; ``since``, what came before was left out; and ``changes``, each
-        with a ``sentence`` (`halfseen.monitoring.training_log`).
+        Further facts about the log: its ``name``; ``since``, if earlier trajectories were dropped; and ``changes``,
+        each with a ``sentence`` (`halfseen.monitoring.training_log`).
 
     Raises
     ------
@@ -103,9 +103,9 @@ def record_of(
     schema = kind.schema(policy) | prior
     sample = logs if isinstance(logs, Logs) else sample_of(logs, learner.random_state)
     known = {"name": None, "since": None, "changes": [], **(origin or {})}
-    # Changes that weights by recency take into account are no reason to doubt a decision.
+    # Changes that weights by recency account for are no reason to doubt a decision.
     changes = [] if learner.model_.half_life else [each["sentence"] for each in known["changes"]]
-    # What is promised is of the cell as it was last.
+    # The promise describes the cell in its latest state.
     present = latest(sample, learner.model_.half_life, logs.num_trajectories)
     positivity = positivity_report(logs.end_s, logs.is_finished, trajectory_ids=logs.trajectory_ids)
     return {
@@ -147,9 +147,9 @@ def record_of(
 
 
 def _warnings(logs: Logs, positivity: PositivityReport) -> list[str]:
-    """What `halfseen inspect` would say against the log and what was learned from it, a line each."""
+    """Objections of `halfseen inspect` to the log and what was learned from it, one per line."""
     weights = [] if positivity.is_sound else [str(positivity).splitlines()[0]]
-    # Learning asks for no probabilities, so that there are none is no reason to doubt a decision.
+    # Learning needs no propensities, so their absence is no reason to doubt a decision.
     return [*weights, *(each.sentence for each in data_warnings(logs) if each.kind != "no-probability")]
 
 

@@ -1,16 +1,16 @@
-"""What physical attempts say of models of a grasp and of occlusion: Figure 8, Table 4.
+"""Models of a grasp and of occlusion, scored on physical attempts: Figure 8, Table 4.
 
-Repetitions share their tables, so they are no independent draws, and a test that took them as such would be too sure of
-itself [BengioGrandvalet2004]_. With D_tr the sum over the attempts of table t in repetition r, W_tr that of their
-weights, the mean is θ = Σ D / Σ W and its residuals are e_tr = D_tr − θ W_tr. Residuals of one table go together, as
-its objects and a model's errors on them do; so do those of one repetition, as they share what was learned from. The
-variance allows for both [CameronGelbachMiller2011]_:
+Repetitions share their tables, so they are not independent, and a test that assumed so would be anticonservative
+[BengioGrandvalet2004]_. Let D_tr be the sum over the attempts of table t in repetition r, and W_tr the sum of their
+weights. The mean is θ = Σ D / Σ W, and its residuals are e_tr = D_tr − θ W_tr. Residuals of one table are correlated,
+as its objects and a model's errors on them are; so are residuals of one repetition, which share the log. The variance
+allows for both [CameronGelbachMiller2011]_:
 
     V = (V_tables + V_repetitions − V_both) / (Σ W)²,    V_tables = G / (G − 1) · Σ_t (Σ_r e_tr)²,
 
-and likewise the others, V no less than either alone; the interval is Student's, by the smaller number of clusters less
-one. What is learned from large logs shares most of its tables in all repetitions: of these the interval says how models
-of such logs do on fresh tables [Bayle2020]_, not on fresh logs.
+the other terms likewise, with V no less than either alone; the interval is Student's, with the smaller number of
+clusters less one as degrees of freedom. Large logs share most of their tables in all repetitions: for them the interval
+covers the performance of such models on fresh tables [Bayle2020]_, not on fresh logs.
 """
 
 from collections import Counter
@@ -37,8 +37,8 @@ from halfseen.study.setting import Setting
 from halfseen.tables.grasp_attempts import checked_attempts
 from halfseen.world.config import WorldConfig
 
-NUM_PREDICTION_BINS = 5  # groups of attempts by what was predicted of them, alike in number
-SHOWN: Float[np.ndarray, " shown"] = np.linspace(0.0, 0.8, 17)  # occlusions at which curves are told
+NUM_PREDICTION_BINS = 5  # groups of attempts by predicted probability, of about equal size
+SHOWN: Float[np.ndarray, " shown"] = np.linspace(0.0, 0.8, 17)  # occlusions at which curves are drawn
 _Z = float(stats.norm.ppf(0.5 + LEVEL / 2))
 _STEP = 1e-5
 _NODES, _WEIGHTS = np.polynomial.hermite_e.hermegauss(41)
@@ -53,14 +53,14 @@ class Attempts(AttemptsRepetition):
     name: ClassVar[str] = "attempts"
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
-        """Make all tables; none where there are no attempts.
+        """Make all tables; none without attempts.
 
         Returns
         -------
         dict of pandas.DataFrame
-            ``attempts``: planner, tables, decided, cut, held: what was counted.
-            ``attempts_scores``: model, num_tables, repetitions, stood_in (repetitions in which one rate stood in for an
-            SVM, as too few objects missed to fit one); and of each measure its mean, ``…_se``, ``…_low`` and
+            ``attempts``: planner, tables, decided, cut, held: counts.
+            ``attempts_scores``: model, num_tables, repetitions, stood_in (repetitions in which a single rate replaced
+            an SVM, as too few objects missed to fit one); and of each measure its mean, ``…_se``, ``…_low`` and
             ``…_high``, and the same of ``…_over_beta``, the difference from the Beta mean.
             ``attempts_tests``: model, rival, measure, num_tables, p_value, p_holm, effect, low, high, verdict:
             two-sided, adjusted within each pair of models; the effect is model − rival.
@@ -86,12 +86,12 @@ class Attempts(AttemptsRepetition):
         }
 
     def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say what attempts tell; where there are none, say that."""
+        """Report the findings from attempts, or that there are none."""
         return section_of(self, setting, tables)
 
 
 def _scores(pieces: Pieces) -> tuple[ByTable, Scores]:
-    """Put what each repetition summed beside one another; tables that it did not hold out have 0."""
+    """Align the sums of all repetitions; tables that a repetition did not hold out have 0."""
     names = np.unique(np.concatenate([piece["tables"] for piece in pieces.repetitions]))
     shape = len(names), len(pieces.repetitions)
     weights, scores = np.zeros(shape), {}
@@ -136,14 +136,14 @@ def _tests(weights: ByTable, scores: Scores, alpha: float) -> pd.DataFrame:
 
 
 def mean_of(sums: ByTable, weights: ByTable) -> Estimate:
-    """Give the mean with its 95 % interval.
+    """Return the weighted mean with its 95 % confidence interval.
 
     Parameters
     ----------
     sums
-        Weighted sums over the attempts at each table in each repetition; 0 where it was not held out.
+        Weighted sums over the attempts at each table in each repetition; 0 if it was not held out.
     weights
-        Of the attempts; 0 likewise.
+        Sums of the weights of the attempts; 0 likewise.
     """
     is_met = weights.sum(axis=1) > 0
     sums, weights = sums[is_met], weights[is_met]
@@ -163,14 +163,14 @@ def _sum_of_squares(residuals: Float[np.ndarray, " clusters"]) -> float:
 
 
 def calibration_of(tried: pd.DataFrame, repetitions: Sequence[PieceOf]) -> pd.DataFrame:
-    """Compare shares that held with predictions of models that had not seen the table.
+    """Compare the observed shares held with predictions of models that had not seen the table.
 
-    An attempt that was held out more than once counts once, with the mean of what was said of it.
+    An attempt that was held out more than once counts once, with the mean of its predictions.
 
     Parameters
     ----------
     repetitions
-        With rows (of `tried`), row_weight, and what each model said of them, learned from the largest log.
+        Repetitions with rows (of `tried`), row_weight, and each model's predictions, learned from the largest log.
     """
     num = np.zeros(len(tried))
     sums = {name: np.zeros(len(tried)) for name in ("weight", *known.MODEL_NAMES)}
@@ -201,7 +201,7 @@ def calibration_of(tried: pd.DataFrame, repetitions: Sequence[PieceOf]) -> pd.Da
 
 
 def _alike(said: Rows) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " edges"]]:
-    """Groups of attempts, about alike in number, by what was said of them; equal predictions stay together."""
+    """Group attempts by prediction into bins of about equal size; equal predictions stay together."""
     edges = np.unique(np.quantile(said, np.linspace(0.0, 1.0, NUM_PREDICTION_BINS + 1)))
     if len(edges) < 2:
         edges = np.repeat(edges, 2)
@@ -215,7 +215,7 @@ def _counts(planner: str, source: Source) -> Row:
 
 
 def held_by_occlusion(planner: str, source: Source) -> list[Row]:
-    """Count what held, by occlusion, of objects that stand and that lie; attempts weigh 1/Ĝ."""
+    """Share held by occlusion, for standing and lying objects; attempts have weight 1/Ĝ."""
     tried = frame_of(source)
     decided = checked_attempts(tried)
     met = tried.iloc[decided.row]
@@ -234,7 +234,7 @@ def held_by_occlusion(planner: str, source: Source) -> list[Row]:
 
 
 def _law(planner: str, source: Source) -> pd.DataFrame:
-    """Estimates of the regression, with 95 % intervals by the normal law, robust to tables."""
+    """Estimates of the regression, with normal 95 % confidence intervals clustered by table."""
     fit = fit_of(source)
     value, error = fit.estimate, fit.standard_error
     law = {"planner": planner, "parameter": NAMES, "estimate": value, "se": error}
@@ -254,14 +254,14 @@ def _slopes(sources: Mapping[str, Source]) -> pd.DataFrame:
 
 
 def assumed_share(occlusion: Float[np.ndarray, " shown"]) -> Float[np.ndarray, " shown"]:
-    """P(held) under the assumed laws, the offset of an object integrated out."""
+    """P(held) under the assumed laws, with the offset of an object integrated out."""
     law: Any = WorldConfig().grasping
     log_failure = law.log_failure(occlusion[:, None], float(law.offset_std) * _NODES)
     return (1.0 - np.exp(np.asarray(log_failure, dtype=np.float64))) @ (_WEIGHTS / _WEIGHTS.sum())
 
 
 def _curve(fit: GraspFit, lies: bool) -> dict[str, Float[np.ndarray, " shown"]]:
-    """By the delta method on the logit scale."""
+    """P(held) by occlusion, with bands by the delta method on the logit scale."""
     covariates = np.zeros((len(SHOWN), len(NAMES) - 1))
     covariates[:, 0], covariates[:, 1], covariates[:, NAMES.index("is_lying")] = 1.0, SHOWN, float(lies)
 

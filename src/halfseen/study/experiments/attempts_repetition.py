@@ -1,15 +1,15 @@
-"""One repetition: models learn from the attempts at some tables, and are scored on those at tables apart.
+"""One repetition: models learn from the attempts at some tables, and are scored on other tables.
 
-Decided attempts that were held out count 1/Ĝ, as those that are learned from do; Ĝ is fitted to either apart.
+Decided attempts have weight 1/Ĝ, held out or not; Ĝ is fitted to each of the two sets separately.
 
-*The SVM on sets of attempts.* An attempt is a set of elements: itself, and those before it at the same object, each
-with the occlusion and the facts that were seen then. Between elements
-k₀(a, b) = 1{same kind} (1 + a·b + exp(−‖a − b‖² / d)), where kinds are: now, held in the past, missed in the past. The
-kernel of two sets is the sum over all pairs of their elements, so that
+*The SVM on sets of attempts.* An attempt is a set of elements: itself, and earlier attempts at the same object, each
+with the occlusion and the facts seen then. Between elements k₀(a, b) = 1{same kind} (1 + a·b + exp(−‖a − b‖² / d)),
+where the kinds are: now, held in the past, missed in the past. The kernel of two sets is the sum over all pairs of
+their elements, so that
 
     f = b + f_now(x) + Σ_{j held} f_held(x_j) + Σ_{j missed} f_missed(x_j):
 
-each past attempt moves the odds by what was seen when it was made, as in Bayes' rule.
+each past attempt changes the log-odds by what was seen when it was made, as in Bayes' rule.
 """
 
 from collections.abc import Mapping
@@ -42,17 +42,17 @@ MODEL_NAMES = {
     SVM_SET: "SVM, set kernel",
     LAW: "logistic law",
 }
-"""Model of the probability that an attempt holds → name for people."""
+"""Model of the probability that an attempt holds → its name in text."""
 SVMS = (SVM, SVM_FACTS, SVM_SET)
 MEASURES = {"log_loss": "log-loss", "brier": "Brier score"}
-"""What models are judged by, on tables that they have not seen; smaller is better."""
-SCORE = "log_loss"  # the measure that the answer is told by
+"""Scores of the models on unseen tables; smaller is better."""
+SCORE = "log_loss"  # the measure that decides the answer
 PAIRS = ((SVM, BETA), (SVM_FACTS, BETA), (SVM_SET, BETA), (LAW, BETA), (SVM_SET, LAW))
-"""Who is tested against whom; the first is the paper's claim."""
-SUREST = 1e-9  # no prediction counts as surer than this in the log-loss: one miss would cost endlessly much
+"""Pairs of models that are tested; the first is the paper's claim."""
+SUREST = 1e-9  # log-loss clips predictions at this distance from 0 and 1: else a miss could cost infinitely much
 COMPLETED, VISIBLE_ONLY = "completed", "visible-only"
 PLANNERS = {COMPLETED: law.ATTEMPTS, VISIBLE_ONLY: law.VISIBLE_ONLY}
-"""Way to plan grasps, with hidden shape completed or by what is visible → folder of its attempts within a law's."""
+"""Way to plan grasps, with completed shape or by the visible part only → folder of its attempts within a law's."""
 COLUMNS = (
     "trajectory",
     "stage",
@@ -67,15 +67,15 @@ COLUMNS = (
 )
 SEEN = ("occlusion", *FACTS)
 KINDS = NOW, HELD, MISSED = range(3)
-NUM_LANDMARKS, NUM_SVM_FOLDS = 50, 5  # as `SVMGrasp` has them
+NUM_LANDMARKS, NUM_SVM_FOLDS = 50, 5  # as in `SVMGrasp`
 Source = Mapping[str, Any]  # attempts of one planner of grasps, and the regression
 
 
 class Split(NamedTuple):
-    """Numbers of tables; none is ever both learned from and held out.
+    """Numbers of tables; no table is both learned from and held out.
 
-    Those that are learned from are in the order in which they join the log: smaller logs are their beginnings. Those
-    that are held out are sorted.
+    The learning tables are in the order in which they join the log: smaller logs are prefixes. The held-out tables are
+    sorted.
     """
 
     learned: Int[np.ndarray, " l"]
@@ -84,9 +84,9 @@ class Split(NamedTuple):
 
 @dataclass(frozen=True)
 class AttemptsRepetition:
-    """Models that are learned from the attempts at `num_tables` tables, and scored on tables apart.
+    """Models that are learned from the attempts at `num_tables` tables, and scored on other tables.
 
-    All tables are dealt into `num_folds`; each fold is held out in turn, and after that all are dealt again. A
+    All tables are dealt into `num_folds` folds, and each fold is held out in turn; after that all are dealt again. A
     repetition is one fold.
     """
 
@@ -95,7 +95,7 @@ class AttemptsRepetition:
     most_repetitions: int | None = 20
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Read the attempts of a law, and fit the regression to all of them; nothing where there are none."""
+        """Read the attempts of a law, and fit the regression to all of them; empty without attempts."""
         if setting.law is None:
             return {}
         folders = {name: setting.law / folder for name, folder in PLANNERS.items()}
@@ -137,7 +137,7 @@ class AttemptsRepetition:
         }
 
     def split(self, tables: Int[np.ndarray, " t"], seed: int, index: int) -> Split:
-        """Deal tables, by their numbers; `num_folds` repetitions in a row hold out each of them once."""
+        """Deal tables, by their numbers; `num_folds` consecutive repetitions hold out each of them once."""
         deal, fold = divmod(index, self.num_folds)
         order = np.random.default_rng([seed, deal]).permutation(np.sort(tables))
         is_held_out = np.arange(len(order)) % self.num_folds == fold
@@ -145,7 +145,7 @@ class AttemptsRepetition:
         return Split(learned, np.sort(order[is_held_out]))
 
     def sizes(self, num_tables: int) -> tuple[int, ...]:
-        """Sizes of logs that can be learned from in every repetition; all there is if none of the design's can."""
+        """Log sizes available in every repetition; the largest possible size if none of the design's is."""
         most = num_tables - -(-num_tables // self.num_folds)
         return tuple(size for size in self.num_tables if size <= most) or (most,)
 
@@ -162,22 +162,22 @@ def losses_of(probability: Rows, succeeded: RowMask) -> dict[str, Rows]:
 
 
 def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
-    """Fit a model to attempts, and give the probability of each attempt that was held out.
+    """Fit a model to attempts, and return the probability of each held-out attempt.
 
-    Where misses were seen of fewer than two objects, an SVM cannot be fitted; one rate for all stands in for it.
+    If fewer than two objects were ever missed, an SVM cannot be fitted, and one rate for all replaces it.
 
     Parameters
     ----------
     model
         One of `MODEL_NAMES`.
     learned
-        Attempts, as `halfseen.cell.calibration.attempts.trials` gives them; decided ones weigh 1/Ĝ.
+        Attempts, as returned by `halfseen.cell.calibration.attempts.trials`; decided ones have weight 1/Ĝ.
     held_out
-        Attempts at other tables, those before each at the same object among them.
+        Attempts at other tables, including the earlier ones at the same object.
     """
     if model == RATE or (model in SVMS and not can_hold_out(learned)):
         decided = checked_attempts(learned)
-        # The rule of succession over all attempts, each weighted.
+        # The rule of succession over all attempts, weighted.
         share = (1.0 + decided.weight @ decided.succeeded) / (2.0 + decided.weight.sum())
         return np.full(len(held_out), share)
     if model == SVM_SET:
@@ -189,12 +189,12 @@ def predicted(model: str, learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows
 
 
 def said_by_set_svm(learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
-    """Fit to attempts, and give the probability of others; λ is chosen and probabilities are bounded as in `SVMGrasp`.
+    """Fit to attempts, and return the probability of others; λ and bounds of probabilities as in `SVMGrasp`.
 
     Parameters
     ----------
     learned, held_out
-        As `halfseen.cell.calibration.attempts.trials` gives them, with all past attempts at each object.
+        As returned by `halfseen.cell.calibration.attempts.trials`, with all past attempts at each object.
     """
     decided = checked_attempts(learned)
     values = learned.iloc[decided.row][list(SEEN)].to_numpy(dtype=np.float64)
@@ -219,7 +219,7 @@ def said_by_set_svm(learned: pd.DataFrame, held_out: pd.DataFrame) -> Rows:
 
 
 def sets_of(trials: pd.DataFrame, centre: Float[np.ndarray, " d"], scale: Float[np.ndarray, " d"]) -> list[np.ndarray]:
-    """Give the set of each attempt: rows of an indicator of the kind, and what was seen, scaled."""
+    """Return the set of each attempt: rows of an indicator of the kind, and the scaled covariates."""
     seen = (trials[list(SEEN)].to_numpy(dtype=np.float64) - centre) / scale
     kind = np.where(trials["succeeded"].isin([True]).to_numpy(), HELD, MISSED)
     objects, stages = trials["object"].to_numpy(), trials["stage"].to_numpy()
@@ -234,13 +234,13 @@ def sets_of(trials: pd.DataFrame, centre: Float[np.ndarray, " d"], scale: Float[
 
 
 def of_one_kind(X: Float[np.ndarray, "n e"], Z: Float[np.ndarray, "m e"]) -> Float[np.ndarray, "n m"]:
-    """k₀ of elements."""
+    """k₀ of elements of one kind."""
     num = len(KINDS)
     return (X[:, :num] @ Z[:, :num].T) * (1.0 + linear_and_gaussian(X[:, num:], Z[:, num:]))
 
 
 def source_of(tried: pd.DataFrame) -> Source:
-    """Keep attempts, and the regression that is fitted to them."""
+    """Bundle attempts with the regression fitted to them."""
     fit = fit_grasping(tried)
     return {
         "tried": {name: [None if pd.isna(value) else value for value in tried[name].tolist()] for name in COLUMNS},
@@ -251,13 +251,13 @@ def source_of(tried: pd.DataFrame) -> Source:
 
 
 def frame_of(source: Source) -> pd.DataFrame:
-    """Give the attempts, one row each."""
+    """Return the attempts, one row each."""
     tried = pd.DataFrame(source["tried"])
     return tried.assign(succeeded=tried["succeeded"].astype("boolean"))
 
 
 def fit_of(source: Source) -> GraspFit:
-    """Give the regression."""
+    """Return the regression."""
     num_decided = int(np.sum(source["tried"]["is_finished"]))
     num_cut = len(source["tried"]["is_finished"]) - num_decided
     estimate, covariance = (np.array(source[name], dtype=np.float64) for name in ("estimate", "covariance"))

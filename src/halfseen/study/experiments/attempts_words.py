@@ -1,4 +1,4 @@
-"""What the experiment says: whether an SVM predicts better, whether success falls with occlusion; Figure 8, Table 4."""
+"""The experiment's findings: whether an SVM predicts better, and success falls with occlusion; Figure 8, Table 4."""
 
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -36,7 +36,7 @@ NOUNS = {
 }
 PLANNED = {COMPLETED: "where hidden shape is completed", names.VISIBLE_ONLY: "where only visible points count"}
 WIDTH_WANTED, SHARE_OF_A_BIN = 0.03, 0.1
-"""Half of the width that the interval of a calibration is to have, where a bin holds this share of the attempts."""
+"""Half-width wanted for the interval of a calibration, in a bin with this share of the attempts."""
 POSES = {False: ("standing", SKY, "o"), True: ("lying", ORANGE, "s")}
 INTERVAL = ["share_held", "low", "high"]
 DODGE, STEP, APART = 1.08, 0.16, 0.006
@@ -51,7 +51,7 @@ PARAMETER_NAMES = {
 
 
 def section_of(design: names.AttemptsRepetition, setting: Setting, tables: Tables) -> Section:
-    """Say what attempts tell; where there are none, say that."""
+    """Report the findings from attempts, or that there are none."""
     heading = "Physical attempts: a Beta mean or an SVM, and what occlusion does"
     if not tables:
         return Section(heading, (words("attempts", "nothing"),), (), (), num_leading=0)
@@ -111,7 +111,7 @@ def _law(law: pd.DataFrame) -> Listing:
 
 
 def by_size(tests: pd.DataFrame, model: str, rival: str) -> str:
-    """Say from how many tables a model predicts better than another, worse, or neither."""
+    """Say from which number of tables a model predicts better than another, worse, or neither."""
     rows = records(tests, model=model, rival=rival, measure=names.SCORE)
     sizes = {verdict: [str(row["num_tables"]) for row in rows if row["verdict"] == verdict] for verdict in ADVERBS}
     met = {verdict: of for verdict, of in sizes.items() if of}
@@ -133,7 +133,7 @@ def numbers_of(row: Row) -> str:
 
 
 def claim(tables: Tables) -> str:
-    """The answer to the paper's claim, by size of what was learned from."""
+    """The answer to the paper's claim, by size of the log."""
     tests, counts = tables["attempts_tests"], row_of(tables["attempts"], planner=COMPLETED)
     last = records(tests, model=PAIRS[0][0], rival=PAIRS[0][1], measure=names.SCORE)[-1]
     facts_of = {"by_size": by_size(tests, *PAIRS[0]), "numbers": numbers_of(last)}
@@ -141,7 +141,7 @@ def claim(tables: Tables) -> str:
 
 
 def others(tables: Tables) -> str:
-    """Say how the models that see more do."""
+    """Say how the models with more covariates perform."""
     tests = tables["attempts_tests"]
     clauses = []
     for model, rival in PAIRS[1:]:
@@ -152,7 +152,7 @@ def others(tables: Tables) -> str:
 
 
 def fall(tables: Tables) -> str:
-    """Say whether success falls with occlusion, for each planner of grasps, and what else moves it."""
+    """Say whether success falls with occlusion, for each planner of grasps, and what else affects it."""
     law = tables["attempts_law"]
     steps = f"each {100 * SCALES['width_m']:g} cm of width", f"each {100 * SCALES['room_m']:g} cm of room beside it"
     others = {"is_lying": "what lies", "width_m": steps[0], "room_m": steps[1]}
@@ -176,7 +176,7 @@ def _estimate(row: Row) -> str:
 
 
 def assumption(tables: Tables) -> str:
-    """Say what the assumed laws have beside what attempts tell."""
+    """Compare the assumed laws with the attempts."""
     slope, places = tables["attempts_slope"], (0.0, 0.5)
     standing, lying = (
         [_share(_at(where(slope, law=COMPLETED, is_lying=lies), place)) for place in places] for lies in (False, True)
@@ -195,7 +195,7 @@ def _share(row: Row) -> str:
 
 
 def calibrated(tables: Tables) -> str:
-    """Say how well the law is calibrated where a bin of occlusion holds a tenth of the attempts."""
+    """Say how well the law is calibrated in a bin of occlusion that holds a tenth of the attempts."""
     rows = records(tables["attempts_calibration"], model=LAW, by="occlusion")
     full = [row for row in rows if row["share_of_attempts"] >= SHARE_OF_A_BIN]
     if not full:
@@ -227,7 +227,7 @@ def _draw(tables: Tables, title: str) -> Figure:
 
 
 def _draw_calibration(axes: Axes, calibration: pd.DataFrame, models: Sequence[str]) -> None:
-    """Share that held less the predicted one, by bin of occlusion."""
+    """Share that held less the predicted share, by bin of occlusion."""
     axes.axhspan(-WIDTH_WANTED, WIDTH_WANTED, color=FAINT, alpha=0.5, linewidth=0, zorder=0.5)
     pages.draw_zero(axes)
     places = sorted(set(calibration.loc[calibration["by"] == "occlusion", "bin_from"]))
@@ -244,7 +244,7 @@ def _draw_calibration(axes: Axes, calibration: pd.DataFrame, models: Sequence[st
 
 
 def _draw_success(axes: Axes, tables: Tables) -> None:
-    """Share that held by what is hidden, counted and by the law, and as the assumed laws have it."""
+    """Share that held by occlusion: counted, by the law, and by the assumed laws."""
     slope, held = tables["attempts_slope"], tables["attempts_held"]
     for side, (lies, (name, colour, marker)) in zip((-1, 1), POSES.items(), strict=True):
         curve = where(slope, law=COMPLETED, is_lying=lies)

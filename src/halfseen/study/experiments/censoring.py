@@ -1,6 +1,6 @@
-"""What becomes of cut trajectories in linear eq. 3 by default, against other treatments of them: Figure 4.
+"""The default treatment of cut trajectories in linear eq. 3 compared with other treatments: Figure 4.
 
-All learn without laws: treatments are of eq. 3, and laws fitted under censoring would hide what they do to it.
+All learn without laws: treatments concern eq. 3, and laws fitted under censoring would mask their effect.
 """
 
 from dataclasses import dataclass
@@ -49,9 +49,9 @@ DODGE, BAR_DODGE = 1.02, 1.10
 
 @dataclass(frozen=True)
 class Censoring:
-    """Five treatments of the same cut trajectories: `cut_share` of each log are cut by each kind.
+    """Five treatments of the same cut trajectories: `cut_share` of each log are cut, by each kind of cut.
 
-    Treatments are compared in words where `compared_num_trajectories` were logged.
+    The text compares treatments at `compared_num_trajectories`.
     """
 
     num_trajectories: tuple[int, ...] = (50, 200, 800)
@@ -108,7 +108,7 @@ class Censoring:
         return {"figure4": pd.DataFrame(rows)}
 
     def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say what the default gains."""
+        """Report the gain of the default."""
         figure4 = tables["figure4"]
         claims = claims_of(self, figure4)
         others = figure4[figure4["treatment"] != DEFAULT]
@@ -121,7 +121,7 @@ Claims = dict[CutKind, list[Claim]]
 
 
 def claims_of(design: Censoring, figure4: pd.DataFrame) -> Claims:
-    """That the default earns more than each other treatment, at one size of log, by kind of cut."""
+    """Claims that the default earns more than each other treatment, at one size of log, by kind of cut."""
     claims: Claims = {kind: [] for kind in design.cut_kinds}
     for row in records(figure4, num_trajectories=design.compared_num_trajectories):
         if row["treatment"] in RIVALS:

@@ -1,4 +1,4 @@
-"""The map, how much learning gains over the best heuristic over clutter in each world: Figure 6, and what it says."""
+"""The map of the gain of learning over the best heuristic, by clutter and world: Figure 6, with its text."""
 
 from dataclasses import dataclass
 from functools import partial
@@ -24,14 +24,14 @@ from halfseen.world.config import WorldConfig
 ROW_INCHES, HEAD_INCHES, FOOT_INCHES = 1.42, 0.75, 1.25
 GAP = 0.28  # between the two blocks, in widths of a panel
 STEPS = np.array([-0.25, -0.15, -0.10, -0.05, 0.0, 0.05, 0.10, 0.15, 0.25])
-"""Bounds of the colours, as distances from the share that is worth the trouble."""
-DARK = 0.15  # distance from which on a field is so dark that its number is written in white
+"""Bounds of the colours, as distances from the worthwhile share."""
+DARK = 0.15  # distance from which a field is so dark that its number is written in white
 MARKS = {places.LEARN: "▲", places.UNDECIDED: "?", places.ENOUGH: "", places.NO_SCALE: ""}
 LABEL_NAMES = {"gain": "labels", "facing": "shown"}
 LABEL_HEADS = {"gain": "share of right labels", "facing": "surface that a look shows"}
 SMALL = 8.0
 NORM = BoundaryNorm(STEPS, GAINS.N, extend="both")
-FEWEST = 3  # places with a verdict below which nothing is said to stand out
+FEWEST = 3  # with fewer places with a verdict, no factor is reported
 LABEL_WORDS = {"gain": "how often a label is right in full view", "facing": "the surface that one look shows"}
 
 
@@ -42,7 +42,7 @@ class Clutter(ClutterDesign):
     name: ClassVar[str] = "clutter"
 
     def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say where to learn, and where the best heuristic is good enough."""
+        """Say where learning is worthwhile, and where the best heuristic is good enough."""
         table, draw = tables["map"], partial(draw_map, self, setting, tables["map"])
         labels, repetitions = LABEL_WORDS[label_number(setting.world)], table["repetitions"].iloc[0]
         caption = words(self.name, "caption", design=self, setting=setting, labels=labels, repetitions=repetitions)
@@ -69,7 +69,7 @@ def _numbers(table: pd.DataFrame) -> Listing:
 
 
 class Level(NamedTuple):
-    """How often a verdict falls where one factor has one value."""
+    """Frequency of a verdict at one value of a factor."""
 
     factor: str
     value: float
@@ -78,12 +78,12 @@ class Level(NamedTuple):
 
     @property
     def share(self) -> float:
-        """Of the places."""
+        """Share of the places."""
         return self.num_verdicts / self.num_places
 
 
 def map_title(table: pd.DataFrame, world: WorldConfig) -> str:
-    """Say in one sentence what the figure of the map shows; where the assumed laws are beside it, they are apart."""
+    """State the finding of the map in one sentence; places under the assumed laws, if any, are reported separately."""
     own, assumed = (where(table, is_assumed=is_assumed) for is_assumed in (False, True))
     pays, enough = (_where(own, verdict, world) for verdict in (places.LEARN, places.ENOUGH))
     claim = f"Learning pays {pays}; the best heuristic is good enough {enough}"
@@ -98,7 +98,7 @@ def _count(table: pd.DataFrame, verdict: str) -> int:
 
 
 def map_sentence(table: pd.DataFrame, design: ClutterDesign, world: WorldConfig) -> str:
-    """Say where to learn and where the best heuristic is good enough, and what that is taken from."""
+    """Say where learning is worthwhile and where the best heuristic is good enough, with the evidence."""
     bound = f"{_in_percent(design.worthwhile_share)} of what the best heuristic earns above finishing at once"
     lost = int((table["gain_share_high"] < 0).sum())
     undecided, unscaled = (_count(table, verdict) for verdict in (places.UNDECIDED, places.NO_SCALE))
@@ -108,7 +108,7 @@ def map_sentence(table: pd.DataFrame, design: ClutterDesign, world: WorldConfig)
 
 
 def _where(table: pd.DataFrame, verdict: str, world: WorldConfig) -> str:
-    """Say in how many places a verdict falls, and where it stands out."""
+    """Say in how many places a verdict occurs, and at which values it is most frequent."""
     num = _count(table, verdict)
     if num in (0, len(table)):
         return "everywhere" if num else "nowhere"
@@ -121,10 +121,10 @@ def _where(table: pd.DataFrame, verdict: str, world: WorldConfig) -> str:
 
 
 def levels(table: pd.DataFrame, verdict: str) -> list[Level]:
-    """How often a verdict falls at each value of each factor, among places that are alike in all other factors.
+    """Frequency of a verdict at each value of each factor, among places with the same other factors.
 
-    A value is compared only where all values of its factor were tried with the other factors fixed: what belongs to
-    another factor is never laid at its door.
+    A value is compared only where all values of its factor were tried with the other factors fixed, which avoids
+    confounding between factors.
     """
     found = []
     for factor in FACTORS:
@@ -138,7 +138,7 @@ def levels(table: pd.DataFrame, verdict: str) -> list[Level]:
 
 
 def most_telling(found: list[Level]) -> Level | None:
-    """The level of the largest share, where its factor makes a difference; None if none does."""
+    """The level with the largest share, if its factor makes a difference; otherwise None."""
     least = {factor: min(level.share for level in found if level.factor == factor) for factor, *_ in found}
     return max(
         (level for level in found if level.share > least[level.factor]), key=lambda level: level.share, default=None
@@ -173,7 +173,7 @@ def _percent(share: float) -> str:
 
 
 def draw_map(design: ClutterDesign, setting: Setting, table: pd.DataFrame, title: str) -> Figure:
-    """Draw a panel for each world, in it a field for each clutter."""
+    """Draw a panel for each world, with a field for each clutter."""
     columns = _columns(design, setting)
     by_labels = f"{LABEL_HEADS[label_number(setting.world)]} (down) and cost of washing a clean cup (across)"
     heads = by_labels, "spread of grip offsets" if setting.law is None else "spread of grips, and laws"

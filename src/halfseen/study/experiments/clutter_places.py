@@ -1,4 +1,4 @@
-"""The map's numbers: at every place of clutter and costs a fresh log, a learned policy, and the heuristics."""
+"""The numbers of the map: at each place of clutter and costs a fresh log, a learned policy, and the heuristics."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -27,13 +27,13 @@ LEARN = "learn"
 ENOUGH = "heuristic is enough"
 UNDECIDED = "inconclusive"
 NO_SCALE = "heuristic earns nothing"
-"""The heuristic earns next to nothing above FINISH at once, so that a share of that means nothing."""
+"""The heuristic earns next to nothing above FINISH at once, so a share of its earnings is meaningless."""
 MAP_SEED, TABLES = 16, 2
-NEXT_TO_NOTHING = 0.05  # share of what FINISH at once loses, above which a heuristic's earnings are a scale
+NEXT_TO_NOTHING = 0.05  # share of the loss of FINISH at once that a heuristic must earn to be a scale
 RAW_SHAPE = 0.5
-"""Of the gamma distribution of who hides whom; below 1, few pairs hide much and many hide next to nothing."""
+"""Shape of the gamma distribution of pairwise occlusion; below 1, few pairs hide much and many hide next to nothing."""
 LawNumber = Literal["gain", "facing"]
-"""What tells how good labels are: of `AssumedSeeing` its gain, of `PersistentSeeing` the surface that a look shows."""
+"""Quality of labels: the gain of `AssumedSeeing`, or the surface that a look shows in `PersistentSeeing`."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class Place:
     """One place of the map: N, the mean hidden share of an object while all stand, and three numbers of the world.
 
     These are the `LawNumber` of its law of seeing, `WorldConfig.reward_wash_clean`, and the spread of grip offsets. The
-    last field says whether its laws are the assumed ones, whatever those of the study are.
+    last field is whether its laws are the assumed ones, whatever the study's are.
     """
 
     num_objects: int
@@ -53,7 +53,7 @@ class Place:
 
     @classmethod
     def of(cls, world: WorldConfig, is_assumed: bool = False) -> "Place":
-        """The place of a world's own numbers; its clutter means nothing."""
+        """The place with a world's own numbers; its clutter is arbitrary."""
         spread = float(known_grasping(world).offset_std)
         number = float(getattr(world.seeing, label_number(world)))
         return cls(0, 0.0, number, float(world.reward_wash_clean), spread, is_assumed)
@@ -72,7 +72,7 @@ class Place:
 
 
 def label_number(world: WorldConfig) -> LawNumber:
-    """What tells how good labels are in a world."""
+    """Name of the number for the quality of labels in a world."""
     for name in get_args(LawNumber):
         if hasattr(world.seeing, name):
             return name
@@ -83,7 +83,7 @@ def label_number(world: WorldConfig) -> LawNumber:
 
 
 def label_share(number: float, world: WorldConfig) -> float:
-    """What is told to people of a `label_number`: share of right labels in full view, or of the surface shown."""
+    """A `label_number` as shown to readers: share of right labels in full view, or of the surface shown."""
     return number + float(getattr(world.seeing, "floor", 0.0))
 
 
@@ -94,18 +94,17 @@ def assumed(world: WorldConfig) -> WorldConfig:
 
 
 FACTORS = ("num_objects", "occlusion", "labels", "reward_wash_clean", "grip_offset_std")
-"""What places differ in, the laws apart."""
+"""Factors in which places differ, besides the laws."""
 
 
 @dataclass(frozen=True)
 class ClutterDesign:
-    """The map: at every clutter the world's own numbers, and each of the variations below by itself.
+    """The map: at every clutter, the world's own numbers, and each of the variations below by itself.
 
     Clutter is the number of objects N and the mean hidden share of an object. In each repetition, policies are learned
-    from `num_trajectories` over `num_tables` random tables, `cut_share` of them cut, independently of the task; by
-    `laws` with the help of laws fitted to the same log. Learning is worth it where it gains more than
-    `worthwhile_share` of what the best heuristic earns above FINISH at once. Scales multiply the world's own number of
-    labels and spread of grip offsets.
+    from `num_trajectories` over `num_tables` random tables, with `cut_share` of them cut independently; with `laws`,
+    laws fitted to the same log assist. Learning is worthwhile if it gains more than `worthwhile_share` of what the best
+    heuristic earns above FINISH at once. Scales multiply the world's own quality of labels and spread of grip offsets.
     """
 
     num_objects: tuple[int, ...] = (3, 6, 9)
@@ -134,10 +133,10 @@ class ClutterDesign:
         return [replace(kind, num_objects=num, occlusion=occlusion) for kind, num, occlusion in clutters]
 
     def panels(self, setting: Setting) -> list[list[Place]]:
-        """Kinds of worlds, as the map has them in columns.
+        """Kinds of worlds, as columns of the map.
 
-        Labels by cost of washing a clean object, a column for each cost; last the spread of grip offsets, and the
-        assumed laws where the study's are others.
+        These are quality of labels by cost of washing a clean object, with a column for each cost; last the spread of
+        grip offsets, and the assumed laws if the study's differ.
         """
         own = Place.of(setting.world)
         numbers = (min(_scaled_number(own.labels, scale), 1.0) for scale in sorted(self.label_scales))
@@ -167,8 +166,8 @@ class ClutterDesign:
     def at(self, setting: Setting, place: Place, rate: float, index: int) -> Row:
         """Learn and play at one place: the place, and the mean reward of each policy.
 
-        It depends on no other place but through the largest N, to which all tables are padded so that one compiled
-        call serves all places.
+        It depends on other places only through the largest N, to which all tables are padded so that one compiled call
+        serves all places.
         """
         source = self._source(setting, place, index)
         episodes = source.play(self.num_trajectories, MAP_SEED + LOGS)
@@ -183,32 +182,32 @@ class ClutterDesign:
         return asdict(place) | {"rewards": rewards}
 
     def _source(self, setting: Setting, place: Place, index: int) -> Source:
-        """At one N the same tables everywhere, denser or looser."""
+        """A source of trajectories; at one N all places have the same tables, denser or looser."""
         rng = np.random.default_rng([setting.seed, index, TABLES, place.num_objects])
         grips = () if place.is_assumed else setting.grips
         scenes = random_tables(place.num_objects, place.occlusion, self.num_tables, rng, grips)
         return Source(place.world(setting.world), pad_scenes(scenes, max(self.num_objects)), setting.seed, index)
 
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
-        """Make map."""
+        """Make the table ``map``."""
         return {"map": table_of(self, setting.world, pieces.repetitions)}
 
 
 def _scaled_number(number: float, scale: float) -> float:
-    # A product in binary would not be the number that people read; the world's own number stays as it is.
+    # Rounds the product, as binary arithmetic would show extra digits; the world's own number stays unchanged.
     return number if scale == 1.0 else float(f"{number * scale:.6g}")
 
 
 def random_tables(
     num_objects: int, occlusion: float, num_tables: int, rng: np.random.Generator, grips: Sequence[float] = ()
 ) -> tuple[Scene, ...]:
-    """Random tables that all have the same mean occlusion, with grip offsets that are drawn from `grips`, if any.
+    """Random tables with the same mean occlusion, with grip offsets drawn from `grips`, if any.
 
     Objects stand one behind the other in a random order, and object i is hidden by every nearer j:
     hides[i, j] = 1 − exp(−s·r_ij) with r_ij ~ Gamma(0.5), so that few pairs hide much. The occlusion of i is
-    1 − exp(−s·Σ_j r_ij), and s is such that its mean over the objects of the table is the one that is wanted. With
-    the same `rng`, tables of another occlusion are these, denser or looser. The nearest object is in full view, so
-    that the mean lies below (N − 1) / N.
+    1 − exp(−s·Σ_j r_ij), and s is chosen so that its mean over the objects of the table is `occlusion`. With the same
+    `rng`, tables of another occlusion are these, denser or looser. The nearest object is in full view, so the mean is
+    below (N − 1) / N.
     """
     check_clutter(num_objects, occlusion)
     hides = [_scaled(_raw(num_objects, rng), occlusion) for _ in range(num_tables)]
@@ -233,7 +232,7 @@ def _scaled(raw: Float[np.ndarray, "N N"], occlusion: float) -> Float[np.ndarray
 
 
 def check_clutter(num_objects: int, occlusion: float) -> None:
-    """Refuse a mean occlusion that no table of so many objects has."""
+    """Refuse a mean occlusion that no table with this number of objects has."""
     largest = (num_objects - 1) / num_objects if num_objects > 0 else 0.0
     if num_objects < 1 or not (0.0 <= occlusion < largest or occlusion == 0.0):
         raise ArgumentError(
@@ -243,7 +242,7 @@ def check_clutter(num_objects: int, occlusion: float) -> None:
 
 
 class GainShare(NamedTuple):
-    """Gain as a share of what the heuristic earns above FINISH at once, with its 95 % interval; NaN without a scale."""
+    """Gain as a share of the heuristic's earnings above FINISH at once, with its 95 % interval; NaN without a scale."""
 
     share: float
     low: float
@@ -253,11 +252,10 @@ class GainShare(NamedTuple):
 def table_of(design: ClutterDesign, world: WorldConfig, pieces: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
     """One row for each place of the map.
 
-    The best heuristic of a place is that of the four with the largest mean reward on the very episodes of the
-    comparison: it is chosen with hindsight, which favours it.
-    Columns are num_objects, occlusion, labels, reward_wash_clean, grip_offset_std, is_assumed, num_trajectories,
-    cut_share, repetitions, censored_q, best_heuristic, heuristic_reward, finish_reward, gain, gain_se, gain_share,
-    gain_share_low, gain_share_high and verdict.
+    The best heuristic of a place is the one of four with the largest mean reward on the episodes of the comparison:
+    choosing it with hindsight favours it. Columns are num_objects, occlusion, labels, reward_wash_clean,
+    grip_offset_std, is_assumed, num_trajectories, cut_share, repetitions, censored_q, best_heuristic, heuristic_reward,
+    finish_reward, gain, gain_se, gain_share, gain_share_low, gain_share_high and verdict.
     """
     return pd.DataFrame(
         [_row(design, world, [piece["map"][k] for piece in pieces]) for k in range(len(pieces[0]["map"]))]
@@ -282,12 +280,12 @@ def _row(design: ClutterDesign, world: WorldConfig, met: Sequence[Row]) -> Row:
 
 
 def gain_share(gain: Float[np.ndarray, " R"], earned: Float[np.ndarray, " R"], negligible: float) -> GainShare:
-    """Ratio of two paired means with its 95 % interval.
+    """Ratio of two paired means with its 95 % confidence interval.
 
     The interval holds the shares θ for which a t test of E[gain − θ·earned] = 0 does not reject [Fieller1954]_; so it
-    lies above a share θ just where the learned policy gains significantly more than that share.
-    `gain` is learned − heuristic, and `earned` heuristic − FINISH at once, repetition by repetition; where the interval
-    of the mean of `earned` reaches down to `negligible`, there is no share.
+    lies above a share θ exactly if the learned policy gains significantly more than that share. `gain` is learned −
+    heuristic, and `earned` heuristic − FINISH at once, by repetition. If the interval of the mean of `earned` extends
+    to `negligible` or below, there is no share.
     """
     num = len(gain)
     t = float(stats.t.ppf(0.975, num - 1))
@@ -301,7 +299,7 @@ def gain_share(gain: Float[np.ndarray, " R"], earned: Float[np.ndarray, " R"], n
 
 
 def verdict(share: GainShare, worthwhile_share: float) -> str:
-    """Where the interval of the share lies beside the share that is worth the trouble."""
+    """Position of the interval of the share relative to the worthwhile share."""
     if np.isnan(share.share):
         return NO_SCALE
     if share.low > worthwhile_share:

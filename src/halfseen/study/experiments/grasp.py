@@ -1,7 +1,7 @@
-"""Models of the probability of a grasp, a Beta mean and an SVM among them: Figure 5, Table 3, the paper's claim.
+"""Models of the probability of a grasp, including a Beta mean and an SVM: Figure 5, Table 3, the paper's claim.
 
-From a log, cut as in Table 1, each learns; it is scored on the attempts of fresh uncut trajectories, and serves in the
-strongest heuristic and in the features of linear eq. 3: without laws, as fitted laws have a grasp of their own.
+Each learns from a log, cut as in Table 1. It is scored on the attempts of fresh uncut trajectories, and used in the
+strongest heuristic and in the features of linear eq. 3; without laws, as fitted laws have a grasp model of their own.
 """
 
 from collections.abc import Callable, Mapping
@@ -43,29 +43,29 @@ MODEL_NAMES = {
     CLAIMED: "SVM",
     ORACLE: "true model",
 }
-"""Model of the probability of a grasp → name for people."""
+"""Model of the probability of a grasp → its name in text."""
 MODEL_COLOURS = {SUCCESSION: ORANGE, RIVAL: BLUE, "beta-dropped": SKY, CLAIMED: RED, ORACLE: INK}
 LOOKS = figures.looks(MODEL_COLOURS, MODEL_NAMES)
 FITTED = (RIVAL, "beta-dropped", CLAIMED)
 SCORE, REWARDS = "log_loss", ("learned_reward", "heuristic_reward")
-"""The measure that decides on the paper's claim, which is proper and needs no policy; and rewards."""
+"""The measure for the paper's claim, a proper score that needs no policy; and rewards."""
 MEASURES = {
     SCORE: "log-loss on held-out attempts",
     "brier": "Brier score on held-out attempts",
     REWARDS[0]: "reward of the policy by linear eq. 3",
     REWARDS[1]: "reward of the heuristic",
 }
-"""What models are judged by; the scores are better the smaller they are, the rewards the larger."""
+"""Measures of the models; smaller scores are better, and larger rewards."""
 NUM_BINS, FEWEST_SHOWN = 10, 100
-"""Bins of predicted probabilities, evenly over [0, 1]; attempts below which one is not drawn."""
+"""Number of bins of predicted probabilities, evenly over [0, 1]; attempts below which a bin is not drawn."""
 
 
 @dataclass(frozen=True)
 class Grasp:
     """Models of the probability of a grasp, learned from logs of `num_trajectories`, of which `cut_share` are cut.
 
-    All are scored on fresh trajectories, some six attempts each: on as many as were learned from, `most_held_out` at
-    most. What V° is worth as tables are set is the mean over `num_starts`.
+    All are scored on fresh trajectories, with some six attempts each: on as many as were learned from, at most
+    `most_held_out`. The mean of V° over initial tables is estimated from `num_starts`.
     """
 
     num_trajectories: tuple[int, ...] = (50, 200, 800)
@@ -77,7 +77,7 @@ class Grasp:
     name: ClassVar[str] = "grasp"
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts, and value tables as they are set."""
+        """Calibrate the cuts, and value the initial tables."""
         source = Source.of(setting)
         return {"rate": source.cut_rate(self.cut_share, CUT_KIND), "start": source.start_value(self.num_starts)}
 
@@ -98,7 +98,7 @@ class Grasp:
                 said = oracle if name == ORACLE else estimators[name].predict_proba(held_out)[:, 1]
                 stands_in = name == CLAIMED and not can_hold_out(known)
                 rows.append({"model": name, "num_trajectories": size, "stands_in": stands_in} | scored(said, succeeded))
-                # The model as it runs inside a policy, with what shows of a grip as far as the attempts say.
+                # The model as it runs inside a policy, with the visible covariates of a grip, if any.
                 grasp = TrueGrasp(world)
                 if name != ORACLE:
                     grasp = tabulate(estimators[name], world.horizon, fit_grip_effect(estimators[name], known))
@@ -128,8 +128,8 @@ class Grasp:
         Returns
         -------
         dict of pandas.DataFrame
-            ``grasp``: model, num_trajectories, cut_share, repetitions, and stood_in, in how many the Beta mean stood in
-            for it; and of each measure its mean, ``…_se``, ``…_low`` and ``…_high``, and the same of
+            ``grasp``: model, num_trajectories, cut_share, repetitions, and stood_in, in how many the Beta mean replaced
+            it; and of each measure its mean, ``…_se``, ``…_low`` and ``…_high``, and the same of
             ``…_over_oracle``, the paired difference from the true model.
             ``grasp_tests``: measure, num_trajectories, svm, beta, p_value, p_holm, effect, supported, effect_low,
             effect_high: whether the SVM is better than the Beta mean, tests as in Table 1; the effect is svm − beta.
@@ -159,7 +159,7 @@ class Grasp:
         }
 
     def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say whether an SVM tells the probability of a grasp better than the mean of a Beta."""
+        """Say whether an SVM predicts the probability of a grasp better than the mean of a Beta."""
         grasp, tests = tables["grasp"], tables["grasp_tests"]
         verbs = ("predicts grasps better than", "predicts grasps worse than")
         score = self._claim(setting, tests, SCORE, verbs, MEASURES[SCORE])
@@ -184,7 +184,7 @@ class Grasp:
 
 
 class SuccessionRule:
-    """The rule of succession, (1 + successes) / (2 + attempts), whatever is hidden."""
+    """The rule of succession, (1 + successes) / (2 + attempts), regardless of occlusion."""
 
     def fit(self, frame: FrameLike) -> "SuccessionRule":
         """Learn nothing."""
@@ -198,18 +198,18 @@ class SuccessionRule:
 
 
 def _fitted(tried: pd.DataFrame) -> Mapping[str, GraspEstimator]:
-    # Threads gain nothing on matrices this small, wait for one another on a busy machine (a fit was seen to take 21 s
-    # in place of 0.2), and add up in an order that depends on their number.
+    # Threads gain nothing on matrices this small, wait for one another on a busy machine (one fit took 21 s instead of
+    # 0.2 s), and sum in an order that depends on their number.
     with one_thread():
         beta = BetaGrasp().fit(tried)
         dropped = BetaGrasp(censoring="none").fit(tried)
-        # Where too few objects missed, λ cannot be chosen.
+        # λ cannot be chosen if too few objects missed.
         svm = SVMGrasp().fit(tried) if can_hold_out(tried) else beta
     return {SUCCESSION: SuccessionRule(), RIVAL: beta, "beta-dropped": dropped, CLAIMED: svm}
 
 
 def scored(said: Float[np.ndarray, " m"], succeeded: np.ndarray) -> Row:
-    """Log-loss, Brier score, and by bin of predicted probabilities: attempts, sum of these, successes."""
+    """Log-loss, Brier score, and by bin of predicted probabilities: attempts, sum of the probabilities, successes."""
     place = np.minimum((said * NUM_BINS).astype(int), NUM_BINS - 1)
     sums = {"attempts": None, "probabilities": said, "successes": succeeded}
     return {
@@ -222,7 +222,7 @@ def scored(said: Float[np.ndarray, " m"], succeeded: np.ndarray) -> Row:
 def _calibration(row: Row) -> list[Row]:
     """Proportion of attempts that succeeded against the mean predicted probability, by bin of predictions.
 
-    The interval is of their difference, over repetitions: attempts of one trajectory are no independent draws.
+    The interval of their difference is over repetitions: attempts of one trajectory are not independent.
     """
     names = ("attempts", "probabilities", "successes")
     attempted, said, won = (np.array([bins[name] for bins in row["bins"]], dtype=np.float64) for name in names)
@@ -230,7 +230,7 @@ def _calibration(row: Row) -> list[Row]:
     for k in np.flatnonzero(attempted.sum(axis=0)):
         total = attempted[:, k].sum()
         mean, share = said[:, k].sum() / total, won[:, k].sum() / total
-        # The ratio's error is that of the mean of its residuals.
+        # The standard error of the ratio is that of the mean of its residuals.
         residual = won[:, k] - said[:, k] - (share - mean) * attempted[:, k]
         error = compare.over_repetitions(residual * len(attempted) / total)
         line = {"model": row["model"], "num_trajectories": row["num_trajectories"], "bin_from": k / NUM_BINS}
@@ -281,7 +281,7 @@ def _draw(design: Grasp, tables: Tables, title: str) -> Figure:
 
 
 def _draw_calibration(axes: Any, largest: int, figure5: pd.DataFrame) -> None:
-    """How much oftener attempts succeeded than predicted, for the largest log."""
+    """Share of successes less the predicted probability, for the largest log."""
     pages.draw_zero(axes)
     for model in (*FITTED, ORACLE):
         rows = where(figure5, model=model, num_trajectories=largest)

@@ -1,9 +1,9 @@
-"""What simulations and a longer planning horizon are worth to a planner that knows the true model: Figures 2 and 3.
+"""The value of simulations and of a longer planning horizon to a planner that knows the true model: Figures 2 and 3.
 
-All policies meet the same evaluation episodes. A planner of many simulations plays few of them, in turn over the
+All policies meet the same evaluation episodes. A planner with many simulations plays few of them, in turn over the
 repetitions, so that every table is met; it is compared on those that it played. Rewards are by the control variate of
-`pipeline`, and follow from the seed: a planner has a number of simulations, not a time. The times that decisions take
-are measured and told beside.
+`pipeline`, and reproducible from the seed: a planner has a number of simulations, not a time limit. Decision times are
+measured and reported separately.
 """
 
 from collections.abc import Iterable
@@ -39,10 +39,10 @@ VERBS = "earns more than", "earns less than"
 class Planning:
     """Planners by simulations and by horizon.
 
-    `simulations` are those a decision of planners that look to the end of a trajectory, and how many episodes of a
-    repetition each plays. Other planners look `horizons` steps ahead. The learned policy is learned from
-    `num_trajectories`, of which `cut_share` are cut; by `laws` with the help of laws fitted to the same log. What V° is
-    worth as tables are set is the mean over `num_starts`.
+    `simulations` maps the simulations per decision of planners that look to the end of a trajectory to the number of
+    episodes that each plays in a repetition. Other planners look `horizons` steps ahead. The learned policy is learned
+    from `num_trajectories`, of which `cut_share` are cut; with `laws`, laws fitted to the same log assist. The mean of
+    V° over initial tables is estimated from `num_starts`.
     """
 
     simulations: tuple[tuple[int, int], ...] = ((8, 25), (128, 25), (1024, 3))
@@ -68,12 +68,12 @@ class Planning:
 
     @property
     def by_horizon(self) -> dict[str, int]:
-        """Horizon of each planner that looks some steps ahead."""
+        """Horizon of each planner that looks a limited number of steps ahead."""
         return {self._ahead(horizon).name: horizon for horizon in self.horizons}
 
     @property
     def contenders(self) -> dict[str, Contender]:
-        """All who take part, by name."""
+        """All contenders, by name."""
         planners = [planner(size) for size, _ in self.simulations] + [self._ahead(horizon) for horizon in self.horizons]
         return by_name(LEARNED, *HEURISTICS, *planners)
 
@@ -81,12 +81,12 @@ class Planning:
         return horizon_planner(horizon, self.horizon_simulations)
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Calibrate the cuts, and value tables as they are set."""
+        """Calibrate the cuts, and value the initial tables."""
         source = Source.of(setting)
         return {"rate": source.cut_rate(self.cut_share, CUT_KIND), "start": source.start_value(self.num_starts)}
 
     def measure(self, setting: Setting) -> PieceOf:
-        """Decision times [ms], and the time that learning takes, the median of a few on this machine [s]."""
+        """Decision times [ms], and the median learning time of a few runs on this machine [s]."""
         source = Source.of(setting)
         times = source.decision_times_ms(self.contenders.values(), NUM_TIMED_STATES, self.laws)
         learn = partial(self._learned, source, source.cut_rate(self.cut_share, CUT_KIND))
@@ -94,7 +94,7 @@ class Planning:
         return {"decision_ms": times, "learning_s": float(np.median(repeat(learn, number=1, repeat=NUM_FITS)))}
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
-        """Play all policies: of each, which episodes it played and what each brought."""
+        """Play all policies: for each, the episodes it played and their rewards."""
         source = Source.of(setting, index)
         num_all = self.episodes_per_scene * len(setting.scenes)
         policies = {LEARNED.name: self._learned(source, prepared["rate"])}
@@ -120,11 +120,11 @@ class Planning:
 
         ``figure2`` has policy, kind, simulations, decision_ms (measured on this machine), mean_reward, se, low, high;
         over_censored_q, se_over, over_low, over_high (the mean difference from the learned policy on the same
-        episodes), repetitions and episodes (of one repetition). Where a policy played only some, its mean is what the
-        learned policy earned on all of them plus that difference.
+        episodes), repetitions and episodes (of one repetition). If a policy played only some episodes, its mean is the
+        learned policy's on all of them plus that difference.
         ``figure3`` has planning_horizon, simulations, decision_ms, mean_reward, se, low, high, over_previous and
-        over_first (paired differences from the next shorter and the shortest horizon, with se_…, …_low, …_high),
-        repetitions and episodes; null where there is nothing shorter. ``learning`` has learning_s, measured.
+        over_first (paired differences from the next shorter and the shortest horizon, with se_…, …_low, …_high; null
+        for the shortest), repetitions and episodes. ``learning`` has learning_s, measured.
         """
         rewards, times = _rewards(pieces), pieces.measured["decision_ms"]
         learning = pd.DataFrame(
@@ -152,7 +152,7 @@ def _row(name: str, episodes: Iterable[int], played: Played) -> Row:
 
 
 def _rewards(pieces: Pieces) -> dict[str, pd.Series]:
-    """Rewards of each policy by repetition and episode; NaN where it did not play."""
+    """Rewards of each policy by repetition and episode; NaN for episodes that it did not play."""
     frames = [
         pd.DataFrame({"repetition": k, "policy": row["policy"], "episode": row["episodes"], "reward": row["reward"]})
         for k, piece in enumerate(pieces.repetitions)
@@ -163,7 +163,7 @@ def _rewards(pieces: Pieces) -> dict[str, pd.Series]:
 
 
 def _means(rewards: pd.Series) -> Float[np.ndarray, " R"]:
-    """Means of the repetitions, over the episodes that were played."""
+    """Mean of each repetition, over the episodes that were played."""
     return rewards.groupby("repetition").mean().to_numpy()
 
 
@@ -200,7 +200,7 @@ def _figure3(design: Planning, rewards: dict[str, pd.Series], times_ms: dict[str
 
 
 def most_simulations(design: Planning, figure2: pd.DataFrame) -> Claim:
-    """That the planner with the most simulations, fixed beforehand, earns more than the learned policy."""
+    """Claim that the planner with the most simulations, fixed beforehand, earns more than the learned policy."""
     size = max(design.by_simulations.values())
     row = row_of(figure2, simulations=size)
     subject = f"Planning with the true model, {counted(size, 'simulation')} a decision,"
@@ -210,7 +210,7 @@ def most_simulations(design: Planning, figure2: pd.DataFrame) -> Claim:
 
 
 def longest_horizon(design: Planning, figure3: pd.DataFrame) -> Claim:
-    """That looking ahead the longest earns more than the shortest."""
+    """Claim that looking ahead the farthest earns more than the shortest horizon."""
     first, *_, row = records(figure3)
     simulations = counted(design.horizon_simulations, "simulation")
     subject = f"Looking {int(row['planning_horizon'])} steps ahead, with {simulations} a decision,"
@@ -251,7 +251,7 @@ def _draw_simulations(figure2: pd.DataFrame, title: str) -> Figure:
 
 
 def _draw_horizons(design: Planning, figure2: pd.DataFrame, figure3: pd.DataFrame, title: str) -> Figure:
-    """Reward by planning horizon at the left, what one more step gains at the right."""
+    """Reward by planning horizon at the left, the gain of one more step at the right."""
     place = {"left": 0.07, "right": 0.985, "bottom": 0.12, "wspace": 0.16}
     figure, top, panels = figures.panels(title, (WIDTH_INCHES, 4.4), (1, 2), 0.18, (False, False), **place)
     left, right = panels[0]

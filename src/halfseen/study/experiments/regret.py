@@ -1,9 +1,8 @@
-"""How far policies stay below the optimum, on tables so small that it is known: Figure 7.
+"""Regret of policies on tables so small that the optimum is known: Figure 7.
 
-On a few tables of three cups the optimum is solved once. From a log over them, cut at every proportion, policies are
-learned as elsewhere; each is then valued exactly on every table. There is no noise of simulated episodes: learned
-policies differ by their logs alone. The planners, which take their time, are asked in some of the states only, which
-leaves a little noise.
+On a few tables of three cups the optimum is solved once. Policies are learned as elsewhere, from a log over these
+tables with every proportion of cuts; each is then valued exactly on every table. There is no simulation noise: learned
+policies differ by their logs only. The slow planners are run in a sample of the states, which adds a little noise.
 """
 
 from collections.abc import Sequence
@@ -32,10 +31,10 @@ from halfseen.world.state import pad_scenes
 
 NUM_CUPS = 3
 HIDING_PROBABILITY, MOST_HIDDEN = 0.75, 0.8
-"""A nearer cup hides one behind it with this probability, and then a share of it that is uniform up to this."""
+"""Probability that a nearer cup hides one behind it, and the upper end of its uniform hidden share."""
 NUM_GRIP_NODES = 31
-"""Of the grid of grip offsets in the exact world: with so many it is the simulated world, in which logs are made, to
-1e-4 of reward; they cost no states."""
+"""Nodes of the grid of grip offsets in the exact world: with this many it matches the simulated world of the logs to
+1e-4 of reward; they add no states."""
 REGRET_AXIS = "regret: reward of a trajectory below the optimum, mean over the small tables"
 BAR_DODGE = 1.05
 REGRET = ["regret", "se", "low", "high"]
@@ -44,11 +43,11 @@ INTERVAL = ["regret", "low", "high"]
 
 @dataclass(frozen=True)
 class Regret:
-    """Regret on `num_tables` small tables, where a trajectory takes `horizon` steps.
+    """Regret on `num_tables` small tables, with trajectories of `horizon` steps.
 
-    Policies are learned from logs of each size and proportion of cuts, by `laws` with the help of laws fitted to the
-    same log; words tell of `told_cut_share`. Planners look `planner_horizons` steps ahead and are asked in
-    `planner_states` states of each step in a repetition.
+    Policies are learned from logs of each size and proportion of cuts; with `laws`, laws fitted to the same log assist.
+    The text reports `told_cut_share`. Planners look `planner_horizons` steps ahead and decide in `planner_states`
+    states of each step in a repetition.
     """
 
     num_tables: int = 6
@@ -70,7 +69,7 @@ class Regret:
 
     @property
     def contenders(self) -> dict[str, Contender]:
-        """All who take part, by name."""
+        """All contenders, by name."""
         return by_name(LEARNED, *self.planners, *HEURISTICS, OPTIMUM)
 
     def small(self, setting: Setting) -> "SmallTables":
@@ -78,7 +77,7 @@ class Regret:
         return small_tables(self.num_tables, replace(setting.world, horizon=self.horizon), setting.seed)
 
     def prepare(self, setting: Setting) -> PieceOf:
-        """Solve the tables: what the optimum, FINISH at once and each heuristic earn, exactly; calibrate the cuts."""
+        """Solve the tables: the exact values of the optimum, FINISH at once and each heuristic; calibrate the cuts."""
         small = self.small(setting)
         left = float(small.world.reward_dirty_left) * float(small.world.dirty_share) * NUM_CUPS
         source = small.source()
@@ -90,7 +89,7 @@ class Regret:
         }
 
     def repeat(self, setting: Setting, prepared: PieceOf, index: int) -> PieceOf:
-        """Learn from a fresh log and value what was learned."""
+        """Learn from a fresh log and value the learned policies."""
         small = self.small(setting)
         source = small.source(index)
         key = random_key(setting.seed, EVALUATION, index)
@@ -110,15 +109,15 @@ class Regret:
     def tabulate(self, setting: Setting, pieces: Pieces) -> Tables:
         """Make regret: policy, num_trajectories, cut_share, regret, se, low, high, regret_share, optimum, repetitions.
 
-        The standard error is over repetitions: of learned policies, over logs; of planners, over the states in which
-        they were asked and their own draws. Heuristics and the optimum are exact: their se is 0 and their repetitions
-        null. How tables differ is in no se. `regret_share` is the mean regret as a proportion of what the optimum earns
-        above FINISH at once, `optimum` what it earns.
+        The standard error is over repetitions: for learned policies, over logs; for planners, over the sampled states
+        and their own draws. Heuristics and the optimum are exact: their se is 0 and their repetitions null. No se
+        includes the variation between tables. `regret_share` is the mean regret as a proportion of the optimum's
+        earnings above FINISH at once, and `optimum` the value of the optimum.
         """
         return {"regret": _table(pieces)}
 
     def section(self, setting: Setting, tables: Tables) -> Section:
-        """Say how far below the optimum what was learned stays."""
+        """Say how far below the optimum the learned policy stays."""
         table = tables["regret"]
         claim = claim_of(self, table)
         lost = amount(100 * _end(self, table)["regret_share"], 1)
@@ -134,7 +133,7 @@ class Regret:
 
 @dataclass(frozen=True)
 class SmallTables:
-    """Small tables and their optima, solved when first asked for."""
+    """Small tables and their optima, solved on first use."""
 
     world: WorldConfig
     scenes: tuple[Scene, ...]
@@ -155,13 +154,13 @@ class SmallTables:
         return np.transpose(regrets).tolist()
 
     def source(self, index: int = 0) -> Source:
-        """Where trajectories on them come from."""
+        """Source of trajectories on them."""
         return Source(self.world, pad_scenes(self.scenes), self.seed, index)
 
 
 @lru_cache(maxsize=1)
 def small_tables(num_tables: int, world: WorldConfig, seed: int) -> SmallTables:
-    """Draw small tables; the same object as long as the same are wanted, so that their optima are kept."""
+    """Draw small tables; cached, so that the same arguments give the same object with its optima."""
     rng = np.random.default_rng([seed, NUM_CUPS])
     scenes = []
     for k in range(num_tables):
@@ -185,14 +184,14 @@ def _table(pieces: Pieces) -> pd.DataFrame:
     rows += [{"policy": name, "se": 0.0} | dict.fromkeys(INTERVAL, value) for name, value in exact.items()]
     table = pd.DataFrame(rows).assign(optimum=optimum)
     table = table.assign(regret_share=table["regret"] / scale)
-    # What was learned comes first, as in the other tables; the order among the others is kept.
+    # Learned policies come first, as in the other tables; the order among the others is kept.
     table = table.sort_values("num_trajectories", key=pd.isna, kind="stable", ignore_index=True)
     table = table.loc[:, [*place, *REGRET, "regret_share", "optimum", "repetitions"]]
     return table.astype({"num_trajectories": "Int64", "cut_share": "Float64", "repetitions": "Int64"})
 
 
 def claim_of(design: Regret, table: pd.DataFrame) -> Claim:
-    """That what was learned from the largest log has less regret than the best heuristic, which is known exactly."""
+    """Claim that the policy learned from the largest log has less regret than the best heuristic, which is exact."""
     end = _end(design, table)
     best = _best(design, table, Kind.HEURISTIC)
     rule, planner = (float(each["regret"]) for each in (best, _best(design, table, Kind.PLANNER)))
@@ -212,7 +211,7 @@ def _end(design: Regret, table: pd.DataFrame) -> dict[str, Any]:
 
 
 def _best(design: Regret, table: pd.DataFrame, kind: Kind) -> dict[str, Any]:
-    """Policy of a kind with the least regret; the first of equals."""
+    """Policy of a kind with the least regret; the first of those tied."""
     rows = [row for row in records(table) if design.contenders[row["policy"]].kind == kind]
     return min(rows, key=lambda row: row["regret"])
 

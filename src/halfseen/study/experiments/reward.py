@@ -1,4 +1,4 @@
-"""What the learned policy earns, by size of the log and proportion of cut trajectories: Figure 1, Tables 1 and 2."""
+"""Reward of the learned policy, by size of the log and proportion of cut trajectories: Figure 1, Tables 1 and 2."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ from halfseen.wording import MISSING, SUPPORTED, Claim, amount, listed, share, s
 
 CLAIM_WORDS = {"reward": "the learned policy earns more", "robot_s": "the learned policy ends sooner"}
 ROLES = {BEST[0]: "the strongest heuristic", BEST[1]: "the strongest planner, which knows the true model"}
-MARK = " *"  # marks a difference that the test finds
+MARK = " *"  # marks a significant difference
 GAIN = three("gain")
 GAIN_AXIS = "the same above what the strongest heuristic earns, which knows the true laws, on the same episodes"
-DODGE = 1.02  # factor between neighbouring curves, which stand side by side rather than on one another
-PLAIN = ("greedy", "history")  # rules of thumb that do not count what a wrong WASH costs
+DODGE = 1.02  # factor between neighbouring curves, which are drawn side by side to avoid overlap
+PLAIN = ("greedy", "history")  # rules of thumb that ignore the cost of a wrong WASH
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Reward(RewardRepetition):
 
 
 def claim(design: Reward, setting: Setting, figure1: pd.DataFrame, table1: pd.DataFrame, role: str) -> Claim:
-    """That the learned policy of Table 1 earns more than the baseline of a role, on the same episodes."""
+    """Claim that the learned policy of Table 1 earns more than the baseline of a role, on the same episodes."""
     name = str(row_of(figure1, role=role)["policy"])
     row = row_of(table1, baseline=name, measure="reward")
     earned = f"{amount(float(row[LEARNED.name]))} against {amount(float(row['other']))} a trajectory"
@@ -84,7 +84,7 @@ def _sufficient(design: Reward, figure1: pd.DataFrame) -> dict[float, int | None
     """Proportion of cuts → the smallest log from which on the learned policy earns more than the strongest heuristic.
 
     At this size and at every larger one the 95 % interval of the paired difference lies above 0; None if even the
-    largest log does not do.
+    largest log does not suffice.
     """
     found: dict[float, int | None] = dict.fromkeys(design.cut_shares)
     for cut_share in found:
@@ -119,7 +119,7 @@ def _beats(found: Mapping[float, int | None]) -> str:
 
 
 def _against_peer(design: Reward, peer: pd.DataFrame) -> str:
-    """Say who earns more from how many trajectories, over all proportions of cut trajectories and at single ones."""
+    """Say which of the two earns more from how many trajectories, over all proportions of cuts and at single ones."""
     means, single = records(peer, cut_share=None), records(peer[peer["cut_share"].notna()])
     ends = " and ".join(f"{estimated_in(row, EFFECT)} from {row['num_trajectories']}" for row in (means[0], means[-1]))
     by_means = _by_verdict(means, lambda rows: f"{listed([str(row['num_trajectories']) for row in rows])} trajectories")
@@ -137,7 +137,7 @@ def _by_verdict(rows: list[Row], written: Callable[[list[Row]], str]) -> str:
 
 
 def _places(rows: list[Row]) -> str:
-    """Sizes with the proportions of cut trajectories, those of the same proportions together."""
+    """Sizes with the proportions of cut trajectories, grouped by equal proportions."""
     sizes: dict[str, list[str]] = {}
     for size, of in groupby(rows, key=lambda row: row["num_trajectories"]):
         sizes.setdefault(listed([share(row["cut_share"]) for row in of], "or"), []).append(str(size))
@@ -145,7 +145,7 @@ def _places(rows: list[Row]) -> str:
 
 
 def _what_of_laws(design: Reward, figure1: pd.DataFrame) -> str:
-    """Say what is earned above the strongest heuristic by whom, with and without laws fitted to the same logs."""
+    """Gains over the strongest heuristic, with and without laws fitted to the same logs."""
     sizes = dict.fromkeys((min(design.num_trajectories), max(design.num_trajectories)))
 
     def gains(name: str) -> str:
@@ -161,7 +161,7 @@ def _what_of_laws(design: Reward, figure1: pd.DataFrame) -> str:
 
 
 def _verdicts(design: Reward, table1: pd.DataFrame) -> str:
-    """Say how many hypotheses of Table 1 the data speak for, and name those that they do not."""
+    """Say how many hypotheses of Table 1 are supported, and name those that are not."""
     parts = []
     for measure, claimed in CLAIM_WORDS.items():
         found: dict[str, list[str]] = {SUPPORTED: [], wording.NOT_SUPPORTED: [], wording.INCONCLUSIVE: []}
@@ -193,7 +193,7 @@ def _by_size(
 
 
 def _numbers(design: Reward, setting: Setting, figure1: pd.DataFrame, peer: pd.DataFrame) -> list[Listing]:
-    """By size and proportion: what was learned, what is made of logs above the strongest heuristic, and the peer."""
+    """By size and proportion: learned policies, gains of all that use logs over the best heuristic, and the peer."""
     of_logs = figure1[figure1["cut_share"].notna()]
     made = (LEARNED.name, design.peer.name, *design.beside_names)
     above = {design.contenders[name].label: where(of_logs, policy=name) for name in made}
@@ -252,7 +252,7 @@ def _weights(design: Reward, weights: pd.DataFrame) -> Listing:
 
 
 class Figure1:
-    """Rewards above; below what those that come near one another earn above the strongest heuristic."""
+    """Rewards above; below, gains over the strongest heuristic of policies with similar rewards."""
 
     def __init__(self, design: RewardRepetition, table: pd.DataFrame, times_ms: Mapping[str, float]) -> None:
         self.design, self.table = design, table
@@ -260,7 +260,7 @@ class Figure1:
         self.ms = {name: f"  ({wording.significant(value, 2)} ms)" for name, value in times_ms.items()}
 
     def draw(self, title: str) -> Figure:
-        """Draw it under a title."""
+        """Draw it with a title."""
         figure, sizes = Figure(figsize=(WIDTH_INCHES, 8.6)), self.design.num_trajectories
         top = write_title(figure, title) - 0.045
         upper, lower = figures.two_panels(figure, top, 0.065, 0.50, 0.06, 0.085, lower_share=0.62)
@@ -270,7 +270,7 @@ class Figure1:
         return figure
 
     def _rewards(self, axes: Axes) -> list[EndLabel]:
-        """Learned with laws and without, the heuristics, and the strongest planner."""
+        """Policies learned with and without laws, the heuristics, and the strongest planner."""
         labels = self._levels(axes, [*(each.name for each in HEURISTICS), self.best[1].name], INTERVAL)
         if LINEAR.name in self.design.beside_names:
             labels.append(self._curve(axes, LINEAR, INTERVAL, "o"))
@@ -279,7 +279,7 @@ class Figure1:
         return [*labels, self._label(LEARNED, float(rows["mean_reward"].iloc[-1]), is_bold=True)]
 
     def _gains(self, axes: Axes) -> list[EndLabel]:
-        """Learned by share of cuts; with fitted laws and with the true ones, one step ahead and to the end."""
+        """Learned policies by share of cuts; with fitted and with true laws, one step ahead and to the end."""
         draw_zero(axes, self.best[0].colour, 1.5)
         labels = [self._label(self.best[0], 0.0, is_bold=True)]
         labels += self._levels(axes, [*self.design.planner_names, ONE_STEP.name], GAIN)
@@ -289,7 +289,7 @@ class Figure1:
         return labels + figures.draw_by_cut_share(axes, self.table, shares, GAIN, draw_curve, DODGE, ms)
 
     def _levels(self, axes: Axes, names: Sequence[str], columns: list[str]) -> list[EndLabel]:
-        """Draw what learns nothing as lines, with bands for the strongest."""
+        """Draw policies that do not learn as level lines, with bands for the strongest."""
         labels = []
         for name in names:
             who, is_best = self.design.contenders[name], name in [each.name for each in self.best]
@@ -300,7 +300,7 @@ class Figure1:
         return labels
 
     def _curve(self, axes: Axes, who: policies.Contender, columns: list[str], marker: str) -> EndLabel:
-        """Draw what is made of logs, the mean over the proportions of cut trajectories."""
+        """Draw a policy that uses logs, as the mean over the proportions of cut trajectories."""
         means = where(self.table, policy=who.name, cut_share=None)
         look: dict[str, Any] = {"color": who.colour, "marker": marker, "linestyle": (0, who.dashes)}
         draw_curve(axes, means["num_trajectories"], means[columns], **look)
@@ -311,10 +311,10 @@ class Figure1:
 
 
 def opening_of(design: RewardRepetition, setting: Setting, figure1: pd.DataFrame, rule: Claim) -> Drawing:
-    """Draw what each way of clearing a table brings, and say whether learning is the better one.
+    """Draw the reward of each way of clearing a table, and say whether learning is the better one.
 
-    Points are counted above leaving a table as it is: what FINISH at once costs for the dirty objects left, in
-    expectation. `rule` is the claim that the learned policy earns more than the strongest heuristic.
+    Rewards are relative to leaving a table as it is: the expected cost of FINISH at once for the dirty objects left.
+    `rule` is the claim that the learned policy earns more than the strongest heuristic.
     """
     world, size, cut_share = setting.world, design.table_num_trajectories, design.table_cut_share
     num_objects = float(np.mean([scene.num_objects for scene in setting.scenes]))

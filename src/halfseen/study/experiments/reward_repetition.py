@@ -1,15 +1,15 @@
 """Rewards by repetition, and their tables: policies learned from logs of every size and proportion of cuts, and others.
 
-*The planner with laws fitted to the same logs* takes long, and so plays few episodes of each repetition: others for
-every log, so that means over logs know more than a single log does. What good decisions earn on an episode is known
-from all K learned policies of the repetition, which play all of them. With M = mean of what these earned on an episode,
-what the learned policy earns over the planner is
+*The planner with laws fitted to the same logs* is slow, and so plays few episodes of each repetition: different ones
+for every log, so that means over logs are more precise than those of a single log. The control variate for an episode
+is the mean M of the rewards of all K learned policies of the repetition, which play all episodes. The difference
+between the learned policy and the planner is
 
     mean (learned − M), on all episodes  +  mean (M − planner), on those that the planner played,
 
-one number a repetition. Its mean is right, whatever M is, as each repetition has fresh episodes; and M, being a mean,
-is nearer to the planner than any one policy: by the control variate a planner and M differ by some .25 on an episode,
-a policy learned from 25 trajectories and M by .9.
+one number per repetition. It is unbiased for any M, as each repetition has fresh episodes. M, being a mean, is closer
+to the planner than any one policy: on an episode a planner and M differ by some 0.25, and a policy learned from 25
+trajectories and M by 0.9.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -40,26 +40,26 @@ MEASURES = {
     "robot_s": "robot time until a trajectory ends [s]",
     "decision_ms": "time of one decision [ms], measured on this machine",
 }
-"""Measure → name for people; times of decisions are told and not tested, as they depend on the machine."""
+"""Measure → its name in text; decision times are reported and not tested, as they depend on the machine."""
 Rewards = Float[np.ndarray, " R"]
 Place = tuple[int, float]  # size of a log, and the proportion of its trajectories that is cut
 
 
 @dataclass(frozen=True)
 class RewardRepetition:
-    """The configuration, and what a repetition makes.
+    """The configuration, and the results of a repetition.
 
-    With `laws`, a policy is learned with the help of laws fitted to the same log, and linear eq. 3 without them stands
-    beside; else it is the latter. From the same laws are the look one step ahead, the strongest heuristic and a
-    planner, too.
+    With `laws`, a policy is learned with laws fitted to the same log, and linear eq. 3 without laws is reported for
+    comparison; otherwise the policy is linear eq. 3. The one-step look-ahead, the strongest heuristic and a planner use
+    the same fitted laws, too.
 
-    `planners` are simulations a decision, and how many episodes of a repetition a planner of so many plays, as it takes
-    its time. The first of them also plans with laws that were fitted to each log, and then plays `fitted_episodes`; for
-    Table 1 it plays as many as with the true laws. Planners play in the first `planned_repetitions` alone, as they take
-    longer than all else that a repetition plays. The strongest heuristic and planner are chosen on other episodes:
+    `planners` maps the simulations per decision of a planner to the number of episodes that it plays in a repetition,
+    as planners are slow. The first of them also plans with laws fitted to each log, and then plays `fitted_episodes`;
+    for Table 1 it plays as many as with the true laws. Planners play in the first `planned_repetitions` only, as they
+    take longer than everything else in a repetition. The strongest heuristic and planner are chosen on other episodes:
     heuristics on `selection_blocks` times as many as a repetition has, planners on `selection_planned`. Table 1
-    compares the policy learned from `table_num_trajectories`, of which `table_cut_share` are cut. What V° is worth as
-    tables are set is the mean over `num_starts`.
+    compares the policy learned from `table_num_trajectories`, of which `table_cut_share` are cut. The mean of V° over
+    initial tables is estimated from `num_starts`.
     """
 
     num_trajectories: tuple[int, ...] = (25, 50, 100, 200, 400, 800)
@@ -84,7 +84,7 @@ class RewardRepetition:
 
     @property
     def contenders(self) -> dict[str, Contender]:
-        """All who take part, by name."""
+        """All contenders, by name."""
         linear = (LINEAR,) if self.laws else ()
         planners = [who.planner(size) for size, _ in self.planners]
         return who.by_name(LEARNED, *linear, *planners, ONE_STEP, self.peer, FITTED_ONE_STEP, FITTED_RULE, *HEURISTICS)
@@ -101,12 +101,12 @@ class RewardRepetition:
 
     @property
     def baseline_names(self) -> list[str]:
-        """Names of all that the learned policy is compared with."""
+        """Names of the baselines of the learned policy."""
         return [name for name in self.contenders if name != LEARNED.name]
 
     @property
     def beside_names(self) -> list[str]:
-        """Names of those that are made of each log and play all episodes, as the learned policy does."""
+        """Names of the contenders that use each log and play all episodes, like the learned policy."""
         return [*([LINEAR.name] if self.laws else []), FITTED_ONE_STEP.name, FITTED_RULE.name]
 
     def prepare(self, setting: Setting) -> PieceOf:
@@ -127,7 +127,7 @@ class RewardRepetition:
         return {"rates": rates, "selection": earned, "start": start}
 
     def measure(self, setting: Setting) -> PieceOf:
-        """Decision times of all who take part [ms]."""
+        """Decision times of all contenders [ms]."""
         times = Source.of(setting).decision_times_ms(self.contenders.values(), NUM_TIMED_STATES, self.laws)
         return {"decision_ms": times}
 
@@ -171,7 +171,7 @@ class RewardRepetition:
         }
 
     def _learned(self, source: Source, rates: Sequence[float]) -> tuple[dict[Place, Learned], dict[Place, WorldConfig]]:
-        """What is learned from each log, and the world with laws fitted to it; prices and times are the true ones."""
+        """The policies learned from each log, and the world with laws fitted to it, but true prices and times."""
         episodes = source.play(max(self.num_trajectories))
         cuts = [source.cut(episodes, rate, CUT_KIND) for rate in rates]
         places = list(product(self.num_trajectories, self.cut_shares))
@@ -186,7 +186,7 @@ class RewardRepetition:
         return learned, fitted
 
     def _planned(self, source: Source, headline: Played, fitted: WorldConfig, start: float) -> dict[str, Any]:
-        """What each planner earned, and the policy of Table 1 on the same episodes."""
+        """Rewards of each planner, and of the policy of Table 1 on the same episodes."""
         planners = [(who.planner(size), source.world, count) for size, count in self.planners]
         found = {}
         for each, world, num_episodes in (*planners, (self.peer, fitted, self.planners[0][1])):
@@ -216,17 +216,17 @@ class RewardRepetition:
             ``figure1``: policy, num_trajectories, cut_share, repetitions, mean_reward, se, low, high; role, which marks
             the heuristic and the planner that were the strongest on other episodes; and gain, gain_se, gain_low,
             gain_high, the paired difference from that heuristic. All rewards are by the control variate. A planner
-            plays only some of the episodes: its mean is what the policy of Table 1 earned on all, less the paired
-            difference on those. Of what is made of logs there is a row for each log; and, but for the learned policy,
-            one for each size with the mean over all proportions of cut trajectories, where cut_share is null. What a
-            planner with fitted laws earns is what the learned policy did, less what that earned over it. Repetitions
-            are those in which a policy played.
+            plays only some of the episodes: its mean is that of the policy of Table 1 on all, less the paired
+            difference on those. A contender that uses logs has a row for each log; and, except for the learned policy,
+            one for each size with the mean over all proportions of cut trajectories, where cut_share is null. The
+            reward of a planner with fitted laws is the learned policy's, less their difference. Repetitions are those
+            in which a policy played.
             ``table1``: baseline, measure, censored_q, other, p_value, p_holm, effect, supported, effect_low,
             effect_high, num_episodes: one-sided paired tests that the learned policy is better (more reward, less
             time), on the episodes that both played; the effect is censored_q − other.
             ``peer``: num_trajectories, cut_share (null: the mean over all), p_value, p_holm, effect, supported,
-            effect_low, effect_high: two-sided tests of what the learned policy earns over the planner with laws fitted
-            to the same log; supported where they differ.
+            effect_low, effect_high: two-sided tests of the learned policy's gain over the planner with laws fitted
+            to the same log; supported if they differ.
             ``weights``: num_trajectories, cut_share, effective_sample_size, largest_weight: means over repetitions; and
             by_laws, the share of logs that did not contradict the laws fitted to them, so that the policy is built on
             these.
@@ -250,18 +250,18 @@ class RewardRepetition:
 def over_peer(
     learned: Float[np.ndarray, " B"], mean: Float[np.ndarray, " B"], some: Sequence[int], own: Float[np.ndarray, " E"]
 ) -> float:
-    """What the learned policy earned over the planner, which earned `own` on `some` of the B episodes."""
+    """Gain of the learned policy over the planner, which earned `own` on `some` of the B episodes."""
     return float((learned - mean).mean() + (mean[list(some)] - own).mean())
 
 
 def _beside(headline: Played, episodes: Sequence[int], played: Played) -> dict[str, Any]:
-    """What a baseline earned on some of the episodes, and the learned policy of Table 1 on the same."""
+    """Rewards of a baseline on some of the episodes, and of the learned policy of Table 1 on the same."""
     own = headline.on(episodes).means()
     return {"num_episodes": len(episodes), LEARNED.name: own, "other": played.means()}
 
 
 def strongest(design: RewardRepetition, selection: dict[str, float]) -> dict[str, str]:
-    """Role → the policy of a kind that earned most where they were chosen; the first of equals."""
+    """Role → the policy of a kind with the largest selection reward; the first of those tied."""
     kinds = [each.name for each in HEURISTICS], [name for name in selection if name in design.planner_names]
     return {role: max(names, key=lambda name: selection[name]) for names, role in zip(kinds, BEST, strict=True)}
 
@@ -274,7 +274,7 @@ def _figure1(design: RewardRepetition, pieces: Pieces, chosen: dict[str, str]) -
     for name in [each for each in design.baseline_names if each not in (design.peer.name, *design.beside_names)]:
         played = _where_played(pieces, name)
         own, other = _both(played, name, "reward")
-        # The strongest heuristic plays all episodes, and the policy of Table 1 beside it.
+        # The strongest heuristic plays all episodes, as does the policy of Table 1.
         headline, beside = _both(played, rule, "reward")
         rows.append({"policy": name, "role": roles.get(name)} | _reckoned(headline - (own - other), beside))
     planned = _where_played(pieces, design.peer.name)
@@ -291,7 +291,7 @@ def _figure1(design: RewardRepetition, pieces: Pieces, chosen: dict[str, str]) -
 
 
 def _rows_of(name: str, logs: Iterable[Row], rule: Rewards) -> list[Row]:
-    """What is learned or fitted from logs, in Figure 1: a row for each, beside the strongest heuristic."""
+    """Policies learned or fitted from logs, in Figure 1: a row for each, compared with the strongest heuristic."""
     return [{"policy": name} | {key: row[key] for key in KEYS} | _reckoned(row["reward"], rule) for row in logs]
 
 
@@ -305,9 +305,9 @@ def _where_played(pieces: Pieces, name: str) -> Pieces:
 
 
 def _against_peer(pieces: Pieces) -> list[Row]:
-    """By repetition: what learning earns over planning with laws fitted to the same log, and what that planning earns.
+    """By repetition: gain of learning over planning with laws fitted to the same log, and the reward of that planning.
 
-    A row for each log, and for each size the mean over all proportions of cut trajectories.
+    There is a row for each log, and for each size one with the mean over all proportions of cut trajectories.
     """
     met, learned = ([piece[name] for piece in pieces.repetitions] for name in ("peer", "learned"))
     over = np.array([[row["over_peer"] for row in rows] for rows in met])
@@ -340,7 +340,7 @@ def _table1(design: RewardRepetition, setting: Setting, pieces: Pieces) -> pd.Da
 
 
 def _both(pieces: Pieces, name: str, measure: str) -> tuple[Rewards, Rewards]:
-    """The learned policy of Table 1 and a baseline, on the episodes that both played; measured times but once."""
+    """The learned policy of Table 1 and a baseline, on the episodes that both played; one value of measured times."""
     if measure == "decision_ms":
         own, other = (np.array([pieces.measured[measure][one]]) for one in (LEARNED.name, name))
         return own, other
