@@ -245,7 +245,7 @@ class Team:
         return endings
 
     def _ended(self, tally: Tally, doing: Doing, ending: Ending) -> tuple[Grid | float, Tally, Doing, Held]:
-        """Result of a robot's ended action: reward, tally, what the robot does next, and the objects that it holds."""
+        """Result of a robot's ended action: reward, tally, next state of the robot, and the objects that it holds."""
         verb, target, counted = doing.verb, doing.target, tally[doing.target]
         if verb == Verb.FINISH:
             return ending.paid, tally, Doing(PARKED), NOTHING

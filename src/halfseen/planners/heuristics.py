@@ -103,7 +103,7 @@ class _OfTeam:
 
 @record
 class TeamOfRules(_OfTeam):
-    """Every robot washes its most promising free object; if none is free, it waits for one, or else finishes.
+    """Every robot washes its most promising free object; else it waits for a promising blocked one, or finishes.
 
     Parameters
     ----------
